@@ -1,0 +1,5 @@
+"""``python -m imucal``."""
+
+from imucal.cli import main
+
+main()

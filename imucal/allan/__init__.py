@@ -1,0 +1,1 @@
+"""Samples -> AllanCurve: what the data shows."""

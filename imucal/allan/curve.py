@@ -1,0 +1,97 @@
+"""AllanCurve: the Allan variances of one axis, and how sure they are."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucal.arrays import FloatArray, IntArray, read_only
+
+__all__ = ["AllanCurve"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AllanCurve:
+    """Allan variances at rising averaging times.
+
+    Attributes
+    ----------
+    tau
+        Averaging times m * tau0, shape (k,), in s, rising.
+    m
+        Averaging factors, shape (k,).
+    avar
+        Allan variances, shape (k,), in the square of the sample unit.
+    edf
+        Equivalent degrees of freedom of each, shape (k,); NaN where unknown.
+    n
+        Number of samples it was made from; 0 where unknown (a curve made by another tool).
+    estimator
+        ``overlapping`` (MOAV), ``standard`` (non-overlapping), ``modified``, ``hadamard``.
+    computed
+        How: ``exact``, ``cascade`` (strided, out of core), ``pairs`` or ``windows`` (gaps),
+        ``given`` (a table made by another tool).
+    edf_method
+        ``hybrid``, ``model``, ``greenhall``, ``eta3``; empty where unknown.
+    """
+
+    tau: FloatArray
+    m: IntArray
+    avar: FloatArray
+    edf: FloatArray
+    n: int
+    estimator: str = "overlapping"
+    computed: str = "exact"
+    edf_method: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("tau", "avar", "edf"):
+            array = read_only(np.asarray(getattr(self, name), dtype=np.float64))
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "m", read_only(np.asarray(self.m, dtype=np.int64)))
+        shapes = {self.tau.shape, self.m.shape, self.avar.shape, self.edf.shape}
+        if len(shapes) != 1 or self.tau.ndim != 1:
+            msg = f"tau, m, avar and edf must share one shape (k,), got {sorted(shapes)}"
+            raise ValueError(msg)
+        if not np.all(np.diff(self.tau) > 0):
+            msg = "tau must rise"
+            raise ValueError(msg)
+
+    @property
+    def adev(self) -> FloatArray:
+        """Allan deviations, shape (k,), in the sample unit."""
+        return np.sqrt(self.avar)
+
+    def confidence_interval(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
+        """Return the lower and upper limits of the Allan *deviation*, each of shape (k,).
+
+        ``edf * avar / true avar`` is taken as chi-squared with `edf` degrees of freedom, so both
+        limits are positive. NaN where the degrees of freedom are unknown.
+
+        Raises
+        ------
+        ValueError
+            If `level` is not between 0 and 1.
+
+        Source: NIST SP 1065 (2008), sec. 5.3.1.
+        """
+        from scipy.special import chdtri
+
+        if not 0 < level < 1:
+            msg = f"level must be between 0 and 1, got {level}"
+            raise ValueError(msg)
+        tail = (1 - level) / 2
+        low = self.edf * self.avar / chdtri(self.edf, tail)
+        high = self.edf * self.avar / chdtri(self.edf, 1 - tail)
+        return np.sqrt(low), np.sqrt(high)
+
+    @property
+    def minimum(self) -> tuple[float, float]:
+        """The lowest Allan deviation and its tau, in the sample unit and s.
+
+        This is what many tools call "bias instability"; it is not B. See `imucal.noise.terms`.
+        Values with fewer than 2 degrees of freedom are passed over where others exist.
+        """
+        sure = np.flatnonzero(~(self.edf < 2))
+        index = sure if sure.size else np.arange(self.tau.size)
+        best = index[np.argmin(self.avar[index])]
+        return float(np.sqrt(self.avar[best])), float(self.tau[best])

@@ -1,0 +1,45 @@
+"""Every error imucal raises on purpose, and the exit code each one ends a command with.
+
+::
+
+    ImucalError
+    ├── ReadError      3  the log can't be read: missing, corrupt, unknown format, no such topic
+    │   └── ChoiceError   several topics, sensors or columns fit, or none does; lists what was found
+    ├── DataError      4  the data can't be analysed: no IMU samples, too short, not finite
+    └── WriteError     5  the output can't be written
+
+A message reads *where: what was found, what was expected, what to do*.
+A caller's mistake (an argument out of range) is a plain `ValueError`.
+"""
+
+from typing import ClassVar
+
+__all__ = ["ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"]
+
+
+class ImucalError(Exception):
+    """Anything imucal can't do with what it was given."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class ReadError(ImucalError):
+    """The log can't be read."""
+
+    exit_code = 3
+
+
+class ChoiceError(ReadError):
+    """Which topic, sensor or columns to read is not clear; the message lists the candidates."""
+
+
+class DataError(ImucalError):
+    """The log was read, but its data can't be analysed."""
+
+    exit_code = 4
+
+
+class WriteError(ImucalError):
+    """An output file can't be written."""
+
+    exit_code = 5

@@ -1,0 +1,1 @@
+"""AllanCurve (+ samples) -> NoiseFit: what explains it."""

@@ -1,0 +1,139 @@
+"""NoiseModel: a sum of independent noise terms, and its text form."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+from imucal.noise.terms import (
+    TERMS,
+    AngleRandomWalk,
+    BiasInstability,
+    GaussMarkov,
+    NoiseTerm,
+    Quantization,
+    RateRamp,
+    RateRandomWalk,
+)
+
+__all__ = ["NoiseModel", "parse_structure", "structure_text"]
+
+_SIMPLE = {c.symbol: c for c in (Quantization, AngleRandomWalk, BiasInstability, RateRandomWalk, RateRamp)}
+_TERM = re.compile(r"\s*(?:(?P<count>\d+)\s*\*\s*)?(?P<symbol>[A-Z]+)\s*")
+_VALUED = re.compile(r"\s*(?P<symbol>[A-Z]+)\s*=\s*(?P<value>[^\s()]+)\s*")
+_GAUSS_MARKOV = re.compile(
+    r"\s*GM\s*\(\s*sigma\s*=\s*(?P<sigma>[^\s,]+)\s*,\s*T\s*=\s*(?P<T>[^\s)]+)\s*\)\s*"
+)
+_EXAMPLE = "such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseModel:
+    """A sum of independent terms.
+
+    ``str(model)`` names the terms (``N + B + K``); `text` holds their values too.
+    """
+
+    terms: tuple[NoiseTerm, ...]
+
+    @classmethod
+    def parse(cls, text: str) -> "NoiseModel":
+        """Return the model of a text such as ``N=1e-3 + K=3e-6 + GM(sigma=1e-4, T=50)``.
+
+        Raises
+        ------
+        ValueError
+            If the text is not a sum of valued terms, or a term but GM stands twice.
+        """
+        terms = tuple(_parse_term(part) for part in _split(text))
+        _refuse_repeats(tuple(term.symbol for term in terms))
+        return cls(terms=terms)
+
+    def __str__(self) -> str:
+        return structure_text(term.symbol for term in self.terms)
+
+    def text(self) -> str:
+        """Return the model with its values; `parse` reads it back exactly."""
+        return " + ".join(term.text() for term in self.terms)
+
+    def avar(self, m: FloatArray, *, rate_hz: float) -> FloatArray:
+        """Return the exact Allan variance at averaging factors `m`, shape (k,), in U²."""
+        m = np.asarray(m, dtype=np.float64)
+        total = np.zeros(m.shape)
+        for term in self.terms:
+            total += term.avar(m, 1 / rate_hz)
+        return total
+
+    def psd(self, f: FloatArray, *, rate_hz: float) -> FloatArray:
+        """Return the exact two-sided psd at frequencies `f` in Hz, shape (k,), in U²/Hz."""
+        f = np.asarray(f, dtype=np.float64)
+        total = np.zeros(f.shape)
+        for term in self.terms:
+            total += term.psd(f, 1 / rate_hz)
+        return total
+
+    def simulate(self, n: int, *, rate_hz: float, rng: np.random.Generator) -> FloatArray:
+        """Return `n` samples of the sum of all terms, shape (n,), in U."""
+        samples = np.zeros(n)
+        for term in self.terms:
+            samples += term.simulate(n, 1 / rate_hz, rng)
+        return samples
+
+
+def parse_structure(text: str) -> tuple[str, ...]:
+    """Return the symbols of a text such as ``N + 2*GM + K``, in the order of `TERMS`.
+
+    Raises
+    ------
+    ValueError
+        If a term is unknown, or a term but GM stands twice.
+    """
+    symbols: list[str] = []
+    for part in text.split("+"):
+        match = _TERM.fullmatch(part)
+        if match is None or match["symbol"] not in TERMS:
+            known = ", ".join(TERMS)
+            msg = f"model {text!r}: {part.strip()!r} is not one of {known}; write 'N + B + K' or 'N + 2*GM'"
+            raise ValueError(msg)
+        symbols += [match["symbol"]] * int(match["count"] or 1)
+    _refuse_repeats(tuple(symbols))
+    return tuple(sorted(symbols, key=list(TERMS).index))
+
+
+def structure_text(symbols: Iterable[str]) -> str:
+    """Return ``N + 2*GM + K`` for its symbols."""
+    ordered = tuple(symbols)
+    counts = {symbol: ordered.count(symbol) for symbol in dict.fromkeys(ordered)}
+    return " + ".join(symbol if count == 1 else f"{count}*{symbol}" for symbol, count in counts.items())
+
+
+def _split(text: str) -> list[str]:
+    """Split at each plus sign that neither stands in an exponent nor in parentheses."""
+    return re.split(r"(?<![eE])\+(?![^(]*\))", text)
+
+
+def _parse_term(part: str) -> NoiseTerm:
+    if match := _GAUSS_MARKOV.fullmatch(part):
+        return GaussMarkov(sigma=_number(match["sigma"]), T=_number(match["T"]))
+    match = _VALUED.fullmatch(part)
+    if match is None or match["symbol"] not in _SIMPLE:
+        msg = f"model term {part.strip()!r} is not understood; write a sum {_EXAMPLE}"
+        raise ValueError(msg)
+    return _SIMPLE[match["symbol"]](value=_number(match["value"]))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        msg = f"{text!r} is not a number; write a sum {_EXAMPLE}"
+        raise ValueError(msg) from None
+
+
+def _refuse_repeats(symbols: tuple[str, ...]) -> None:
+    for symbol in set(symbols) - {"GM"}:
+        if symbols.count(symbol) > 1:
+            msg = f"{symbol} stands more than once; only GM may"
+            raise ValueError(msg)

@@ -1,0 +1,1 @@
+"""Log file -> Recording: what was recorded."""

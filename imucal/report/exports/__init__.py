@@ -1,0 +1,1 @@
+"""The downstream files of filters and simulators; one file a format, one table of them."""

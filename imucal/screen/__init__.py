@@ -1,0 +1,1 @@
+"""Recording -> findings: can it be trusted."""
