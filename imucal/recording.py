@@ -172,6 +172,30 @@ class Clock:
         first = self.segments[0].offset
         return np.concatenate([np.arange(s.size) + (s.offset - first) for s in self.segments])
 
+    def index_at(self, time_s: float) -> int:
+        """Return the index of the first sample taken at `time_s` or later, in s from the first; n if none."""
+        if not self.segments:
+            return 0
+        # A stamp on the grid counts as on time even when the product rounds up.
+        place = time_s * self.rate_hz + self.segments[0].offset - 1e-6
+        for segment in self.segments:
+            if place <= segment.offset + segment.size - 1:
+                return segment.start + max(0, int(np.ceil(place - segment.offset)))
+        return self.n
+
+    def slice(self, first: int, stop: int) -> "Clock":
+        """Return the clock of the samples from index `first` to before `stop`."""
+        segments = []
+        for segment in self.segments:
+            start, end = max(first, segment.start), min(stop, segment.stop)
+            if start < end:
+                offset = segment.offset + start - segment.start
+                segments.append(Segment(start=start - first, stop=end - first, offset=offset))
+        start_ns = self.start_ns
+        if start_ns is not None and segments:
+            start_ns += round((segments[0].offset - self.segments[0].offset) * self.tau0 * 1e9)
+        return replace(self, segments=tuple(segments), start_ns=start_ns)
+
     def keeping(self, keep: NDArray[np.bool_]) -> "Clock":
         """Return the clock of the samples where `keep`, shape (n,), is true; the rest become gaps."""
         if keep.shape != (self.n,):
@@ -275,11 +299,12 @@ class AxisSeries:
         return self.keeping(np.isfinite(self.samples))
 
     def between(self, start_s: float, end_s: float) -> "AxisSeries":
-        """Return the samples taken from `start_s` to before `end_s`, in s from the first sample."""
-        if not self.clock.segments:
-            return self
-        seconds = self.clock.grid() * self.tau0
-        return self.keeping((seconds >= start_s) & (seconds < end_s))
+        """Return the samples taken from `start_s` to before `end_s`, in s from the first sample.
+
+        Copies nothing.
+        """
+        first, stop = self.clock.index_at(start_s), self.clock.index_at(end_s)
+        return replace(self, samples=self.samples[first:stop], clock=self.clock.slice(first, stop))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -344,6 +369,28 @@ class Recording:
     series: tuple[AxisSeries, ...]
     temperature: Temperature | None = None
     findings: tuple[Finding, ...] = ()
+
+    def between(self, start_s: float, end_s: float) -> "Recording":
+        """Return what was measured from `start_s` to before `end_s`, in s from the start of each clock.
+
+        Raises
+        ------
+        DataError
+            If nothing was measured then.
+        """
+        series = tuple(cut for one in self.series if (cut := one.between(start_s, end_s)).n)
+        if not series:
+            longest = max((one.duration_s for one in self.series), default=0.0)
+            msg = (
+                f"{self.source.path}: no samples from {start_s:g} s to {end_s:g} s; it lasts {longest:.6g} s"
+            )
+            raise DataError(msg)
+        temperature = self.temperature
+        if temperature is not None:
+            clock = temperature.clock
+            first, stop = clock.index_at(start_s), clock.index_at(end_s)
+            temperature = Temperature(samples=temperature.samples[first:stop], clock=clock.slice(first, stop))
+        return replace(self, series=series, temperature=temperature)
 
     def axis(self, sensor: str, axis: str) -> AxisSeries:
         """Return one axis, such as ``axis("gyroscope", "x")``.

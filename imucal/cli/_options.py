@@ -1,0 +1,189 @@
+"""Options that several commands share, and the reading of a log with them."""
+
+import functools
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import click
+
+from imucal.recording import Recording
+
+__all__ = ["LogRequest", "log_options", "quiet_option", "say"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+quiet_option = click.option(
+    "-q", "--quiet", is_flag=True, help="Print results only: no progress, findings or paths."
+)
+
+
+def say(text: str, *, quiet: bool = False) -> None:
+    """Print a line for people, on standard error, so that standard output holds results only."""
+    if not quiet:
+        click.echo(text, err=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogRequest:
+    """What the user asked to read; the fields are the options of `log_options`."""
+
+    logs: tuple[str, ...]
+    topic: tuple[str, ...]
+    time: str | None
+    rate: float | None
+    gyro_unit: str | None
+    accel_unit: str | None
+    gyro_scale: float | None
+    accel_scale: float | None
+    columns: str | None
+    msg: Path | None
+    strict: bool
+    skip: float
+    take: float | None
+    quiet: bool
+
+    def read(self) -> Recording:
+        """Read the log, with a progress bar where a person watches."""
+        from imucal.readers import read
+
+        with _progress_bar(quiet=self.quiet) as progress:
+            recording = read(
+                *self.logs,
+                topic=self.topic,
+                time=self.time,
+                rate_hz=self.rate,
+                gyro_unit=self.gyro_unit,
+                accel_unit=self.accel_unit,
+                gyro_scale=self.gyro_scale,
+                accel_scale=self.accel_scale,
+                columns=self.columns,
+                message_definition=self.msg,
+                strict=self.strict,
+                progress=progress,
+            )
+        if not self.skip and self.take is None:
+            return recording
+        end = float("inf") if self.take is None else self.skip + self.take
+        return recording.between(self.skip, end)
+
+    def settings(self) -> dict[str, object]:
+        """Return what was asked, for the report: JSON values, defaults left out."""
+        asked: dict[str, object] = {
+            "topic": list(self.topic),
+            "time": self.time,
+            "rate_hz": self.rate,
+            "gyro_unit": self.gyro_unit,
+            "accel_unit": self.accel_unit,
+            "gyro_scale": self.gyro_scale,
+            "accel_scale": self.accel_scale,
+            "columns": self.columns,
+            "message_definition": None if self.msg is None else str(self.msg),
+            "strict": self.strict,
+            "skip_s": self.skip,
+            "take_s": self.take,
+        }
+        return {name: value for name, value in asked.items() if value}
+
+
+class Duration(click.ParamType[float]):
+    """Seconds, or a number with s, min, m, h or d."""
+
+    name = "duration"
+    _factors: ClassVar[dict[str, float]] = {"s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if isinstance(value, int | float):
+            return float(value)
+        text = str(value).strip()
+        number = text.rstrip("smindh")
+        factor = self._factors.get(text[len(number) :] or "s")
+        try:
+            seconds = float(number) * (factor or float("nan"))
+        except ValueError:
+            seconds = float("nan")
+        if not 0 <= seconds < float("inf"):
+            self.fail(f"{text!r} is not a duration; write seconds, or such as 90s, 5min, 2.5h", param, ctx)
+        return seconds
+
+
+def log_options(command: Command) -> Callable[..., Any]:
+    """Add the LOG argument and the options of reading it; the command gets them as `request`."""
+
+    @functools.wraps(command)
+    def wrapper(**values: Any) -> object:  # noqa: ANN401 - click passes every option by name
+        names = LogRequest.__dataclass_fields__
+        request = LogRequest(**{name: values.pop(name) for name in names})
+        return command(request=request, **values)
+
+    options = (
+        click.argument("logs", metavar="LOG...", nargs=-1, required=True),
+        click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor."),
+        click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column."),
+        click.option(
+            "--rate",
+            type=click.FloatRange(min=0, min_open=True),
+            metavar="HZ",
+            help="Sampling rate, where the log's own is missing or wrong.",
+        ),
+        click.option(
+            "--gyro-unit", metavar="UNIT", help="rad/s, deg/s, mdeg/s, …, where the log doesn't say."
+        ),
+        click.option("--accel-unit", metavar="UNIT", help="m/s^2, g, mg, …, where the log doesn't say."),
+        click.option("--gyro-scale", type=float, metavar="X", help="rad/s per count, for raw counts."),
+        click.option("--accel-scale", type=float, metavar="X", help="m/s^2 per count, for raw counts."),
+        click.option("--columns", metavar="TEXT", help="Columns of a table, such as t=0,g=1:4,a=4:7."),
+        click.option(
+            "--msg",
+            type=click.Path(exists=True, dir_okay=False, path_type=Path),
+            metavar="FILE",
+            help="Definition (.msg) of a message type the log doesn't define.",
+        ),
+        click.option(
+            "--skip", type=Duration(), default=0.0, metavar="TIME", help="Leave out the start, such as 5min."
+        ),
+        click.option("--take", type=Duration(), metavar="TIME", help="Use only so much, such as 2h."),
+        click.option(
+            "--strict", is_flag=True, help="Refuse a damaged log; end with exit code 4 on a warning."
+        ),
+        quiet_option,
+    )
+    decorated: Callable[..., Any] = wrapper
+    for option in reversed(options):
+        decorated = option(decorated)
+    return decorated
+
+
+@contextmanager
+def _progress_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """Show bytes, rate and time left on a terminal; nothing elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        DownloadColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+        TransferSpeedColumn,
+    )
+
+    columns = (
+        TextColumn("reading"),
+        BarColumn(bar_width=20),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+
+        def update(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield update
