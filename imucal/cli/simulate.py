@@ -1,0 +1,165 @@
+"""``imucal simulate``: a log of known truth."""
+
+import json
+from pathlib import Path
+
+import click
+
+from imucal.cli._options import Duration, quiet_option, say
+from imucal.noise import NoiseModel
+from imucal.units import G0
+
+__all__ = ["command"]
+
+
+class Model(click.ParamType[NoiseModel]):
+    """A noise model text with values."""
+
+    name = "model"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> NoiseModel:
+        if isinstance(value, NoiseModel):
+            return value
+        try:
+            return NoiseModel.parse(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Gap(click.ParamType[tuple[float, float]]):
+    """START:LENGTH, each a duration."""
+
+    name = "gap"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float]:
+        start, colon, length = str(value).partition(":")
+        if not colon:
+            self.fail(f"{value!r} is not START:LENGTH, such as 60s:2s", param, ctx)
+        duration = Duration()
+        return duration.convert(start, param, ctx), duration.convert(length, param, ctx)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
+  imucal simulate "N=1e-4 + K=1e-6" --accel "N=1e-3 + B=2e-4" \\
+    --rate 400 --duration 2h --gap 10min:3s -o gaps.bag"""
+)
+@click.argument("model", type=Model())
+@click.option(
+    "--accel", type=Model(), metavar="MODEL", help="Model of the accelerometer; MODEL's where not given."
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="FILE",
+    help="Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
+)
+@click.option(
+    "--rate",
+    type=click.FloatRange(min=0, min_open=True),
+    default=200.0,
+    show_default=True,
+    metavar="HZ",
+    help="Sampling rate.",
+)
+@click.option(
+    "--duration",
+    type=Duration(),
+    default="10min",
+    show_default=True,
+    metavar="TIME",
+    help="Length of the log.",
+)
+@click.option(
+    "--gap",
+    "gaps",
+    type=Gap(),
+    multiple=True,
+    metavar="START:LENGTH",
+    help="Lose samples there; may be repeated.",
+)
+@click.option(
+    "--gyro-lsb",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    metavar="X",
+    help="Resolution of the gyroscope, in rad/s.",
+)
+@click.option(
+    "--accel-lsb",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    metavar="X",
+    help="Resolution of the accelerometer, in m/s^2.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="The same seed gives the same log.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the truth as JSON.")
+@quiet_option
+def command(
+    *,
+    model: NoiseModel,
+    accel: NoiseModel | None,
+    out: Path,
+    rate: float,
+    duration: float,
+    gaps: tuple[tuple[float, float], ...],
+    gyro_lsb: float,
+    accel_lsb: float,
+    seed: int,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Write a log of an IMU at rest whose noise is known.
+
+    MODEL is a sum of terms with continuous SI coefficients, the same for the three gyroscope
+    axes: N=… (rad/s/√Hz), B=… (rad/s), K=… (rad/s/√s), Q=… (rad), R=… (rad/s²),
+    GM(sigma=…, T=…) (rad/s, s); m/s² in place of rad/s for the accelerometer.
+    """
+    from imucal.log_files import write_log
+    from imucal.simulation import SensorTruth, simulate_recording
+
+    gyroscope = SensorTruth(model=model, mean=(0.0, 0.0, 0.0), lsb=gyro_lsb)
+    accelerometer = SensorTruth(model=accel or model, mean=(0.0, 0.0, G0), lsb=accel_lsb)
+    try:
+        recording = simulate_recording(
+            gyroscope=gyroscope,
+            accelerometer=accelerometer,
+            rate_hz=rate,
+            duration_s=duration,
+            seed=seed,
+            gaps_s=gaps,
+        )
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    write_log(recording, out)
+    clock = recording.series[0].clock
+    truth = {
+        "gyroscope": {"model": model.text(), "lsb": gyro_lsb},
+        "accelerometer": {"model": (accel or model).text(), "lsb": accel_lsb},
+        "rate_hz": rate,
+        "samples": clock.n,
+        "duration_s": clock.duration_s,
+        "gaps": [{"start_s": gap.start_s, "duration_s": gap.duration_s} for gap in clock.gaps],
+        "seed": seed,
+    }
+    if as_json:
+        click.echo(json.dumps(truth, indent=2))
+    else:
+        click.echo(str(out))
+    say(
+        f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}",
+        quiet=quiet or not as_json,
+    )

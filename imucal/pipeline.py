@@ -1,0 +1,149 @@
+"""characterize: Recording -> Report, axis by axis. No input, no output."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from imucal._version import __version__
+from imucal.allan import allan_curve, spectrum
+from imucal.errors import DataError
+from imucal.findings import Finding
+from imucal.fit import fit
+from imucal.fit.hausman import second_opinion
+from imucal.plan import resolution_findings
+from imucal.recording import AxisSeries, Recording, Temperature
+from imucal.report.overview import overview
+from imucal.report.result import AxisReport, Report
+from imucal.screen import screen
+
+__all__ = ["Progress", "Settings", "characterize"]
+
+#: Called with the number of axes done, of all axes, and the name of the next one.
+Progress: TypeAlias = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """How a recording is characterised; see `imucal.fit` and `imucal.allan_curve`.
+
+    `reading` records how the log was read, as JSON values, so that the run can be repeated.
+    """
+
+    model: str = "auto"
+    method: str = "mle"
+    level: float = 0.95
+    criterion: str = "bic"
+    weights: str = "full"
+    taus: str = "octave"
+    edf: str = "hybrid"
+    max_gm: int = 2
+    clean: bool = True
+    verify: bool = False
+    second_opinion: bool = True
+    reading: Mapping[str, object] = field(default_factory=dict)
+
+    def document(self) -> dict[str, object]:
+        """Return the settings as JSON values."""
+        names = [name for name in self.__dataclass_fields__ if name != "reading"]
+        return {name: getattr(self, name) for name in names} | {"reading": dict(self.reading)}
+
+
+def characterize(
+    recording: Recording, settings: Settings | None = None, *, progress: Progress | None = None
+) -> Report:
+    """Screen a recording and fit a noise model to every axis.
+
+    An axis that can't be analysed is left out and named in a finding.
+
+    Raises
+    ------
+    DataError
+        If no axis can be analysed.
+    ValueError
+        If a setting is not known.
+    """
+    settings = settings or Settings()
+    findings = recording.findings + screen(recording)
+    axes: list[AxisReport] = []
+    failures: list[Finding] = []
+    for done, series in enumerate(recording.series):
+        if progress:
+            progress(done, len(recording.series), series.name)
+        try:
+            axes.append(_characterize_axis(series, settings, recording.temperature, findings))
+        except DataError as error:
+            failures.append(Finding(level="error", code="no-result", axis=series.name, text=f"{error}."))
+    if not axes:
+        reasons = "; ".join(dict.fromkeys(failure.text.removesuffix(".") for failure in failures))
+        msg = f"{recording.source.path}: no axis can be analysed: {reasons or 'the log holds no samples'}"
+        raise DataError(msg)
+    if progress:
+        progress(len(recording.series), len(recording.series), "")
+    fitted = {axis.name for axis in axes}
+    return Report(
+        source=recording.source,
+        axes=tuple(axes),
+        settings=settings.document(),
+        version=__version__,
+        findings=tuple(f for f in (*findings, *failures) if f.axis not in fitted),
+    )
+
+
+def _characterize_axis(
+    series: AxisSeries, settings: Settings, temperature: Temperature | None, screened: tuple[Finding, ...]
+) -> AxisReport:
+    finite = series.finite()
+    if not finite.n:
+        msg = f"{series.name}: no finite samples among {series.n}"
+        raise DataError(msg)
+    curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
+    result = fit(
+        finite,
+        model=settings.model,
+        method=settings.method,
+        level=settings.level,
+        criterion=settings.criterion,
+        weights=settings.weights,
+        max_gm=settings.max_gm,
+        clean=settings.clean,
+        verify=settings.verify,
+        temperature=_same_clock(series, finite, temperature),
+        curve=curve,
+    )
+    findings = [finding for finding in screened if finding.axis == series.name]
+    findings += result.findings
+    findings += resolution_findings(result, finite.duration_s)
+    if settings.second_opinion and settings.method == "mle":
+        other = fit(finite, model=str(result.model), method="gmwm", level=settings.level, curve=curve)
+        findings += second_opinion(result, other)
+    return AxisReport(
+        sensor=series.sensor,
+        axis=series.axis,
+        samples=finite.n,
+        rate_hz=finite.rate_hz,
+        duration_s=finite.duration_s,
+        mean=float(np.mean(finite.samples)),
+        std=float(np.std(finite.samples)),
+        gaps=finite.clock.gaps,
+        spectrum=spectrum(finite),
+        overview=overview(finite),
+        fit=result,
+        findings=_without_repeats(findings),
+    )
+
+
+def _same_clock(series: AxisSeries, finite: AxisSeries, temperature: Temperature | None) -> np.ndarray | None:
+    """Return the temperature at each finite sample, where it was measured with them."""
+    if temperature is None or temperature.samples.shape != series.samples.shape:
+        return None
+    at_samples = temperature.samples[np.isfinite(series.samples)]
+    return at_samples if at_samples.shape == finite.samples.shape and np.isfinite(at_samples).all() else None
+
+
+def _without_repeats(findings: list[Finding]) -> tuple[Finding, ...]:
+    """Leave out what the fit says better than the screening did: the filter and the lines it fitted."""
+    codes = {finding.code for finding in findings}
+    said_better = {"roll-off"} & codes if "output-filter" in codes else set()
+    return tuple(dict.fromkeys(finding for finding in findings if finding.code not in said_better))
