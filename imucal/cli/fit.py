@@ -1,0 +1,207 @@
+"""``imucal fit``: the main job."""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from imucal.cli._findings import all_findings, print_findings
+from imucal.cli._options import LogRequest, log_options, say
+from imucal.errors import DataError
+from imucal.noise import parse_structure, structure_text
+
+__all__ = ["command", "report_folder"]
+
+_FORMATS = ("png", "svg", "pdf")
+
+
+class Structure(click.ParamType[str]):
+    """The terms of a model, or auto."""
+
+    name = "structure"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value)
+        try:
+            return text if text == "auto" else structure_text(parse_structure(text))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  imucal fit log.mcap
+  imucal fit log.bag --topic /imu/data_raw --skip 10min -o report
+  imucal fit log.csv --gyro-unit deg/s --accel-unit g --model "N + B + K"
+  imucal fit log.mcap --json --no-report -q | jq '.axes[].fit.terms.N'
+  imucal fit curve.csv        (tau and deviations made by another tool)
+
+\b
+Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
+analysed (with --strict: or a warning was found), 5 the report can't be
+written, 130 interrupted."""
+)
+@log_options
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder of the report. [default: NAME-imucal]",
+)
+@click.option(
+    "--model",
+    type=Structure(),
+    default="auto",
+    show_default=True,
+    metavar="TEXT",
+    help='Terms, such as "N + B + K" or "N + 2*GM".',
+)
+@click.option(
+    "--method",
+    type=click.Choice(["mle", "gmwm", "slope"]),
+    default="mle",
+    show_default=True,
+    help="Estimator.",
+)
+@click.option(
+    "--level",
+    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    default=0.95,
+    show_default=True,
+    help="Confidence level of every interval.",
+)
+@click.option(
+    "--ic",
+    type=click.Choice(["bic", "hq", "aic"]),
+    default="bic",
+    show_default=True,
+    help="Criterion that chooses the model.",
+)
+@click.option(
+    "--weights",
+    type=click.Choice(["full", "eta3"]),
+    default="full",
+    show_default=True,
+    help="Weights of gmwm.",
+)
+@click.option(
+    "--taus", default="octave", show_default=True, metavar="SET", help="octave, decade, decade:20 or all."
+)
+@click.option(
+    "--edf",
+    type=click.Choice(["hybrid", "model", "greenhall", "eta3"]),
+    default="hybrid",
+    show_default=True,
+    help="Degrees of freedom of the curve's intervals.",
+)
+@click.option("--no-clean", is_flag=True, help="Fit spikes too, instead of leaving them out.")
+@click.option("--verify", is_flag=True, help="Check the fit against the exact likelihood (slower).")
+@click.option("--datasheet/--si", default=True, show_default=True, help="Units of the table.")
+@click.option(
+    "--format",
+    "formats",
+    type=click.Choice(_FORMATS),
+    multiple=True,
+    default=("png",),
+    show_default=True,
+    help="Pictures; may be repeated.",
+)
+@click.option("--no-html", is_flag=True, help="Write no HTML page.")
+@click.option("--no-report", is_flag=True, help="Write no files at all.")
+@click.option("--json", "as_json", is_flag=True, help="Print report.json on standard output.")
+def command(
+    *,
+    request: LogRequest,
+    out: Path | None,
+    model: str,
+    method: str,
+    level: float,
+    ic: str,
+    weights: str,
+    taus: str,
+    edf: str,
+    no_clean: bool,
+    verify: bool,
+    datasheet: bool,
+    formats: tuple[str, ...],
+    no_html: bool,
+    no_report: bool,
+    as_json: bool,
+) -> None:
+    """Fit a noise model to every axis of LOG and write a report.
+
+    LOG is a CSV, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, MAT or ULog file, or
+    - for text on standard input. Several LOGs are read as one recording with gaps. The table on
+    standard output holds the noise terms of each axis with their intervals; the report folder
+    holds report.json, report.html and the pictures.
+    """
+    from imucal.cli._table import summary_table
+    from imucal.pipeline import Settings, characterize
+    from imucal.report.json_file import to_document
+    from imucal.report.writer import write_report
+
+    recording = request.read()
+    settings = Settings(
+        model=model,
+        method=method,
+        level=level,
+        criterion=ic,
+        weights=weights,
+        taus=taus,
+        edf=edf,
+        clean=not no_clean,
+        verify=verify,
+        reading=request.settings(),
+    )
+    with _axes_progress(quiet=request.quiet) as progress:
+        report = characterize(recording, settings, progress=progress)
+    if as_json:
+        click.echo(json.dumps(to_document(report), indent=1, allow_nan=False))
+    else:
+        click.echo(summary_table(report, datasheet=datasheet))
+    print_findings(report, quiet=request.quiet)
+    if not no_report:
+        folder = out or report_folder(request.logs[0])
+        for path in write_report(report, folder, formats=formats, html=not no_html):
+            say(str(path), quiet=request.quiet)
+        say(f"Next: imucal export {folder} --to kalibr (or vins, orbslam3, px4, …, all)", quiet=request.quiet)
+    if request.strict and any(finding.level != "info" for finding in all_findings(report)):
+        click.get_current_context().exit(DataError.exit_code)
+
+
+def report_folder(log: str) -> Path:
+    """Return where the report of a log goes: ``<log name>-imucal`` in the current folder."""
+    name = "stdin" if log == "-" else Path(log).resolve().name
+    stem = name
+    while (suffix := Path(stem).suffix) and suffix.lstrip(".").isalnum() and not suffix[1:].isdigit():
+        stem = Path(stem).stem
+    return Path(f"{stem or name}-imucal")
+
+
+@contextmanager
+def _axes_progress(*, quiet: bool) -> Iterator[Callable[[int, int, str], None] | None]:
+    """Show which axis is being fitted, on a terminal; nothing elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("fitting {task.fields[axis]:8}"),
+        BarColumn(bar_width=20),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("fitting", total=None, axis="")
+
+        def update(done: int, total: int, name: str) -> None:
+            bar.update(task, completed=done, total=total, axis=name)
+
+        yield update
