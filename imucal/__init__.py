@@ -99,8 +99,21 @@ _HOMES = {
 }
 
 
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        msg = f"module 'imucal' has no attribute {name!r}"
+        raise AttributeError(msg)
+    value: object = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
+
+
 class _Facade(ModuleType):
-    """This package as a module whose public functions keep their names.
+    """A module whose public functions keep their names.
 
     `imucal.fit` is a function and a stage's folder, as are `screen`, `plan` and `compare`. Importing the
     folder would put the module in the function's place; ``from imucal.fit import …`` needs no such place.
@@ -109,17 +122,6 @@ class _Facade(ModuleType):
     def __setattr__(self, name: str, value: object) -> None:
         if not (isinstance(value, ModuleType) and name in _HOMES):
             super().__setattr__(name, value)
-
-    def __getattr__(self, name: str) -> object:
-        if name not in _HOMES:
-            msg = f"module 'imucal' has no attribute {name!r}"
-            raise AttributeError(msg)
-        value: object = getattr(importlib.import_module(_HOMES[name]), name)
-        setattr(self, name, value)
-        return value
-
-    def __dir__(self) -> list[str]:
-        return list(__all__)
 
 
 sys.modules[__name__].__class__ = _Facade
