@@ -12,11 +12,12 @@ Source: Guerrier, Molinari, Stebler: Allan variance (MOAV, Def. 4.3); Greenhall 
 "Uncertainty of stability variances based on finite differences".
 """
 
+from collections.abc import Callable
 from enum import Enum
 
 import numpy as np
 
-from imucal.arrays import FloatArray
+from imucal.arrays import FloatArray, IntArray
 
 __all__ = ["PowerLaw", "odd_harmonic"]
 
@@ -82,3 +83,129 @@ class PowerLaw(Enum):
                 return 1.0 / half
             case PowerLaw.WALK:
                 return 1.0 / half**2
+
+    def dct_spectrum(self, n: int, first: IntArray, count: IntArray) -> FloatArray:
+        """Return the expected square of the orthonormal DCT-II ordinates, averaged over bins.
+
+        Parameters
+        ----------
+        n
+            Number of samples, at least 2.
+        first, count
+            First ordinate and number of ordinates of each bin, shape (b,); ordinates 1 … n-1.
+
+        Returns
+        -------
+        Mean of E[X_k²] over each bin, shape (b,), per unit variance parameter.
+
+        Notes
+        -----
+        White noise and the random walk are exact, and their ordinates uncorrelated. Quantization
+        is exact with its two boundary values. Flicker is exact in the limit of many samples; its
+        relative error is below 0.05/n². Bins of up to 8 ordinates are summed; the mean over wider
+        ones has relative error below 3e-8 where the first ordinate is above 128. Cost O(b).
+
+        Source: E[X_k²] = r_0-weighted cosine sum of the structure function; for flicker summed in
+        closed form, with Si for the finite length.
+        """
+        start: FloatArray = np.asarray(first, dtype=np.float64)
+        size: FloatArray = np.asarray(count, dtype=np.float64)
+        match self:
+            case PowerLaw.QUANTIZATION:
+                return _mean_quantization(n, start, size)
+            case PowerLaw.WHITE:
+                return np.ones(start.shape)
+            case PowerLaw.FLICKER:
+                return _bin_mean(n, start, size, _flicker_ordinate, _flicker_wide)
+            case PowerLaw.WALK:
+                return _bin_mean(n, start, size, _walk_ordinate, _walk_wide)
+
+
+#: Bins of up to so many ordinates are summed one by one.
+_NARROW = 8
+
+
+def _bin_mean(
+    n: int,
+    first: FloatArray,
+    count: FloatArray,
+    ordinate: Callable[[int, FloatArray], FloatArray],
+    wide: Callable[[int, FloatArray, FloatArray], FloatArray],
+) -> FloatArray:
+    """Average over bins: term by term where they are narrow, by an integral where they are wide."""
+    mean = np.empty(first.shape)
+    narrow = count <= _NARROW
+    start, size = first[narrow], count[narrow]
+    total = np.zeros(start.shape)
+    for step in range(_NARROW):
+        inside = step < size
+        total[inside] += ordinate(n, start[inside] + step)
+    mean[narrow] = total / size
+    mean[~narrow] = wide(n, first[~narrow], count[~narrow])
+    return mean
+
+
+def _mean_quantization(n: int, first: FloatArray, count: FloatArray) -> FloatArray:
+    """Mean of 4 sin²(w/2) + (4/n) cos²(w/2) over w = pi k / n, in closed form (Dirichlet kernel)."""
+    half = np.pi / (2 * n)
+    middle = half * (first + (count - 1) / 2)
+    spread = np.sin(count * half) / (count * np.sin(half))
+    # 1 - spread loses its digits where the bin is narrow; its series does not.
+    square = (count * half) ** 2
+    series = half**2 * (count**2 - 1) / 6 * (1 - (3 * square - 7 * half**2) / 60)
+    lost = np.where(square < 1e-4, series, 1 - spread)
+    mean: FloatArray = 2 * lost + 4 * (1 - lost) * np.sin(middle) ** 2
+    return mean * (1 - 1 / n) + 4 / n
+
+
+def _walk_ordinate(n: int, k: FloatArray) -> FloatArray:
+    squared: FloatArray = np.sin(np.pi * k / (2 * n)) ** 2
+    return 0.25 / squared
+
+
+def _walk_wide(n: int, first: FloatArray, count: FloatArray) -> FloatArray:
+    """Mean of 1/(4 sin²) by its integral and the first Euler-Maclaurin (midpoint) correction."""
+    step = np.pi / (2 * n)
+    low, high = step * (first - 0.5), step * (first + count - 0.5)
+    integral: FloatArray = np.sin(high - low) / (np.sin(low) * np.sin(high)) / (4 * step)
+
+    def slope(u: FloatArray) -> FloatArray:
+        value: FloatArray = -step * np.cos(u) / (2 * np.sin(u) ** 3)
+        return value
+
+    return (integral - (slope(high) - slope(low)) / 24) / count
+
+
+def _flicker_ordinate(n: int, k: FloatArray) -> FloatArray:
+    from scipy.special import sici
+
+    angle = np.pi * k
+    odd = np.where(k % 2 == 1, 2.0, 0.0)
+    finite: FloatArray = 2 / np.pi * (sici(angle)[0] - (odd - 1) / angle) - 1
+    interior: FloatArray = 0.5 / np.sin(angle / (2 * n)) * (1 + finite)
+    return interior + _flicker_boundary(n, k)
+
+
+def _flicker_wide(n: int, first: FloatArray, count: FloatArray) -> FloatArray:
+    """Mean of 1/(2 sin) by its integral and first correction; the boundary's share at the middle."""
+    step = np.pi / (2 * n)
+    low, high = step * (first - 0.5), step * (first + count - 0.5)
+    integral = np.log(np.tan(high / 2) / np.tan(low / 2)) / (2 * step)
+
+    def slope(u: FloatArray) -> FloatArray:
+        value: FloatArray = -step * np.cos(u) / (2 * np.sin(u) ** 2)
+        return value
+
+    mean: FloatArray = (integral - (slope(high) - slope(low)) / 24) / count
+    return mean + _flicker_boundary(n, first + (count - 1) / 2)
+
+
+def _flicker_boundary(n: int, k: FloatArray) -> FloatArray:
+    """Return what the ends of a series of n samples take from ordinate k of flicker.
+
+    With s, c = sin, cos(w/2): -(1/s - (s/c) ln cot(w/4)) / (pi n) of the spectrum 1/(2 s).
+    """
+    half = np.pi * k / (2 * n)
+    s, c = np.sin(half), np.cos(half)
+    share: FloatArray = -(1 / s - s / c * np.log(1 / np.tan(half / 2))) / (np.pi * n)
+    return 0.5 / s * share

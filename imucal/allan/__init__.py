@@ -1,1 +1,7 @@
 """Samples -> AllanCurve: what the data shows."""
+
+from imucal.allan.curve import AllanCurve
+from imucal.allan.engine import allan_curve
+from imucal.allan.spectrum import Spectrum, spectrum
+
+__all__ = ["AllanCurve", "Spectrum", "allan_curve", "spectrum"]

@@ -1,0 +1,163 @@
+"""Exact variances of any estimator in cache-sized passes: no full-length temporaries.
+
+Small factors are served block by block, all factors while a block is in the cache; each block is
+integrated on its own, because a difference of second order or more does not see the offset and
+the slope that this leaves out. Large factors walk over the whole integral in columns, so that
+each chunk is read once a step.
+"""
+
+import numpy as np
+
+from imucal.allan.estimators import Estimator
+from imucal.arrays import FloatArray, IntArray
+
+__all__ = ["sum_of_squares", "variances"]
+
+#: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
+_BLOCK = 32768
+
+#: Factors up to this are served block by block.
+_SMALL = 8192
+
+#: Row of a sum of squares. OpenBLAS hands a dot product of more than 10,000 elements to its
+#: threads, which stall when others want the processors: up to 50 times slower.
+_ROW = 8192
+
+
+def variances(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
+    """Return the variances of an evenly spaced series.
+
+    Parameters
+    ----------
+    samples
+        Shape (n,), finite, in any unit U.
+    m
+        Averaging factors, shape (k,), each from 1 to ``estimator.largest(n)``.
+    estimator
+        Which differences to square.
+
+    Returns
+    -------
+    Shape (k,), in U².
+
+    Raises
+    ------
+    ValueError
+        If an averaging factor is out of range.
+
+    Notes
+    -----
+    O(n) per factor; memory one full-length array where a factor is above 8192, else a few blocks.
+    The relative error stays below 1e-12 up to 1e8 samples on a mean of a million deviations.
+    """
+    n = samples.size
+    largest = estimator.largest(n)
+    if m.size and not (m.min() >= 1 and m.max() <= largest):
+        msg = f"averaging factors must be in 1..{largest} for {n} samples, got {m.min()}..{m.max()}"
+        raise ValueError(msg)
+    sums = np.zeros(m.size)
+    small = m <= _SMALL
+    if not estimator.overlapping:
+        sums = _strided_sums(_integral(samples, 1), m, estimator.order)
+    else:
+        if small.any():
+            sums[small] = _small_sums(samples, m[small], estimator)
+        if not small.all():
+            sums[~small] = _large_sums(samples, m[~small], estimator)
+    divisors = [estimator.scale(mi) * estimator.terms(n, mi) for mi in m.tolist()]
+    return sums / np.array(divisors, dtype=np.float64).reshape(m.shape)
+
+
+def sum_of_squares(values: FloatArray) -> float:
+    """Return the sum of squares of a contiguous array of shape (n,), on one thread."""
+    whole = values.size - values.size % _ROW
+    rows = values[:whole].reshape(-1, _ROW)
+    tail = values[whole:]
+    return float(np.vecdot(rows, rows).sum() + np.vecdot(tail, tail))
+
+
+def _integral(samples: FloatArray, integrations: int) -> FloatArray:
+    """Return the samples, their mean removed, summed once or twice from 0; shape (n + integrations,)."""
+    mean = samples.mean()
+    total = np.empty(samples.size + integrations)
+    total[:integrations] = 0.0
+    last = [0.0] * integrations
+    for start in range(0, samples.size, _BLOCK):
+        part = samples[start : start + _BLOCK] - mean
+        for level in range(integrations):
+            np.cumsum(part, out=part)
+            part += last[level]
+            last[level] = float(part[-1])
+        total[start + integrations : start + integrations + part.size] = part
+    return total
+
+
+def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
+    """Sum the squared differences, blocks outer, factors inner."""
+    order, depth = estimator.order, estimator.integrations
+    factors: list[int] = m.tolist()
+    reach = order * max(factors)
+    end = samples.size + depth
+    sums = [0.0] * len(factors)
+    work = [np.empty(_BLOCK + reach) for _ in range(2)]
+    for start in range(0, end - order * min(factors), _BLOCK):
+        stop = min(start + _BLOCK + reach, end)
+        local = _local_integral(samples[start : stop - depth], depth)
+        for i, factor in enumerate(factors):
+            count = min(_BLOCK, end - start - order * factor)
+            if count > 0:
+                sums[i] += _block_sum(local[: count + order * factor], factor, order, work)
+    return np.array(sums)
+
+
+def _local_integral(samples: FloatArray, depth: int) -> FloatArray:
+    """Return a block's own integral, started at 0 with the block's mean removed; shape (n + depth,)."""
+    local = np.zeros(samples.size + depth)
+    part = local[depth:]
+    np.subtract(samples, samples.mean() if samples.size else 0.0, out=part)
+    for _ in range(depth):
+        np.cumsum(part, out=part)
+    return local
+
+
+def _block_sum(values: FloatArray, m: int, order: int, work: list[FloatArray]) -> float:
+    """Return the sum of the squared m-step differences of `order` of a block in the cache."""
+    current = values
+    for level in range(order):
+        target = work[level % 2][: current.size - m]
+        np.subtract(current[m:], current[:-m], out=target)
+        current = target
+    return sum_of_squares(current)
+
+
+def _large_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
+    total = _integral(samples, estimator.integrations)
+    return np.array([_column_sum(total, factor, estimator.order) for factor in m.tolist()])
+
+
+def _column_sum(total: FloatArray, m: int, order: int) -> float:
+    """Return the sum of squared differences, walking each column of starts in steps of m.
+
+    A step needs one new chunk of the integral: the lower differences are kept from the step before.
+    """
+    count = total.size - order * m
+    kept = [np.empty(_BLOCK) for _ in range(order)]
+    fresh = [np.empty(_BLOCK) for _ in range(order)]
+    total_sum = 0.0
+    for column in range(0, min(m, count), _BLOCK):
+        width = min(_BLOCK, m - column, count - column)
+        for step, place in enumerate(range(column, total.size - m, m)):
+            size = min(width, total.size - m - place)
+            low, high = total[place : place + size], total[place + m : place + m + size]
+            np.subtract(high, low, out=fresh[0][:size])
+            for level in range(1, min(order, step + 1)):
+                np.subtract(fresh[level - 1][:size], kept[level - 1][:size], out=fresh[level][:size])
+            if step >= order - 1:
+                total_sum += sum_of_squares(fresh[order - 1][:size])
+            kept, fresh = fresh, kept
+    return total_sum
+
+
+def _strided_sums(total: FloatArray, m: IntArray, order: int) -> FloatArray:
+    """Sum the squared differences of every m-th value of the integral."""
+    return np.array([sum_of_squares(np.diff(total[::factor], order)) for factor in m.tolist()])
