@@ -1,0 +1,42 @@
+"""A file is written whole or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from imucal.atomic import replacing
+from imucal.errors import WriteError
+
+
+def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    """Ctrl-C in the middle loses nothing."""
+    target = tmp_path / "report.json"
+    target.write_text("old", encoding="utf-8")
+
+    def interrupted() -> None:
+        with replacing(target) as scratch:
+            scratch.write_text("half", encoding="utf-8")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert target.read_text(encoding="utf-8") == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_complete_write_takes_the_place_of_the_old_file(tmp_path: Path) -> None:
+    """The new file is there, the scratch folder is not."""
+    target = tmp_path / "report.json"
+    target.write_text("old", encoding="utf-8")
+    with replacing(target) as scratch:
+        scratch.write_text("new", encoding="utf-8")
+    assert target.read_text(encoding="utf-8") == "new"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_missing_folder_is_a_write_error(tmp_path: Path) -> None:
+    """The message says where and what to do."""
+    target = tmp_path / "nowhere" / "a.json"
+    with pytest.raises(WriteError) as caught, replacing(target):
+        pass
+    assert str(caught.value) == f"{target}: can't be written: No such file or directory; choose another place"

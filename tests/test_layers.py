@@ -1,0 +1,81 @@
+"""Imports point down: the folders are the pipeline."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import imucal
+
+ROOT = Path(imucal.__file__).parent
+
+#: Part of the package -> the parts it may import, besides itself.
+BELOW: dict[str, set[str]] = {
+    "arrays": set(),
+    "errors": set(),
+    "findings": set(),
+    "_version": set(),
+    "atomic": {"errors"},
+    "recording": {"arrays", "errors", "findings"},
+    "powerlaw": {"arrays"},
+    "units": {"recording"},
+}
+BASE = set(BELOW)
+BELOW |= {
+    "readers": BASE,
+    "screen": BASE,
+    "allan": BASE,
+    "noise": BASE,
+    "fit": BASE | {"allan", "noise", "screen"},
+    "simulation": BASE | {"noise"},
+    "log_files": BASE,
+    "report": BASE | {"allan", "noise", "fit"},
+}
+BELOW["plan"] = BASE | {"allan", "noise", "fit", "report"}
+BELOW["compare"] = BELOW["plan"]
+BELOW["check"] = BELOW["plan"]
+BELOW["pipeline"] = BASE | {"allan", "noise", "fit", "screen", "report", "plan"}
+BELOW["cli"] = set(BELOW) | {"cli"}
+BELOW["__main__"] = {"cli"}
+
+
+def part_of(path: Path) -> str:
+    """Return the first folder or the module's name."""
+    first = path.relative_to(ROOT).parts[0]
+    return first.removesuffix(".py")
+
+
+def imported_parts(path: Path) -> set[str]:
+    """Return the parts of imucal that a module imports, anywhere in its text."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "imucal":
+            names = [node.module] if node.module != "imucal" else [f"imucal.{a.name}" for a in node.names]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names if alias.name.split(".")[0] == "imucal"]
+        else:
+            continue
+        found |= {name.split(".")[1] for name in names if "." in name}
+    return found
+
+
+MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_point_down(path: Path) -> None:
+    """A module sees only its own part and those below it."""
+    part = part_of(path)
+    assert imported_parts(path) <= BELOW[part] | {part}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_only_the_command_line_prints(path: Path) -> None:
+    """Below `cli` nothing prints and nothing knows click."""
+    if part_of(path) in {"cli", "__main__"}:
+        return
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    calls = {n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+    assert "print" not in calls
+    imports = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    assert "click" not in imports

@@ -1,0 +1,110 @@
+"""Values of a recording: clocks with gaps, series and their cuts."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imucal.errors import DataError
+from imucal.recording import AxisSeries, Clock, Gap, Recording, Segment, Sensor, Source
+
+KEEP = st.lists(st.booleans(), min_size=1, max_size=60).filter(any)
+
+
+def test_a_clock_knows_its_gaps() -> None:
+    """Two segments four places apart miss four samples."""
+    segments = (Segment(start=0, stop=10, offset=0), Segment(start=10, stop=15, offset=14))
+    clock = Clock(source="test", rate_hz=2.0, segments=segments)
+    assert clock.n == 15
+    assert clock.grid_size == 19
+    assert clock.duration_s == 9.5
+    assert clock.gaps == (Gap(start_s=5.0, missing=4, duration_s=2.0),)
+    assert clock.missing == 4
+
+
+@pytest.mark.parametrize(
+    "segments",
+    [
+        (Segment(start=1, stop=3, offset=0),),
+        (Segment(start=0, stop=0, offset=0),),
+        (Segment(start=0, stop=5, offset=0), Segment(start=5, stop=6, offset=4)),
+    ],
+)
+def test_a_clock_refuses_segments_that_overlap_or_leave_samples_out(segments: tuple[Segment, ...]) -> None:
+    """Segments hold every sample once, in order."""
+    with pytest.raises(ValueError, match="segments must follow each other and not overlap"):
+        Clock(source="test", rate_hz=1.0, segments=segments)
+
+
+def test_a_clock_refuses_a_rate_that_is_no_rate() -> None:
+    """A rate is positive and finite."""
+    with pytest.raises(ValueError, match="rate_hz must be positive and finite, got 0"):
+        Clock.even(3, 0.0)
+
+
+@given(keep=KEEP)
+def test_left_out_samples_become_gaps(keep: list[bool]) -> None:
+    """What is kept stays at its place on the grid."""
+    mask = np.array(keep)
+    series = AxisSeries.from_samples(np.arange(mask.size, dtype=float), rate_hz=10.0)
+    kept = series.keeping(mask)
+    first = int(np.argmax(mask))
+    npt.assert_array_equal(kept.clock.grid() + first, np.flatnonzero(mask))
+    npt.assert_array_equal(kept.samples, np.flatnonzero(mask))
+    assert kept.clock.missing == kept.clock.grid_size - mask.sum()
+
+
+@given(keep=KEEP, start=st.floats(-1, 8), length=st.floats(0, 8))
+def test_a_cut_in_time_holds_the_samples_of_that_time(keep: list[bool], start: float, length: float) -> None:
+    """`between` agrees with comparing every sample's time."""
+    mask = np.array(keep)
+    series = AxisSeries.from_samples(np.arange(mask.size, dtype=float), rate_hz=10.0).keeping(mask)
+    seconds = series.clock.grid() * series.tau0
+    # A time within rounding of the grid may fall on either side.
+    if np.any(np.abs(np.subtract.outer(seconds, [start, start + length])) < 1e-6):
+        return
+    expected = series.samples[(seconds >= start) & (seconds < start + length)]
+    npt.assert_array_equal(series.between(start, start + length).samples, expected)
+
+
+def test_a_cut_in_time_copies_nothing() -> None:
+    """A day of samples is not copied to leave out its first minutes."""
+    series = AxisSeries.from_samples(np.arange(100.0), rate_hz=10.0)
+    assert np.shares_memory(series.between(1, 5).samples, series.samples)
+
+
+def test_samples_that_are_not_finite_become_gaps() -> None:
+    """NaN and infinity are never filled in."""
+    series = AxisSeries.from_samples(np.array([1.0, np.nan, 3.0, np.inf, 5.0]), rate_hz=1.0)
+    assert series.finite().samples.tolist() == [1.0, 3.0, 5.0]
+    assert series.finite().clock.grid().tolist() == [0, 2, 4]
+
+
+def test_a_series_is_read_only_and_one_dimensional() -> None:
+    """Values don't change once made."""
+    series = AxisSeries.from_samples(np.zeros(3), rate_hz=1.0)
+    with pytest.raises(ValueError, match="read-only"):
+        series.samples[0] = 1.0
+    with pytest.raises(ValueError, match=r"samples must have shape \(n,\), got \(2, 2\)"):
+        AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=np.zeros((2, 2)), clock=Clock.even(4, 1.0))
+
+
+def test_a_recording_says_which_axes_it_has() -> None:
+    """Asking for a missing axis lists those found."""
+    series = AxisSeries.from_samples(np.zeros(3), rate_hz=1.0, sensor="accelerometer", axis="z")
+    recording = Recording(source=Source(path="a.csv", format="csv"), series=(series,))
+    assert recording.axis("accelerometer", "z") is series
+    with pytest.raises(DataError) as caught:
+        recording.axis("gyroscope", "x")
+    assert str(caught.value) == "a.csv: no axis gyroscope x; found accel_z"
+
+
+def test_a_cut_beyond_the_log_says_how_long_it_lasts() -> None:
+    """Leaving out more than there is can't be meant."""
+    series = AxisSeries.from_samples(np.zeros(30), rate_hz=10.0)
+    recording = Recording(source=Source(path="a.csv", format="csv"), series=(series,))
+    with pytest.raises(DataError) as caught:
+        recording.between(60.0, 90.0)
+    assert str(caught.value) == "a.csv: no samples from 60 s to 90 s; it lasts 3 s"
+    assert recording.between(1.0, 2.0).series[0].n == 10

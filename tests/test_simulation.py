@@ -1,0 +1,88 @@
+"""Simulated logs hold what was asked for, whatever container they are written to."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.errors import WriteError
+from imucal.log_files import WRITERS, write_log
+from imucal.noise import NoiseModel
+from imucal.readers import read
+from imucal.recording import Recording
+from imucal.simulation import SensorTruth, simulate_recording
+
+GRAVITY = 9.80665
+
+
+def short_recording(seed: int = 7) -> Recording:
+    """Ten seconds at 100 Hz with a gap."""
+    return simulate_recording(
+        gyroscope=SensorTruth(model=NoiseModel.parse("N=1e-4 + K=1e-5"), mean=(0.0, 0.0, 0.0)),
+        accelerometer=SensorTruth(model=NoiseModel.parse("N=1e-3 + B=1e-4"), mean=(0.0, 0.0, GRAVITY)),
+        rate_hz=100.0,
+        duration_s=10.0,
+        seed=seed,
+        gaps_s=[(4.0, 0.5)],
+    )
+
+
+@pytest.mark.parametrize("suffix", list(WRITERS))
+def test_every_container_reads_back_bit_equal(suffix: str, tmp_path: Path) -> None:
+    """Samples, rate and gap come back exactly as they were written."""
+    recording = short_recording()
+    path = tmp_path / f"log{suffix}"
+    write_log(recording, path)
+    back = read(path)
+    assert [series.name for series in back.series] == [series.name for series in recording.series]
+    for written, found in zip(recording.series, back.series, strict=True):
+        npt.assert_array_equal(found.samples, written.samples)
+        assert found.clock.segments == written.clock.segments
+        assert found.rate_hz == pytest.approx(100.0, rel=1e-9)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_same_seed_gives_the_same_samples() -> None:
+    """A log can be made again; another seed gives another."""
+    first, again, other = short_recording(), short_recording(), short_recording(seed=8)
+    npt.assert_array_equal(first.series[0].samples, again.series[0].samples)
+    assert not np.array_equal(first.series[0].samples, other.series[0].samples)
+
+
+def test_samples_are_whole_multiples_of_the_resolution() -> None:
+    """A resolution quantises the output."""
+    truth = SensorTruth(model=NoiseModel.parse("N=1e-2"), mean=(0.0, 0.0, GRAVITY), lsb=0.125)
+    samples = truth.samples(100, rate_hz=100.0, rng=np.random.default_rng(1))
+    npt.assert_array_equal(samples / 0.125, np.round(samples / 0.125))
+
+
+def test_gaps_that_leave_nothing_are_refused() -> None:
+    """An empty log is not a log."""
+    truth = SensorTruth(model=NoiseModel.parse("N=1"), mean=(0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="the gaps leave no samples"):
+        simulate_recording(
+            gyroscope=truth, accelerometer=truth, rate_hz=10.0, duration_s=1.0, seed=0, gaps_s=[(0.0, 5.0)]
+        )
+
+
+def test_a_log_is_never_overwritten(tmp_path: Path) -> None:
+    """Whatever stands there stays."""
+    path = tmp_path / "log.csv"
+    path.write_text("mine", encoding="utf-8")
+    with pytest.raises(WriteError) as caught:
+        write_log(short_recording(), path)
+    assert str(caught.value) == (
+        f"{path}: exists already; a log is never overwritten, choose another name or remove it"
+    )
+    assert path.read_text(encoding="utf-8") == "mine"
+
+
+def test_an_unknown_suffix_names_the_known_ones(tmp_path: Path) -> None:
+    """The message lists what can be written."""
+    with pytest.raises(WriteError) as caught:
+        write_log(short_recording(), tmp_path / "log.xyz")
+    assert str(caught.value) == (
+        f"{tmp_path / 'log.xyz'}: unknown log suffix '.xyz'; "
+        "expected one of .csv, .mcap, .bag, .db3, none (a folder)"
+    )
