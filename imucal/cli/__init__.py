@@ -1,12 +1,15 @@
 """The command line: parse, call, print. One file a command; one line a command in `COMMANDS`."""
 
 import importlib
+import os
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 import click
 
-from imucal.errors import ImucalError
+from imucal._version import __version__
+from imucal.errors import ChoiceError, DataError, ImucalError
 
 __all__ = ["COMMANDS", "main"]
 
@@ -25,7 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class LazyGroup(click.Group):
-    """A group that imports a command when it is called, and turns errors into messages."""
+    """A group that imports a command when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
         return list(COMMANDS)
@@ -41,23 +44,58 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
-    def invoke(self, ctx: click.Context) -> object:
-        try:
-            return super().invoke(ctx)
-        except ImucalError as error:
-            click.echo(f"Error: {error}", err=True)
-            ctx.exit(error.exit_code)
-
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="imucal")
 def imucal() -> None:
-    """Turn a recording of an IMU at rest into a noise model."""
+    """Turn a recording of an IMU at rest into a noise model.
+
+    The main job is `imucal fit LOG`: it reads the log, computes the Allan curves, fits every
+    axis and writes a report.
+    """
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; ends the process with its exit code."""
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and end the process with its exit code."""
+    sys.exit(_run(arguments))
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    """Run a command; the one place that turns exceptions into messages and exit codes."""
     try:
-        imucal.main(args=arguments, prog_name="imucal")
-    except KeyboardInterrupt:
-        click.echo("Interrupted; nothing is left half written.", err=True)
-        sys.exit(130)
+        code = imucal.main(args=arguments, prog_name="imucal", standalone_mode=False)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader of our output has left, as in `imucal adev LOG | head`: nobody is there to be told.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except (Exception, KeyboardInterrupt) as error:
+        if os.environ.get("IMUCAL_DEBUG"):
+            raise
+        return _explain(error)
+    return code if isinstance(code, int) else 0
+
+
+def _explain(error: BaseException) -> int:
+    """Print what went wrong, without a traceback; return the exit code."""
+    match error:
+        case click.ClickException():
+            error.show()
+            return error.exit_code
+        case ChoiceError():
+            message, code = f"Error: {error}\nSay which with --topic (messages) or --columns (a table).", 3
+        case ImucalError():
+            message, code = f"Error: {error}", error.exit_code
+        case click.Abort() | KeyboardInterrupt():
+            message, code = "Interrupted; nothing was left half written.", 130
+        case MemoryError():
+            message, code = (
+                "Error: out of memory; use a part of the log (--skip, --take)",
+                DataError.exit_code,
+            )
+        case _:
+            what = f"{type(error).__name__}: {error}"
+            message = f"Error: internal error ({what}). Please report it; IMUCAL_DEBUG=1 shows where."
+            code = 70
+    click.echo(message, err=True)
+    return code

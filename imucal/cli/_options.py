@@ -10,9 +10,9 @@ from typing import Any, ClassVar, TypeVar
 
 import click
 
-from imucal.recording import Recording
+from imucal.recording import AxisSeries, Recording
 
-__all__ = ["LogRequest", "log_options", "quiet_option", "say"]
+__all__ = ["Duration", "LogRequest", "describe_duration", "log_options", "quiet_option", "say"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -45,6 +45,7 @@ class LogRequest:
     skip: float
     take: float | None
     quiet: bool
+    verbose: bool
 
     def read(self) -> Recording:
         """Read the log, with a progress bar where a person watches."""
@@ -65,10 +66,11 @@ class LogRequest:
                 strict=self.strict,
                 progress=progress,
             )
-        if not self.skip and self.take is None:
-            return recording
-        end = float("inf") if self.take is None else self.skip + self.take
-        return recording.between(self.skip, end)
+        if self.skip or self.take is not None:
+            end = float("inf") if self.take is None else self.skip + self.take
+            recording = recording.between(self.skip, end)
+        _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
+        return recording
 
     def settings(self) -> dict[str, object]:
         """Return what was asked, for the report: JSON values, defaults left out."""
@@ -150,11 +152,37 @@ def log_options(command: Command) -> Callable[..., Any]:
             "--strict", is_flag=True, help="Refuse a damaged log; end with exit code 4 on a warning."
         ),
         quiet_option,
+        click.option("-v", "--verbose", is_flag=True, help="Say how each choice was made."),
     )
     decorated: Callable[..., Any] = wrapper
     for option in reversed(options):
         decorated = option(decorated)
     return decorated
+
+
+def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> None:
+    """Print one line a sensor (and with `verbose` each decision), so that nothing is picked silently."""
+    source = recording.source
+    by_clock: dict[int, list[AxisSeries]] = {}
+    for series in recording.series:
+        by_clock.setdefault(id(series.clock), []).append(series)
+    for group in by_clock.values():
+        clock = group[0].clock
+        names = " ".join(series.name for series in group)
+        what = f"{names}: {clock.n} samples at {clock.rate_hz:.6g} Hz, {describe_duration(clock.duration_s)}"
+        say(f"Read {what}, from {source.path} ({source.format})", quiet=quiet)
+    if verbose:
+        for topic, kind in zip(source.topics, source.message_types, strict=False):
+            say(f"  topic {topic} ({kind})", quiet=quiet)
+        for question, answer in source.decisions:
+            say(f"  {question}: {answer}", quiet=quiet)
+
+
+def describe_duration(seconds: float) -> str:
+    """Return a duration as people say it: ``45.2 s``, ``7.5 min``, ``2.80 h``."""
+    if seconds < 2 * 60:
+        return f"{seconds:.4g} s"
+    return f"{seconds / 60:.4g} min" if seconds < 2 * 3600 else f"{seconds / 3600:.4g} h"
 
 
 @contextmanager
