@@ -1,0 +1,309 @@
+"""Stamps -> clock: the rate, what is missing, and what the stamps look like.
+
+Samples keep the order of the log: it is the order in which the sensor gave them, while stamps jitter.
+The rate comes from `imucal.readers.rate`, each sample's place on the even grid from `imucal.readers.placing`.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import IntArray
+from imucal.errors import DataError
+from imucal.findings import Finding
+from imucal.readers.placing import Breaks, find_breaks, find_resets, fit_period
+from imucal.readers.rate import Period, estimate_period
+from imucal.recording import Clock, Segment
+
+__all__ = ["LOG_TIME", "ClockReading", "clock_from_stamps"]
+
+#: Name of the time at which a message was recorded.
+LOG_TIME = "log time"
+
+#: Share of zero stamps above which stamps are of no use.
+_ZEROS = 0.01
+#: A jump forward longer than this, in ns, is the clock being set, not a gap. One day.
+_DAY = 86_400 * 10**9
+#: More resets of a clock than one in so many samples: the stamps are noise.
+_RESETS = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClockReading:
+    """What stamps say.
+
+    Attributes
+    ----------
+    clock
+        The clock of the samples that are kept.
+    order
+        Samples to keep, in order, shape (clock.n,); None where all are kept as they are.
+    findings
+        What was seen; `Finding.axis` is None.
+    """
+
+    clock: Clock
+    order: IntArray | None
+    findings: tuple[Finding, ...]
+
+
+def clock_from_stamps(
+    stamps_ns: IntArray,
+    *,
+    source: str,
+    log_ns: IntArray | None = None,
+    rate_hz: float | None = None,
+    repeated: NDArray[np.bool_] | None = None,
+) -> ClockReading:
+    """Return the clock of samples from their stamps.
+
+    Parameters
+    ----------
+    stamps_ns
+        Shape (n,), int64, in ns, in the order of the log.
+    source
+        What the stamps are, in words: ``header stamp``, ``log time``, ``column time_us``.
+    log_ns
+        When each sample was recorded, shape (n,); used where stamps are zero or constant, and to measure
+        how far a clock was set.
+    rate_hz
+        Sampling rate that overrides the measured one.
+    repeated
+        Samples with the stamp *and* the values of the one before, shape (n,); they are dropped.
+
+    Raises
+    ------
+    DataError
+        If there is no sample, or no rate can be measured and none is given.
+    """
+    stamps = np.ascontiguousarray(stamps_ns, dtype=np.int64)
+    notes: list[Finding] = []
+    if not stamps.size:
+        msg = f"no samples to take the {source} of; expected at least two"
+        raise DataError(msg)
+    order: IntArray | None = None
+    if repeated is not None and repeated.any():
+        order = np.flatnonzero(~repeated)
+        notes.append(_repeated_note(stamps.size - order.size, stamps.size))
+        stamps = stamps[order]
+        log_ns = log_ns[order] if log_ns is not None else None
+    stamps, source = _usable(stamps, source, log_ns, notes)
+    period = _period(stamps, source, log_ns if source != LOG_TIME else None, rate_hz)
+    if period is None:
+        clock = Clock.even(stamps.size, float(rate_hz or 1.0))
+        return ClockReading(clock=clock, order=order, findings=tuple(notes))
+    return _read(stamps, source, log_ns, period, rate_hz, order, notes)
+
+
+def _usable(
+    stamps: IntArray, source: str, log_ns: IntArray | None, notes: list[Finding]
+) -> tuple[IntArray, str]:
+    """Return stamps that advance: log time instead of zeros or constants, single zeros filled."""
+    zeros = int(np.count_nonzero(stamps == 0))
+    constant = stamps.size > 1 and bool((stamps == stamps[0]).all())
+    if (zeros > _ZEROS * stamps.size or constant) and log_ns is not None:
+        what = "are all the same" if constant and not zeros else f"{zeros} of {stamps.size} are zero"
+        what = "are all zero" if zeros == stamps.size else what
+        text = f"The stamps ({source}) {what}; the time at which messages were recorded is used instead."
+        advice = "Log time carries the delays of the computer; let the driver stamp the messages."
+        notes.append(Finding(level="warning", code="log-time-used", text=text, advice=advice))
+        return np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
+    if 0 < zeros <= _ZEROS * stamps.size:
+        good = np.flatnonzero(stamps)
+        bad = np.flatnonzero(stamps == 0)
+        first = stamps[good[0]]
+        stamps = stamps.copy()
+        stamps[bad] = first + np.round(np.interp(bad, good, stamps[good] - first)).astype(np.int64)
+        text = f"{zeros} of {stamps.size} stamps are zero; those samples are placed between their neighbours."
+        notes.append(Finding(level="info", code="zero-stamps", text=text))
+    return stamps, source
+
+
+def _period(stamps: IntArray, source: str, log_ns: IntArray | None, rate_hz: float | None) -> Period | None:
+    """Return the sampling period; None where only the given rate is known."""
+    period = estimate_period(stamps)
+    if period is not None or rate_hz is not None:
+        return period
+    less = "one sample" if stamps.size == 1 else f"{stamps.size} samples whose stamps do not advance"
+    hint = "" if log_ns is None else ", nor does the log time help"
+    msg = f"{less} ({source}){hint}; expected stamps that give a rate, or the rate itself"
+    raise DataError(msg)
+
+
+def _read(
+    stamps: IntArray,
+    source: str,
+    log_ns: IntArray | None,
+    period: Period,
+    rate_hz: float | None,
+    order: IntArray | None,
+    notes: list[Finding],
+) -> ClockReading:
+    """Place every sample on the grid, twice: the second time with the rate that the first gave."""
+    resets = find_resets(stamps, period.tau_ns)
+    if resets.size > max(1000, stamps.size // _RESETS):
+        msg = f"the stamps ({source}) go back {resets.size} times in {stamps.size} samples; expected a clock"
+        raise DataError(msg)
+    edges = [0, *resets.tolist(), stamps.size]
+    for _ in range(2):
+        breaks = _all_breaks(stamps, edges, period)
+        starts = np.unique(np.concatenate([[0], breaks.at, breaks.doubled, resets]))
+        tau, jitter = fit_period(stamps, starts, period.tau_ns)
+        if not 0.5 < tau / period.tau_ns < 2:
+            tau = period.tau_ns
+        period = replace(period, tau_ns=tau)
+    missing, jumps = _believable(
+        stamps, log_ns if source != LOG_TIME else None, breaks, resets, period.tau_ns
+    )
+    notes += _notes(stamps, breaks, period)
+    notes += _jump_notes(stamps, jumps)
+    keep = np.ones(stamps.size, dtype=np.bool_)
+    keep[breaks.doubled] = False
+    segments = _segments(keep, breaks.at, missing, jumps)
+    measured = 1e9 / period.tau_ns
+    if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
+        text = f"The rate given, {rate_hz:g} Hz, is not the one the stamps show, {measured:.6g} Hz."
+        notes.append(Finding(level="warning", code="rate-given", text=text))
+    clock = Clock(
+        source=source,
+        rate_hz=rate_hz or measured,
+        segments=segments,
+        start_ns=int(stamps[0]),
+        jitter_s=jitter / 1e9,
+    )
+    notes += _gap_notes(clock)
+    if breaks.doubled.size:
+        order = np.flatnonzero(keep) if order is None else order[keep]
+    return ClockReading(clock=clock, order=order, findings=tuple(notes))
+
+
+def _all_breaks(stamps: IntArray, edges: list[int], period: Period) -> Breaks:
+    """Find breaks in each stretch between two settings of the clock."""
+    parts = []
+    for first, last in zip(edges, edges[1:], strict=False):
+        part = find_breaks(stamps[first:last], period)
+        parts.append(replace(part, at=part.at + first, doubled=part.doubled + first))
+    return Breaks(
+        at=np.concatenate([part.at for part in parts]),
+        missing=np.concatenate([part.missing for part in parts]),
+        doubled=np.concatenate([part.doubled for part in parts]),
+    )
+
+
+def _believable(
+    stamps: IntArray, log_ns: IntArray | None, breaks: Breaks, resets: IntArray, tau: float
+) -> tuple[IntArray, dict[int, int]]:
+    """Return how many samples each break misses, and sample -> missing for each setting of the clock.
+
+    A clock was set where it goes back, or where it goes ahead by far more than the log time does, or by
+    more than a day. How much is missing there only the log time knows; without it one sample is.
+    """
+
+    def by_log(at: int) -> int:
+        if log_ns is None:
+            return 1
+        return max(int(round(float(log_ns[at] - log_ns[at - 1]) / tau)) - 1, 1)
+
+    missing = breaks.missing.copy()
+    jumps = {at: by_log(at) for at in resets.tolist()}
+    typical = 10 * tau * stamps.size
+    for place in np.flatnonzero(missing >= 10).tolist():
+        at = int(breaks.at[place])
+        step = float(stamps[at] - stamps[at - 1])
+        if log_ns is not None:
+            wrong = by_log(at) < missing[place] / 2 and step > 1e9
+        else:
+            wrong = step > max(_DAY, typical)
+        if wrong:
+            missing[place] = jumps[at] = by_log(at)
+    return missing, jumps
+
+
+def _segments(
+    keep: NDArray[np.bool_], at: IntArray, missing: IntArray, jumps: dict[int, int]
+) -> tuple[Segment, ...]:
+    """Return the runs between breaks, numbered in the samples that are kept."""
+    lost = dict(zip(at.tolist(), missing.tolist(), strict=True)) | jumps
+    places = sorted(lost)
+    kept = np.cumsum(keep)
+    stops = [int(kept[place - 1]) for place in places] + [int(kept[-1])]
+    segments, start, offset = [], 0, 0
+    for stop, place in zip(stops, [*places, -1], strict=True):
+        if stop > start:
+            segments.append(Segment(start=start, stop=stop, offset=offset))
+        offset += stop - start + lost.get(place, 0)
+        start = stop
+    return tuple(segments)
+
+
+def _repeated_note(count: int, n: int) -> Finding:
+    text = f"{count} of {n} samples repeat the stamp and the values of the one before; they are dropped."
+    return Finding(level="warning", code="duplicate-stamps", text=text)
+
+
+def _notes(stamps: IntArray, breaks: Breaks, period: Period) -> list[Finding]:
+    """Return what the stamps show apart from gaps and jumps."""
+    notes = []
+    steps = np.diff(stamps)
+    same, back = int(np.count_nonzero(steps == 0)), int(np.count_nonzero(steps < 0))
+    tau = period.tau_ns
+    if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
+        text = (
+            f"Stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling period of "
+            f"{tau / 1e6:.4g} ms; the rate is measured over many samples."
+        )
+        notes.append(Finding(level="info", code="coarse-stamps", text=text))
+    if period.burst > 1:
+        text = (
+            f"Samples arrive in bursts of about {period.burst}; they are taken as evenly spaced at "
+            f"{1e9 / tau:.6g} Hz."
+        )
+        notes.append(Finding(level="info", code="bursts", text=text))
+    elif same and (breaks.doubled.size or period.resolution_ns < tau / 50):
+        fate = (
+            f"{breaks.doubled.size} that are one too many are dropped"
+            if breaks.doubled.size
+            else "all are kept"
+        )
+        text = f"{same} of {stamps.size} samples carry the stamp of the one before; {fate}."
+        notes.append(Finding(level="warning", code="duplicate-stamps", text=text))
+    elif breaks.doubled.size:
+        text = (
+            f"{breaks.doubled.size} of {stamps.size} samples are one too many for the clock and are dropped."
+        )
+        notes.append(Finding(level="warning", code="extra-samples", text=text))
+    if back:
+        text = (
+            f"{back} of {stamps.size} stamps are earlier than the one before; samples keep the log's order."
+        )
+        notes.append(Finding(level="info", code="stamps-out-of-order", text=text))
+    return notes
+
+
+def _jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
+    """Return a finding for the settings of the clock, with the largest."""
+    if not jumps:
+        return []
+    steps = {at: float(stamps[at] - stamps[at - 1]) / 1e9 for at in jumps}
+    largest = max(steps, key=lambda at: abs(steps[at]))
+    text = (
+        f"The clock was set {len(jumps)} time{'s' if len(jumps) > 1 else ''}, at most by {steps[largest]:+.6g} s "
+        f"at sample {largest}; samples before and after are kept apart."
+    )
+    return [Finding(level="warning", code="clock-jump", text=text)]
+
+
+def _gap_notes(clock: Clock) -> list[Finding]:
+    """Return a finding for the missing samples, with the longest gap."""
+    gaps = clock.gaps
+    if not gaps:
+        return []
+    longest = max(gaps, key=lambda gap: gap.missing)
+    share = clock.missing / clock.grid_size
+    text = (
+        f"{clock.missing} samples ({share:.2g} of all) are missing in {len(gaps)} gap{'s' if len(gaps) > 1 else ''}; "
+        f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
+    )
+    level = "warning" if share > 1e-3 else "info"
+    return [Finding(level="warning" if level == "warning" else "info", code="gaps", text=text)]

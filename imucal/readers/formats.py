@@ -1,0 +1,130 @@
+"""The table of formats: first bytes of a file -> module that reads it."""
+
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, cast
+
+from imucal.errors import ReadError
+from imucal.readers.contents import LogContents
+from imucal.readers.options import ReadOptions
+from imucal.recording import Recording
+
+__all__ = ["FORMATS", "STDIN", "Format", "Reader", "detect", "load"]
+
+#: The name that stands for standard input.
+STDIN = "-"
+
+#: Bytes that tell a format, from the start of a file.
+_HEAD = 4096
+
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_COMPRESSED = (_ZSTD, b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00", b"PK\x03\x04", b"\x04\x22\x4d\x18")
+_BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf")
+
+
+class Reader(Protocol):
+    """What the module of a format offers."""
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        """Return the samples."""
+
+    def describe(self, path: Path, options: ReadOptions) -> LogContents:
+        """Return what is in the log."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """A format: the module that reads it, its first bytes, and the endings its files usually have."""
+
+    name: str
+    module: str
+    magic: tuple[bytes, ...] = ()
+    suffixes: tuple[str, ...] = ()
+
+
+#: In the order in which they are tried; the last one takes all text.
+FORMATS: tuple[Format, ...] = (
+    Format(name="mcap", module="imucal.readers.mcap_log", magic=(b"\x89MCAP0\r\n",), suffixes=(".mcap",)),
+    Format(
+        name="ROS 1 bag",
+        module="imucal.readers.ros1_bag",
+        magic=(b"#ROSBAG V",),
+        suffixes=(".bag", ".bag.active"),
+    ),
+    Format(
+        name="ROS 2 bag",
+        module="imucal.readers.ros2_bag",
+        magic=(b"SQLite format 3\x00",),
+        suffixes=(".db3", ".db3.zstd", ".mcap.zstd"),
+    ),
+    Format(
+        name="PX4 ULog", module="imucal.readers.ulog_log", magic=(b"ULog\x01\x12\x35",), suffixes=(".ulg",)
+    ),
+    Format(
+        name="table",
+        module="imucal.readers.table",
+        magic=(b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"\x89HDF\r\n\x1a\n"),
+        suffixes=(".parquet", ".npz", ".npy", ".mat"),
+    ),
+    Format(name="text", module="imucal.readers.csv_log", suffixes=(".csv", ".tsv", ".txt", ".log", ".dat")),
+)
+
+
+def detect(path: Path) -> Format:
+    """Return the format of a file, by its first bytes; its ending decides only where they say nothing.
+
+    Raises
+    ------
+    ReadError
+        If there is no such file, it can't be opened, is empty, or is none of the formats.
+    """
+    text = FORMATS[-1]
+    if str(path) == STDIN:
+        return text
+    if path.is_dir():
+        return _named("ROS 2 bag")
+    head = _first_bytes(path)
+    for entry in FORMATS:
+        if head.startswith(entry.magic) and entry.magic:
+            return entry
+    ending = _by_suffix(path)
+    if head.startswith(_COMPRESSED):
+        return ending or text
+    if b"\x00" not in head or head.startswith(_BYTE_ORDER_MARKS):
+        # A damaged binary log may have lost its first bytes; text never ends in .mcap.
+        return ending if ending is not None and ending.name in {"mcap", "ROS 1 bag"} else text
+    if ending is not None and ending is not text:
+        return ending
+    known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
+    msg = (
+        f"{path}: binary data of an unknown format (first bytes {head[:8].hex(' ')}); expected one of {known}"
+    )
+    raise ReadError(msg)
+
+
+def load(entry: Format) -> Reader:
+    """Import the module of a format."""
+    return cast("Reader", importlib.import_module(entry.module))
+
+
+def _named(name: str) -> Format:
+    return next(entry for entry in FORMATS if entry.name == name)
+
+
+def _by_suffix(path: Path) -> Format | None:
+    name = path.name.lower()
+    return next((entry for entry in FORMATS if name.endswith(entry.suffixes)), None)
+
+
+def _first_bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError as error:
+        msg = f"{path}: can't be opened: {error.strerror or error}"
+        raise ReadError(msg) from error
+    if not head:
+        msg = f"{path}: the file is empty; expected a log"
+        raise ReadError(msg)
+    return head
