@@ -1,11 +1,15 @@
 """Simulated logs hold what was asked for, whatever container they are written to."""
 
+import json
+import shlex
 from pathlib import Path
 
 import numpy as np
 import numpy.testing as npt
 import pytest
+from click.testing import CliRunner
 
+from imucal.cli import imucal
 from imucal.errors import WriteError
 from imucal.log_files import WRITERS, write_log
 from imucal.noise import NoiseModel
@@ -86,3 +90,16 @@ def test_an_unknown_suffix_names_the_known_ones(tmp_path: Path) -> None:
         f"{tmp_path / 'log.xyz'}: unknown log suffix '.xyz'; "
         "expected one of .csv, .mcap, .bag, .db3, none (a folder)"
     )
+
+
+def test_a_sample_log_is_made_again_byte_by_byte(tmp_path: Path) -> None:
+    """The commands in `sample_logs/README.md` are those that made the logs."""
+    folder = Path(__file__).parents[1] / "sample_logs"
+    lines = (folder / "README.md").read_text(encoding="utf-8").splitlines()
+    (line,) = [line for line in lines if line.startswith("imucal simulate") and "with_gaps.csv" in line]
+    arguments = shlex.split(line)[1:-1] + [str(tmp_path / "with_gaps.csv"), "--json"]
+    result = CliRunner().invoke(imucal, arguments)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "with_gaps.csv").read_bytes() == (folder / "with_gaps.csv").read_bytes()
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    assert json.loads(result.stdout) == truth["with_gaps.csv"]
