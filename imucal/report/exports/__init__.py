@@ -1,1 +1,187 @@
 """The downstream files of filters and simulators; one file a format, one table of them."""
+
+import difflib
+from collections.abc import Mapping
+from pathlib import Path
+
+from imucal.atomic import replacing
+from imucal.errors import WriteError
+from imucal.report.exports import (
+    euroc,
+    fast_lio,
+    gauss_markov,
+    gazebo,
+    gtsam,
+    isaac_ros,
+    kalibr,
+    kf_gins,
+    lio_sam,
+    matlab,
+    openvins,
+    orbslam3,
+    px4,
+    ros,
+    vins,
+)
+from imucal.report.exports.numbers import INFLATABLE, AxisPolicy, Choices, Numbers, Unidentified
+from imucal.report.exports.target import Target
+from imucal.report.result import Report
+
+__all__ = [
+    "INFLATABLE",
+    "TARGETS",
+    "AxisPolicy",
+    "Choices",
+    "Target",
+    "Unidentified",
+    "export",
+    "find_target",
+    "render",
+]
+
+#: Name of a downstream format -> how its file is written.
+TARGETS: dict[str, Target] = {
+    module.TARGET.name: module.TARGET
+    for module in (
+        kalibr,
+        openvins,
+        vins,
+        orbslam3,
+        gtsam,
+        lio_sam,
+        fast_lio,
+        ros,
+        px4,
+        gazebo,
+        isaac_ros,
+        euroc,
+        kf_gins,
+        matlab,
+        gauss_markov,
+    )
+}
+
+
+def find_target(name: str) -> Target:
+    """Return a format by its name or an alias, whatever its case and hyphens.
+
+    Raises
+    ------
+    ValueError
+        If there is no such format; the message suggests the nearest.
+    """
+    by_key = {_key(each): target for target in TARGETS.values() for each in (target.name, *target.aliases)}
+    found = by_key.get(_key(name))
+    if found is None:
+        near = difflib.get_close_matches(_key(name), by_key, n=1)
+        hint = f"did you mean {by_key[near[0]].name}? " if near else ""
+        msg = f"no downstream format {name!r}; {hint}there are {', '.join(TARGETS)}"
+        raise ValueError(msg)
+    return found
+
+
+def render(
+    report: Report,
+    target: str,
+    *,
+    axis_policy: AxisPolicy = "worst",
+    inflate: Mapping[str, float] | None = None,
+    unidentified: Unidentified = "bound",
+    topic: str | None = None,
+) -> str:
+    """Return the text of a downstream file; the options are those of `export`.
+
+    Raises
+    ------
+    DataError
+        If the report lacks a sensor or an axis that the format needs, or a term was not identified
+        and its bound is refused.
+    ValueError
+        If the format or an option is unknown.
+    """
+    choices = Choices(
+        axis_policy=axis_policy, inflate=dict(inflate or {}), unidentified=unidentified, topic=topic
+    )
+    found = find_target(target)
+    return found.render(Numbers(report=report, choices=choices, target=found.name))
+
+
+def export(
+    report: Report,
+    target: str,
+    path: Path,
+    *,
+    axis_policy: AxisPolicy = "worst",
+    inflate: Mapping[str, float] | None = None,
+    unidentified: Unidentified = "bound",
+    topic: str | None = None,
+) -> tuple[Path, ...]:
+    """Write the config file of a downstream consumer, with every conversion said in a comment.
+
+    Parameters
+    ----------
+    report
+        What was found.
+    target
+        A key of `TARGETS`, an alias, or ``all``.
+    path
+        The file to write; or a folder, where the file gets the format's own name. For ``all`` a
+        folder, made where it doesn't exist.
+    axis_policy
+        For formats with one number a sensor: ``worst`` (largest of the axes), ``rms`` (root of the
+        mean variance), or one axis.
+    inflate
+        ``white`` (N), ``walk`` (K), ``flicker`` (B and Gauss-Markov sigma) -> factor.
+    unidentified
+        Write the upper ``bound`` of a term that the data do not show, or ``refuse``.
+    topic
+        Topic to name in the file, where the format names one; None for the log's.
+
+    Returns
+    -------
+    tuple of Path
+        The files written.
+
+    Raises
+    ------
+    DataError
+        As `render`; nothing is written then.
+    WriteError
+        If a file can't be written.
+    ValueError
+        If the format or an option is unknown.
+    """
+    path = Path(path)
+    targets = tuple(TARGETS.values()) if target == "all" else (find_target(target),)
+    texts = {
+        each: render(
+            report,
+            each.name,
+            axis_policy=axis_policy,
+            inflate=inflate,
+            unidentified=unidentified,
+            topic=topic,
+        )
+        for each in targets
+    }
+    if target == "all":
+        _make_folder(path)
+    files = []
+    for each, text in texts.items():
+        place = path / each.file_name if path.is_dir() else path
+        with replacing(place) as scratch:
+            scratch.write_text(text, encoding="utf-8", newline="\n")
+        files.append(place)
+    return tuple(files)
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{path}: can't be made a folder: {error.strerror or error}; choose another place"
+        raise WriteError(msg) from error
+
+
+def _key(name: str) -> str:
+    return "".join(sign for sign in name.lower() if sign.isalnum())

@@ -1,0 +1,105 @@
+"""State space: each axis as white noise and a bank of first-order states, for a Kalman filter.
+
+A state is ``x[t+1] = phi x[t] + q w[t]``, w standard normal; the sample is the sum of the states and
+``sigma`` times white noise. Flicker has no finite state space; a bank of Gauss-Markov processes
+with log-spaced T and variance ``B^2 ln(r) / pi`` each (r the ratio of neighbours) has its psd to
+0.7 % at 1.5 states a decade, inside the bank. The bank reaches from where flicker begins to stand
+out of the white noise to the length of the record.
+"""
+
+import math
+from collections.abc import Iterator
+
+from imucal.noise.terms import GaussMarkov
+from imucal.recording import Sensor
+from imucal.report.exports.header import header
+from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.target import Target
+from imucal.report.exports.text import comment, real
+from imucal.report.result import AxisReport
+
+__all__ = ["TARGET", "flicker_bank"]
+
+#: States a decade of correlation time.
+_PER_DECADE = 1.5
+#: How far the bank reaches below the time at which flicker and white noise are equal.
+_MARGIN = 10.0
+
+
+def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMarkov, ...]:
+    """Return Gauss-Markov terms whose sum is flicker B for times between `shortest_s` and `longest_s`."""
+    steps = max(1, math.ceil(_PER_DECADE * math.log10(longest_s / shortest_s)))
+    ratio = (longest_s / shortest_s) ** (1 / steps)
+    sigma = B * math.sqrt(math.log(ratio) / math.pi)
+    return tuple(GaussMarkov(sigma=sigma, T=shortest_s * ratio**i) for i in range(steps + 1))
+
+
+def _render(numbers: Numbers) -> str:
+    axes = [axis for sensor in Sensor for axis in numbers.triad(sensor)]
+    used = [numbers.of(axis, symbol) for axis in axes for symbol in ("N", "K")]
+    head = header(
+        numbers,
+        title="state-space noise model",
+        kind="discrete: x[t+1] = phi x[t] + q w[t], w standard normal; right for the rate of each axis only",
+        formulas=[
+            "white = N * sqrt(f); random walk: phi = 1, q = K / sqrt(f)",
+            "Gauss-Markov: phi = exp(-1/(f T)), q = sigma * sqrt(1 - phi^2)",
+            "flicker B: Gauss-Markov states with log-spaced T, sigma = B * sqrt(ln(ratio of T) / pi)",
+        ],
+        used=used,
+        carries="N B GM K",
+        per_axis=True,
+    )
+    lines = [*comment(head), "axes:"]
+    for axis in axes:
+        lines += _axis(numbers, axis)
+    return "\n".join(lines) + "\n"
+
+
+def _axis(numbers: Numbers, axis: AxisReport) -> Iterator[str]:
+    rate_hz = float(f"{axis.rate_hz:.9g}")
+    white, walk = numbers.of(axis, "N"), numbers.of(axis, "K")
+    yield f"  {axis.name}:"
+    yield f"    unit: {axis.unit}"
+    yield f"    rate_hz: {real(rate_hz)}"
+    yield f"    white: {real(white.value * math.sqrt(rate_hz))}  # {white.note}"
+    yield "    states:"
+    yield f"      - {{term: K, phi: 1.0, q: {real(walk.value / math.sqrt(rate_hz))}}}  # {walk.note}"
+    for estimate in axis.fit.estimates:
+        if estimate.symbol == "GM" and estimate.value and estimate.correlation_time is not None:
+            sigma = estimate.value * numbers.choices.factor("GM")
+            term = GaussMarkov(sigma=sigma, T=estimate.correlation_time.value)
+            yield _state(estimate.key, term, rate_hz)
+    if axis.fit["B"].value is None:
+        yield "    # B: not identified, left out"
+        return
+    for term in _bank(numbers.of(axis, "B"), white, axis.duration_s, rate_hz):
+        yield _state("B", term, rate_hz)
+
+
+def _bank(flicker: Number, white: Number, duration_s: float, rate_hz: float) -> tuple[GaussMarkov, ...]:
+    floor = 2 * math.log(2) / math.pi * flicker.value**2
+    equal_s = white.value**2 / floor
+    longest = max(duration_s, 10 / rate_hz)
+    shortest = min(max(1 / rate_hz, equal_s / _MARGIN), longest / 2)
+    return flicker_bank(flicker.value, shortest, longest)
+
+
+def _state(name: str, term: GaussMarkov, rate_hz: float) -> str:
+    values = {
+        "phi": term.phi(1 / rate_hz),
+        "q": term.q(1 / rate_hz),
+        "sigma": term.sigma,
+        "T": term.T,
+    }
+    body = ", ".join(f"{key}: {real(value)}" for key, value in values.items())
+    return f"      - {{term: {name}, {body}}}"
+
+
+TARGET = Target(
+    name="gm",
+    title="state space: phi and q for a Kalman filter",
+    file_name="state_space.yaml",
+    render=_render,
+    aliases=("gaussmarkov", "statespace"),
+)

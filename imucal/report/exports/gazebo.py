@@ -1,0 +1,93 @@
+"""Gazebo / SDF: an ``<sensor type="imu">`` with the noise of each axis.
+
+``stddev`` is discrete; ``dynamic_bias_stddev`` is, despite its name, the density of the noise that
+drives the bias: its steady state is ``dynamic_bias_stddev * sqrt(T / 2)``. ``precision`` belongs to
+the quantized model alone and isn't written.
+Source: Gazebo, ``src/GaussianNoiseModel.cc`` (gz-sensors); SDFormat, ``noise.sdf``.
+"""
+
+import math
+from xml.etree import ElementTree as ET
+
+from imucal.recording import Sensor
+from imucal.report.exports.header import header
+from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.slow import SlowNoise, slow_noise
+from imucal.report.exports.target import Target
+from imucal.report.exports.text import plain, real
+from imucal.report.result import AxisReport
+
+__all__ = ["TARGET"]
+
+_ELEMENTS = {Sensor.GYROSCOPE: "angular_velocity", Sensor.ACCELEROMETER: "linear_acceleration"}
+
+
+def _render(numbers: Numbers) -> str:
+    root = ET.Element("sdf", version="1.7")
+    link = ET.SubElement(ET.SubElement(root, "model", name="imu"), "link", name="imu_link")
+    sensor_element = ET.SubElement(link, "sensor", name="imu", type="imu")
+    ET.SubElement(sensor_element, "always_on").text = "true"
+    ET.SubElement(sensor_element, "update_rate").text = real(numbers.rate_hz(Sensor.GYROSCOPE))
+    imu = ET.SubElement(sensor_element, "imu")
+    used: list[Number] = []
+    for sensor, name in _ELEMENTS.items():
+        element = ET.SubElement(imu, name)
+        for axis in numbers.triad(sensor):
+            white, slow = numbers.of(axis, "N"), slow_noise(numbers, axis)
+            used += [white] if slow.number is None else [white, slow.number]
+            _noise(ET.SubElement(element, axis.axis), axis, white, slow)
+    ET.indent(root)
+    head = _comment(_head(numbers, used))
+    return f'<?xml version="1.0"?>\n<!--\n{head}\n-->\n{ET.tostring(root, encoding="unicode")}\n'
+
+
+def _head(numbers: Numbers, used: list[Number]) -> list[str]:
+    head = header(
+        numbers,
+        title="Gazebo / SDF imu sensor",
+        kind="stddev is discrete, right for update_rate only; dynamic_bias_stddev is a continuous density",
+        formulas=[
+            "stddev = N * sqrt(f)",
+            "dynamic_bias_stddev = K, with a nominal correlation time of 3600 s",
+            "on an axis with a Gauss-Markov term (sigma, T) and no random walk: sigma * sqrt(2 / T), and T",
+        ],
+        used=used,
+        carries="N K GM",
+        per_axis=True,
+    )
+    return [*head, "bias_mean, bias_stddev: the turn-on bias needs many starts, not one log; set yours"]
+
+
+def _noise(parent: ET.Element, axis: AxisReport, white: Number, slow: SlowNoise) -> None:
+    notes = f" {white.note} | {slow.note} "
+    parent.append(ET.Comment(_xml_safe(notes)))
+    noise = ET.SubElement(parent, "noise", type="gaussian")
+    rate_hz = float(f"{axis.rate_hz:.9g}")
+    values = {
+        "mean": 0.0,
+        "stddev": white.value * math.sqrt(rate_hz),
+        "bias_mean": 0.0,
+        "bias_stddev": 0.0,
+        "dynamic_bias_stddev": slow.driving,
+        "dynamic_bias_correlation_time": slow.correlation_time,
+    }
+    for name, value in values.items():
+        ET.SubElement(noise, name).text = real(value)
+
+
+def _comment(lines: list[str]) -> str:
+    return "\n".join(f"  {_xml_safe(plain(line))}" for line in lines)
+
+
+def _xml_safe(text: str) -> str:
+    """Two hyphens would end an XML comment."""
+    return text.replace("--", "- -")
+
+
+TARGET = Target(
+    name="gazebo",
+    title="Gazebo / SDF imu sensor",
+    file_name="gazebo_imu.sdf",
+    render=_render,
+    aliases=("sdf", "gz", "ignition"),
+)

@@ -1,0 +1,47 @@
+"""Isaac ROS Visual SLAM: node parameters.
+
+Continuous densities, with the rate they are made discrete with.
+Source: Isaac ROS documentation, ``isaac_ros_visual_slam``, parameters.
+"""
+
+from imucal.recording import Sensor
+from imucal.report.exports.densities import densities
+from imucal.report.exports.header import header
+from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.target import Target
+from imucal.report.exports.text import comment, real
+
+__all__ = ["TARGET"]
+
+
+def _render(numbers: Numbers) -> str:
+    values = densities(numbers)
+    head = header(
+        numbers,
+        title="Isaac ROS Visual SLAM parameters, the IMU's",
+        kind="continuous-time densities, SI; the node makes them discrete with calibration_frequency",
+        formulas=["noise_density = N, random_walk = K; no factor of the rate"],
+        used=values.all,
+        carries="N K",
+    )
+    rate = real(numbers.rate_hz(Sensor.GYROSCOPE))
+    lines = [
+        *comment(head),
+        "/**:",
+        "  ros__parameters:",
+        f"    gyro_noise_density: {real(values.gyro_n.value)}  # rad/s/sqrt(Hz); {values.gyro_n.note}",
+        f"    gyro_random_walk: {real(values.gyro_k.value)}  # rad/s^2/sqrt(Hz); {values.gyro_k.note}",
+        f"    accel_noise_density: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
+        f"    accel_random_walk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
+        f"    calibration_frequency: {rate}  # Hz, of the gyroscope",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+TARGET = Target(
+    name="isaac-ros",
+    title="Isaac ROS Visual SLAM parameters",
+    file_name="isaac_ros_imu.yaml",
+    render=_render,
+    aliases=("isaac", "cuvslam"),
+)

@@ -1,0 +1,40 @@
+"""Kalibr's ``imu.yaml``.
+
+Continuous densities; Kalibr divides by sqrt(dt) itself and refuses a value that is not positive.
+Its ``*_random_walk`` is K, not the angle random walk.
+Source: Kalibr, ``aslam_offline_calibration/kalibr/python/kalibr_common/ConfigReader.py``.
+"""
+
+from imucal.recording import Sensor
+from imucal.report.exports.densities import densities, topic
+from imucal.report.exports.header import header
+from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.target import Target
+from imucal.report.exports.text import comment, plain, quoted, real
+
+__all__ = ["FORMULA", "KIND", "TARGET"]
+
+KIND = "continuous-time densities, SI; Kalibr makes them discrete with update_rate"
+FORMULA = "noise_density = N (white noise), random_walk = K (of the bias); no factor of the rate"
+
+
+def _render(numbers: Numbers) -> str:
+    values = densities(numbers)
+    name, remark = topic(numbers)
+    lines = comment(
+        header(
+            numbers, title="Kalibr imu.yaml", kind=KIND, formulas=[FORMULA], used=values.all, carries="N K"
+        )
+    )
+    lines += [
+        f"accelerometer_noise_density: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
+        f"accelerometer_random_walk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
+        f"gyroscope_noise_density: {real(values.gyro_n.value)}  # rad/s/sqrt(Hz); {values.gyro_n.note}",
+        f"gyroscope_random_walk: {real(values.gyro_k.value)}  # rad/s^2/sqrt(Hz); {values.gyro_k.note}",
+        f"rostopic: {quoted(name)}  # {plain(remark)}",
+        f"update_rate: {real(numbers.rate_hz(Sensor.GYROSCOPE))}  # Hz, of the gyroscope",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+TARGET = Target(name="kalibr", title="Kalibr imu.yaml", file_name="kalibr_imu.yaml", render=_render)

@@ -1,0 +1,73 @@
+"""KF-GINS: the ``imunoise`` block, in data-sheet units.
+
+The biases are first-order Gauss-Markov processes given by their steady state; one correlation time
+serves both sensors. Source: KF-GINS, ``dataset/kf-gins.yaml``, ``src/kf-gins/gi_engine.cpp``.
+"""
+
+import math
+
+from imucal.recording import Sensor
+from imucal.report.exports.header import header
+from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.slow import SlowNoise, slow_noise
+from imucal.report.exports.target import Target
+from imucal.report.exports.text import comment, real, vector
+from imucal.units import datasheet_unit
+
+__all__ = ["TARGET"]
+
+#: m/s^2 in a mGal.
+_MGAL = 1e-5
+_HOUR = 3600.0
+
+
+def _render(numbers: Numbers) -> str:
+    gyro, accel = numbers.each(Sensor.GYROSCOPE, "N"), numbers.each(Sensor.ACCELEROMETER, "N")
+    gyro_slow = [slow_noise(numbers, axis) for axis in numbers.triad(Sensor.GYROSCOPE)]
+    accel_slow = [slow_noise(numbers, axis) for axis in numbers.triad(Sensor.ACCELEROMETER)]
+    slow = gyro_slow + accel_slow
+    time = min(process.correlation_time for process in slow)
+    arw = datasheet_unit("N", Sensor.GYROSCOPE).factor
+    vrw = datasheet_unit("N", Sensor.ACCELEROMETER).factor
+    deg_per_hour = datasheet_unit("B", Sensor.GYROSCOPE).factor
+    head = _head(numbers, [*gyro, *accel, *(process.number for process in slow if process.number)])
+    notes = (number.note for number in (*gyro, *accel) if number.bounded)
+    lines = [
+        *comment(head),
+        *comment([*notes, *(process.note for process in slow)]),
+        "imunoise:",
+        f"  arw: {vector(number.value * arw for number in gyro)}  # deg/sqrt(h)",
+        f"  vrw: {vector(number.value * vrw for number in accel)}  # m/s/sqrt(h)",
+        f"  gbstd: {vector(_steady(process, time) * deg_per_hour for process in gyro_slow)}  # deg/h",
+        f"  abstd: {vector(_steady(process, time) / _MGAL for process in accel_slow)}  # mGal",
+        "  # gsstd, asstd: scale factors aren't measured at rest; keep the lines of your own file",
+        f"  corrtime: {real(time / _HOUR)}  # h",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _head(numbers: Numbers, used: list[Number]) -> list[str]:
+    head = header(
+        numbers,
+        title="KF-GINS imunoise",
+        kind="continuous-time, in data-sheet units; biases are first-order Gauss-Markov processes",
+        formulas=[
+            "arw, vrw = N",
+            "gbstd, abstd = sigma of the Gauss-Markov term; of a random walk K: K * sqrt(T / 2)",
+            "corrtime = the shortest T of all axes (one serves both sensors); 1 h where none was measured",
+        ],
+        used=used,
+        carries="N K GM",
+        per_axis=True,
+    )
+    return [*head, "the order of the axes is the log's; KF-GINS wants forward, right, down"]
+
+
+def _steady(process: SlowNoise, time: float) -> float:
+    """Return the steady state at the common T: a term's own sigma; a walk keeps its driving noise."""
+    return process.sigma if process.number is None else process.driving * math.sqrt(time / 2)
+
+
+TARGET = Target(
+    name="kf-gins", title="KF-GINS imunoise block", file_name="kf_gins_imunoise.yaml", render=_render
+)

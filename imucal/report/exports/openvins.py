@@ -1,0 +1,61 @@
+"""OpenVINS' ``kalibr_imu_chain.yaml``: Kalibr's numbers in an OpenCV file, with the IMU's intrinsics.
+
+Source: OpenVINS, ``config/euroc_mav/kalibr_imu_chain.yaml``, ``ov_core/src/utils/opencv_yaml_parse.h``.
+"""
+
+import numpy as np
+
+from imucal.recording import Sensor
+from imucal.report.exports.densities import densities, topic
+from imucal.report.exports.header import header
+from imucal.report.exports.kalibr import FORMULA
+from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.target import Target
+from imucal.report.exports.text import comment, matrix, plain, quoted, real
+
+__all__ = ["TARGET"]
+
+_KIND = "continuous-time densities, SI; OpenVINS makes them discrete with the stamps of the messages"
+
+
+def _render(numbers: Numbers) -> str:
+    values = densities(numbers)
+    accel_n, accel_k, gyro_n, gyro_k = values.all
+    name, remark = topic(numbers)
+    head = header(
+        numbers,
+        title="OpenVINS kalibr_imu_chain.yaml",
+        kind=_KIND,
+        formulas=[FORMULA],
+        used=values.all,
+        carries="N K",
+    )
+    head.append("matrices: identity (no intrinsics are measured at rest); T_i_b, Tw, Ta, Tg are yours to set")
+    unit, zero = np.eye(3).tolist(), np.zeros((3, 3)).tolist()
+    lines = [
+        "%YAML:1.0",  # OpenCV wants it on the first line
+        *comment(head),
+        "imu0:",
+        "  T_i_b:",
+        *matrix(np.eye(4).tolist(), "    "),
+        f"  accelerometer_noise_density: {real(accel_n.value)}  # m/s^2/sqrt(Hz); {accel_n.note}",
+        f"  accelerometer_random_walk: {real(accel_k.value)}  # m/s^3/sqrt(Hz); {accel_k.note}",
+        f"  gyroscope_noise_density: {real(gyro_n.value)}  # rad/s/sqrt(Hz); {gyro_n.note}",
+        f"  gyroscope_random_walk: {real(gyro_k.value)}  # rad/s^2/sqrt(Hz); {gyro_k.note}",
+        f"  rostopic: {quoted(name)}  # {plain(remark)}",
+        "  time_offset: 0.0",
+        f"  update_rate: {real(numbers.rate_hz(Sensor.GYROSCOPE))}  # Hz, of the gyroscope",
+        '  model: "kalibr"',
+    ]
+    for key, rows in (("Tw", unit), ("R_IMUtoGYRO", unit), ("Ta", unit), ("R_IMUtoACC", unit), ("Tg", zero)):
+        lines += [f"  {key}:", *matrix(rows, "    ")]
+    return "\n".join(lines) + "\n"
+
+
+TARGET = Target(
+    name="openvins",
+    title="OpenVINS kalibr_imu_chain.yaml",
+    file_name="kalibr_imu_chain.yaml",
+    render=_render,
+    aliases=("ovins", "msckf"),
+)

@@ -1,0 +1,51 @@
+"""ROS ``sensor_msgs/Imu``: the covariance fields of a driver's messages.
+
+Discrete variances per sample on the diagonal, row-major about x, y, z. All zero would mean
+"unknown", and -1 as the first element "no estimate".
+Source: ``sensor_msgs/msg/Imu.msg``.
+"""
+
+import numpy as np
+
+from imucal.recording import Sensor
+from imucal.report.exports.header import header
+from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.target import Target
+from imucal.report.exports.text import comment, vector
+
+__all__ = ["TARGET"]
+
+
+def _render(numbers: Numbers) -> str:
+    gyro = numbers.each(Sensor.GYROSCOPE, "N")
+    accel = numbers.each(Sensor.ACCELEROMETER, "N")
+    head = header(
+        numbers,
+        title="ROS sensor_msgs/Imu covariances",
+        kind="discrete variances per sample, SI, right for the rate f above only",
+        formulas=["diagonal = N^2 * f of each axis (a variance: an inflation enters squared)"],
+        used=(*gyro, *accel),
+        carries="N",
+        per_axis=True,
+    )
+    lines = [
+        *comment(head),
+        *comment(number.note for number in (*gyro, *accel) if number.bounded),
+        f"angular_velocity_covariance: {_covariance(gyro, numbers.rate_hz(Sensor.GYROSCOPE))}",
+        f"linear_acceleration_covariance: {_covariance(accel, numbers.rate_hz(Sensor.ACCELEROMETER))}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _covariance(white: tuple[Number, Number, Number], rate_hz: float) -> str:
+    diagonal = [number.value**2 * rate_hz for number in white]
+    return vector(np.diag(diagonal).ravel().tolist())
+
+
+TARGET = Target(
+    name="ros",
+    title="ROS sensor_msgs/Imu covariances",
+    file_name="ros_imu_covariance.yaml",
+    render=_render,
+    aliases=("ros2", "sensormsgs"),
+)
