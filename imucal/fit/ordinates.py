@@ -1,0 +1,142 @@
+"""What the likelihood sees of a series: sums of squared DCT ordinates in bins.
+
+A series of several unbroken blocks has the bins of each block one after the other: the blocks'
+likelihoods multiply.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray
+from imucal.powerlaw import PowerLaw
+
+__all__ = ["LAWS", "Ordinates", "coarser", "ramp_ordinates"]
+
+#: The power-law terms, in the order of a rising slope.
+LAWS = (PowerLaw.QUANTIZATION, PowerLaw.WHITE, PowerLaw.FLICKER, PowerLaw.WALK)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ordinates:
+    """Binned DCT ordinates, in scaled units: samples divided by `scale`, sampling period 1.
+
+    Attributes
+    ----------
+    scale
+        U per scaled unit: a power of two, so that scaling costs no digit.
+    size
+        Degrees of freedom of each bin, shape (b,): ordinates kept, less what a gap has taken.
+    power
+        Sum of their squares, shape (b,).
+    lam
+        Mean of 4 sin²(theta/2) over each bin, shape (b,).
+    length, sign
+        Samples of the bin's block; (-1)^k for bins of one ordinate, else 0; shape (b,).
+    basis
+        Expected square per unit variance parameter of each of `LAWS`, shape (4, b).
+    names
+        Regressors: what is taken out by generalised least squares; ``R`` is the ramp.
+    cross
+        Sums of ordinate times regressor's ordinate, shape (r, b).
+    gram
+        Sums of products of regressors' ordinates, shape (r, r, b).
+    """
+
+    scale: float
+    size: FloatArray
+    power: FloatArray
+    lam: FloatArray
+    length: FloatArray
+    sign: FloatArray
+    basis: FloatArray
+    names: tuple[str, ...]
+    cross: FloatArray
+    gram: FloatArray
+
+    @property
+    def count(self) -> float:
+        """Number of ordinates: the sample size that an information criterion means."""
+        return float(self.size.sum())
+
+    @property
+    def samples(self) -> float:
+        """Samples of the longest block."""
+        return float(self.length.max())
+
+    @property
+    def fraction(self) -> FloatArray:
+        """Frequency of each bin as a fraction of Nyquist, shape (b,)."""
+        return 2 / np.pi * np.arcsin(np.sqrt(np.minimum(self.lam, 4.0)) / 2)
+
+    def take(self, select: NDArray[np.bool_]) -> "Ordinates":
+        """Return the bins where `select`, shape (b,), is true."""
+        return replace(
+            self,
+            size=self.size[select],
+            power=self.power[select],
+            lam=self.lam[select],
+            length=self.length[select],
+            sign=self.sign[select],
+            basis=self.basis[:, select],
+            cross=self.cross[:, select],
+            gram=self.gram[:, :, select],
+        )
+
+    def below(self, fraction: float) -> "Ordinates":
+        """Return the bins up to a fraction of Nyquist that hold any ordinate."""
+        return self.take((self.fraction <= fraction * (1 + 1e-9)) & (self.size > 0))
+
+    def detrended(self) -> "Ordinates":
+        """Return the ordinates less a roughly fitted ramp, for starting values only."""
+        if "R" not in self.names:
+            return self
+        at = self.names.index("R")
+        weight = self.lam
+        slope = (self.cross[at] @ weight) / (self.gram[at, at] @ weight)
+        power = self.power - 2 * slope * self.cross[at] + slope**2 * self.gram[at, at]
+        return replace(self, power=np.maximum(power, 1e-9 * self.power))
+
+
+def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordinates:
+    """Return fewer bins: the first `singles` of a block as they are, then `merge` into one.
+
+    Blocks are told apart by where the frequency falls back.
+    """
+    size = ordinates.size
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(ordinates.lam) < 0) + 1, [size.size]])
+    edges: list[int] = []
+    for start, stop in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        edges += range(start, min(start + singles, stop))
+        edges += range(start + singles, stop, merge)
+    first = np.array(edges, dtype=np.int64)
+    total = np.add.reduceat(size, first)
+    single = np.diff(first, append=size.size) == 1
+
+    def mean(values: FloatArray) -> FloatArray:
+        merged: FloatArray = np.add.reduceat(values * size, first, axis=-1) / total
+        return merged
+
+    return replace(
+        ordinates,
+        size=total,
+        power=np.add.reduceat(ordinates.power, first),
+        lam=mean(ordinates.lam),
+        length=ordinates.length[first],
+        sign=np.where(single, ordinates.sign[first], 0.0),
+        basis=mean(ordinates.basis),
+        cross=np.add.reduceat(ordinates.cross, first, axis=-1),
+        gram=np.add.reduceat(ordinates.gram, first, axis=-1),
+    )
+
+
+def ramp_ordinates(n: int) -> FloatArray:
+    """Return the orthonormal DCT-II ordinates k = 1 … n-1 of the ramp 0, 1, … n-1, shape (n-1,).
+
+    -sqrt(2/n) cos(theta/2) / (2 sin²(theta/2)) for odd k, 0 for even k.
+    """
+    half = np.pi / (2 * n) * np.arange(1, n, 2, dtype=np.float64)
+    ramp = np.zeros(n - 1)
+    ramp[::2] = -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2)
+    return ramp
