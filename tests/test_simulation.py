@@ -92,14 +92,18 @@ def test_an_unknown_suffix_names_the_known_ones(tmp_path: Path) -> None:
     )
 
 
-def test_a_sample_log_is_made_again_byte_by_byte(tmp_path: Path) -> None:
-    """The commands in `sample_logs/README.md` are those that made the logs."""
+def test_a_sample_log_can_be_made_again(tmp_path: Path) -> None:
+    """The commands in `sample_logs/README.md` are those that made the logs.
+
+    Samples agree to 1e-9: the last bits of a Fourier transform depend on the processor.
+    """
     folder = Path(__file__).parents[1] / "sample_logs"
     lines = (folder / "README.md").read_text(encoding="utf-8").splitlines()
     (line,) = [line for line in lines if line.startswith("imucal simulate") and "with_gaps.csv" in line]
-    arguments = shlex.split(line)[1:-1] + [str(tmp_path / "with_gaps.csv"), "--json"]
-    result = CliRunner().invoke(imucal, arguments)
+    copy = tmp_path / "with_gaps.csv"
+    result = CliRunner().invoke(imucal, [*shlex.split(line)[1:-1], str(copy), "--json"])
     assert result.exit_code == 0, result.output
-    assert (tmp_path / "with_gaps.csv").read_bytes() == (folder / "with_gaps.csv").read_bytes()
+    made, kept = (np.loadtxt(path, delimiter=",") for path in (copy, folder / "with_gaps.csv"))
+    npt.assert_allclose(made, kept, rtol=1e-9, atol=1e-12)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     assert json.loads(result.stdout) == truth["with_gaps.csv"]
