@@ -1,0 +1,96 @@
+"""From a recording to a report: every axis, its findings, and the truth inside the intervals."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucal.errors import DataError
+from imucal.noise import NoiseModel
+from imucal.pipeline import Settings, characterize
+from imucal.readers import read
+from imucal.recording import AxisSeries, Recording, Source
+from imucal.report.result import AxisReport
+
+SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
+TRUTH = json.loads((SAMPLE_LOGS / "truth.json").read_text(encoding="utf-8"))
+
+
+def recording_of(*series: AxisSeries) -> Recording:
+    """Wrap series as if a log had held them."""
+    return Recording(source=Source(path="made.csv", format="csv"), series=series)
+
+
+def covers(axis: AxisReport, truth: NoiseModel) -> dict[str, bool]:
+    """Return for each true coefficient whether its interval holds it."""
+    found = {}
+    for term in truth.terms:
+        estimate = axis.fit[term.symbol]
+        found[term.symbol] = estimate.low <= term.coefficient <= estimate.high
+    return found
+
+
+@pytest.mark.parametrize("log", sorted(TRUTH))
+def test_intervals_hold_the_truth_of_the_sample_logs(log: str) -> None:
+    """At 99.9 % each of the true coefficients lies inside; at 95 % one in twenty would not."""
+    truth = TRUTH[log]
+    report = characterize(read(SAMPLE_LOGS / log), Settings(level=0.999))
+    assert len(report.axes) == 6
+    for axis in report.axes:
+        model = NoiseModel.parse(truth[axis.sensor]["model"])
+        assert all(covers(axis, model).values()), (axis.name, covers(axis, model), axis.fit.estimates)
+        for symbol in ("N", "B", "K"):
+            assert axis.fit[symbol].high > 0
+
+
+def test_what_the_truth_does_not_have_is_bounded() -> None:
+    """Twenty seconds of white noise: no B and no K, and the report says how long it would take."""
+    report = characterize(read(SAMPLE_LOGS / "too_short.db3"))
+    for axis in report.axes:
+        assert axis.fit["N"].status == "estimated"
+        assert {axis.fit[symbol].status for symbol in "BK"} == {"bounded"}
+
+
+def test_gaps_are_reported_with_the_axes() -> None:
+    """Three gaps were made; three are found, with their places."""
+    report = characterize(read(SAMPLE_LOGS / "with_gaps.csv"))
+    for axis in report.axes:
+        assert [gap.start_s for gap in axis.gaps] == pytest.approx([20.0, 60.0, 110.0])
+        assert [gap.duration_s for gap in axis.gaps] == pytest.approx([1.5, 0.2, 4.0])
+    assert "gaps" in {finding.code for finding in report.findings}
+
+
+def test_an_axis_that_can_not_be_analysed_does_not_stop_the_others() -> None:
+    """It is named in a finding."""
+    rng = np.random.default_rng(5)
+    good = AxisSeries.from_samples(rng.normal(size=4096), rate_hz=100.0, axis="x")
+    dead = AxisSeries.from_samples(np.full(4096, np.nan), rate_hz=100.0, axis="y")
+    report = characterize(recording_of(good, dead))
+    assert [axis.name for axis in report.axes] == ["gyro_x"]
+    texts = [finding.text for finding in report.findings if finding.code == "no-result"]
+    assert texts == ["gyro_y: no finite samples among 4096."]
+
+
+def test_a_recording_without_any_usable_axis_is_an_error() -> None:
+    """The message says why, once."""
+    dead = [AxisSeries.from_samples(np.full(64, np.nan), rate_hz=100.0, axis=axis) for axis in ("x", "y")]
+    with pytest.raises(DataError) as caught:
+        characterize(recording_of(*dead))
+    assert str(caught.value) == (
+        "made.csv: no axis can be analysed: gyro_x: no finite samples among 64; gyro_y: no finite samples among 64"
+    )
+
+
+def test_a_report_does_not_depend_on_the_unit_of_the_samples() -> None:
+    """Scaling the samples by 1e-9 scales every coefficient and changes nothing else."""
+    samples = NoiseModel.parse("N=1e-3 + K=1e-4").simulate(
+        20_000, rate_hz=100.0, rng=np.random.default_rng(3)
+    )
+    fits = [
+        characterize(recording_of(AxisSeries.from_samples(samples * scale, rate_hz=100.0))).axes[0].fit
+        for scale in (1.0, 1e-9)
+    ]
+    assert str(fits[0].model) == str(fits[1].model)
+    for symbol in ("N", "B", "K"):
+        assert fits[1][symbol].high == pytest.approx(fits[0][symbol].high * 1e-9, rel=1e-4)

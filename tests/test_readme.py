@@ -1,0 +1,20 @@
+"""Every command and every line of code in the README does what it says."""
+
+import shutil
+from pathlib import Path
+
+from tests.code_blocks import code_blocks, run_block
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_readme_runs_from_top_to_bottom(tmp_path: Path) -> None:
+    """In order, in one folder that holds the sample logs and a `log.mcap`."""
+    shutil.copytree(ROOT / "sample_logs", tmp_path / "sample_logs")
+    shutil.copy(ROOT / "sample_logs" / "consumer_mems.mcap", tmp_path / "log.mcap")
+    blocks = code_blocks(ROOT / "README.md")
+    assert {"python", "console", "toml", "json"} <= {language for language, _ in blocks}
+    for language, text in blocks:
+        run_block(language, text.replace("pip install . && ", ""), tmp_path)
+    assert (tmp_path / "report" / "report.html").is_file()
+    assert (tmp_path / "imu.yaml").is_file()
