@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imucal.allan.averaging import averaging_factors
+from imucal.allan.confidence import degrees_of_freedom
 from imucal.allan.curve import AllanCurve
 from imucal.allan.estimators import estimator_named
 from imucal.allan.variance import variances
@@ -21,7 +22,29 @@ def allan_curve(
     estimator: str = "overlapping",
     edf: str = "hybrid",
 ) -> AllanCurve:
-    """Return the Allan curve of an axis, with the degrees of freedom of each value."""
+    """Return the Allan curve of an axis, with the degrees of freedom of each value.
+
+    Parameters
+    ----------
+    series
+        The axis; samples that are not finite count as missing.
+    taus
+        ``octave``, ``decade``, ``decade:20``, ``all``, or averaging times in s. The named sets but
+        ``all`` stop where a value has some 2 degrees of freedom: m <= n/4, n/6 for third differences.
+    estimator
+        ``overlapping`` (the Allan variance, MOAV), ``standard``, ``modified`` or ``hadamard``.
+    edf
+        ``hybrid``, ``model``, ``greenhall`` or ``eta3``; see `imucal.allan.confidence`.
+
+    Raises
+    ------
+    DataError
+        If there are too few samples, or a listed averaging time is out of their reach.
+    ValueError
+        If an option is not one of these.
+
+    Source: IEEE Std 952-1997, Annex C; NIST SP 1065 (2008).
+    """
     table = estimator_named(estimator)
     series = series.finite()
     n = series.n
@@ -32,12 +55,11 @@ def allan_curve(
         taus, tau0=series.tau0, largest=table.largest(n), drawn=table.drawn(n), name=series.name
     )
     avar = variances(series.samples, m, table)
-    terms = np.array([table.terms(n, mi) for mi in m.tolist()])
     return AllanCurve(
         tau=m.astype(np.float64) * series.tau0,
         m=m,
         avar=avar,
-        edf=np.maximum(terms / (2.0 * m), 1.0),
+        edf=degrees_of_freedom(series.samples, m, table, edf),
         n=n,
         estimator=estimator,
         edf_method=edf,
