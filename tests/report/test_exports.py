@@ -1,0 +1,304 @@
+"""Downstream files: read back by the consumers' parsers, honest about what is in them."""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from imucal.errors import DataError, WriteError
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import BiasInstability
+from imucal.recording import Axis, Sensor, Source
+from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
+from imucal.report.exports.gauss_markov import flicker_bank
+from imucal.report.exports.text import comment, decimal, real
+from imucal.report.result import Report
+from tests.report.downstream import READERS, opencv
+from tests.report.synthetic import axis_report, consumer_report, small_report
+
+GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+
+
+def _plain_report() -> Report:
+    """Six axes of N + B + K, all identified, small enough for numbers with an exponent."""
+    scales: dict[Axis, float] = {"x": 1.0, "y": 2.0, "z": 3.0}
+    axes = tuple(
+        axis_report(sensor, axis, f"N={n * scale!r} + B=1e-5 + K={k * scale!r}")
+        for sensor, n, k in ((GYRO, 1e-5, 1e-7), (ACCEL, 1e-3, 1e-5))
+        for axis, scale in scales.items()
+    )
+    return replace(consumer_report(), axes=axes, findings=())
+
+
+def _expected(report: Report, key: str, symbol: str) -> float:
+    """Return the largest of the sensor's axes for ``gyro``, the axis's own for ``gyro_x``; bounds count."""
+    found = [axis.fit[symbol] for axis in report.axes if axis.name.startswith(key)]
+    return max(estimate.high if estimate.value is None else estimate.value for estimate in found)
+
+
+@pytest.mark.parametrize("make", [_plain_report, consumer_report])
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_consumer_reads_the_fits_own_numbers(
+    target: str, make: Callable[[], Report], tmp_path: Path
+) -> None:
+    """What the consumer's parser recovers is the fit's N and K, to rounding."""
+    report = make()
+    (path,) = export(report, target, tmp_path)
+    assert path == tmp_path / TARGETS[target].file_name
+    recovered = READERS[target](path)
+    for (key, symbol), value in recovered.items():
+        if symbol != "T":
+            assert value == pytest.approx(_expected(report, key, symbol), rel=1e-12), (key, symbol)
+    assert {symbol for _, symbol in recovered} >= ({"N"} if target == "ros" else {"N", "K"})
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_every_file_says_how_its_numbers_came_about(target: str) -> None:
+    """Tool and version, log, rate, kind, formula, axes and inflation stand in a comment."""
+    text = render(consumer_report(), target, inflate={"white": 2, "walk": 10})
+    for said in (
+        "imucal 0.1.0",
+        "logs/still_night.mcap",
+        "f = 200 Hz (measured)",
+        "kind:",
+        "formula:",
+        "axes:",
+        "white (N) x 2, walk (K) x 10; ALREADY in the numbers",
+        "it warns of: tone, warm-up",
+    ):
+        assert said in text
+    assert re.search(r"kind: .*(continuous|discrete)", text)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_inflation_multiplies_deviations(target: str, tmp_path: Path) -> None:
+    """``white=2, walk=10`` doubles N and multiplies K by ten, in every format."""
+    report = _plain_report()
+    (path,) = export(report, target, tmp_path, inflate={"white": 2.0, "walk": 10.0})
+    for (key, symbol), value in READERS[target](path).items():
+        factor = {"N": 2.0, "K": 10.0}.get(symbol)
+        if factor:
+            assert value == pytest.approx(factor * _expected(report, key, symbol), rel=1e-12)
+
+
+@pytest.mark.parametrize(("policy", "scale"), [("worst", 3.0), ("rms", math.sqrt(14 / 3)), ("y", 2.0)])
+def test_the_axis_policy_chooses_or_averages(policy: AxisPolicy, scale: float) -> None:
+    """``rms`` averages variances: (1 + 4 + 9)/3; averaging deviations would give 2."""
+    data = yaml.safe_load(render(_plain_report(), "kalibr", axis_policy=policy))
+    assert data["gyroscope_noise_density"] == pytest.approx(scale * 1e-5)
+    assert data["accelerometer_random_walk"] == pytest.approx(scale * 1e-5)
+
+
+def test_a_bound_is_written_and_said() -> None:
+    """A term that the data don't show is written as its upper bound, with words beside it."""
+    text = render(consumer_report(), "kalibr", axis_policy="y")
+    assert yaml.safe_load(text)["gyroscope_random_walk"] == 4.1e-7
+    assert "K of gyro_y, UPPER BOUND (95%): the data do not show this term" in text
+    assert "not identified, so the 95% upper bound is written: K of accel_y, K of gyro_y" in text
+
+
+def test_a_bound_is_refused_on_request() -> None:
+    """``refuse`` names the axis, the term, its bound and the ways out."""
+    with pytest.raises(DataError) as error:
+        render(consumer_report(), "kalibr", unidentified="refuse")
+    assert str(error.value) == (
+        "logs/still_night.mcap: accel_y: K was not identified (upper bound 5e-06 m/s^2/sqrt(s)), but kalibr "
+        "needs a value; accept the bound, choose an axis that shows the term, or record for longer"
+    )
+    assert render(consumer_report(), "kalibr", unidentified="refuse", axis_policy="x")
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_missing_sensor_is_an_error(target: str) -> None:
+    """No format can do with one gyroscope axis; the message says what was found."""
+    with pytest.raises(DataError, match=rf"no (accelerometer|gyro_y), which {target} needs; found gyro_x;"):
+        render(small_report(), target)
+
+
+def test_a_number_that_is_not_positive_is_refused() -> None:
+    """Kalibr raises on zero; no file gets one."""
+    axis = axis_report(GYRO, "x", "N=0.0 + B=1e-5 + K=1e-7")
+    report = replace(consumer_report(), axes=(axis, *consumer_report().axes[3:]))
+    with pytest.raises(DataError, match=r"gyro_x: N is 0\.0, but kalibr needs a positive number"):
+        render(report, "kalibr", axis_policy="x")
+
+
+def test_all_writes_every_format(tmp_path: Path) -> None:
+    """``all`` makes the folder and leaves nothing but the files in it."""
+    folder = tmp_path / "a" / "b"
+    written = export(consumer_report(), "all", folder)
+    assert sorted(folder.iterdir()) == sorted(written)
+    assert [path.name for path in written] == [target.file_name for target in TARGETS.values()]
+
+
+def test_a_refusal_writes_nothing(tmp_path: Path) -> None:
+    """Every text is made before the first file is written."""
+    with pytest.raises(DataError):
+        export(consumer_report(), "all", tmp_path / "out", unidentified="refuse")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    """A missing folder is named, and nothing is left behind."""
+    with pytest.raises(WriteError, match=r"imu\.yaml: can't be written: No such file or directory"):
+        export(consumer_report(), "kalibr", tmp_path / "missing" / "imu.yaml")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WriteError, match="can't be made a folder"):
+        export(consumer_report(), "all", tmp_path / "file")
+
+
+@pytest.mark.parametrize(
+    ("asked", "name"),
+    [("SDF", "gazebo"), ("VINS-Fusion", "vins"), ("orb_slam3", "orbslam3"), ("FAST-LIO2", "fast-lio")],
+)
+def test_formats_answer_to_the_names_people_use(asked: str, name: str) -> None:
+    """Case, hyphens and underscores don't matter; well-known other names work."""
+    assert find_target(asked).name == name
+
+
+def test_an_unknown_format_is_suggested() -> None:
+    """A near miss gets the name that was meant."""
+    with pytest.raises(ValueError, match=r"no downstream format 'kalbir'; did you mean kalibr\? there are"):
+        find_target("kalbir")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"axis_policy": "best"}, "axis policy 'best' is not one of worst, rms, x, y, z"),
+        ({"inflate": {"pink": 2}}, "inflation 'pink' is not one of white, walk, flicker"),
+        ({"inflate": {"walk": 0}}, "inflation of walk must be a positive number, got 0"),
+        (
+            {"unidentified": "zero"},
+            "choice for unidentified terms 'zero' is not one of bound, refuse",
+        ),
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, object], message: str) -> None:
+    """The library checks what the caller asks."""
+    with pytest.raises(ValueError, match=message):
+        render(consumer_report(), "kalibr", **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(200, "200.0"), (1e-5, "1.0e-05"), (1.25e-7, "1.25e-07"), (1e16, "1.0e+16"), (0.0, "0.0")],
+)
+def test_numbers_have_a_point(value: float, text: str) -> None:
+    """YAML 1.1 takes 1e-05 for a string and OpenCV 200 for an integer."""
+    assert real(value) == text
+    assert yaml.safe_load(text) == value
+    assert isinstance(yaml.safe_load(text), float)
+    assert float(decimal(value)) == value
+    assert "e" not in decimal(value)
+
+
+def test_only_finite_numbers_are_spelled() -> None:
+    """NaN never reaches a file."""
+    with pytest.raises(ValueError, match="only finite numbers can be written, got nan"):
+        real(math.nan)
+
+
+def test_a_comment_stays_on_its_line() -> None:
+    """A log's name with a line break can't smuggle a key into the file."""
+    assert comment(["log: a\nb: 1", "ok"]) == ["# log: a b: 1", "# ok"]
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_hostile_log_name_breaks_no_file(target: str, tmp_path: Path) -> None:
+    """Quotes, hyphens, braces and line breaks in a path reach no parser."""
+    source = Source(path='a--b"\n:{%\\.bag', format="rosbag1", topics=('/i"mu',), message_types=("x",))
+    report = replace(_plain_report(), source=source)
+    (path,) = export(report, target, tmp_path, topic="/imu/data")
+    assert READERS[target](path)
+
+
+def test_a_topic_can_be_given_or_is_said_to_be_missing() -> None:
+    """A table names no topic: the file says so."""
+    table = replace(_plain_report(), source=Source(path="a.csv", format="csv", topics=("gx", "gy")))
+    assert 'rostopic: "/imu0"  # the log names no topic; set yours' in render(table, "kalibr")
+    assert 'rostopic: "/my/imu"  # as given' in render(table, "kalibr", topic="/my/imu")
+
+
+def test_opencv_files_start_with_their_directive(tmp_path: Path) -> None:
+    """OpenCV reads YAML only behind ``%YAML:1.0`` on the first line."""
+    for target in ("openvins", "vins", "orbslam3"):
+        text = render(consumer_report(), target)
+        assert text.startswith("%YAML:1.0\n")
+        (tmp_path / "a.yaml").write_text(text)
+        opencv(tmp_path / "a.yaml")
+
+
+def test_gazebo_takes_a_gauss_markov_term_where_no_walk_was_found(tmp_path: Path) -> None:
+    """Gazebo's steady state is stddev * sqrt(T/2): sigma sqrt(2/T) gives back sigma."""
+    sigma, time = 4e-5, 90.0
+    slow = axis_report(GYRO, "x", f"N=1e-4 + GM(sigma={sigma}, T={time})", bounds={"B": 1e-6, "K": 1e-7})
+    report = replace(_plain_report(), axes=(slow, *_plain_report().axes[1:]))
+    (path,) = export(report, "gazebo", tmp_path)
+    recovered = READERS["gazebo"](path)
+    assert recovered["gyro_x", "T"] == time
+    assert recovered["gyro_x", "K"] * math.sqrt(time / 2) == pytest.approx(sigma)
+    assert recovered["gyro_y", "T"] == 3600
+
+
+def test_kf_gins_takes_the_steady_state_of_gauss_markov_terms() -> None:
+    """A term's sigma stands in gbstd (deg/h) and abstd (mGal), its T in corrtime (h)."""
+    axes = tuple(
+        axis_report(sensor, axis, f"N=1e-4 + GM(sigma={sigma}, T=7200.0)", bounds={"B": 1e-6, "K": 1e-7})
+        for sensor, sigma in ((GYRO, 4e-5), (ACCEL, 5e-4))
+        for axis in ("x", "y", "z")
+    )
+    data = yaml.safe_load(render(replace(_plain_report(), axes=axes), "kf-gins"))["imunoise"]
+    assert data["corrtime"] == 2
+    assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3)
+    assert data["abstd"] == pytest.approx([50.0] * 3)
+
+
+def test_px4_numbers_outside_its_range_are_said() -> None:
+    """PX4 clamps in silence; the file doesn't."""
+    assert "EKF2_ACC_NOISE: 0.003 is outside PX4's range 0.01 to 1" in render(
+        replace(
+            _plain_report(),
+            axes=tuple(
+                axis_report(sensor, axis, "N=3e-4 + B=1e-5 + K=1e-6")
+                for sensor in (GYRO, ACCEL)
+                for axis in ("x", "y", "z")
+            ),
+        ),
+        "px4",
+    )
+
+
+def test_a_bank_of_states_is_flicker() -> None:
+    """Inside the bank its psd is that of flicker: measured ripple 0.7 % at 1.5 states a decade.
+
+    Two decades from either end the tails that are missing weigh less than 1 %.
+    """
+    bank = NoiseModel(terms=flicker_bank(1e-4, 1e-1, 1e7))
+    flicker = NoiseModel(terms=(BiasInstability(value=1e-4),))
+    f = np.geomspace(1 / (2 * np.pi * 1e5), 1 / (2 * np.pi * 10), 50)
+    ratio = bank.psd(f, rate_hz=100.0) / flicker.psd(f, rate_hz=100.0)
+    np.testing.assert_allclose(ratio, 1, atol=0.017)
+
+
+def test_the_state_space_has_the_fits_allan_curve() -> None:
+    """White noise, walk and bank have the model's Allan deviation to 8 % up to a tenth of the record."""
+    report = _plain_report()
+    axis = report.axes[0]
+    states = yaml.safe_load(render(report, "gm"))["axes"]["gyro_x"]
+    m = np.exp2(np.arange(0, 18, dtype=np.float64))
+    avar = states["white"] ** 2 / m
+    for state in states["states"]:
+        if state["phi"] == 1:
+            avar += state["q"] ** 2 * (2 * m**2 + 1) / (6 * m)
+        else:
+            term = flicker_bank(1.0, state["T"], 2 * state["T"])[0]
+            avar += (state["sigma"] / term.sigma) ** 2 * term.avar(m, 1 / 200)
+            assert state["phi"] == pytest.approx(math.exp(-1 / (200 * state["T"])), rel=1e-12)
+    expected = axis.fit.model.avar(m, rate_hz=200.0)
+    np.testing.assert_allclose(np.sqrt(avar / expected), 1, atol=0.08)
