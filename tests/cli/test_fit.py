@@ -1,0 +1,100 @@
+"""`imucal fit`: the table, the report folder, the streams and the exit codes."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from imucal.cli.fit import report_folder
+from tests.cli.run import SAMPLE_LOGS, run
+
+SHORT = str(SAMPLE_LOGS / "too_short.db3")
+
+
+def test_results_and_talk_go_to_different_streams(tmp_path: Path) -> None:
+    """Standard output holds the table alone; paths and findings stand on standard error."""
+    done = run("fit", SHORT, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "gyro_x" in done.stdout
+    assert "report.json" not in done.stdout
+    assert "too_short-imucal/report.json" in done.stderr
+    assert "imucal export too_short-imucal" in done.stderr
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "\x1b" not in done.stdout + done.stderr
+
+
+def test_the_report_folder_holds_everything(tmp_path: Path) -> None:
+    """One picture and one JSON an axis, the overviews, the report and the page."""
+    done = run("fit", SHORT, "-q", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    axes = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+    expected = {f"{axis}.{kind}" for axis in axes for kind in ("png", "json")}
+    expected |= {"gyro.png", "accel.png", "report.json", "report.html"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == expected
+
+
+def test_json_on_standard_output_is_the_report(tmp_path: Path) -> None:
+    """And nothing else; no file is written when none is wanted."""
+    done = run("fit", SHORT, "-q", "--json", "--no-report", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["schema"] == "imucal/report/1"
+    assert len(document["axes"]) == 6
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_log_on_standard_input_is_read(tmp_path: Path) -> None:
+    """- stands for text on standard input."""
+    text = (SAMPLE_LOGS / "with_gaps.csv").read_text(encoding="utf-8")
+    done = run("fit", "-", "-q", "--json", "--no-report", cwd=tmp_path, text=text)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["axes"][0]["samples"] == 9715
+
+
+def test_an_unknown_term_is_a_usage_error(tmp_path: Path) -> None:
+    """Exit code 2, and the terms there are."""
+    done = run("fit", SHORT, "--model", "N + X", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "'X' is not one of Q, N, B, GM, K, R" in done.stderr
+
+
+def test_a_part_of_the_log_can_be_fitted(tmp_path: Path) -> None:
+    """--skip and --take choose it; the report says so."""
+    done = run("fit", SHORT, "-q", "--json", "--no-report", "--skip", "5s", "--take", "10s", cwd=tmp_path)
+    document = json.loads(done.stdout)
+    assert document["axes"][0]["samples"] == 1000
+    assert document["settings"]["reading"] == {"skip_s": 5.0, "take_s": 10.0}
+
+
+def test_strict_turns_a_warning_into_an_exit_code(tmp_path: Path) -> None:
+    """A log with gaps has a warning: the report is written, the code is 4."""
+    log = str(SAMPLE_LOGS / "with_gaps.csv")
+    assert run("fit", log, "-q", "--no-report", cwd=tmp_path).returncode == 0
+    assert run("fit", log, "-q", "--no-report", "--strict", cwd=tmp_path).returncode == 4
+
+
+def test_a_folder_that_is_not_a_report_is_left_alone(tmp_path: Path) -> None:
+    """Exit code 5, and what was there stays."""
+    mine = tmp_path / "out"
+    mine.mkdir()
+    (mine / "thesis.tex").write_text("mine", encoding="utf-8")
+    done = run("fit", SHORT, "-q", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 5
+    assert "thesis.tex" in done.stderr
+    assert [path.name for path in mine.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("log", "folder"),
+    [
+        ("a/log.mcap", "log-imucal"),
+        ("still.csv.gz", "still-imucal"),
+        ("run_2026.05.01.bag", "run_2026.05.01-imucal"),
+        ("bags/rosbag2_folder/", "rosbag2_folder-imucal"),
+        ("-", "stdin-imucal"),
+    ],
+)
+def test_the_report_is_named_after_the_log(log: str, folder: str) -> None:
+    """Without the endings of its format."""
+    assert report_folder(log) == Path(folder)

@@ -1,0 +1,84 @@
+"""What every command shares: help, exit codes, one message and no traceback."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from imucal.cli import COMMANDS
+from tests.cli.run import SAMPLE_LOGS, run
+
+
+@pytest.mark.parametrize("command", list(COMMANDS))
+def test_every_command_has_help_with_examples_that_fits_80_columns(command: str, tmp_path: Path) -> None:
+    """Help is what people read first."""
+    done = run(command, "--help", cwd=tmp_path, COLUMNS="80")
+    assert done.returncode == 0
+    assert "Examples:" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+def test_help_lists_every_command(tmp_path: Path) -> None:
+    """One line each."""
+    done = run("--help", cwd=tmp_path)
+    assert all(f"\n  {command} " in done.stdout for command in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("content", "name"),
+    [(b"", "empty.csv"), (b"\x00" * 5000, "zeros.mcap"), (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "x.bag")],
+)
+@pytest.mark.parametrize("command", ["fit", "info", "adev"])
+def test_a_file_that_is_no_log_ends_with_one_message(
+    command: str, content: bytes, name: str, tmp_path: Path
+) -> None:
+    """Exit code 3 or 4, the file named, no traceback, nothing on standard output, nothing written."""
+    (tmp_path / name).write_bytes(content)
+    done = run(command, name, cwd=tmp_path)
+    assert done.returncode in {3, 4}, done.stderr
+    assert done.stderr.startswith("Error: ")
+    assert name in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("command", ["fit", "info", "adev"])
+def test_a_missing_log_is_a_read_error(command: str, tmp_path: Path) -> None:
+    """Exit code 3, and the name as it was typed."""
+    done = run(command, "nowhere.mcap", cwd=tmp_path)
+    assert done.returncode == 3
+    assert done.stderr.startswith("Error: nowhere.mcap: ")
+
+
+def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
+    """`imucal adev LOG | head -1` prints nothing else."""
+    command = f"{sys.executable} -m imucal adev -q --taus all {SAMPLE_LOGS / 'too_short.db3'} | head -1"
+    done = subprocess.run(  # noqa: S602 - a pipe is the point
+        command, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    assert len(done.stdout.splitlines()) == 1
+
+
+def test_an_interrupted_command_leaves_nothing_and_says_so(tmp_path: Path) -> None:
+    """Ctrl-C ends with 130 and leaves the folder as it was."""
+    process = subprocess.Popen(  # noqa: S603 - our own command
+        [sys.executable, "-m", "imucal", "simulate", "N=1", "--duration", "20h", "-o", "big.csv"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert stderr == "Interrupted; nothing was left half written.\n"
+    assert stdout == ""
+    assert list(tmp_path.iterdir()) == []
