@@ -66,7 +66,7 @@ def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
 
 def test_an_interrupted_command_leaves_nothing_and_says_so(tmp_path: Path) -> None:
     """Ctrl-C ends with 130 and leaves the folder as it was."""
-    process = subprocess.Popen(  # noqa: S603 - our own command
+    process = subprocess.Popen(
         [sys.executable, "-m", "imucal", "simulate", "N=1", "--duration", "20h", "-o", "big.csv"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
