@@ -16,7 +16,8 @@ BELOW: dict[str, set[str]] = {
     "findings": set(),
     "_version": set(),
     "atomic": {"errors"},
-    "recording": {"arrays", "errors", "findings"},
+    "clock": set(),
+    "recording": {"arrays", "clock", "errors", "findings"},
     "powerlaw": {"arrays"},
     "units": {"recording"},
 }

@@ -1,0 +1,179 @@
+"""When samples were taken: an even grid, of which unbroken segments are filled."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Clock", "Gap", "Segment"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Segment:
+    """A run of unbroken samples.
+
+    Attributes
+    ----------
+    start, stop
+        The samples are ``samples[start:stop]``.
+    offset
+        Place of the first of them on the clock's even grid: it was taken at ``offset * tau0``.
+    """
+
+    start: int
+    stop: int
+    offset: int
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return self.stop - self.start
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gap:
+    """Samples that are missing between two segments.
+
+    Attributes
+    ----------
+    start_s
+        Time of the first missing sample, in s from the first sample.
+    missing
+        Number of missing samples.
+    duration_s
+        ``missing * tau0``, in s.
+    """
+
+    start_s: float
+    missing: int
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clock:
+    """When the samples were taken: an even grid, of which segments are filled.
+
+    Attributes
+    ----------
+    source
+        What the stamps are, in words: ``header stamp``, ``log time``, ``column time_us``, ``given rate``.
+    rate_hz
+        Measured sampling rate: the inverse of tau0.
+    segments
+        Runs of unbroken samples, in order; they do not overlap on the grid.
+    start_ns
+        Time of the first sample, in ns of the stamps' own epoch; None where the log has no stamps.
+    jitter_s
+        Standard deviation of the stamps about the even grid, in s; None where there are no stamps.
+    """
+
+    source: str
+    rate_hz: float
+    segments: tuple[Segment, ...]
+    start_ns: int | None = None
+    jitter_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+            msg = f"rate_hz must be positive and finite, got {self.rate_hz}"
+            raise ValueError(msg)
+        expected, place = 0, 0
+        for segment in self.segments:
+            if segment.start != expected or segment.stop <= segment.start or segment.offset < place:
+                msg = f"segments must follow each other and not overlap, got {segment}"
+                raise ValueError(msg)
+            expected, place = segment.stop, segment.offset + segment.size
+
+    @classmethod
+    def even(cls, n: int, rate_hz: float, *, source: str = "given rate") -> "Clock":
+        """Return the clock of `n` samples without a gap."""
+        segments = (Segment(start=0, stop=n, offset=0),) if n else ()
+        return cls(source=source, rate_hz=rate_hz, segments=segments)
+
+    @property
+    def tau0(self) -> float:
+        """Sampling period, in s."""
+        return 1.0 / self.rate_hz
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return self.segments[-1].stop if self.segments else 0
+
+    @property
+    def grid_size(self) -> int:
+        """Number of places on the even grid from the first sample to the last, filled or not."""
+        if not self.segments:
+            return 0
+        first, last = self.segments[0], self.segments[-1]
+        return last.offset + last.size - first.offset
+
+    @property
+    def duration_s(self) -> float:
+        """Time the grid spans, ``grid_size * tau0``, in s."""
+        return self.grid_size * self.tau0
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """The missing samples between segments."""
+        gaps = []
+        for before, after in zip(self.segments, self.segments[1:], strict=False):
+            end = before.offset + before.size
+            missing = after.offset - end
+            if missing:
+                start = (end - self.segments[0].offset) * self.tau0
+                gaps.append(Gap(start_s=start, missing=missing, duration_s=missing * self.tau0))
+        return tuple(gaps)
+
+    @property
+    def missing(self) -> int:
+        """Number of missing samples."""
+        return self.grid_size - self.n
+
+    def grid(self) -> NDArray[np.int64]:
+        """Place of every sample on the even grid, shape (n,), from 0."""
+        if not self.segments:
+            return np.zeros(0, dtype=np.int64)
+        first = self.segments[0].offset
+        return np.concatenate([np.arange(s.size) + (s.offset - first) for s in self.segments])
+
+    def index_at(self, time_s: float) -> int:
+        """Return the index of the first sample taken at `time_s` or later, in s from the first; n if none."""
+        if not self.segments:
+            return 0
+        # A stamp on the grid counts as on time even when the product rounds up.
+        place = time_s * self.rate_hz + self.segments[0].offset - 1e-6
+        for segment in self.segments:
+            if place <= segment.offset + segment.size - 1:
+                return segment.start + max(0, int(np.ceil(place - segment.offset)))
+        return self.n
+
+    def slice(self, first: int, stop: int) -> "Clock":
+        """Return the clock of the samples from index `first` to before `stop`."""
+        segments = []
+        for segment in self.segments:
+            start, end = max(first, segment.start), min(stop, segment.stop)
+            if start < end:
+                offset = segment.offset + start - segment.start
+                segments.append(Segment(start=start - first, stop=end - first, offset=offset))
+        start_ns = self.start_ns
+        if start_ns is not None and segments:
+            start_ns += round((segments[0].offset - self.segments[0].offset) * self.tau0 * 1e9)
+        return replace(self, segments=tuple(segments), start_ns=start_ns)
+
+    def keeping(self, keep: NDArray[np.bool_]) -> "Clock":
+        """Return the clock of the samples where `keep`, shape (n,), is true; the rest become gaps."""
+        if keep.shape != (self.n,):
+            msg = f"keep must have shape ({self.n},), got {keep.shape}"
+            raise ValueError(msg)
+        segments, start = [], 0
+        for segment in self.segments:
+            flags = np.zeros(segment.size + 2, dtype=np.int8)
+            flags[1:-1] = keep[segment.start : segment.stop]
+            steps = np.diff(flags)
+            firsts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+            for first, end in zip(firsts.tolist(), ends.tolist(), strict=True):
+                stop = start + end - first
+                segments.append(Segment(start=start, stop=stop, offset=segment.offset + first))
+                start = stop
+        return replace(self, segments=tuple(segments))
