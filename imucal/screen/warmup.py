@@ -1,0 +1,97 @@
+"""Warm-up: a drift at the start that dies away, larger than the axis's own later wander."""
+
+import numpy as np
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.findings import Finding
+from imucal.screen.blocks import Blocks, blocks
+from imucal.screen.profile import Profile
+from imucal.screen.words import amount, time
+
+__all__ = ["check_warm_up"]
+
+_BLOCKS = 64
+#: Spans, in blocks, over which the start may drift: up to a quarter of the log.
+_SPANS: IntArray = np.array([1, 2, 4, 8, 16])
+#: The drift must be this many deviations of the wander over as long a span …
+_LIMIT = 6.0
+#: … and this much larger than the largest of the rest.
+_BEYOND = 1.5
+#: Drift that has not settled by this part of the log never does.
+_LATEST = 0.6
+#: A shorter log, in s, warms up by nothing one could tell from a touch.
+_LEAST_S = 60.0
+
+
+def check_warm_up(profile: Profile) -> tuple[Finding, ...]:
+    """Return a finding where the mean moves at the start as it never does later.
+
+    The wander over a span of k blocks has variance 2 a + b k, white noise and random walk, fitted
+    to the last three quarters of the log, whose steady slope is taken off.
+    """
+    means = blocks(profile, _BLOCKS)
+    if means.mean.size < 0.75 * _BLOCKS or profile.series.duration_s < _LEAST_S:
+        return ()
+    level = _without_later_slope(means)
+    if not _drifts(level):
+        return ()
+    return (_finding(profile, means, level),)
+
+
+def _without_later_slope(means: Blocks) -> FloatArray:
+    """Return the means less the straight line between the ends of their last three quarters."""
+    first = means.mean.size // 4
+    seconds, mean = means.time_s, means.mean - means.mean[-1]
+    slope = np.polyfit(seconds[first:], mean[first:], 1)[0]
+    level: FloatArray = mean - slope * (seconds - seconds[-1])
+    return level
+
+
+def _drifts(level: FloatArray) -> bool:
+    rest = level[level.size // 4 :]
+    moves = [np.abs(rest[k:] - rest[:-k]) for k in _SPANS.tolist()]
+    squares = np.array([np.mean(m**2) for m in moves])
+    if not squares[0] > 0:
+        return False
+    deviation = np.sqrt(_wander(squares))
+    largest = np.array([m.max() for m in moves])
+    start = np.abs(level[_SPANS] - level[0])
+    return bool(np.any((start > _LIMIT * deviation) & (start > _BEYOND * largest)))
+
+
+def _wander(squares: FloatArray) -> FloatArray:
+    """Return 2 a + b k fitted to the mean squares over spans k, a and b not negative."""
+    from scipy.optimize import nnls
+
+    spans = _SPANS.astype(np.float64)
+    # The relative deviation of a mean square grows as sqrt(k): it holds fewer independent spans.
+    weight = 1 / (squares * np.sqrt(spans))
+    design = np.stack([np.ones_like(spans), spans], axis=1)
+    coefficients, _ = nnls(design * weight[:, None], squares * weight)
+    return np.maximum(design @ coefficients, squares)
+
+
+def _finding(profile: Profile, means: Blocks, level: FloatArray) -> Finding:
+    series = profile.series
+    rest = level[level.size // 2 :]
+    away = np.abs(level - rest.mean())
+    settled = away <= max(2 * float(rest.std()), 0.05 * float(away[0]))
+    index = int(settled.argmax()) if settled.any() else level.size
+    seconds = float(means.time_s[index]) if index < level.size else series.duration_s
+    drift = amount(float(away[0]), series.sensor)
+    if seconds > _LATEST * series.duration_s:
+        return Finding(
+            level="warning",
+            code="warm-up",
+            text=f"{series.name} drifts by {drift} from the start and has not settled by the end.",
+            advice="Let the IMU warm up first: record again after half an hour of power.",
+            axis=series.name,
+        )
+    return Finding(
+        level="warning",
+        code="warm-up",
+        text=f"{series.name} drifts by {drift} during the first {time(seconds)}, then settles: a warm-up.",
+        advice=f"Leave the first {time(seconds)} out; the drift would be fitted as a random walk.",
+        axis=series.name,
+        keep_s=(round(seconds, 1), round(series.duration_s, 1)),
+    )
