@@ -17,6 +17,7 @@ with the response of the output filter |H|² = (1 - lam/4)^zeros / (1 + sum a_i 
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,9 +136,10 @@ def evaluate(
         spectrum, slopes = _spectrum(ordinates, candidates, theta)
         beta, covariance, rest = _regress(ordinates, candidates, spectrum, ramp)
         ratio = rest / spectrum
-        objective = 0.5 * (np.log(spectrum) @ ordinates.size + ratio.sum(axis=1))
+        # einsum, not @: these products are too small for the threads of a linear algebra library.
+        objective = 0.5 * (np.einsum("cb,b->c", np.log(spectrum), ordinates.size) + ratio.sum(axis=1))
         residual = 0.5 * (ordinates.size - ratio)
-        score = np.matmul(slopes, residual[:, :, None])[:, :, 0]
+        score = np.einsum("cpb,cb->cp", slopes, residual)
         slopes *= np.sqrt(0.5 * ordinates.size)
         information = np.matmul(slopes, slopes.transpose(0, 2, 1))
     objective[~np.isfinite(objective)] = np.inf
@@ -214,8 +216,8 @@ def _regress(
     use = candidates.regressors[rows]
     weight = 1 / spectrum[rows]
     number = len(ordinates.names)
-    gram = (weight @ ordinates.gram.reshape(number * number, -1).T).reshape(-1, number, number)
-    cross = weight @ ordinates.cross.T
+    gram = np.einsum("cb,ijb->cij", weight, ordinates.gram)
+    cross = np.einsum("cb,ib->ci", weight, ordinates.cross)
     if ramp is not None:
         held = np.isfinite(ramp[rows]) & use[:, 0]
         value = np.where(held, ramp[rows], 0.0)
@@ -236,7 +238,7 @@ def _regress(
         solution[held, 0] = value[held]
     beta[rows] = solution
     rest = np.array(rest)
-    rest[rows] += -2 * solution @ ordinates.cross + np.einsum(
-        "ci,ijb,cj->cb", solution, ordinates.gram, solution, optimize=True
-    )
+    rest[rows] -= 2 * np.einsum("ci,ib->cb", solution, ordinates.cross)
+    for i, j in product(range(number), repeat=2):
+        rest[rows] += (solution[:, i] * solution[:, j])[:, None] * ordinates.gram[i, j]
     return beta, covariance, rest

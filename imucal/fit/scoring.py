@@ -64,12 +64,13 @@ def bounds(
     A variance may fall until its term is invisible in every bin; a correlation time lies between
     `shortest` samples and twice the record.
     """
-    level = (ordinates.power + 1e-300) / ordinates.size
     room = candidates.room_markov
-    visible = np.log(np.min(level / ordinates.basis, axis=1))
+    eighths = np.arange(0, ordinates.size.size, 8)
+    power = np.add.reduceat(ordinates.power, eighths) + 1e-300
+    level = power / np.add.reduceat(ordinates.size, eighths)
+    visible = np.log(np.min(level / ordinates.basis[:, eighths], axis=1))
     low = np.full(candidates.width, -np.inf)
     high = np.full(candidates.width, np.inf)
-    # The lowest of many noisy ratios is below the level by a few units; the margin is ample.
     low[:4] = visible - _ABSENT
     low[4 : 4 + room] = np.log(level.min()) - _ABSENT - np.log(ordinates.samples)
     low[4 + room : 4 + 2 * room] = np.log(shortest)
@@ -114,9 +115,7 @@ def maximize(
         if not rows.size:
             break
         trial = _step(state, rows, moving, damping, low, high)
-        found = evaluate(
-            ordinates, candidates.take(rows), trial, ramp=None if ramp is None else ramp[rows]
-        )
+        found = evaluate(ordinates, candidates.take(rows), trial, ramp=None if ramp is None else ramp[rows])
         gain = state.objective[rows] - found.objective
         noise = 1e-14 * np.abs(state.objective[rows])
         better = gain >= -noise

@@ -84,7 +84,13 @@ def choose(
     if response is not None:
         free[:, candidates.width - poles :] = False
     rough = maximize(
-        coarse, candidates.take(owner), starts.theta, free=free, shortest=shortest, tolerance=1e-3, iterations=40
+        coarse,
+        candidates.take(owner),
+        starts.theta,
+        free=free,
+        shortest=shortest,
+        tolerance=1e-3,
+        iterations=40,
     )
     cost = penalty(criterion, ordinates.count) * candidates.parameters
     best = np.full(candidates.count, np.inf)
@@ -92,11 +98,7 @@ def choose(
     value = best + cost
     order = np.argsort(value, kind="stable")
     near = order[value[order] <= value[order[0]] + _REFINE][:_MOST]
-    rows = [
-        row
-        for index in near
-        for row in _distinct(np.flatnonzero(owner == index), rough.objective)
-    ]
+    rows = [row for index in near for row in _distinct(np.flatnonzero(owner == index), rough.objective)]
     index = np.array(rows, dtype=np.int64)
     fine = maximize(ordinates, candidates.take(owner[index]), rough.theta[index], shortest=shortest)
     return _ranked(structures, candidates, fine, owner[index], near, cost)

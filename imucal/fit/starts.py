@@ -22,6 +22,8 @@ __all__ = ["Starts", "find_starts", "time_grid"]
 
 _GRID = 16
 _ROUNDS = 50
+#: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.
+_ROWS = 96
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,14 +107,10 @@ def _mixtures(
         use[row, [4 + place for place in combo]] = 1.0
     level = np.maximum(ordinates.power, 1e-300) / ordinates.size
     weights = use * np.quantile(level / dictionary, 0.2, axis=1) / use.sum(axis=1, keepdims=True)
-    plenty = dictionary * ordinates.size
-    for _ in range(_ROUNDS):
-        inverse = 1 / (weights @ dictionary + 1e-300)
-        pull = (ordinates.power * inverse * inverse) @ dictionary.T
-        push = inverse @ plenty.T
-        weights *= np.sqrt(pull / push)
-    spectrum = weights @ dictionary + 1e-300
-    objective = 0.5 * (np.log(spectrum) @ ordinates.size + (1 / spectrum) @ ordinates.power)
+    objective = np.empty(len(combos))
+    for first in range(0, len(combos), _ROWS):
+        part = slice(first, first + _ROWS)
+        weights[part], objective[part] = _mix(ordinates, dictionary, weights[part])
     room = candidates.room_markov
     theta = np.zeros((len(combos), candidates.width))
     logs = np.log(weights + 1e-300)
@@ -122,3 +120,18 @@ def _mixtures(
             theta[row, 4 + column] = logs[row, 4 + place]
             theta[row, 4 + room + column] = np.log(times[place])
     return theta, objective
+
+
+def _mix(ordinates: Ordinates, dictionary: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the weights after some rounds of multiplicative updates, and -log L."""
+    plenty = np.ascontiguousarray((dictionary * ordinates.size).T)
+    transposed = np.ascontiguousarray(dictionary.T)
+    for _ in range(_ROUNDS):
+        inverse = 1 / (weights @ dictionary + 1e-300)
+        push = inverse @ plenty
+        inverse *= inverse
+        inverse *= ordinates.power
+        weights = weights * np.sqrt((inverse @ transposed) / push)
+    spectrum = weights @ dictionary + 1e-300
+    objective = 0.5 * (np.log(spectrum) * ordinates.size + ordinates.power / spectrum).sum(axis=1)
+    return weights, objective

@@ -40,6 +40,7 @@ def candidates_of(
     poles: int = 0,
     zeros: int = 0,
     common: Sequence[str] = (),
+    room_markov: int | None = None,
     room_poles: int | None = None,
 ) -> Candidates:
     """Return one candidate for each structure.
@@ -52,8 +53,8 @@ def candidates_of(
         Order of the output filter's response, the same for all.
     common
         Regressors that every candidate has.
-    room_poles
-        Columns kept for poles; `poles` by default.
+    room_markov, room_poles
+        Columns kept for each; no more than needed by default.
     """
     count = len(structures)
     markov = np.array([structure.count("GM") for structure in structures], dtype=np.int64)
@@ -65,7 +66,7 @@ def candidates_of(
         regressors=np.array(
             [[name in structure or name in common for name in names] for structure in structures]
         ).reshape(count, len(names)),
-        room_markov=int(markov.max(initial=0)),
+        room_markov=int(markov.max(initial=0)) if room_markov is None else room_markov,
         room_poles=poles if room_poles is None else room_poles,
     )
 
