@@ -1,0 +1,314 @@
+"""GMWM: the noise model whose Allan variances are nearest to the measured ones.
+
+The generalised method of wavelet moments on the overlapping Allan variance, with the exact Allan
+variance of every sampled term. ``full`` weighs by the inverse covariance of the curve in closed
+form, in steps: of a fit of everything at once first, then of the model itself until nothing moves.
+``eta3`` weighs by the widths of the published intervals, a diagonal that ignores how averaging
+times hang together; its minimum is found all the same, and its intervals know the covariance.
+
+Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-based estimation for
+composite stochastic processes", JASA 108, 1021; the full covariance: `imucal.fit.av_covariance`.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray, read_only
+from imucal.errors import DataError
+from imucal.findings import Finding
+from imucal.fit.av_estimates import curve_estimates, model_of
+from imucal.fit.av_goodness import goodness
+from imucal.fit.av_intervals import CurveSpread
+from imucal.fit.av_points import AvarPoints, avar_points
+from imucal.fit.av_search import Solution, Weight, minimise
+from imucal.fit.av_select import choose, dictionary
+from imucal.fit.result import Candidate, Goodness, NoiseFit
+from imucal.noise.model import structure_text
+from imucal.noise.terms import TERMS
+from imucal.recording import AxisSeries
+
+__all__ = ["fit_gmwm"]
+
+#: A misfit above so many standard deviations means that the model does not describe the curve.
+_MISFIT = 3.0
+#: The weight is computed anew at most so often; three are enough in practice.
+_STEPS = 8
+#: Models within so much of the best criterion are reported.
+_REPORTED = 6.0
+
+
+def fit_gmwm(
+    series: AxisSeries | None,
+    curve: AllanCurve,
+    structure: tuple[str, ...] | None,
+    *,
+    level: float = 0.95,
+    criterion: str = "bic",
+    weights: str = "full",
+    max_gm: int = 2,
+) -> NoiseFit:
+    """Fit a noise model to an Allan curve.
+
+    Parameters
+    ----------
+    series
+        The samples that the curve was made of; None where only the curve is left.
+    curve
+        Allan variances, overlapping or standard.
+    structure
+        Symbols of the terms; None chooses them.
+    level
+        Confidence level of the intervals.
+    criterion
+        ``bic``, ``hq`` or ``aic``; see `imucal.fit.av_select`.
+    weights
+        ``full`` or ``eta3``.
+    max_gm
+        Most Gauss-Markov terms to choose.
+
+    Returns
+    -------
+    NoiseFit
+        With N, B and K always among the estimates. With full weights, the shortest averaging times
+        are left out where an output filter keeps every model from describing them; a finding says so.
+
+    Raises
+    ------
+    DataError
+        If the curve has too few averaging times for the model, or is not of Allan variances.
+    """
+    points = avar_points(series, curve)
+    if structure is not None:
+        _require_points(series, points, structure)
+    eta3 = Weight.of_deviations(_eta3_widths(points))
+    if weights == "eta3":
+        kept, weight, ranking = points, eta3, _ranking(points, eta3, structure, criterion, max_gm)
+        solution = ranking[0][1]
+    else:
+        rough = dictionary(points, eta3)
+        spread = CurveSpread.of_terms(points, rough.laws, rough.times)
+        kept, weight, ranking = _band(points, spread, rough, structure, criterion=criterion, max_gm=max_gm)
+        ranking, solution, weight = _described(kept, ranking, weight)
+    return _result(
+        series,
+        curve,
+        points=kept,
+        dropped=points.size - kept.size,
+        ranking=ranking,
+        solution=solution,
+        weight=weight,
+        level=level,
+        criterion=criterion if structure is None else "given",
+        weights=weights,
+    )
+
+
+def _require_points(series: AxisSeries | None, points: AvarPoints, structure: tuple[str, ...]) -> None:
+    needed = len(structure) + structure.count("GM")
+    if points.size < needed:
+        where = series.name if series is not None else "the curve"
+        msg = (
+            f"{where}: {points.size} averaging times can't tell the {needed} parameters of "
+            f"{structure_text(structure)}; record for longer or leave terms out"
+        )
+        raise DataError(msg)
+
+
+def _eta3_widths(points: AvarPoints) -> FloatArray:
+    """Return the widths of the 95 % chi-squared intervals with eta3 degrees of freedom, shape (k,).
+
+    Source: Percival & Walden (2000), "Wavelet methods for time series analysis", eq. (314c).
+    """
+    from scipy.special import chdtri
+
+    terms = points.n - 2 * points.m + 1
+    edf = np.maximum(terms / (2 * points.m), 1.0)
+    width = edf * points.avar * (1 / chdtri(edf, 0.975) - 1 / chdtri(edf, 0.025))
+    return np.asarray(width, dtype=np.float64)
+
+
+def _ranking(
+    points: AvarPoints, weight: Weight, structure: tuple[str, ...] | None, criterion: str, max_gm: int
+) -> list[tuple[float, Solution]]:
+    """Return the models in reach, the best first; the one model where it is given."""
+    if structure is None:
+        return choose(points, weight, criterion=criterion, max_gm=max_gm)
+    laws, count = _laws(structure)
+    return [(0.0, minimise(points.m, points.avar, weight, laws, count))]
+
+
+def _laws(structure: tuple[str, ...]) -> tuple[str, int]:
+    return "".join(symbol for symbol in structure if symbol != "GM"), structure.count("GM")
+
+
+def _band(
+    points: AvarPoints,
+    spread: CurveSpread,
+    rough: Solution,
+    structure: tuple[str, ...] | None,
+    *,
+    criterion: str,
+    max_gm: int,
+) -> tuple[AvarPoints, Weight, list[tuple[float, Solution]]]:
+    """Return the longest run of points, up to the last, that a model describes, and the models.
+
+    An output filter bends the curve at its first averaging times only; without those it is as good
+    as ever. Where no run is described, the one with the least misfit is returned.
+    """
+    least = 6 if structure is None else len(structure) + structure.count("GM") + 3
+    best: tuple[float, AvarPoints, Weight, list[tuple[float, Solution]]] | None = None
+    for first in range(max(points.size - least, 0) + 1):
+        kept = points.within(first)
+        covariance = spread.within(first).at(rough.variances)
+        weight = Weight.of_covariance(covariance)
+        ranking = _ranking(kept, weight, structure, criterion, max_gm)
+        misfit = min(goodness(kept, solution, covariance).statistic for _, solution in ranking)
+        if best is None or misfit < best[0]:
+            best = misfit, kept, weight, ranking
+        if not misfit >= _MISFIT:
+            return kept, weight, ranking
+    if best is None:  # pragma: no cover - the loop runs at least once
+        msg = "no averaging times"
+        raise ValueError(msg)
+    return best[1:]
+
+
+def _described(
+    points: AvarPoints, ranking: list[tuple[float, Solution]], weight: Weight
+) -> tuple[list[tuple[float, Solution]], Solution, Weight]:
+    """Return the first of the models that describes the curve with its own weight; else the first.
+
+    The criterion ranks all models with one weight, under which a model that lacks a small term may
+    win; with its own weight it then shows a misfit that the next one does not have.
+    """
+    fits: list[tuple[Solution, Weight]] = []
+    for place, (_, start) in enumerate(ranking):
+        solution, own, covariance = _converged(points, start, weight)
+        fits.append((solution, own))
+        if not goodness(points, solution, covariance).statistic >= _MISFIT:
+            delta = ranking[place][0]
+            return [(d - delta, s) for d, s in ranking[place:]], solution, own
+    return ranking, *fits[0]
+
+
+def _converged(points: AvarPoints, solution: Solution, weight: Weight) -> tuple[Solution, Weight, FloatArray]:
+    """Return the minimum with the weight of the model itself, that weight, and the covariance."""
+    spread = CurveSpread.of_terms(points, solution.laws, solution.times)
+    for _ in range(_STEPS):
+        if np.any(np.abs(np.log(solution.times / spread.times)) > 0.05):
+            spread = CurveSpread.of_terms(points, solution.laws, solution.times)
+        weight = Weight.of_covariance(spread.at(solution.variances))
+        before = solution
+        solution = minimise(
+            points.m, points.avar, weight, solution.laws, solution.times.size, near=solution.times
+        )
+        if np.allclose(solution.variances, before.variances, rtol=1e-3, atol=1e-12 * points.avar.max()):
+            break
+    return solution, weight, spread.at(solution.variances)
+
+
+def _result(
+    series: AxisSeries | None,
+    curve: AllanCurve,
+    *,
+    points: AvarPoints,
+    dropped: int,
+    ranking: list[tuple[float, Solution]],
+    solution: Solution,
+    weight: Weight,
+    level: float,
+    criterion: str,
+    weights: str,
+) -> NoiseFit:
+    found = curve_estimates(points, solution, weight, level=level)
+    fit = goodness(points, solution, found.curve_covariance)
+    return NoiseFit(
+        method="gmwm",
+        sensor=series.sensor if series is not None else None,
+        rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
+        level=level,
+        model=model_of(points, solution),
+        estimates=found.estimates,
+        parameters=found.parameters,
+        covariance=read_only(found.covariance),
+        goodness=fit,
+        curve=_with_edf(curve, points, solution, found.curve_covariance),
+        used=points.used,
+        candidates=_candidates(ranking),
+        criterion=criterion,
+        findings=_findings(series, points, fit, dropped, _text(solution)),
+        settings={"weights": weights},
+    )
+
+
+def _with_edf(
+    curve: AllanCurve, points: AvarPoints, solution: Solution, covariance: FloatArray
+) -> AllanCurve:
+    """Return the curve with the model's degrees of freedom, where it came without."""
+    if np.any(np.isfinite(curve.edf)):
+        return curve
+    edf = 2 * solution.avar(points.m) ** 2 / np.diag(covariance)
+    every = np.interp(np.log(curve.m), np.log(points.m), np.log(edf))
+    return replace(curve, edf=np.maximum(np.exp(every), 1.0), edf_method="model")
+
+
+def _candidates(ranking: list[tuple[float, Solution]]) -> tuple[Candidate, ...]:
+    reported = [(delta, s) for delta, s in ranking if delta <= _REPORTED]
+    return tuple(Candidate(structure=_text(solution), delta=delta) for delta, solution in reported)
+
+
+def _text(solution: Solution) -> str:
+    symbols = [*solution.laws, *["GM"] * solution.times.size]
+    return structure_text(sorted(symbols, key=list(TERMS).index))
+
+
+def _findings(
+    series: AxisSeries | None, points: AvarPoints, fit: Goodness, dropped: int, text: str
+) -> tuple[Finding, ...]:
+    axis = series.name if series is not None else None
+    findings = []
+    first, last = fit.tau_s or (0.0, 0.0)
+    if not points.known_n:
+        findings.append(
+            Finding(
+                level="info",
+                code="record-length",
+                axis=axis,
+                text=f"How long the record was is not known; intervals take it to be {2 * last:.4g} s, "
+                "the least that gives the longest averaging time.",
+                advice="Give the number of samples for narrower intervals.",
+            )
+        )
+    if dropped:
+        findings.append(
+            Finding(
+                level="warning",
+                code="short-times",
+                axis=axis,
+                text=f"No model describes averaging times below {first:.4g} s, as behind an output filter; "
+                "the curve was fitted from there.",
+            )
+        )
+    if fit.statistic >= _MISFIT:
+        findings.append(
+            Finding(
+                level="warning",
+                code="poor-fit",
+                axis=axis,
+                text=f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f} "
+                "times what noise gives.",
+                advice="Look at the curve and the spectrum before using the numbers.",
+            )
+        )
+    if series is not None and series.clock.missing:
+        findings.append(
+            Finding(
+                level="info",
+                code="gaps-in-curve",
+                axis=axis,
+                text="The intervals of a fit of the curve count missing samples, not where they are missing.",
+            )
+        )
+    return tuple(findings)
