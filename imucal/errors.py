@@ -6,7 +6,8 @@
     ├── ReadError      3  the log can't be read: missing, corrupt, unknown format, no such topic
     │   └── ChoiceError   several topics, sensors or columns fit, or none does; lists what was found
     ├── DataError      4  the data can't be analysed: no IMU samples, too short, not finite
-    └── WriteError     5  the output can't be written
+    ├── WriteError     5  the output can't be written
+    └── LimitsError    2  the limits file of a check is wrong (2 is usage, as for a wrong option)
 
 A message reads *where: what was found, what was expected, what to do*.
 A caller's mistake (an argument out of range) is a plain `ValueError`.
@@ -14,7 +15,7 @@ A caller's mistake (an argument out of range) is a plain `ValueError`.
 
 from typing import ClassVar
 
-__all__ = ["ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"]
+__all__ = ["ChoiceError", "DataError", "ImucalError", "LimitsError", "ReadError", "WriteError"]
 
 
 class ImucalError(Exception):
@@ -43,3 +44,9 @@ class WriteError(ImucalError):
     """An output file can't be written."""
 
     exit_code = 5
+
+
+class LimitsError(ImucalError):
+    """The limits file of a check can't be read, or asks what can't be checked."""
+
+    exit_code = 2
