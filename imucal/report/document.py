@@ -1,0 +1,236 @@
+"""A report as a JSON document: the layout of `report.json`, SI units, NaN as null.
+
+The layout is pinned by ``schema/report-1.schema.json``; a change that an old reader would
+misunderstand raises the number in `SCHEMA`. Reading is in `json_file`.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import PurePath
+
+import numpy as np
+
+from imucal.findings import Finding
+from imucal.fit.result import Estimate, Goodness, NoiseFit
+from imucal.noise.terms import GaussMarkov
+from imucal.recording import Sensor, Source
+from imucal.report import numbers
+from imucal.report.result import AxisReport, Report
+
+__all__ = ["SCHEMA", "Json", "axis_document", "plain", "to_document"]
+
+#: Name and number of the layout.
+SCHEMA = "imucal/report/1"
+
+Json = Mapping[str, object]
+
+
+def to_document(report: Report) -> dict[str, object]:
+    """Return the whole report as JSON values, keys in a stable order."""
+    return {
+        **_header(report),
+        "axes": [_axis(axis) for axis in report.axes],
+        "findings": [_finding(f) for f in report.findings],
+    }
+
+
+def axis_document(report: Report, axis: AxisReport) -> dict[str, object]:
+    """Return the document of one axis: the header of the report and the axis's own entry."""
+    return {**_header(report), **_axis(axis)}
+
+
+def plain(value: object) -> object:
+    """Return `value` as JSON knows it: arrays as lists, not-a-number and infinity as null.
+
+    Raises
+    ------
+    TypeError
+        If the value is of a kind that JSON can't hold.
+    """
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, Sequence):
+        return [plain(item) for item in value]
+    if isinstance(value, PurePath):
+        return str(value)
+    msg = f"{type(value).__name__} has no place in a report: {value!r}"
+    raise TypeError(msg)
+
+
+def _header(report: Report) -> dict[str, object]:
+    return {
+        "schema": SCHEMA,
+        "version": report.version,
+        "source": _source(report.source),
+        "settings": plain(report.settings),
+    }
+
+
+def _source(source: Source) -> dict[str, object]:
+    return {
+        "path": source.path,
+        "format": source.format,
+        "topics": list(source.topics),
+        "message_types": list(source.message_types),
+        "decisions": [{"choice": choice, "reason": reason} for choice, reason in source.decisions],
+    }
+
+
+def _axis(axis: AxisReport) -> dict[str, object]:
+    # The file holds deviations. Squaring them first makes reading and writing again change nothing,
+    # because the square root of a squared float is that float, while the converse does not hold.
+    curve = replace(axis.fit.curve, avar=axis.fit.curve.adev**2)
+    axis = replace(axis, fit=replace(axis.fit, curve=curve))
+    floor, sheet = numbers.minimum(axis)
+    return {
+        "name": axis.name,
+        "sensor": str(axis.sensor),
+        "axis": axis.axis,
+        "unit": axis.unit,
+        "samples": axis.samples,
+        "rate_hz": plain(axis.rate_hz),
+        "duration_s": plain(axis.duration_s),
+        "mean": plain(axis.mean),
+        "std": plain(axis.std),
+        "gaps": [{"start_s": g.start_s, "duration_s": g.duration_s, "missing": g.missing} for g in axis.gaps],
+        "curve": _curve(axis.fit),
+        "minimum": {
+            "adev": plain(floor.value),
+            "tau_s": plain(curve.minimum[1]),
+            "low": plain(floor.low),
+            "high": plain(floor.high),
+            "datasheet": _quantity(sheet),
+        },
+        "spectrum": {
+            "sides": 2,
+            "frequency_hz": plain(axis.spectrum.frequency),
+            "psd": plain(axis.spectrum.psd),
+            "count": plain(axis.spectrum.count),
+            "model_psd": plain(axis.fit.model.psd(axis.spectrum.frequency, rate_hz=axis.fit.rate_hz)),
+        },
+        "overview": {
+            "time_s": plain(axis.overview.time_s),
+            "low": plain(axis.overview.low),
+            "high": plain(axis.overview.high),
+        },
+        "fit": _fit(axis.fit, axis.sensor),
+        "findings": [_finding(f) for f in axis.findings],
+    }
+
+
+def _curve(fit: NoiseFit) -> dict[str, object]:
+    curve = fit.curve
+    low, high = curve.confidence_interval(fit.level)
+    return {
+        "level": fit.level,
+        "estimator": curve.estimator,
+        "computed": curve.computed,
+        "edf_method": curve.edf_method,
+        "n": curve.n,
+        "tau_s": plain(curve.tau),
+        "m": plain(curve.m),
+        "adev": plain(curve.adev),
+        "low": plain(low),
+        "high": plain(high),
+        "edf": plain(curve.edf),
+        "model_adev": plain(fit.model_adev()),
+        "used": plain(fit.used),
+    }
+
+
+def _fit(fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
+    response = fit.response
+    return {
+        "method": fit.method,
+        "model": str(fit.model),
+        "expression": fit.model.text(),
+        "rate_hz": fit.rate_hz,
+        "level": fit.level,
+        "criterion": fit.criterion,
+        "goodness": _goodness(fit.goodness),
+        "terms": _terms(fit, sensor),
+        "parameters": list(fit.parameters),
+        "covariance": plain(fit.covariance),
+        "response": response and {"kind": response.kind, "cutoff_hz": plain(response.cutoff_hz)},
+        "candidates": [{"model": c.structure, "delta": plain(c.delta)} for c in fit.candidates],
+        "settings": plain(fit.settings),
+        "findings": [_finding(f) for f in fit.findings],
+    }
+
+
+def _goodness(goodness: Goodness) -> dict[str, object]:
+    return {
+        "statistic": plain(goodness.statistic),
+        "p_value": plain(goodness.p_value),
+        "chi2_per_bin": plain(goodness.chi2_per_bin),
+        "band_hz": plain(goodness.band_hz),
+        "tau_s": plain(goodness.tau_s),
+        "lines": [
+            {"frequency_hz": plain(line.frequency_hz), "amplitude": plain(line.amplitude)}
+            for line in goodness.lines
+        ],
+    }
+
+
+def _terms(fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
+    markov = sorted((t for t in fit.model.terms if isinstance(t, GaussMarkov)), key=lambda term: term.T)
+    found: dict[str, object] = {}
+    for estimate in fit.estimates:
+        entry = _term(estimate, sensor)
+        if estimate.symbol == "GM":
+            entry |= _gauss_markov(estimate, markov, 1 / fit.rate_hz)
+        found[estimate.key] = entry
+    return found
+
+
+def _term(estimate: Estimate, sensor: Sensor) -> dict[str, object]:
+    plain_si, sheet = numbers.si(estimate, sensor), numbers.datasheet(estimate, sensor)
+    return {
+        "symbol": estimate.symbol,
+        "name": numbers.term_name(estimate.symbol, sensor),
+        "status": estimate.status,
+        "value": plain(estimate.value),
+        "low": plain(estimate.low),
+        "high": plain(estimate.high),
+        "unit": plain_si.unit,
+        "datasheet": _quantity(sheet),
+    }
+
+
+def _gauss_markov(estimate: Estimate, markov: list[GaussMarkov], tau0: float) -> dict[str, object]:
+    """Return what a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t]."""
+    time = estimate.correlation_time
+    number = int(estimate.key[2:] or 1)
+    term = markov[number - 1] if estimate.value is not None and number <= len(markov) else None
+    return {
+        "correlation_time": time and _quantity(numbers.correlation_time(time)),
+        "phi": term and plain(term.phi(tau0)),
+        "q": term and plain(term.q(tau0)),
+    }
+
+
+def _quantity(quantity: numbers.Quantity) -> dict[str, object]:
+    return {
+        "value": plain(quantity.value),
+        "low": plain(quantity.low),
+        "high": plain(quantity.high),
+        "unit": quantity.unit,
+    }
+
+
+def _finding(finding: Finding) -> dict[str, object]:
+    return {
+        "level": finding.level,
+        "code": finding.code,
+        "axis": finding.axis,
+        "text": finding.text,
+        "advice": finding.advice,
+        "keep_s": plain(finding.keep_s),
+    }

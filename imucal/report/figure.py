@@ -1,0 +1,172 @@
+"""The pictures of a report: each axis by itself, and the three axes of a sensor together.
+
+Drawn through matplotlib's object interface on the Agg canvas: no window, no pyplot, no state that
+outlives a call. Sizes are chosen so that the smallest text has 9 px at a width of 800 px.
+"""
+
+import io
+from typing import TYPE_CHECKING, Any
+
+from imucal.recording import Sensor
+from imucal.report import numbers
+from imucal.report.figure_allan import MARKERS, draw_allan, draw_allan_overview
+from imucal.report.figure_parts import LEGEND_SIZE, SMALL_SIZE, TITLE_SIZE, dashes, estimate_text, new_figure
+from imucal.report.figure_psd import draw_psd, draw_psd_overview
+from imucal.report.palette import AXES, FADED, INK, TERMS
+from imucal.report.result import AxisReport, Report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["FORMATS", "axis_figure", "axis_title", "render", "sensor_figure"]
+
+#: What `render` can make.
+FORMATS = ("png", "svg", "pdf")
+
+#: Inches.
+_WIDTH = 10.0
+_PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
+_DPI = 160
+#: Left edge and width of the two plots, in parts of the figure.
+_LEFT, _RIGHT = (0.077, 0.505), (0.672, 0.314)
+
+
+def axis_figure(report: Report, axis: AxisReport) -> "Figure":
+    """Return the Allan deviation and the psd of one axis, with all that the fit says about them."""
+    figure, left, right = _figure(report, rows=4)
+    fit = axis.fit
+    structure = str(fit.model) or "no term shown"
+    _head(figure, axis_title(axis), f"{_recording_text(axis)}   ·   model {structure} ({fit.method.upper()})")
+    entries = draw_allan(left, axis)
+    names = {str(entry.get_label()) for entry in entries}
+    entries += [entry for entry in draw_psd(right, axis) if str(entry.get_label()) not in names]
+    figure.legend(
+        handles=entries,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.24 / figure.get_figheight()),
+        ncols=min(4, len(entries)),
+        columnspacing=1.6,
+        handlelength=3.2,
+        fontsize=LEGEND_SIZE,
+        frameon=False,
+        labelcolor=INK,
+    )
+    return figure
+
+
+def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
+    """Return the Allan deviations and psds of a sensor's axes in one picture.
+
+    Raises
+    ------
+    ValueError
+        If the report has no axis of `sensor`.
+    """
+    axes = [axis for axis in report.axes if axis.sensor is sensor]
+    if not axes:
+        msg = f"the report has no {sensor} axis"
+        raise ValueError(msg)
+    rows = _rows(axes)
+    figure, left, right = _figure(report, rows=len(rows) + 2)
+    _head(figure, str(sensor).capitalize(), _recording_text(axes[0]))
+    draw_allan_overview(left, axes)
+    draw_psd_overview(right, axes)
+    _write_table(figure, axes, rows)
+    return figure
+
+
+def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
+    """Return the picture's file: png, svg or pdf; the same report always gives the same png.
+
+    Raises
+    ------
+    ValueError
+        If `form` is none of `FORMATS`.
+    """
+    if form not in FORMATS:
+        msg = f"format {form!r} is not one of {', '.join(FORMATS)}"
+        raise ValueError(msg)
+    maker = f"imucal {version}".strip()
+    metadata: dict[str, dict[str, str | None]] = {
+        "png": {"Software": maker},
+        "svg": {"Creator": maker, "Date": None},
+        "pdf": {"Creator": maker, "CreationDate": None},
+    }
+    stream = io.BytesIO()
+    figure.savefig(stream, format=form, dpi=figure.dpi, metadata=metadata[form])
+    return stream.getvalue()
+
+
+def axis_title(axis: AxisReport) -> str:
+    """Return ``Gyroscope x``."""
+    return f"{str(axis.sensor).capitalize()} {axis.axis}"
+
+
+def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
+    """Return a figure with two plots and room for `rows` lines of text under them."""
+    bottom = _AXIS_ROOM + _ROW * rows + 0.1
+    height = bottom + _PLOT_HEIGHT + _HEAD
+    figure = new_figure(_WIDTH, height, _DPI)
+    plots = [
+        figure.add_axes((place, bottom / height, width, _PLOT_HEIGHT / height))
+        for place, width in (_LEFT, _RIGHT)
+    ]
+    path = report.source.path
+    shown = path if len(path) <= 90 else f"…{path[-89:]}"
+    # A dollar sign in a path starts no formula.
+    style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
+    figure.text(0.012, 0.07 / height, shown, **style)
+    figure.text(0.988, 0.07 / height, f"imucal {report.version}", ha="right", **style)
+    return figure, plots[0], plots[1]
+
+
+def _head(figure: "Figure", title: str, subtitle: str) -> None:
+    height = figure.get_figheight()
+    style: dict[str, Any] = {"color": INK, "va": "top"}
+    figure.text(0.012, 1 - 0.10 / height, title, fontsize=TITLE_SIZE, fontweight="bold", **style)
+    figure.text(0.012, 1 - 0.38 / height, subtitle, fontsize=LEGEND_SIZE, **style)
+
+
+def _recording_text(axis: AxisReport) -> str:
+    count = f"{axis.samples:,}".replace(",", " ")
+    return f"{numbers.hours(axis.duration_s)} at {axis.rate_hz:.6g} Hz   ·   {count} samples"
+
+
+def _rows(axes: list[AxisReport]) -> list[tuple[str, list[str]]]:
+    """Return the rows under an overview: a name, and a text for each axis."""
+    rows = []
+    estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
+    keys = dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol)
+    for key in keys:
+        texts = []
+        for axis in axes:
+            found = next((e for e in axis.fit.estimates if e.key == key), None)
+            text = estimate_text(found, axis.sensor) if found else "–"
+            texts.append(text.removeprefix(f"{key} ").replace("\n", ",  "))
+        rows.append((key, texts))
+    texts = []
+    for axis in axes:
+        texts.append(numbers.with_interval(numbers.comfortable(numbers.minimum(axis)[1])))
+    rows.append(("minimum", texts))
+    return rows
+
+
+def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:
+    """Write the table that also serves as the legend: its head draws each axis's line."""
+    from matplotlib.lines import Line2D
+
+    height = figure.get_figheight()
+    columns = [0.1, 0.4, 0.7]
+    y = (0.42 + _ROW * len(rows)) / height
+    style: dict[str, Any] = {"fontsize": LEGEND_SIZE, "color": INK, "va": "baseline"}
+    for axis, x in zip(axes, columns, strict=False):
+        stroke, middle = AXES[axis.axis], y + 0.045 / height
+        marker = {"marker": MARKERS[axis.axis], "markersize": 4, "markerfacecolor": "white"}
+        line = {"color": stroke.light, "linewidth": 1.8, **marker, **dashes(stroke)}
+        figure.add_artist(Line2D([x, x + 0.02, x + 0.04], [middle] * 3, **line))
+        figure.text(x + 0.048, y, axis.axis, **(style | {"fontweight": "bold"}))
+    for key, texts in rows:
+        y -= _ROW / height
+        figure.text(0.02, y, key, **(style | {"fontweight": "bold"}))
+        for text, x in zip(texts, columns, strict=False):
+            figure.text(x, y, text, **style)

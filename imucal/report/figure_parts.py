@@ -1,0 +1,182 @@
+"""What the plots of a picture share: sizes, axes, read-offs."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+from imucal.fit.result import Estimate
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import GaussMarkov, NoiseTerm
+from imucal.recording import Sensor
+from imucal.report import numbers
+from imucal.report.palette import GRID, INK, TERMS, Stroke
+from imucal.report.result import AxisReport
+from imucal.units import pretty
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "LABEL_SIZE",
+    "LEGEND_SIZE",
+    "SMALL_SIZE",
+    "TICK_SIZE",
+    "TITLE_SIZE",
+    "Drawn",
+    "dashes",
+    "density_unit",
+    "drawn_terms",
+    "estimate_text",
+    "limits",
+    "new_figure",
+    "style_axes",
+    "term_entries",
+]
+
+#: Text sizes in points, for a figure 10 inches wide.
+TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, TICK_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 9.0, 8.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawn:
+    """A term as a line: the estimate it draws, the term with its value or its bound.
+
+    `tau_s` is where its coefficient is read off, in s; None for a floor.
+    """
+
+    estimate: Estimate
+    term: NoiseTerm
+    tau_s: float | None
+    height: float
+
+
+def new_figure(width: float, height: float, dpi: float) -> "Figure":
+    """Return an empty white figure with its own Agg canvas; sizes in inches."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def style_axes(axes: "Axes", *, x: str, y: str) -> None:
+    """Make both scales logarithmic, with quiet grid lines and named units."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_axisbelow(True)
+    axes.grid(visible=True, which="major", color=GRID, linewidth=0.8)
+    axes.tick_params(which="both", labelsize=TICK_SIZE, colors=INK, direction="out")
+    axes.tick_params(which="minor", length=2)
+    for name, spine in axes.spines.items():
+        spine.set_visible(name in {"left", "bottom"})
+        spine.set_color("#9aa5b1")
+    axes.set_xlabel(x, fontsize=LABEL_SIZE, color=INK, labelpad=3)
+    axes.set_ylabel(y, fontsize=LABEL_SIZE, color=INK, labelpad=3)
+
+
+def limits(values: FloatArray, *, below: float, above: float) -> tuple[float, float]:
+    """Return limits about the positive ones of `values`, with factors of room below and above."""
+    positive = values[np.isfinite(values) & (values > 0)]
+    if not positive.size:
+        return 0.1, 10.0
+    return float(positive.min() / below), float(positive.max() * above)
+
+
+def dashes(stroke: Stroke) -> dict[str, Any]:
+    """Return the line style of a stroke."""
+    return {"dashes": stroke.dashes} if stroke.dashes else {}
+
+
+def term_entries(axis: AxisReport, terms: list[Drawn]) -> list[Any]:
+    """Return the legend's entries of the terms' lines, one for each symbol."""
+    from matplotlib.lines import Line2D
+
+    entries: dict[str, Any] = {}
+    for drawn in terms:
+        symbol, bounded = drawn.estimate.symbol, drawn.estimate.value is None
+        stroke = TERMS[symbol]
+        name = f"{symbol}{' bound:' if bounded else ''} {numbers.term_name(symbol, axis.sensor)}"
+        marker: dict[str, Any] = {"marker": "v" if bounded else "D", "markersize": 5.5}
+        face = "white" if bounded else stroke.light
+        entries[symbol] = Line2D(
+            [],
+            [],
+            color=stroke.light,
+            linewidth=1.3,
+            label=name,
+            markerfacecolor=face,
+            **marker,
+            **dashes(stroke),
+        )
+    return list(entries.values())
+
+
+def drawn_terms(axis: AxisReport) -> list[Drawn]:
+    """Return the lines to draw: each term of the fit, and each bound as if it were the value."""
+    found = []
+    markov = sorted((t for t in axis.fit.model.terms if isinstance(t, GaussMarkov)), key=lambda t: t.T)
+    by_symbol = {term.symbol: term for term in axis.fit.model.terms}
+    for estimate in axis.fit.estimates:
+        if estimate.symbol == "GM":
+            term = _gauss_markov(estimate, markov)
+        elif estimate.value is None:
+            term = _bound(estimate)
+        else:
+            term = by_symbol.get(estimate.symbol)
+        if term is not None:
+            found.append(_drawn(estimate, term))
+    return found
+
+
+def estimate_text(estimate: Estimate, sensor: Sensor) -> str:
+    """Return ``N 0.4125 ± 0.0016 deg/√h``; a Gauss-Markov term has its T on a second line."""
+    quantity = numbers.comfortable(numbers.datasheet(estimate, sensor))
+    text = f"{estimate.key} {numbers.with_uncertainty(quantity)}"
+    if estimate.correlation_time is None:
+        return text
+    time = numbers.with_uncertainty(numbers.correlation_time(estimate.correlation_time))
+    return f"{text}\nT {time}"
+
+
+def density_unit(sensor: Sensor) -> str:
+    """Return the unit of the root of a psd, such as ``rad/s/√Hz``."""
+    return pretty(f"{sensor.unit}/sqrt(Hz)")
+
+
+def _gauss_markov(estimate: Estimate, markov: list[GaussMarkov]) -> NoiseTerm | None:
+    number = int(estimate.key[2:] or 1)
+    if estimate.value is not None and number <= len(markov):
+        return markov[number - 1]
+    return None
+
+
+def _bound(estimate: Estimate) -> NoiseTerm | None:
+    if not (math.isfinite(estimate.high) and estimate.high > 0):
+        return None
+    return NoiseModel.parse(f"{estimate.symbol}={estimate.high!r}").terms[0]
+
+
+def _drawn(estimate: Estimate, term: NoiseTerm) -> Drawn:
+    """Say where the coefficient is read: IEEE Std 952-1997, table C.1."""
+    value = abs(term.coefficient)
+    match estimate.symbol:
+        case "Q":
+            return Drawn(estimate=estimate, term=term, tau_s=math.sqrt(3), height=value)
+        case "N":
+            return Drawn(estimate=estimate, term=term, tau_s=1.0, height=value)
+        case "K":
+            return Drawn(estimate=estimate, term=term, tau_s=3.0, height=value)
+        case "R":
+            return Drawn(estimate=estimate, term=term, tau_s=math.sqrt(2), height=value)
+        case "GM":
+            # The hump: 0.437 q sqrt(T) = 0.617 sigma at 1.89 T, where q² = 2 sigma²/T drives it.
+            time = term.T if isinstance(term, GaussMarkov) else 1.0
+            return Drawn(estimate=estimate, term=term, tau_s=1.89 * time, height=0.617 * value)
+    return Drawn(
+        estimate=estimate, term=term, tau_s=None, height=math.sqrt(2 * math.log(2) / math.pi) * value
+    )

@@ -1,0 +1,140 @@
+"""The spectrum as a plot: the root of the two-sided psd, in which white noise has the height N."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+from imucal.fit.result import Line
+from imucal.report.figure_parts import (
+    LEGEND_SIZE,
+    Drawn,
+    dashes,
+    density_unit,
+    drawn_terms,
+    limits,
+    style_axes,
+)
+from imucal.report.labels import Label, place_labels
+from imucal.report.palette import AXES, DATA, INK, LEFT_OUT, MODEL, TERMS, UNUSED
+from imucal.report.result import AxisReport
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw_psd", "draw_psd_overview"]
+
+#: At most this many lines are named, the strongest first; all are marked.
+_NAMED_LINES = 3
+
+
+def draw_psd(axes: "Axes", axis: AxisReport) -> list[Any]:
+    """Draw one axis's spectrum, model and terms; return the entries of the legend."""
+    frequency, root = axis.spectrum.frequency, np.sqrt(axis.spectrum.psd)
+    style_axes(axes, x="frequency (Hz)", y=f"√PSD, two-sided ({density_unit(axis.sensor)})")
+    if not frequency.size:
+        axes.text(0.5, 0.5, "no samples, no spectrum", transform=axes.transAxes, ha="center", color=INK)
+        return []
+    axes.set_xlim(*limits(frequency, below=1.3, above=1.3))
+    axes.set_ylim(*limits(root, below=2.0, above=2.2))
+    axes.plot(frequency, root, color=DATA.light, linewidth=1.0, zorder=4)
+    grid = np.geomspace(frequency[0], frequency[-1], 200)
+    for drawn in drawn_terms(axis):
+        _term(axes, axis, drawn, grid)
+    if axis.fit.model.terms:
+        model = np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz))
+        axes.plot(grid, model, color=MODEL.light, linewidth=1.8, zorder=6)
+    entries = _unused_band(axes, axis)
+    labels = _lines(axes, axis, entries) + _response(axes, axis)
+    place_labels(axes, labels, obstacles=[(frequency, root, 2.0)], fontsize=LEGEND_SIZE)
+    return entries
+
+
+def draw_psd_overview(axes: "Axes", reports: list[AxisReport]) -> None:
+    """Draw the spectra and models of a sensor's axes."""
+    values, places = [np.zeros(0)], [np.zeros(0)]
+    for axis in reports:
+        frequency, root, stroke = axis.spectrum.frequency, np.sqrt(axis.spectrum.psd), AXES[axis.axis]
+        if not frequency.size:
+            continue
+        axes.plot(frequency, root, color=stroke.light, linewidth=0.8, alpha=0.55)
+        model = np.sqrt(axis.fit.model.psd(frequency, rate_hz=axis.fit.rate_hz))
+        axes.plot(frequency, model, color=stroke.light, linewidth=1.6, **dashes(stroke))
+        values.append(root)
+        places.append(frequency)
+    style_axes(axes, x="frequency (Hz)", y=f"√PSD, two-sided ({density_unit(reports[0].sensor)})")
+    axes.set_xlim(*limits(np.concatenate(places), below=1.3, above=1.3))
+    axes.set_ylim(*limits(np.concatenate(values), below=2.0, above=2.2))
+
+
+def _term(axes: "Axes", axis: AxisReport, drawn: Drawn, grid: FloatArray) -> None:
+    density = np.sqrt(drawn.term.psd(grid, 1 / axis.fit.rate_hz))
+    stroke = TERMS[drawn.estimate.symbol]
+    if drawn.estimate.value is not None and np.any(density > 0):
+        axes.plot(grid, density, color=stroke.light, linewidth=1.1, zorder=3, **dashes(stroke))
+
+
+def _unused_band(axes: "Axes", axis: AxisReport) -> list[Any]:
+    """Grey what lies outside the band of the fit."""
+    band = axis.fit.goodness.band_hz
+    if band is None:
+        return []
+    left, right = axes.get_xlim()
+    spectrum = axis.spectrum.frequency
+    spans = []
+    if spectrum[0] < band[0]:
+        spans.append((left, band[0]))
+    if spectrum[-1] > band[1] * 1.01:
+        spans.append((band[1], right))
+    style: dict[str, Any] = {"color": UNUSED, "alpha": 0.3, "linewidth": 0, "zorder": 1}
+    made = [axes.axvspan(*span, label="band not used by the fit", **style) for span in spans]
+    return made[:1]
+
+
+def _lines(axes: "Axes", axis: AxisReport, entries: list[Any]) -> list[Label]:
+    """Mark the spectral lines that the fit left out; return names for the strongest."""
+    lines = axis.fit.goodness.lines
+    if not lines:
+        return []
+    at = [line.frequency_hz for line in lines]
+    heights = [_height(axis, line) for line in lines]
+    entries += axes.plot(
+        at,
+        heights,
+        marker="v",
+        markersize=6,
+        color=LEFT_OUT,
+        linestyle="none",
+        zorder=9,
+        label="line left out of the fit",
+    )
+    strongest = sorted(zip(lines, heights, strict=True), key=lambda pair: -pair[0].amplitude)[:_NAMED_LINES]
+    return [
+        Label(
+            text=f"{line.frequency_hz:.4g} Hz",
+            x=np.array([line.frequency_hz]),
+            y=np.array([height]),
+            colour=LEFT_OUT,
+        )
+        for line, height in strongest
+    ]
+
+
+def _height(axis: AxisReport, line: Line) -> float:
+    """Return the height of the spectrum at a line, so that its mark stands on the peak."""
+    nearest = np.argmin(np.abs(axis.spectrum.frequency - line.frequency_hz))
+    around = axis.spectrum.psd[max(nearest - 1, 0) : nearest + 2]
+    return float(np.sqrt(around.max()) * 1.12)
+
+
+def _response(axes: "Axes", axis: AxisReport) -> list[Label]:
+    """Mark the corner of the output filter."""
+    response = axis.fit.response
+    left, right = axes.get_xlim()
+    if response is None or not left < response.cutoff_hz < right:
+        return []
+    axes.axvline(response.cutoff_hz, color=INK, linewidth=1.0, dashes=(2, 2), zorder=5)
+    bottom, top = axes.get_ylim()
+    text = f"output filter\n{response.kind}\n{response.cutoff_hz:.3g} Hz"
+    heights = np.geomspace(bottom, top, 8)[1:-1]
+    return [Label(text=text, x=np.full(heights.size, response.cutoff_hz), y=heights, colour=INK)]

@@ -1,0 +1,228 @@
+"""Labels that find a free place beside their point: no overlap, inside the plot.
+
+Works in display pixels of a figure whose layout is fixed: each label tries places on growing
+circles about its anchor and takes the one that covers the least.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.backend_bases import RendererBase
+    from matplotlib.text import Annotation
+    from matplotlib.transforms import Bbox
+
+__all__ = ["Label", "place_labels"]
+
+#: Distances of a label's nearest edge from its anchor, in points.
+_DISTANCES = (7.0, 14.0, 24.0, 36.0, 50.0, 68.0, 90.0, 115.0, 145.0, 180.0)
+_ANGLES = np.deg2rad([45, 315, 135, 225, 90, 270, 0, 180, 22, 338, 158, 202, 67, 293, 113, 247])
+#: Free space kept about a label and inside the frame, in points.
+_PAD = 2.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Label:
+    """A text for a point of the data, or for the best of several points, in a colour.
+
+    Attributes
+    ----------
+    x, y
+        The points it may belong to, shape (k,), k >= 1: one for a mark, many for a line.
+    """
+
+    text: str
+    x: FloatArray
+    y: FloatArray
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Box:
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+    def overlaps(self, other: "_Box") -> bool:
+        return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
+
+    def within(self, frame: "_Box") -> bool:
+        return frame.x0 <= self.x0 and self.x1 <= frame.x1 and frame.y0 <= self.y0 and self.y1 <= frame.y1
+
+    def grown(self, pad: float) -> "_Box":
+        return _Box(self.x0 - pad, self.y0 - pad, self.x1 + pad, self.y1 + pad)
+
+    def holds(self, points: FloatArray) -> int:
+        """Return how many of `points`, shape (k, 2), lie inside."""
+        x, y = points[:, 0], points[:, 1]
+        return int(np.count_nonzero((x > self.x0) & (x < self.x1) & (y > self.y0) & (y < self.y1)))
+
+
+def place_labels(
+    axes: "Axes",
+    labels: list[Label],
+    *,
+    obstacles: list[tuple[FloatArray, FloatArray, float]],
+    fontsize: float,
+) -> list["Annotation"]:
+    """Write `labels` where they cover nothing else.
+
+    Parameters
+    ----------
+    axes
+        Its limits and place must be final.
+    obstacles
+        Lines to keep clear of: x and y of the data, and what a covered pixel of it costs.
+    fontsize
+        In points.
+    """
+    if not labels:
+        return []
+    figure = axes.get_figure(root=True)
+    if figure is None:
+        msg = "axes must belong to a figure"
+        raise ValueError(msg)
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    scale = figure.dpi / 72
+    room = _Room(
+        frame=_box(axes.get_window_extent(renderer)).grown(-_PAD * scale),
+        scale=scale,
+        points=[(_dense(axes, x, y), cost) for x, y, cost in obstacles],
+    )
+    anchors = [axes.transData.transform(np.column_stack([label.x, label.y])) for label in labels]
+    room.taken += [
+        _Box(x, y, x, y).grown(4 * scale) for points in anchors if len(points) == 1 for x, y in points
+    ]
+    written = []
+    # Marks have one point to stand by, the less free the nearer they are to a side; lines give way.
+    order = sorted(range(len(labels)), key=lambda i: (len(anchors[i]) > 1, room.freedom(anchors[i])))
+    for label, points in ((labels[i], anchors[i]) for i in order):
+        anchor, box = room.best(points, _size(axes, label.text, fontsize, renderer))
+        room.take(anchor, box)
+        offset = ((box.x0 + box.x1) / 2 - anchor[0], (box.y0 + box.y1) / 2 - anchor[1])
+        place = axes.transData.inverted().transform(anchor)
+        written.append(_write(axes, label, place, (offset[0] / scale, offset[1] / scale), fontsize))
+    return written
+
+
+@dataclass(slots=True, kw_only=True)
+class _Room:
+    """What is taken already, in pixels."""
+
+    frame: _Box
+    scale: float
+    points: list[tuple[FloatArray, float]]
+    taken: list[_Box] = field(default_factory=list)
+    leaders: list[FloatArray] = field(default_factory=list)
+
+    def freedom(self, anchors: FloatArray) -> float:
+        """Return the distance of the nearest anchor to the left or right side."""
+        x = anchors[:, 0]
+        return float(np.minimum(x - self.frame.x0, self.frame.x1 - x).min())
+
+    def best(self, anchors: FloatArray, size: tuple[float, float]) -> tuple[FloatArray, _Box]:
+        """Return the anchor and the box of a text of `size` that cover the least."""
+        distances = _DISTANCES if len(anchors) == 1 else _DISTANCES[:4]
+        best, lowest = (anchors[0], _Box(0, 0, 0, 0)), math.inf
+        for anchor in anchors:
+            for distance in distances:
+                for angle in _ANGLES:
+                    box = _beside(anchor, size, distance * self.scale, float(angle))
+                    cost = distance / 30
+                    if cost < lowest and (cost := cost + self._cost(anchor, box)) < lowest:
+                        best, lowest = (anchor, box), cost
+        return best
+
+    def take(self, anchor: FloatArray, box: _Box) -> None:
+        """Keep clear of a box and of the line that leads to it."""
+        self.taken.append(box.grown(_PAD * self.scale))
+        leader = _leader(anchor, box)
+        self.points.append((leader, 6.0))
+        self.leaders.append(leader)
+
+    def _cost(self, anchor: FloatArray, box: _Box) -> float:
+        cost = 1e4 * (not box.within(self.frame)) + 1e3 * sum(box.overlaps(other) for other in self.taken)
+        if cost:
+            return cost
+        # The anchor's own box is where the leader starts.
+        leader = _leader(anchor, box)
+        others = [other for other in self.taken if not other.holds(anchor[None, :])]
+        crossed = sum(other.holds(leader) for other in others)
+        crossed += 2 * sum(_cross(leader, other) for other in self.leaders)
+        return 20.0 * crossed + sum(box.holds(points) * weight for points, weight in self.points)
+
+
+def _leader(anchor: FloatArray, box: _Box) -> FloatArray:
+    """Return points on the line from the anchor to the middle of the box, outside the box."""
+    middle = np.array([(box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2])
+    steps = np.linspace(0, 1, 40)[:, None]
+    line = anchor + steps * (middle - anchor)
+    inside = (line[:, 0] > box.x0) & (line[:, 0] < box.x1) & (line[:, 1] > box.y0) & (line[:, 1] < box.y1)
+    return np.asarray(line[~inside], dtype=np.float64)
+
+
+def _cross(one: FloatArray, other: FloatArray) -> bool:
+    """Say whether two straight lines, each given by points on it, cross."""
+    if len(one) < 2 or len(other) < 2:
+        return False
+    (a, b), (c, d) = one[[0, -1]], other[[0, -1]]
+
+    def side(p: FloatArray, q: FloatArray, r: FloatArray) -> bool:
+        return bool((q[0] - p[0]) * (r[1] - p[1]) > (q[1] - p[1]) * (r[0] - p[0]))
+
+    return side(a, b, c) != side(a, b, d) and side(c, d, a) != side(c, d, b)
+
+
+def _beside(anchor: FloatArray, size: tuple[float, float], distance: float, angle: float) -> _Box:
+    """Return the box whose nearest edge lies `distance` from the anchor, in direction `angle`."""
+    x = anchor[0] + math.cos(angle) * (distance + size[0] / 2)
+    y = anchor[1] + math.sin(angle) * (distance + size[1] / 2)
+    return _Box(x - size[0] / 2, y - size[1] / 2, x + size[0] / 2, y + size[1] / 2)
+
+
+def _dense(axes: "Axes", x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the line in pixels, interpolated so that no label can slip between two points."""
+    finite = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
+    points = axes.transData.transform(np.column_stack([x[finite], y[finite]]))
+    if len(points) < 2:
+        return np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    fine = np.linspace(0, along[-1], min(2000, max(2, int(along[-1] / 4))))
+    return np.column_stack([np.interp(fine, along, points[:, 0]), np.interp(fine, along, points[:, 1])])
+
+
+def _box(extent: "Bbox") -> _Box:
+    return _Box(extent.x0, extent.y0, extent.x1, extent.y1)
+
+
+def _size(axes: "Axes", text: str, fontsize: float, renderer: "RendererBase") -> tuple[float, float]:
+    trial = axes.text(0.5, 0.5, text, fontsize=fontsize, transform=axes.transAxes)
+    extent = trial.get_window_extent(renderer)
+    trial.remove()
+    return extent.width, extent.height
+
+
+def _write(
+    axes: "Axes", label: Label, place: FloatArray, offset: tuple[float, float], fontsize: float
+) -> "Annotation":
+    return axes.annotate(
+        label.text,
+        (float(place[0]), float(place[1])),
+        xytext=offset,
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        fontsize=fontsize,
+        color=label.colour,
+        zorder=20,
+        bbox={"boxstyle": "square,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+        arrowprops={"arrowstyle": "-", "color": label.colour, "linewidth": 0.7, "shrinkA": 0, "shrinkB": 3},
+    )

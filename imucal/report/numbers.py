@@ -1,0 +1,227 @@
+"""Values as people read them: as many digits as the interval supports, a bound as a bound.
+
+The rounding is the Particle Data Group's: an uncertainty whose three leading digits are below 355
+keeps two digits, otherwise one. Source: PDG, Review of Particle Physics (2022), sec. 5.3.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucal.fit.result import Estimate, Interval
+from imucal.noise.terms import TERMS
+from imucal.recording import Sensor
+from imucal.report.result import AxisReport
+from imucal.units import datasheet_unit, pretty
+
+__all__ = [
+    "Quantity",
+    "comfortable",
+    "compact",
+    "correlation_time",
+    "datasheet",
+    "decimals",
+    "engineering_exponent",
+    "hours",
+    "minimum",
+    "power_of_ten",
+    "si",
+    "term_name",
+    "with_interval",
+    "with_uncertainty",
+]
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+#: Beyond this ratio of its two sides an interval is printed, not a symmetric uncertainty.
+_ASYMMETRY = 1.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """A value with its limits and unit; `value` is None where only the bound `high` is known.
+
+    A quantity without an interval (the curve's minimum) has ``low == value == high``.
+    """
+
+    value: float | None
+    low: float
+    high: float
+    unit: str
+
+    def scaled(self, factor: float, unit: str) -> "Quantity":
+        """Return it in another unit: ``value * factor``."""
+        value = None if self.value is None else self.value * factor
+        return Quantity(value=value, low=self.low * factor, high=self.high * factor, unit=unit)
+
+    @property
+    def size(self) -> float:
+        """The magnitude that decides the power of ten: the value's, else the bound's."""
+        return abs(self.high if self.value is None else self.value)
+
+
+def term_name(symbol: str, sensor: Sensor) -> str:
+    """Return the field's name of a term, such as ``angle random walk``."""
+    gyroscope, accelerometer = TERMS[symbol].names
+    return gyroscope if sensor is Sensor.GYROSCOPE else accelerometer
+
+
+def si(estimate: Estimate, sensor: Sensor) -> Quantity:
+    """Return an estimate's coefficient in SI."""
+    gyroscope, accelerometer = TERMS[estimate.symbol].units
+    unit = gyroscope if sensor is Sensor.GYROSCOPE else accelerometer
+    return Quantity(value=estimate.value, low=estimate.low, high=estimate.high, unit=unit)
+
+
+def datasheet(estimate: Estimate, sensor: Sensor) -> Quantity:
+    """Return an estimate's coefficient in the unit that data sheets print."""
+    unit = datasheet_unit(estimate.symbol, sensor)
+    return si(estimate, sensor).scaled(unit.factor, unit.name)
+
+
+def correlation_time(interval: Interval) -> Quantity:
+    """Return the correlation time of a Gauss-Markov term, in s."""
+    return Quantity(value=interval.value, low=interval.low, high=interval.high, unit="s")
+
+
+def minimum(axis: AxisReport) -> tuple[Quantity, Quantity]:
+    """Return the curve's minimum, with the curve's interval there, in SI and in data-sheet units.
+
+    The interval is that of a point chosen in advance; being the lowest of many, it reads low.
+    """
+    curve = axis.fit.curve
+    adev, tau = curve.minimum
+    low, high = curve.confidence_interval(axis.fit.level)
+    at = int(np.flatnonzero(curve.tau == tau)[0])
+    known = math.isfinite(low[at]) and math.isfinite(high[at])
+    limits = (float(low[at]), float(high[at])) if known else (adev, adev)
+    quantity = Quantity(value=adev, low=limits[0], high=limits[1], unit=axis.unit)
+    unit = datasheet_unit("B", axis.sensor)
+    return quantity, quantity.scaled(unit.factor, unit.name)
+
+
+def comfortable(quantity: Quantity) -> Quantity:
+    """Return accelerations below 0.1 mg in µg; everything else as it is."""
+    if quantity.unit == "mg" and quantity.size < 0.1:
+        return quantity.scaled(1e3, "ug")
+    return quantity
+
+
+def hours(seconds: float) -> str:
+    """Return a duration in hours with three digits, such as ``3.00 h``; a short one in s as well."""
+    value = seconds / 3600
+    if value <= 0:
+        return "0 h"
+    text = f"{value:.{max(0, 2 - math.floor(math.log10(value)))}f} h"
+    return text if value >= 0.1 else f"{seconds:.3g} s ({text})"
+
+
+def decimals(quantity: Quantity) -> int:
+    """Return the decimal places its interval supports (negative: places before the point)."""
+    if quantity.value is None:
+        return _places(quantity.high, 2)
+    half = (quantity.high - quantity.low) / 2
+    if not math.isfinite(half):
+        return _places(quantity.value, 2)
+    # An interval narrower than 1e-4 of the value says more than a reader needs.
+    floor = 1e-4 * abs(quantity.value)
+    if half <= floor:
+        return _places(quantity.value, 4)
+    lead = half / 10 ** math.floor(math.log10(half))
+    if lead < 3.55 or lead >= 9.5:
+        return _places(half, 2)
+    return _places(half, 1)
+
+
+def power_of_ten(quantity: Quantity) -> int:
+    """Return 0 for sizes people read as they are (0.01 … 99999), else the exponent of the size."""
+    if not (math.isfinite(quantity.size) and quantity.size > 0):
+        return 0
+    exponent = math.floor(math.log10(quantity.size))
+    return 0 if -2 <= exponent <= 4 else exponent
+
+
+def engineering_exponent(quantities: Iterable[Quantity]) -> int:
+    """Return one power of ten, a multiple of three, that suits the largest of `quantities`."""
+    sizes = [q.size for q in quantities if math.isfinite(q.size) and q.size > 0]
+    if not sizes:
+        return 0
+    exponent = math.floor(math.log10(max(sizes)))
+    return 0 if -2 <= exponent <= 4 else 3 * (exponent // 3)
+
+
+def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
+    """Return value and interval as plain texts, both divided by ``10**exponent``.
+
+    ``("0.2013", "[0.2010, 0.2016]")``; a bound is ``("< 0.12", "")``; without an interval the
+    second is empty.
+    """
+    scaled = quantity.scaled(10.0**-exponent, quantity.unit)
+    if scaled.value is None:
+        return _bound(scaled.high), ""
+    places = decimals(scaled)
+    value = _fixed(scaled.value, places)
+    if scaled.low == scaled.high:
+        return value, ""
+    high = _fixed(scaled.high, places) if math.isfinite(scaled.high) else "?"
+    return value, f"[{_fixed(scaled.low, places)}, {high}]"
+
+
+def with_uncertainty(quantity: Quantity) -> str:
+    """Return ``0.2013 ± 0.0003 deg/√h``, ``12.1 [11.2, 13.9] deg/h`` or ``< 0.12 deg/h/√h``."""
+    exponent = power_of_ten(quantity)
+    scaled = quantity.scaled(10.0**-exponent, quantity.unit)
+    value, interval = compact(scaled)
+    if interval and _symmetric(scaled):
+        half = _fixed((scaled.high - scaled.low) / 2, decimals(scaled))
+        body = f"{value} ± {half}"
+        return _finish(f"({body})" if exponent else body, exponent, quantity.unit)
+    return _finish(f"{value} {interval}".rstrip(), exponent, quantity.unit)
+
+
+def with_interval(quantity: Quantity) -> str:
+    """Return ``0.2013 [0.2010, 0.2016] deg/√h`` or ``< 0.12 deg/h/√h``."""
+    exponent = power_of_ten(quantity)
+    value, interval = compact(quantity, exponent=exponent)
+    return _finish(f"{value} {interval}".rstrip(), exponent, quantity.unit)
+
+
+def _finish(body: str, exponent: int, unit: str) -> str:
+    power = f" ×10{str(exponent).translate(_SUPERSCRIPTS)}" if exponent else ""
+    return f"{body}{power} {pretty(unit)}"
+
+
+def _symmetric(quantity: Quantity) -> bool:
+    if quantity.value is None or not math.isfinite(quantity.high):
+        return False
+    below, above = quantity.value - quantity.low, quantity.high - quantity.value
+    return below > 0 and above > 0 and 1 / _ASYMMETRY < above / below < _ASYMMETRY
+
+
+def _places(size: float, digits: int) -> int:
+    """Return the decimal places that show `digits` significant digits of `size`."""
+    if not (math.isfinite(size) and size):
+        return 0
+    exponent = math.floor(math.log10(abs(size)))
+    # 0.0996 with two digits is 0.10: rounding may carry into the next decade.
+    if abs(round(size, digits - 1 - exponent)) >= 10.0 ** (exponent + 1):
+        exponent += 1
+    return digits - 1 - exponent
+
+
+def _bound(high: float) -> str:
+    """Return ``< high`` with two digits, rounded up so that the bound stays true."""
+    if not math.isfinite(high):
+        return "unknown"
+    if high == 0:
+        return "0"
+    places = 1 - math.floor(math.log10(high))
+    # The last bits of a binary fraction must not carry 0.12 to 0.13.
+    raised = math.ceil(high * 10.0**places * (1 - 1e-12)) / 10.0**places
+    return f"< {_fixed(raised, places)}"
+
+
+def _fixed(value: float, places: int) -> str:
+    text = f"{round(value, places):.{max(places, 0)}f}"
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text

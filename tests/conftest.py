@@ -1,0 +1,16 @@
+"""Options and fixtures every test may use."""
+
+import pytest
+
+__all__ = ["pytest_addoption", "update_golden"]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that renews golden files; look at the difference before you commit it."""
+    parser.addoption("--update-golden", action="store_true", help="write the golden files anew")
+
+
+@pytest.fixture
+def update_golden(request: pytest.FixtureRequest) -> bool:
+    """Whether golden files are to be written instead of compared."""
+    return bool(request.config.getoption("--update-golden"))

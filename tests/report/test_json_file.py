@@ -1,0 +1,276 @@
+"""report.json: its schema, its golden file, the way back, and what it says about a bad file."""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.errors import ReadError
+from imucal.report.document import plain
+from imucal.report.json_file import axis_document, dumps, from_document, load, schema, to_document
+from imucal.report.result import Report
+from tests.report.synthetic import consumer_report, small_report
+
+_GOLDEN = Path(__file__).parent / "golden" / "report.json"
+
+
+@pytest.mark.parametrize("make", [consumer_report, small_report])
+def test_document_fits_the_shipped_schema(make: Callable[[], Report]) -> None:
+    """The whole report and each axis's own document are valid; the schema itself is, too."""
+    report = make()
+    validator = jsonschema.Draft202012Validator(schema())
+    validator.check_schema(schema())
+    validator.validate(to_document(report))
+    for axis in report.axes:
+        validator.validate(axis_document(report, axis))
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("axes", 0, "fit", "terms", "N", "status"), "guessed"),
+        (("axes", 0, "fit", "terms", "N", "value"), None),
+        (("axes", 0, "sensor"), "magnetometer"),
+        (("schema",), "imucal/report/2"),
+    ],
+)
+def test_schema_refuses_what_is_wrong(place: tuple[Any, ...], value: object) -> None:
+    """A schema that accepts everything would prove nothing."""
+    document: Any = to_document(consumer_report())
+    _set(document, place, value)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.Draft202012Validator(schema()).validate(document)
+
+
+def test_document_is_the_golden_one(*, update_golden: bool) -> None:
+    """Names, order and numbers of report.json are a promise; renew with --update-golden."""
+    text = dumps(to_document(small_report()))
+    if update_golden:
+        _GOLDEN.parent.mkdir(exist_ok=True)
+        _GOLDEN.write_text(text, encoding="utf-8")
+    golden = json.loads(_GOLDEN.read_text(encoding="utf-8"))
+    found = json.loads(text)
+    assert _skeleton(found) == _skeleton(golden)
+    # Special functions differ in their last digits between versions of SciPy.
+    npt.assert_allclose(_numbers(found), _numbers(golden), rtol=1e-9)
+
+
+@pytest.mark.parametrize("make", [consumer_report, small_report])
+def test_way_back_gives_the_same_report(make: Callable[[], Report]) -> None:
+    """Reading and writing again changes not one bit of the file."""
+    report = make()
+    text = dumps(to_document(report))
+    again = from_document(json.loads(text))
+    assert dumps(to_document(again)) == text
+    for axis, original in zip(again.axes, report.axes, strict=True):
+        assert axis.fit.model == original.fit.model
+        assert axis.fit.estimates == original.fit.estimates
+        assert axis.fit.goodness == original.fit.goodness
+        assert (axis.gaps, axis.findings) == (original.gaps, original.findings)
+        npt.assert_array_equal(axis.fit.covariance, original.fit.covariance)
+        npt.assert_array_equal(axis.fit.used, original.fit.used)
+        npt.assert_array_equal(axis.spectrum.psd, original.spectrum.psd)
+        npt.assert_array_equal(axis.overview.low, original.overview.low)
+        npt.assert_allclose(axis.fit.curve.avar, original.fit.curve.avar, rtol=1e-15)
+    assert (again.source, again.findings, again.version) == (report.source, report.findings, report.version)
+    assert dict(again.settings) == dict(report.settings)
+
+
+def test_unknown_numbers_are_null_and_come_back() -> None:
+    """No NaN and no infinity stands in the file; an unknown bound comes back as infinite."""
+    report = small_report()
+    axis = report.axes[0]
+    curve = replace(axis.fit.curve, edf=np.full(axis.fit.curve.edf.size, np.nan))
+    unbounded = tuple(replace(e, high=math.inf) if e.key == "K" else e for e in axis.fit.estimates)
+    fit = replace(axis.fit, curve=curve, estimates=unbounded)
+    text = dumps(to_document(replace(report, axes=(replace(axis, fit=fit, mean=math.nan),))))
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    jsonschema.validate(json.loads(text), schema())
+    again = from_document(json.loads(text)).axes[0]
+    assert math.isnan(again.mean)
+    assert np.isnan(again.fit.curve.edf).all()
+    assert again.fit["K"].high == math.inf
+
+
+def test_an_axis_with_nothing_shown_comes_back() -> None:
+    """A fit without a single term has an empty model; it still is a report."""
+    report = small_report()
+    axis = report.axes[0]
+    bounded = tuple(replace(e, status="bounded", value=None, low=0.0) for e in axis.fit.estimates)
+    empty = replace(axis.fit.model, terms=())
+    fit = replace(axis.fit, model=empty, estimates=bounded, parameters=(), covariance=np.zeros((0, 0)))
+    text = dumps(to_document(replace(report, axes=(replace(axis, fit=fit),))))
+    again = from_document(json.loads(text))
+    assert again.axes[0].fit.model == empty
+    assert dumps(to_document(again)) == text
+
+
+def test_load_takes_the_file_or_its_folder(tmp_path: Path) -> None:
+    """People name the folder that the run printed."""
+    (tmp_path / "report.json").write_text(dumps(to_document(small_report())), encoding="utf-8")
+    assert load(tmp_path).axes[0].name == load(tmp_path / "report.json").axes[0].name == "gyro_x"
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (
+            ("axes", 2, "fit", "method"),
+            7,
+            "r.json: axes[2].fit.method: found 7, expected a text; write the report again",
+        ),
+        (
+            ("axes", 0, "fit", "terms", "N", "value"),
+            "big",
+            'r.json: axes[0].fit.terms.N.value: found "big", expected a number; write the report again',
+        ),
+        (
+            ("axes", 0, "fit", "terms", "N", "value"),
+            None,
+            (
+                "r.json: axes[0].fit.terms.N.value: found null, expected a value that fits 'estimated'; "
+                "write the report again"
+            ),
+        ),
+        (
+            ("axes", 1, "sensor"),
+            "compass",
+            (
+                'r.json: axes[1].sensor: found "compass", expected "gyroscope" or "accelerometer"; '
+                "write the report again"
+            ),
+        ),
+        (
+            ("axes", 0, "curve", "adev"),
+            [1.0],
+            (
+                "r.json: axes[0].curve.adev: found a list of 1, expected 21 items as beside it; "
+                "write the report again"
+            ),
+        ),
+        (
+            ("axes", 0, "curve", "used"),
+            [99],
+            "r.json: axes[0].curve.used: found the index 99, expected less than 21; write the report again",
+        ),
+        (
+            ("axes", 0, "rate_hz"),
+            0,
+            "r.json: axes[0].rate_hz: found 0, expected a number above 0; write the report again",
+        ),
+        (
+            ("axes", 0, "fit", "expression"),
+            "N=x",
+            (
+                "r.json: axes[0].fit.expression: found a model that can't be read ('x' is not a number; "
+                "write a sum such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'), expected a sum of valued "
+                "terms; write the report again"
+            ),
+        ),
+        (
+            ("schema",),
+            "imucal/report/9",
+            'r.json: the schema is "imucal/report/9", expected "imucal/report/1"; write the report again',
+        ),
+    ],
+)
+def test_error_says_where_what_and_what_was_expected(
+    place: tuple[Any, ...], value: object, message: str
+) -> None:
+    """The place is a path into the document."""
+    document: Any = to_document(consumer_report())
+    _set(document, place, value)
+    with pytest.raises(ReadError) as caught:
+        from_document(document, file="r.json")
+    assert str(caught.value) == message
+
+
+def test_a_missing_key_is_named() -> None:
+    """With the keys that stand there."""
+    document: Any = to_document(small_report())
+    del document["axes"][0]["gaps"][:]
+    document["axes"][0]["gaps"].append({"start_s": 1.0, "missing": 2})
+    with pytest.raises(ReadError) as caught:
+        from_document(document, file="r.json")
+    assert str(caught.value) == (
+        "r.json: axes[0].gaps[0]: found start_s, missing, expected the key 'duration_s'; "
+        "write the report again"
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "no such file, expected the report.json that imucal writes"),
+        (b"time,gx\n", "not JSON (Expecting value: line 1 column 1 (char 0)), expected the report.json"),
+        (b"[1]", "found [1], expected an object"),
+        (b'{"schema": NaN}', "not JSON (it holds NaN), expected the report.json"),
+        (b"\xff\xfe\xfa", "not JSON"),
+        (b"{}", 'the schema is null, expected "imucal/report/1"'),
+    ],
+)
+def test_load_refuses_other_files(tmp_path: Path, content: bytes | None, message: str) -> None:
+    """Whatever the file holds, the error is one message that names it."""
+    file = tmp_path / "report.json"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(ReadError) as caught:
+        load(file)
+    assert str(caught.value).startswith(f"{file}: {message}")
+
+
+def test_every_truncation_is_refused_with_a_message(tmp_path: Path) -> None:
+    """A file that was cut anywhere never gives a report or a traceback of another kind."""
+    text = dumps(to_document(small_report()))
+    file = tmp_path / "report.json"
+    for size in range(0, len(text) - 2, 997):
+        file.write_text(text[:size], encoding="utf-8")
+        with pytest.raises(ReadError):
+            load(file)
+
+
+def test_settings_may_hold_what_numpy_and_paths_are() -> None:
+    """Arrays, scalars, tuples and paths become plain JSON; anything else is a caller's mistake."""
+    assert plain({"a": np.float64(1.5), "b": (1, 2), "p": Path("x/y"), "n": np.array([1.0, np.nan])}) == {
+        "a": 1.5,
+        "b": [1, 2],
+        "p": "x/y",
+        "n": [1.0, None],
+    }
+    with pytest.raises(TypeError, match="has no place in a report"):
+        plain(object())
+
+
+def _set(
+    document: Any,  # noqa: ANN401 - a JSON document
+    place: tuple[Any, ...],
+    value: object,
+) -> None:
+    for key in place[:-1]:
+        document = document[key]
+    document[place[-1]] = value
+
+
+def _skeleton(value: object) -> object:
+    """Return the document with every number but the integers taken out; keys in their order."""
+    if isinstance(value, dict):
+        return [(key, _skeleton(item)) for key, item in value.items()]
+    if isinstance(value, list):
+        return [_skeleton(item) for item in value]
+    return "number" if isinstance(value, float) else value
+
+
+def _numbers(value: object) -> list[float]:
+    if isinstance(value, dict):
+        return [number for item in value.values() for number in _numbers(item)]
+    if isinstance(value, list):
+        return [number for item in value for number in _numbers(item)]
+    return [value] if isinstance(value, float) else []
