@@ -1,0 +1,169 @@
+"""Verdicts: a limit passes or fails by the interval, not by the point.
+
+pass: the whole interval is within the limit; fail: the whole interval is beyond it; undecided: the
+limit lies inside the interval, so that the record can't tell.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+__all__ = ["CheckResult", "Measured", "Row", "Verdict", "judge", "worst_first"]
+
+Verdict: TypeAlias = Literal["pass", "fail", "undecided"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """A quantity and its interval, in one unit; `value` is None for a bounded term.
+
+    A quantity without an interval (a rate, a count) has ``low == value == high``.
+    """
+
+    value: float | None
+    low: float
+    high: float
+
+    @classmethod
+    def exactly(cls, value: float) -> "Measured":
+        """Return a quantity without an interval."""
+        return cls(value=value, low=value, high=value)
+
+    def scaled(self, factor: float) -> "Measured":
+        """Return it in another unit."""
+        value = None if self.value is None else self.value * factor
+        return Measured(value=value, low=self.low * factor, high=self.high * factor)
+
+    def text(self) -> str:
+        """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or the number alone."""
+        if self.value is not None and self.low == self.high:
+            return f"{self.value:.6g}"
+        if self.value is not None:
+            return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+        if math.isinf(self.high):
+            return f">= {self.low:.4g}"
+        return f"[{self.low:.4g}, {self.high:.4g}]" if self.low > 0 else f"<= {self.high:.4g}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One verdict.
+
+    Attributes
+    ----------
+    where
+        Axis, sensor or ``log``.
+    subject
+        What was judged: a symbol, a quantity, ``axes``, ``findings``, ``N / baseline``.
+    side, limit, unit
+        ``min`` or ``max`` and the limit in its unit; None where the rule isn't a number.
+    measured
+        In the same unit; None where there is nothing to measure.
+    verdict
+        ``pass``, ``fail`` or ``undecided``.
+    text
+        One sentence.
+    """
+
+    where: str
+    subject: str
+    verdict: Verdict
+    text: str
+    side: Literal["min", "max"] | None = None
+    limit: float | None = None
+    unit: str = ""
+    measured: Measured | None = None
+
+    @property
+    def rule(self) -> str:
+        """The limit in words, such as ``N <= 0.3 deg/sqrt(h)``."""
+        if self.limit is None:
+            return self.subject
+        return f"{self.subject} {'<=' if self.side == 'max' else '>='} {self.limit:.6g} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckResult:
+    """What came of a check.
+
+    Attributes
+    ----------
+    source
+        The log the report is about.
+    level
+        Confidence level of the intervals.
+    rows
+        One a limit and axis.
+    undecided_fails
+        Whether an undecided limit fails the check.
+    version
+        imucal's version.
+    """
+
+    source: str
+    level: float
+    rows: tuple[Row, ...]
+    undecided_fails: bool
+    version: str
+
+    @property
+    def verdict(self) -> Verdict:
+        """``fail`` where a row failed; else ``undecided`` where one is; else ``pass``."""
+        found = {row.verdict for row in self.rows}
+        return "fail" if "fail" in found else "undecided" if "undecided" in found else "pass"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gate opens."""
+        return not any(self.fails(row) for row in self.rows)
+
+    def fails(self, row: Row) -> bool:
+        """Return whether a row closes the gate."""
+        return row.verdict == "fail" or (row.verdict == "undecided" and self.undecided_fails)
+
+    def count(self, verdict: Verdict) -> int:
+        """Return how many rows have a verdict."""
+        return sum(row.verdict == verdict for row in self.rows)
+
+
+def judge(
+    where: str,
+    subject: str,
+    measured: Measured,
+    *,
+    side: Literal["min", "max"],
+    limit: float,
+    unit: str = "",
+) -> Row:
+    """Return the verdict on one limit; `measured` and `limit` are in `unit`."""
+    inside, outside = measured.high <= limit, measured.low > limit
+    if side == "min":
+        inside, outside = measured.low >= limit, measured.high < limit
+    verdict: Verdict = "pass" if inside else "fail" if outside else "undecided"
+    beyond = "above" if side == "max" else "below"
+    side_word = "largest" if side == "max" else "smallest"
+    shown = f"{subject} is {measured.text()} {unit}".rstrip()
+    if measured.value is None:
+        shown = f"{subject} is not identified, but {measured.text()} {unit}".rstrip()
+    said = {
+        "pass": f"not {beyond} the {side_word} allowed, {limit:.6g}",
+        "fail": f"{beyond} the {side_word} allowed, {limit:.6g}",
+        "undecided": f"the interval holds the {side_word} allowed, {limit:.6g}; record for longer to decide",
+    }
+    return Row(
+        where=where,
+        subject=subject,
+        side=side,
+        limit=limit,
+        unit=unit,
+        measured=measured,
+        verdict=verdict,
+        text=f"{where}: {shown}; {said[verdict]}",
+    )
+
+
+def worst_first(rows: Iterable[Row]) -> tuple[Row, ...]:
+    """Return the rows with failures first, undecided ones next, each in their order."""
+    order = {"fail": 0, "undecided": 1, "pass": 2}
+    return tuple(sorted(rows, key=lambda row: order[row.verdict]))
