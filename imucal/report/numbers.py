@@ -27,6 +27,7 @@ __all__ = [
     "hours",
     "minimum",
     "power_of_ten",
+    "seconds",
     "si",
     "term_name",
     "with_interval",
@@ -117,6 +118,11 @@ def hours(seconds: float) -> str:
     return text if value >= 0.1 else f"{seconds:.3g} s ({text})"
 
 
+def seconds(value: float) -> str:
+    """Return a time with three digits and without an exponent, such as ``2620 s``."""
+    return f"{float(f'{value:.3g}'):.10g} s"
+
+
 def decimals(quantity: Quantity) -> int:
     """Return the decimal places its interval supports (negative: places before the point)."""
     if quantity.value is None:
@@ -129,9 +135,8 @@ def decimals(quantity: Quantity) -> int:
     if half <= floor:
         return _places(quantity.value, 4)
     lead = half / 10 ** math.floor(math.log10(half))
-    if lead < 3.55 or lead >= 9.5:
-        return _places(half, 2)
-    return _places(half, 1)
+    digits = 2 if lead < 3.55 or lead >= 9.5 else 1
+    return max(_places(half, digits), _places(quantity.value, 2))
 
 
 def power_of_ten(quantity: Quantity) -> int:
