@@ -39,12 +39,13 @@ def screen(recording: Recording) -> tuple[Finding, ...]:
     Codes: ``no-data``, ``stuck``, ``saturated``, ``repeated-samples``, ``coarse-lsb``,
     ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``, ``no-gravity``, ``motion``,
     ``touch``, ``step``, ``warm-up``, ``temperature``, ``tone``, ``roll-off``.
-    The samples are passed once, in blocks; NaN and gaps are left out.
+    The samples are passed once, in blocks; NaN and gaps are left out. Fewer than 16 samples in a row
+    say nothing.
     """
     profiles = [profile(series) for series in recording.series]
     findings = [finding for p in profiles for finding in check_no_data(p)]
     dead = {finding.axis for finding in findings}
-    alive = [p for p in profiles if p.name not in dead]
+    alive = [p for p in profiles if p.name not in dead and p.windows.size]
     findings += [finding for check in _LOG_CHECKS for finding in check(alive)]
     rest = next((found for check in _REST_CHECKS if (found := check(alive))), ())
     findings += rest

@@ -1,51 +1,30 @@
-"""What chance alone does: the spread of windows' variances, judged from their quiet half.
+"""What chance alone does: limits that noise of any colour rarely passes.
 
-Every threshold of the screening is set from the data's own quiet half, so that a touch does not
-hide itself by raising the yardstick, and noise of any colour keeps its false alarms rare.
+Every threshold of the screening comes from the axis's own quiet windows, so that a touch does not
+hide itself by raising the yardstick.
 """
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 
 from imucal.arrays import FloatArray
 
-__all__ = ["ScaledChiSquare", "chi_square_quantile", "normal_quantile"]
-
-#: Normal quantile of 10 %, with the sign turned.
-_TENTH = 1.2815515655446004
+__all__ = ["chi_square_quantile", "normal_quantile", "variance_limit"]
 
 
-@dataclass(frozen=True, slots=True)
-class ScaledChiSquare:
-    """Variances that spread as ``scale * chi2(edf) / edf``."""
+def variance_limit(variances: FloatArray, p_above: float) -> float:
+    """Return what the variance of a quiet window exceeds with a probability of at most about `p_above`.
 
-    scale: float
-    edf: float
-
-    @classmethod
-    def from_quiet_half(cls, variances: FloatArray, *, largest_edf: float) -> "ScaledChiSquare":
-        """Return the law that has the median and the lowest tenth of `variances`, shape (k,), k >= 1.
-
-        Up to 40 % of disturbed windows change neither by much.
-
-        Source: Wilson & Hilferty (1931), the cube root of a chi-square variable is nearly normal.
-        """
-        tenth, middle = np.quantile(variances, [0.1, 0.5])
-        if not tenth > 0:
-            return cls(float(middle), 1.0)
-        ratio = float((middle / tenth) ** (1 / 3))
-        if ratio <= 1:
-            return cls(float(middle), largest_edf)
-        # Solve (1 - s^2) / (1 - s^2 - z s) = ratio for s = sqrt(2 / (9 edf)).
-        a, b = ratio - 1, _TENTH * ratio
-        s = (np.sqrt(b * b + 4 * a * a) - b) / (2 * a)
-        edf = float(np.clip(2 / (9 * s * s), 1.0, largest_edf))
-        return cls(float(middle) / (1 - 2 / (9 * edf)) ** 3, edf)
-
-    def quantile(self, p_above: float) -> float:
-        """Return what a variance exceeds with probability `p_above`."""
-        return self.scale * chi_square_quantile(p_above, self.edf)
+    A variance is a sum of weighted chi-squares: its tail falls as exp(-x/c), where c shows between
+    the median and the 80 % quantile, whatever the colour of the noise. Windows in motion, when they
+    are more than a fifth, would raise that; so the limit is never above that of two degrees of
+    freedom with the same median. Shape of `variances` (k,), k >= 1.
+    """
+    middle, upper = (float(q) for q in np.quantile(variances, [0.5, 0.8]))
+    reach = math.log(0.5 / p_above)
+    fitted = middle + (upper - middle) / math.log(0.5 / 0.2) * reach
+    return min(fitted, middle * (1 + reach / math.log(2)))
 
 
 def chi_square_quantile(p_above: float, edf: float) -> float:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from imucal.findings import Finding
 from imucal.recording import Sensor
 from imucal.screen.profile import Profile
-from imucal.screen.stillness import quiet_law
+from imucal.screen.stillness import usual_variance
 from imucal.screen.units import gravity
 from imucal.screen.words import name_list, span, time
 
@@ -137,9 +137,8 @@ def _spans(profile: Profile) -> list[tuple[float, float, float]]:
     windows, marks = profile.windows, profile.disturbed
     if not marks.any():
         return []
-    quiet = quiet_law(windows)
     firsts, lasts = _runs(marks)
-    scale = max(quiet.scale, (profile.lsb or 0.0) ** 2 / 12)
+    scale = max(usual_variance(windows), (profile.lsb or 0.0) ** 2 / 12)
     spans = []
     for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
         loudest = windows.variance[first : last + 1].max()

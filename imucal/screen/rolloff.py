@@ -17,6 +17,8 @@ _FALL = 0.5
 _FLAT = 1.2
 #: The plateau lies above this part of half the sampling rate: lower ones are slow noise, not filters.
 _LOWEST = 0.03
+#: Repeated samples fall off too: more than this part of them is another finding.
+_HELD = 0.2
 
 
 def corner(density: Density) -> float | None:
@@ -25,42 +27,40 @@ def corner(density: Density) -> float | None:
     Only a fall from a flat octave counts: flicker and random walks fall all the way.
     """
     frequency, level, edf = _bands(density)
-    error = np.sqrt(2 / edf)
     nyquist = float(density.frequency[-1])
-    inner = frequency < 0.95 * nyquist
-    end = float(level[inner][-4:].mean())
-    best: tuple[float, float] | None = None
-    for i in range(1, level.size):
-        top = int(np.searchsorted(frequency, 2 * frequency[i]))
-        if frequency[i] < _LOWEST * nyquist or top + 4 > inner.sum():
-            continue
-        below, above = (
-            level[i : i + max(1, (top - i) // 2)].mean(),
-            level[i + (top - i) // 2 : top + 1].mean(),
-        )
-        plateau = float(level[i : top + 1].mean())
-        flat = 1 / _FLAT < below / above < _FLAT + 2 * error[i]
-        if (
-            flat
-            and end * (1 + 3 * float(error[-1]) / 2) < _FALL * plateau
-            and (best is None or plateau > best[1])
-        ):
-            best = (float(frequency[top]), plateau)
-    if best is None:
+    end = float(level[frequency < 0.95 * nyquist][-4:].mean()) * (1 + 3 * np.sqrt(2 / (4 * edf)))
+    plateaus = [
+        plateau
+        for first in np.flatnonzero(frequency >= _LOWEST * nyquist).tolist()
+        if (plateau := _plateau(frequency, level, edf, first)) and end < _FALL * plateau[1]
+    ]
+    if not plateaus:
         return None
-    start, plateau = best
-    fallen = np.flatnonzero((frequency >= start) & (level < 0.5 * plateau))
-    return float(frequency[fallen[0]]) if fallen.size else None
+    start, height = max(plateaus, key=lambda plateau: plateau[1])
+    fallen = frequency[(frequency >= start) & (level < 0.5 * height)]
+    return float(fallen[0]) if fallen.size else None
 
 
-def _bands(density: Density) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the middle, the level and the degrees of freedom of each band; a median leaves tones out."""
+def _plateau(frequency: FloatArray, level: FloatArray, edf: float, first: int) -> tuple[float, float] | None:
+    """Return the end and the level of the octave from a band on; None where it is not flat."""
+    stop = int(np.searchsorted(frequency, 2 * frequency[first]))
+    middle = (first + stop) // 2
+    if stop >= frequency.size or middle == first:
+        return None
+    lower, upper = float(level[first:middle].mean()), float(level[middle:stop].mean())
+    error = float(np.sqrt(2 / edf * (1 / (middle - first) + 1 / (stop - middle))))
+    flat = error < _FLAT - 1 and 1 / _FLAT < lower / upper < _FLAT
+    return (float(frequency[stop]), (lower + upper) / 2) if flat else None
+
+
+def _bands(density: Density) -> tuple[FloatArray, FloatArray, float]:
+    """Return middle and level of each band, and its degrees of freedom; a median leaves tones out."""
     inner = np.arange(1, density.psd.size - 1)
     parts = np.array_split(inner, min(_BANDS, inner.size // 8))
     frequency = np.array([density.frequency[part].mean() for part in parts])
     level = np.array([np.median(density.psd[part]) for part in parts])
     # A median of normal values has 2/pi of the mean's efficiency; Hann neighbours correlate by 1.5.
-    edf = np.array([part.size * density.edf * (2 / np.pi) / 1.5 for part in parts])
+    edf = inner.size / len(parts) * density.edf * (2 / np.pi) / 1.5
     return frequency, level, edf
 
 
@@ -68,7 +68,8 @@ def check_roll_off(profile: Profile) -> tuple[Finding, ...]:
     """Return a note on the output filter that the density shows."""
     series, density = profile.series, profile.density
     cutoff = corner(density) if density is not None else None
-    if cutoff is None:
+    held = profile.windows.repeats.sum() > _HELD * profile.windows.width * profile.windows.size
+    if cutoff is None or held:
         return ()
     return (
         Finding(

@@ -15,6 +15,8 @@ __all__ = ["check_steps"]
 _LIMIT = 9.0
 #: Steps are looked for between means of 2^j windows, while this many of them fit into the log.
 _LEAST_MEANS = 40
+#: Nearer to the ends of the log than this part of it, a jump is no level that stays.
+_CLEAR = 0.05
 #: Median of |normal|.
 _MEDIAN_NORMAL = 0.6744898
 
@@ -66,7 +68,8 @@ def _largest(profile: Profile) -> _Step | None:
     while span * _LEAST_MEANS <= mean.size:
         jumps, places = _jumps(mean, span)
         scale = float(np.median(np.abs(jumps))) / _MEDIAN_NORMAL
-        top = int(np.abs(jumps).argmax())
+        clear = max(0, int(_CLEAR * mean.size) - span)
+        top = clear + int(np.abs(jumps[clear : jumps.size - clear]).argmax())
         height = float(jumps[top])
         score = abs(height) / scale if scale > 0 else 0.0
         if score > _LIMIT and abs(height) > least and (best is None or score > best.score):

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
 from imucal.recording import AxisSeries
-from imucal.screen.chance import ScaledChiSquare, normal_quantile
+from imucal.screen.chance import normal_quantile, variance_limit
 from imucal.screen.windows import Windows
 
-__all__ = ["disturbed", "quiet_law", "without_spikes"]
+__all__ = ["disturbed", "usual_variance", "without_spikes"]
 
 #: How often an axis at rest may have one disturbed window, by chance.
 _FALSE_ALARM = 1e-4
@@ -26,12 +26,10 @@ _LEAST_WINDOWS = 8
 _MEDIAN_CHI2 = 0.4549364
 
 
-def quiet_law(windows: Windows) -> ScaledChiSquare:
-    """Return how the variance spreads over the windows that are not constant."""
+def usual_variance(windows: Windows) -> float:
+    """Return the median variance of the windows that are not constant, in U²; 0 if all are."""
     varying = windows.variance[windows.variance > 0]
-    if not varying.size:
-        return ScaledChiSquare(0.0, 1.0)
-    return ScaledChiSquare.from_quiet_half(varying, largest_edf=windows.width - 1.0)
+    return float(np.median(varying)) if varying.size else 0.0
 
 
 def disturbed(windows: Windows, lsb: float | None) -> NDArray[np.bool_]:
@@ -44,7 +42,9 @@ def disturbed(windows: Windows, lsb: float | None) -> NDArray[np.bool_]:
         return np.zeros(windows.size, dtype=bool)
     p_above = _FALSE_ALARM / windows.size
     least = lsb or 0.0
-    loud = windows.variance > max(_MARGIN * quiet_law(windows).quantile(p_above), least**2)
+    varying = windows.variance[windows.variance > 0]
+    limit = variance_limit(varying, p_above) if varying.size else 0.0
+    loud = windows.variance > max(_MARGIN * limit, least**2)
     jumps = _jumps(windows)
     scale = np.sqrt(np.median(jumps[jumps > 0] ** 2) / _MEDIAN_CHI2) if np.any(jumps > 0) else 0.0
     off = jumps > max(np.sqrt(_MARGIN) * normal_quantile(p_above) * scale, least)

@@ -13,10 +13,12 @@ from imucal.screen.words import amount
 
 __all__ = ["check_temperature"]
 
-#: Numbers of blocks tried: few average white noise away, many give more to correlate.
-_COUNTS = (12, 24, 48, 96)
-#: How often unrelated series may correlate so well by chance, each count of blocks.
-_FALSE_ALARM = 1e-5
+#: Means compared with the temperature.
+_BLOCKS = 64
+#: Random walk in a block over the white noise of its mean, in variance, that are tried.
+_WALKS = (0.0, *np.logspace(-3, 3, 13).tolist())
+#: The slope must be this many standard deviations: the noise it is judged by was itself estimated.
+_LIMIT = 7.0
 #: Least change, in degrees: below it the thermometer's own noise is all there is.
 _LEAST_CHANGE = 0.3
 #: A change that is worth a word of its own, in degrees.
@@ -26,8 +28,9 @@ _LARGE_CHANGE = 3.0
 def check_temperature(profiles: Sequence[Profile], temperature: Temperature | None) -> tuple[Finding, ...]:
     """Return a finding for each axis that follows the temperature, or one for a large change alone.
 
-    What correlates are the changes from block to block: two random walks correlate in level
-    though unrelated, but not in their steps.
+    The slope is found by generalised least squares, with the residual taken for white noise and a
+    random walk: two random walks correlate in level though unrelated, and plain regression would
+    say so.
     """
     if temperature is None or not np.isfinite(temperature.samples).any():
         return ()
@@ -49,44 +52,53 @@ def _finite(temperature: Temperature) -> tuple[FloatArray, FloatArray]:
 
 
 def _follows(profile: Profile, seconds: FloatArray, degrees: FloatArray, change: float) -> Finding | None:
-    best = (1.0, 0.0, 0.0)
-    for count in _COUNTS:
-        best = min(best, _correlation(profile, seconds, degrees, count))
-    chance, correlation, slope = best
-    if chance > _FALSE_ALARM:
-        return None
     series = profile.series
+    means = blocks(profile, _BLOCKS)
+    if means.mean.size < 0.5 * _BLOCKS:
+        return None
+    slope, error = _slope(_block_means(seconds, degrees, means.time_s), means.mean)
+    if not abs(slope) > _LIMIT * error:
+        return None
     return Finding(
         level="warning",
         code="temperature",
         text=(
             f"{series.name} follows the temperature: {amount(abs(slope), series.sensor)} per degree C, "
-            f"over {change:.1f} degrees C (correlation {correlation:.2f})."
+            f"over {change:.1f} degrees C."
         ),
         advice="Record at a steady temperature, or compensate first; K and B hold the temperature's drift.",
         axis=series.name,
     )
 
 
-def _correlation(
-    profile: Profile, seconds: FloatArray, degrees: FloatArray, count: int
-) -> tuple[float, float, float]:
-    """Return probability by chance, correlation and slope, in U per degree, of the blocks' changes."""
-    from scipy.special import stdtr
+def _slope(warmth: FloatArray, mean: FloatArray) -> tuple[float, float]:
+    """Return the slope, in U per degree, and its standard deviation; shape (k,) both.
 
-    means = blocks(profile, count)
-    if means.mean.size < max(8, 0.75 * count):
-        return (1.0, 0.0, 0.0)
-    warmth = _block_means(seconds, degrees, means.time_s)
-    x, y = np.diff(warmth), np.diff(means.mean)
-    x, y = x - x.mean(), y - y.mean()
-    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
-    if not (xx > 0 and yy > 0):
-        return (1.0, 0.0, 0.0)
-    correlation = xy / np.sqrt(xx * yy)
-    freedom = x.size - 2
-    t = abs(correlation) * np.sqrt(freedom / max(1 - correlation**2, 1e-12))
-    return (float(2 * stdtr(freedom, -t)), correlation, xy / xx)
+    The ratio of random walk to white noise is the one of the largest restricted likelihood
+    (Patterson & Thompson 1971, Biometrika 58(3)).
+    """
+    k = mean.size
+    design = np.stack([np.ones(k), warmth - warmth.mean()], axis=1)
+    walk = np.minimum.outer(np.arange(1.0, k + 1), np.arange(1.0, k + 1))
+    best = (-np.inf, 0.0, np.inf)
+    for ratio in _WALKS:
+        root = np.linalg.cholesky(np.eye(k) + ratio * walk)
+        x, y = np.linalg.solve(root, design), np.linalg.solve(root, mean - mean[0])
+        normal = x.T @ x
+        if not normal[1, 1] > 0:
+            continue
+        beta = np.linalg.solve(normal, x.T @ y)
+        variance = float(np.sum((y - x @ beta) ** 2)) / (k - 2)
+        if not variance > 0:
+            return (0.0, np.inf)
+        likelihood = (
+            -np.log(np.diag(root)).sum()
+            - 0.5 * np.linalg.slogdet(normal)[1]
+            - 0.5 * (k - 2) * np.log(variance)
+        )
+        error = float(np.sqrt(variance * np.linalg.inv(normal)[1, 1]))
+        best = max(best, (float(likelihood), float(beta[1]), error))
+    return best[1], best[2]
 
 
 def _block_means(seconds: FloatArray, degrees: FloatArray, middle: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.screen.blocks import Blocks, blocks
 from imucal.screen.profile import Profile
@@ -10,13 +10,14 @@ from imucal.screen.words import amount, time
 
 __all__ = ["check_warm_up"]
 
-_BLOCKS = 64
+#: Numbers of means tried: many see a quick warm-up, few average more noise away.
+_COUNTS = (64, 32)
 #: Spans, in blocks, over which the start may drift: up to a quarter of the log.
-_SPANS: IntArray = np.array([1, 2, 4, 8, 16])
+_SPANS = (1, 2, 4, 8, 16)
 #: The drift must be this many deviations of the wander over as long a span …
-_LIMIT = 6.0
+_LIMIT = 7.0
 #: … and this much larger than the largest of the rest.
-_BEYOND = 1.5
+_BEYOND = 1.7
 #: Drift that has not settled by this part of the log never does.
 _LATEST = 0.6
 #: A shorter log, in s, warms up by nothing one could tell from a touch.
@@ -29,13 +30,15 @@ def check_warm_up(profile: Profile) -> tuple[Finding, ...]:
     The wander over a span of k blocks has variance 2 a + b k, white noise and random walk, fitted
     to the last three quarters of the log, whose steady slope is taken off.
     """
-    means = blocks(profile, _BLOCKS)
-    if means.mean.size < 0.75 * _BLOCKS or profile.series.duration_s < _LEAST_S:
+    if profile.series.duration_s < _LEAST_S:
         return ()
-    level = _without_later_slope(means)
-    if not _drifts(level):
-        return ()
-    return (_finding(profile, means, level),)
+    for count in _COUNTS:
+        means = blocks(profile, count)
+        if means.mean.size >= 0.75 * count:
+            level = _without_later_slope(means)
+            if _drifts(level):
+                return (_finding(profile, means, level),)
+    return ()
 
 
 def _without_later_slope(means: Blocks) -> FloatArray:
@@ -49,26 +52,27 @@ def _without_later_slope(means: Blocks) -> FloatArray:
 
 def _drifts(level: FloatArray) -> bool:
     rest = level[level.size // 4 :]
-    moves = [np.abs(rest[k:] - rest[:-k]) for k in _SPANS.tolist()]
+    spans = [k for k in _SPANS if k <= level.size // 4]
+    moves = [np.abs(rest[k:] - rest[:-k]) for k in spans]
     squares = np.array([np.mean(m**2) for m in moves])
     if not squares[0] > 0:
         return False
-    deviation = np.sqrt(_wander(squares))
+    deviation = np.sqrt(_wander(np.array(spans, dtype=np.float64), squares))
     largest = np.array([m.max() for m in moves])
-    start = np.abs(level[_SPANS] - level[0])
+    start = np.abs(level[spans] - level[0])
     return bool(np.any((start > _LIMIT * deviation) & (start > _BEYOND * largest)))
 
 
-def _wander(squares: FloatArray) -> FloatArray:
+def _wander(spans: FloatArray, squares: FloatArray) -> FloatArray:
     """Return 2 a + b k fitted to the mean squares over spans k, a and b not negative."""
     from scipy.optimize import nnls
 
-    spans = _SPANS.astype(np.float64)
     # The relative deviation of a mean square grows as sqrt(k): it holds fewer independent spans.
     weight = 1 / (squares * np.sqrt(spans))
     design = np.stack([np.ones_like(spans), spans], axis=1)
     coefficients, _ = nnls(design * weight[:, None], squares * weight)
-    return np.maximum(design @ coefficients, squares)
+    wander: FloatArray = np.maximum(design @ coefficients, squares)
+    return wander
 
 
 def _finding(profile: Profile, means: Blocks, level: FloatArray) -> Finding:

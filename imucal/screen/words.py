@@ -27,8 +27,13 @@ def span(start_s: float, end_s: float) -> str:
 def amount(value: float, sensor: Sensor) -> str:
     """Return ``0.0012 rad/s (0.0688 deg/s)`` or ``0.012 m/s^2 (1.22 mg)``."""
     if sensor is Sensor.GYROSCOPE:
-        return f"{value:.3g} rad/s ({math.degrees(value):.3g} deg/s)"
-    return f"{value:.3g} m/s^2 ({value / G0 * 1e3:.3g} mg)"
+        return f"{_figure(value)} rad/s ({_figure(math.degrees(value))} deg/s)"
+    return f"{_figure(value)} m/s^2 ({_figure(value / G0 * 1e3)} mg)"
+
+
+def _figure(value: float) -> str:
+    """Return three digits, without an exponent where four or five digits say it as well."""
+    return f"{value:.0f}" if 999.5 <= abs(value) < 1e5 else f"{value:.3g}"
 
 
 def name_list(names: list[str]) -> str:
