@@ -71,9 +71,34 @@ def variances(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatAr
 def sum_of_squares(values: FloatArray) -> float:
     """Return the sum of squares of a contiguous array of shape (n,), on one thread."""
     whole = values.size - values.size % _ROW
-    rows = values[:whole].reshape(-1, _ROW)
-    tail = values[whole:]
+    rows, tail = values[:whole].reshape(-1, _ROW), values[whole:]
     return float(np.vecdot(rows, rows).sum() + np.vecdot(tail, tail))
+
+
+class _Squares:
+    """The sum of squares of what is written to a work array, block after block.
+
+    It is kept row by row until the end, which saves a reduction a block.
+    """
+
+    def __init__(self, work: FloatArray) -> None:
+        self.work = work
+        self._rows = work.reshape(-1, _ROW)
+        self._block = np.empty(len(self._rows))
+        self._total = np.zeros(len(self._rows))
+
+    def add(self, count: int) -> None:
+        """Add the squares of the first `count` elements of the work array."""
+        whole = count // _ROW
+        rows, block = self._rows[:whole], self._block[:whole]
+        np.vecdot(rows, rows, out=block)
+        self._total[:whole] += block
+        if count % _ROW:
+            tail = self.work[whole * _ROW : count]
+            self._total[0] += np.vecdot(tail, tail)
+
+    def total(self) -> float:
+        return float(self._total.sum())
 
 
 def _integral(samples: FloatArray, integrations: int) -> FloatArray:
@@ -98,16 +123,18 @@ def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
     factors: list[int] = m.tolist()
     reach = order * max(factors)
     end = samples.size + depth
-    sums = [0.0] * len(factors)
-    work = [np.empty(_BLOCK + reach) for _ in range(2)]
+    work = np.empty(_BLOCK)
+    lower = [np.empty(_BLOCK + reach) for _ in range(order - 1)]
+    squares = [_Squares(work) for _ in factors]
     for start in range(0, end - order * min(factors), _BLOCK):
         stop = min(start + _BLOCK + reach, end)
         local = _local_integral(samples[start : stop - depth], depth)
-        for i, factor in enumerate(factors):
-            count = min(_BLOCK, end - start - order * factor)
+        for factor, square in zip(factors, squares, strict=True):
+            count = min(_BLOCK, local.size - order * factor)
             if count > 0:
-                sums[i] += _block_sum(local[: count + order * factor], factor, order, work)
-    return np.array(sums)
+                _difference(local[: count + order * factor], factor, lower, work)
+                square.add(count)
+    return np.array([square.total() for square in squares])
 
 
 def _local_integral(samples: FloatArray, depth: int) -> FloatArray:
@@ -120,14 +147,12 @@ def _local_integral(samples: FloatArray, depth: int) -> FloatArray:
     return local
 
 
-def _block_sum(values: FloatArray, m: int, order: int, work: list[FloatArray]) -> float:
-    """Return the sum of the squared m-step differences of `order` of a block in the cache."""
-    current = values
-    for level in range(order):
-        target = work[level % 2][: current.size - m]
-        np.subtract(current[m:], current[:-m], out=target)
-        current = target
-    return sum_of_squares(current)
+def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatArray) -> None:
+    """Write the m-step difference of order ``len(lower) + 1`` of a block to the start of `out`."""
+    for target in (*lower, out):
+        size = values.size - m
+        np.subtract(values[m:], values[:size], out=target[:size])
+        values = target[:size]
 
 
 def _large_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
@@ -141,21 +166,22 @@ def _column_sum(total: FloatArray, m: int, order: int) -> float:
     A step needs one new chunk of the integral: the lower differences are kept from the step before.
     """
     count = total.size - order * m
-    kept = [np.empty(_BLOCK) for _ in range(order)]
-    fresh = [np.empty(_BLOCK) for _ in range(order)]
-    total_sum = 0.0
+    work = np.empty(_BLOCK)
+    squares = _Squares(work)
+    kept = [np.empty(_BLOCK) for _ in range(order - 1)]
+    fresh = [np.empty(_BLOCK) for _ in range(order - 1)]
     for column in range(0, min(m, count), _BLOCK):
         width = min(_BLOCK, m - column, count - column)
         for step, place in enumerate(range(column, total.size - m, m)):
             size = min(width, total.size - m - place)
-            low, high = total[place : place + size], total[place + m : place + m + size]
-            np.subtract(high, low, out=fresh[0][:size])
-            for level in range(1, min(order, step + 1)):
+            np.subtract(total[place + m : place + m + size], total[place : place + size], out=fresh[0][:size])
+            for level in range(1, min(order - 1, step + 1)):
                 np.subtract(fresh[level - 1][:size], kept[level - 1][:size], out=fresh[level][:size])
             if step >= order - 1:
-                total_sum += sum_of_squares(fresh[order - 1][:size])
+                np.subtract(fresh[-1][:size], kept[-1][:size], out=work[:size])
+                squares.add(size)
             kept, fresh = fresh, kept
-    return total_sum
+    return squares.total()
 
 
 def _strided_sums(total: FloatArray, m: IntArray, order: int) -> FloatArray:
