@@ -69,12 +69,13 @@ def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
             yield _fails(name, "axes", f"{name}: the report has no such axis; found {_names(report.axes)}")
     for name in dict.fromkeys(limit.where for limit in limits.limits):
         if "_" not in name and not axes_of(report, name):
-            yield _fails(name, "axes", f"{name}: the report has no axis of it; found {_names(report.axes)}")
+            found = _names(report.axes)
+            yield _fails(_short(name), "axes", f"{name}: the report has no axis of it; found {found}")
     for sensor in limits.required:
         asked = {f"{sensor.short}_{axis}" for axis in limits.required[sensor]}
         if asked <= there:
             yield Row(
-                where=sensor,
+                where=sensor.short,
                 subject="axes",
                 verdict="pass",
                 text=f"{sensor}: {', '.join(sorted(asked))} are there",
@@ -164,6 +165,10 @@ def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) 
 
 def _fails(where: str, subject: str, text: str) -> Row:
     return Row(where=where, subject=subject, verdict="fail", text=text)
+
+
+def _short(where: str) -> str:
+    return Sensor(where).short if where in tuple(Sensor) else where
 
 
 def _names(axes: Iterable[AxisReport]) -> str:

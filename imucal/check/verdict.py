@@ -36,11 +36,13 @@ class Measured:
         return Measured(value=value, low=self.low * factor, high=self.high * factor)
 
     def text(self) -> str:
-        """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or the number alone."""
+        """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or a number alone."""
         if self.value is not None and self.low == self.high:
             return f"{self.value:.6g}"
         if self.value is not None:
             return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+        if math.isinf(self.high) and self.low == 0:
+            return "unknown"
         if math.isinf(self.high):
             return f">= {self.low:.4g}"
         return f"[{self.low:.4g}, {self.high:.4g}]" if self.low > 0 else f"<= {self.high:.4g}"

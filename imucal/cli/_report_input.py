@@ -1,0 +1,73 @@
+"""REPORT of a command: a report.json, its folder, or a log, which is characterised first."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from imucal.cli._options import LogRequest, log_options, say
+from imucal.report.result import Report
+
+__all__ = ["REPORT", "load_report", "report_or_log"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+#: What a REPORT is, for the help of an option that takes no log.
+REPORT = "report.json or its folder"
+
+
+def report_or_log(command: Command) -> Callable[..., Any]:
+    """Add the REPORT argument and the options of reading a log; the command gets them as `request`."""
+    decorated = log_options(command)
+    for parameter in decorated.__click_params__:  # type: ignore[attr-defined]
+        if isinstance(parameter, click.Argument):
+            parameter.metavar = "REPORT"
+        elif parameter.name == "strict":
+            parameter.help = "Log: Refuse a damaged log."
+        elif parameter.name not in ("quiet", "verbose"):
+            parameter.help = f"Log: {parameter.help}"
+    return decorated
+
+
+def load_report(request: LogRequest) -> Report:
+    """Load a report, or read and characterise a log.
+
+    Options of reading are refused beside a report: they would change nothing.
+    """
+    first = Path(request.logs[0])
+    if not is_report(first):
+        return _characterise(request)
+    if len(request.logs) > 1:
+        msg = f"{first} is a report; give one report, or logs only"
+        raise click.UsageError(msg)
+    if asked := sorted(request.settings()):
+        names = ", ".join(name.removesuffix("_s").removesuffix("_hz").replace("_", "-") for name in asked)
+        msg = f"{first} is a report, but {names} is about reading a log; run 'imucal fit' on the log with it"
+        raise click.UsageError(msg)
+    return read_report(first)
+
+
+def read_report(path: Path) -> Report:
+    """Load a report by its file or folder."""
+    from imucal.report.json_file import load
+
+    return load(path)
+
+
+def is_report(path: Path) -> bool:
+    """Return whether a path is a report and not a log."""
+    return path.suffix == ".json" or (path / "report.json").exists()
+
+
+def _characterise(request: LogRequest) -> Report:
+    from imucal.cli._findings import print_findings
+    from imucal.cli.fit import _axes_progress
+    from imucal.pipeline import Settings, characterize
+
+    recording = request.read()
+    with _axes_progress(quiet=request.quiet) as progress:
+        report = characterize(recording, Settings(reading=request.settings()), progress=progress)
+    print_findings(report, quiet=request.quiet)
+    say("Characterised with the defaults of 'imucal fit'", quiet=request.quiet)
+    return report

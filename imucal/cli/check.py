@@ -1,0 +1,157 @@
+"""``imucal check``: the gate that a CI runs."""
+
+import json
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from imucal.check import Baseline, CheckResult, FindingRules, Limits, Row, Verdict
+from imucal.cli._options import LogRequest, say
+from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
+from imucal.report.result import Report
+
+__all__ = ["command"]
+
+_COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
+_WIDTH = 80
+
+
+@click.command(
+    epilog="""\b
+Limits (TOML):
+  undecided = "pass"       # what an interval that holds the limit means
+  [gyroscope]              # or accelerometer, or one axis: [gyro_z]
+  N = { max = 0.3, unit = "deg/sqrt(h)" }     # Q N B K R GM; SI unless said
+  minimum = { max = 10, unit = "deg/h" }      # also mean, std
+  [log]
+  duration = { min = 2, unit = "h" }          # also rate, gaps, missing
+  [findings]
+  level = "warning"        # forbid these and graver; also forbid, allow
+  [baseline]
+  report = "golden/report.json"
+  max_increase = 0.2
+
+\b
+Examples:
+  imucal check still-imucal --limits limits.toml
+  imucal check still.mcap --limits limits.toml --junit imucal.xml --github
+  imucal check still-imucal --baseline golden-imucal --json | jq .verdict
+
+\b
+Exit codes: 0 nothing failed, 1 a limit failed, 2 usage or a wrong limits
+file, 3 the report or log can't be read, 4 the data can't be analysed."""
+)
+@click.option(
+    "--limits",
+    "limits_file",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="What is allowed, in TOML.",
+)
+@click.option(
+    "--baseline",
+    type=click.Path(exists=True, path_type=Path),
+    metavar="REPORT",
+    help=f"Older report ({REPORT}); alone it allows 20 % more N, B and K.",
+)
+@click.option(
+    "--undecided",
+    type=click.Choice(["pass", "fail"]),
+    help="What an interval that holds the limit means. [default: the limits file's, else pass]",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
+@click.option(
+    "--junit", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Write JUnit XML too."
+)
+@click.option("--github", is_flag=True, help="Print GitHub annotations too (on standard error with --json).")
+@report_or_log
+def command(
+    *,
+    request: LogRequest,
+    limits_file: Path | None,
+    baseline: Path | None,
+    undecided: str | None,
+    as_json: bool,
+    junit: Path | None,
+    github: bool,
+) -> None:
+    """Pass or fail a report, or a log, against limits.
+
+    REPORT is a report.json, its folder, or a log (which is characterised first). A limit passes
+    when the whole interval is within it and fails when the whole interval is beyond it; when the
+    limit lies inside the interval it is undecided: the record is too short to tell. Undecided
+    limits don't fail the check unless --undecided fail, or the limits file, says so.
+    """
+    from imucal.check import check, github_annotations, junit_xml, to_document
+
+    limits = _limits(limits_file, baseline)
+    if undecided is not None:
+        limits = replace(limits, undecided="fail" if undecided == "fail" else "pass")
+    older = None if limits.baseline is None else _older(limits.baseline.report)
+    report = load_report(request)
+    result = check(report, limits, baseline=older)
+    if junit is not None:
+        from imucal.atomic import replacing
+
+        with replacing(junit) as scratch:
+            scratch.write_text(junit_xml(result), encoding="utf-8")
+        say(str(junit), quiet=request.quiet)
+    if as_json:
+        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+    else:
+        click.echo(_table(result))
+    if github:
+        for line in github_annotations(result, file=str(limits_file or "")):
+            click.echo(line, err=as_json)
+    if not result.passed:
+        click.get_current_context().exit(1)
+
+
+def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
+    from imucal.check import read_limits
+
+    if limits_file is None and baseline is None:
+        msg = "nothing to check against; give --limits FILE, --baseline REPORT, or both"
+        raise click.UsageError(msg)
+    limits = Limits(findings=FindingRules(level="none")) if limits_file is None else read_limits(limits_file)
+    if baseline is not None:
+        limits = replace(limits, baseline=replace(limits.baseline or Baseline(), report=baseline))
+    elif limits.baseline is not None and limits.baseline.report is None:
+        msg = f'{limits_file}: the baseline names no report; write report = "…", or give --baseline REPORT'
+        raise click.UsageError(msg)
+    return limits
+
+
+def _older(path: Path | None) -> Report:
+    assert path is not None  # noqa: S101 - _limits saw to it
+    return read_report(path)
+
+
+def _table(result: CheckResult) -> str:
+    """Return the verdicts as lines of at most 80 columns, and what they come to."""
+    where = max((len(row.where) for row in result.rows), default=0)
+    rule = min(max((len(row.rule) for row in result.rows), default=0), 32)
+    lines = [line for row in result.rows for line in _lines(row, where, rule)]
+    words: dict[Verdict, str] = {"pass": "passed", "fail": "failed", "undecided": "undecided"}
+    counts = ", ".join(f"{result.count(verdict)} {word}" for verdict, word in words.items())
+    last = (
+        click.style("PASS", fg="green", bold=True)
+        if result.passed
+        else click.style("FAIL", fg="red", bold=True)
+    )
+    note = ""
+    if result.count("undecided"):
+        note = "; undecided counts as failed" if result.undecided_fails else "; undecided doesn't fail"
+    return "\n".join([*lines, f"{last}: {counts} (intervals at {result.level:.0%}{note})"])
+
+
+def _lines(row: Row, where: int, rule: int) -> list[str]:
+    verdict = click.style(f"{row.verdict:<9}", fg=_COLOURS[row.verdict])
+    start = 9 + 1 + where + 1
+    if row.measured is not None and len(row.rule) <= rule:
+        return [f"{verdict} {row.where:<{where}} {row.rule:<{rule}} {row.measured.text()}"]
+    text = row.text.partition(": ")[2]  # without the place, which has its column
+    first, *rest = textwrap.wrap(text, _WIDTH - start) or [""]
+    return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]

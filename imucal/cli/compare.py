@@ -1,0 +1,157 @@
+"""``imucal compare``: what differs between two reports."""
+
+import json
+import math
+from pathlib import Path
+
+import click
+
+from imucal.cli._options import quiet_option, say
+from imucal.cli._report_input import read_report
+from imucal.compare import Comparison, Difference, compare
+from imucal.fit.result import Estimate
+from imucal.units import DatasheetUnit, datasheet_unit
+
+__all__ = ["command", "to_document"]
+
+SCHEMA = "imucal/compare/1"
+
+_report = click.Path(exists=True, path_type=Path)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  imucal compare monday-imucal tuesday-imucal
+  imucal compare golden-imucal new-imucal --tolerance 0.1
+  imucal compare a-imucal b-imucal --json | jq '.differences[]|select(.outcome=="differs")'
+
+\b
+Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
+2 usage, 3 a report can't be read, 4 the reports have no axis in common."""
+)
+@click.argument("a", type=_report, metavar="A")
+@click.argument("b", type=_report, metavar="B")
+@click.option(
+    "--alpha",
+    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    default=0.05,
+    show_default=True,
+    help="Probability of calling any term different when none is.",
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    show_default=True,
+    metavar="FRACTION",
+    help="Relative difference that doesn't count, such as 0.05.",
+)
+@click.option("--no-fail", is_flag=True, help="End with exit code 0 even if a term differs.")
+@click.option("--datasheet/--si", default=True, show_default=True, help="Units of the table.")
+@click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON (SI).")
+@quiet_option
+def command(
+    *,
+    a: Path,
+    b: Path,
+    alpha: float,
+    tolerance: float,
+    no_fail: bool,
+    datasheet: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Say which noise terms of two reports differ significantly.
+
+    A and B are reports: a report.json or its folder. p is adjusted for the number of terms that
+    were tested (Holm), so that two records of one unchanged sensor show any difference with
+    probability --alpha. The intervals know the noise of one record, not how a sensor changes from
+    run to run; --tolerance says how much of that is all right.
+    """
+    result = compare(read_report(a), read_report(b), alpha=alpha, tolerance=tolerance)
+    if as_json:
+        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+    else:
+        click.echo(_table(result, datasheet=datasheet))
+    for name, path in (("A", result.a), ("B", result.b)):
+        say(f"{name}: {path}", quiet=quiet)
+    if result.significant and not no_fail:
+        click.get_current_context().exit(1)
+
+
+def to_document(result: Comparison) -> dict[str, object]:
+    """Return a comparison as JSON values, SI."""
+    return {
+        "schema": SCHEMA,
+        "a": result.a,
+        "b": result.b,
+        "alpha": result.alpha,
+        "tolerance": result.tolerance,
+        "tested": result.tested,
+        "significant": len(result.significant),
+        "differences": [
+            {
+                "axis": difference.axis,
+                "term": difference.key,
+                "unit": difference.unit,
+                "a": _estimate(difference.a),
+                "b": _estimate(difference.b),
+                "ratio": difference.ratio,
+                "z": _finite(difference.z),
+                "p": difference.p,
+                "p_adjusted": difference.p_adjusted,
+                "outcome": difference.outcome,
+            }
+            for difference in result.differences
+        ],
+    }
+
+
+def _estimate(estimate: Estimate | None) -> dict[str, float | str | None] | None:
+    if estimate is None:
+        return None
+    return {
+        "status": estimate.status,
+        "value": estimate.value,
+        "low": _finite(estimate.low),
+        "high": _finite(estimate.high),
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    """JSON knows neither infinity nor NaN."""
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _table(result: Comparison, *, datasheet: bool) -> str:
+    header = f"{'axis':<8}{'term':<6}{'unit':<17}{'A':>11}{'B':>11}{'B/A':>8}{'p':>9}  outcome"
+    lines = [header, *(_line(difference, datasheet=datasheet) for difference in result.differences)]
+    beyond = f" beyond {result.tolerance:.3g} of A" if result.tolerance else ""
+    count = len(result.significant)
+    verdict = (
+        f"{count} of {result.tested} terms differ{beyond}" if count else f"no significant difference{beyond}"
+    )
+    verdict = click.style(verdict, fg="red" if count else "green", bold=True)
+    return "\n".join([*lines, f"{verdict} (p adjusted for {result.tested} tests, alpha {result.alpha:g})"])
+
+
+def _line(difference: Difference, *, datasheet: bool) -> str:
+    unit = DatasheetUnit(difference.unit, 1.0)
+    if datasheet and difference.unit != "s":
+        unit = datasheet_unit(difference.symbol, difference.sensor)
+    ratio = "" if difference.ratio is None else f"{difference.ratio:.4g}"
+    p = "" if difference.p_adjusted is None else f"{difference.p_adjusted:.2g}"
+    numbers = f"{_cell(difference.a, unit):>11}{_cell(difference.b, unit):>11}{ratio:>8}{p:>9}"
+    outcome = (
+        click.style(difference.outcome, fg="red") if difference.outcome == "differs" else difference.outcome
+    )
+    return f"{difference.axis:<8}{difference.key:<6}{unit.name:<17}{numbers}  {outcome}"
+
+
+def _cell(estimate: Estimate | None, unit: DatasheetUnit) -> str:
+    if estimate is None:
+        return "-"
+    if estimate.value is None:
+        return f"<= {estimate.high * unit.factor:.3g}"
+    return f"{estimate.value * unit.factor:.4g}"

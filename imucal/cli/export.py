@@ -1,0 +1,201 @@
+"""``imucal export``: the config files of downstream filters and simulators."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TypedDict, get_args
+
+import click
+from click.shell_completion import CompletionItem
+
+from imucal.cli._options import LogRequest, say
+from imucal.cli._report_input import load_report, report_or_log
+from imucal.errors import WriteError
+from imucal.report.exports import INFLATABLE, TARGETS, AxisPolicy, Unidentified, export, find_target, render
+from imucal.report.result import Report
+
+__all__ = ["command"]
+
+_FOLDER = Path("imucal-exports")
+
+
+class _Options(TypedDict):
+    axis_policy: AxisPolicy
+    inflate: dict[str, float]
+    unidentified: Unidentified
+    topic: str | None
+
+
+class TargetName(click.ParamType[str]):
+    """A downstream format, or all."""
+
+    name = "target"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if value == "all":
+            return "all"
+        try:
+            return find_target(str(value)).name
+        except ValueError as error:
+            self.fail(f"{error}, all", param, ctx)
+
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002 - click's signature
+        param: click.Parameter,  # noqa: ARG002
+        incomplete: str,
+    ) -> list[CompletionItem]:
+        return [
+            CompletionItem(name, help=title)
+            for name, title in [
+                *((each.name, each.title) for each in TARGETS.values()),
+                ("all", "each of them"),
+            ]
+            if name.startswith(incomplete)
+        ]
+
+
+class Inflation(click.ParamType[dict[str, float]]):
+    """``white=2,walk=10``."""
+
+    name = "inflation"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> dict[str, float]:
+        if isinstance(value, Mapping):
+            return dict(value)
+        factors: dict[str, float] = {}
+        for part in str(value).split(","):
+            name, _, number = (piece.strip() for piece in part.partition("="))
+            try:
+                factor = float(number)
+            except ValueError:
+                factor = 0.0
+            if name not in INFLATABLE or not 0 < factor < float("inf"):
+                names = ", ".join(INFLATABLE)
+                self.fail(
+                    f"{part!r} is not one of {names} with a factor, such as white=2,walk=10", param, ctx
+                )
+            factors[name] = factor
+        return factors
+
+
+def _targets_help() -> str:
+    lines = [f"  {target.name:<10} {target.title}" for target in TARGETS.values()]
+    return "\n".join([*lines, f"  {'all':<10} each of them, into a folder"])
+
+
+@click.command(
+    epilog=f"""\b
+Formats:
+{_targets_help()}
+
+\b
+Examples:
+  imucal export still-imucal --to kalibr -o imu.yaml
+  imucal export still-imucal/report.json --to all -o configs
+  imucal export still.mcap --to vins --axis-policy rms -o -
+  imucal export still-imucal --to openvins --inflate white=5,walk=10
+
+\b
+Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 a number
+that the format needs is missing, 5 the file can't be written."""
+)
+@click.option(
+    "--to",
+    "targets",
+    type=TargetName(),
+    multiple=True,
+    required=True,
+    metavar="NAME",
+    help="Format, from the list below, or all; may be repeated.",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, allow_dash=True),
+    metavar="PATH",
+    help="File, or folder, or - for standard output. [default: the format's own name here; for several "
+    f"the folder {_FOLDER}]",
+)
+@click.option(
+    "--axis-policy",
+    type=click.Choice(get_args(AxisPolicy)),
+    default="worst",
+    show_default=True,
+    help="For formats with one number a sensor: the largest of the axes, the root of their mean variance, "
+    "or one axis.",
+)
+@click.option(
+    "--inflate",
+    type=Inflation(),
+    default={},
+    metavar="FACTORS",
+    help="Multiply white (N), walk (K), flicker (B, GM), such as white=2,walk=10; said in the file.",
+)
+@click.option(
+    "--unidentified",
+    type=click.Choice(get_args(Unidentified)),
+    default="bound",
+    show_default=True,
+    help="A term that the data don't show: write its upper bound, or refuse.",
+)
+@click.option("--rostopic", metavar="NAME", help="IMU topic to write. [default: the log's]")
+@report_or_log
+def command(
+    *,
+    request: LogRequest,
+    targets: tuple[str, ...],
+    out: Path | None,
+    axis_policy: AxisPolicy,
+    inflate: dict[str, float],
+    unidentified: Unidentified,
+    rostopic: str | None,
+) -> None:
+    """Write the config files that filters and simulators read.
+
+    REPORT is a report.json, its folder, or a log (which is characterised first). Every file says in
+    a comment which number is continuous or discrete, by which formula, and from which axis.
+    """
+    report = load_report(request)
+    options: _Options = {
+        "axis_policy": axis_policy,
+        "inflate": inflate,
+        "unidentified": unidentified,
+        "topic": rostopic,
+    }
+    names = tuple(dict.fromkeys(TARGETS if "all" in targets else targets))
+    texts = [render(report, name, **options) for name in names]  # so that a refusal leaves no file
+    if out == Path("-"):
+        if len(names) > 1:
+            msg = "standard output takes one format; give a folder"
+            raise click.BadParameter(msg, param_hint="'-o'")
+        click.echo(texts[0], nl=False)
+    elif len(names) == 1:
+        click.echo(str(export(report, names[0], out or Path(), **options)[0]))
+    else:
+        for name in names:
+            click.echo(str(export(report, name, _folder(out or _FOLDER), **options)[0]))
+    _say_bounds(report, quiet=request.quiet)
+
+
+def _folder(path: Path) -> Path:
+    """Make a folder for several files."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{path}: can't be made a folder: {error.strerror or error}; choose another place"
+        raise WriteError(msg) from error
+    return path
+
+
+def _say_bounds(report: Report, *, quiet: bool) -> None:
+    """Say on standard error which numbers may be bounds: the files say which are."""
+    for symbol in ("N", "K"):
+        axes = [axis.name for axis in report.axes if axis.fit[symbol].value is None]
+        if axes:
+            say(
+                f"{symbol} was not identified on {', '.join(axes)}; where a file needs it, its upper bound "
+                "stands there, with a comment (--unidentified refuse to refuse)",
+                quiet=quiet,
+            )
