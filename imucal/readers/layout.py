@@ -1,0 +1,262 @@
+"""How a text table is laid out: delimiter, header, units, preamble, where the data start."""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imucal.units import is_unit
+
+__all__ = ["BLANKS", "Layout", "find_layout", "is_number"]
+
+#: The delimiter that stands for runs of blanks and tabs.
+BLANKS = " "
+
+_DELIMITERS = (",", ";", "\t", "|", BLANKS)
+
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
+_COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+_DOT_NUMBER = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?")
+
+#: Lines of the head that are looked at.
+_LINES = 400
+#: Cells beyond this many don't make a delimiter more likely.
+_WIDE = 50
+
+_RATE = re.compile(
+    r"(?:update|sampl\w*|output|data)[\s_]*(?:rate|freq\w*)[^0-9\n]{0,12}(?P<rate>\d+(?:\.\d+)?)\s*(?P<kilo>k?)hz\b"
+    r"|(?:^|[\s#\"])(?:fs|sampl\w*[\s_]*(?:rate|freq\w*)|update[\s_]*rate|rate_hz|frequency)(?:\s*[(\[]hz[)\]])?"
+    r"\s*[\"]?\s*[,;:=\t]\s*[\"]?(?P<plain>\d+(?:\.\d+)?)\b",
+    re.IGNORECASE | re.MULTILINE,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """The layout of a text table.
+
+    Attributes
+    ----------
+    delimiter
+        ``,`` ``;`` tab ``|``, or `BLANKS` for runs of blanks and tabs.
+    decimal
+        ``.`` or ``,``.
+    width
+        Cells of a row.
+    headers
+        Names of the columns; empty where there is no header.
+    units
+        From a row of units; empty where there is none.
+    preamble
+        Lines before the header.
+    start
+        Lines before the first row of data.
+    rows
+        The first rows of data, as cells without blanks around them.
+    rate_hz
+        Sampling rate from the preamble.
+    quoted
+        Whether cells stand in quotation marks.
+    mismatch
+        Cells of the header line where they don't fit the rows: names can't be told apart then.
+    """
+
+    delimiter: str
+    decimal: str
+    width: int
+    headers: tuple[str, ...]
+    units: tuple[str | None, ...]
+    preamble: tuple[str, ...]
+    start: int
+    rows: tuple[tuple[str, ...], ...]
+    rate_hz: float | None = None
+    quoted: bool = False
+    mismatch: int | None = None
+
+    def cells(self, place: int) -> list[str]:
+        """Return the first cells of a column, decimal point in place."""
+        cells = [row[place] for row in self.rows if place < len(row)]
+        return [cell.replace(",", ".") for cell in cells] if self.decimal == "," else cells
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number with a decimal point."""
+    return _NUMBER.fullmatch(cell) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class _Split:
+    """The head cut by one delimiter: rows by line, how many fit, and where they start."""
+
+    delimiter: str
+    decimal: str
+    rows: list[list[str]]
+    width: int
+    start: int
+    fitting: tuple[int, ...]
+
+    @property
+    def score(self) -> int:
+        return len(self.fitting) * min(self.width, _WIDE)
+
+
+def find_layout(lines: Sequence[str]) -> Layout | None:
+    """Return the layout of a table from its first lines; None where they hold no rows of numbers."""
+    lines = list(lines[:_LINES])
+    only = _named_delimiter(lines)
+    splits = [
+        split for delimiter in _DELIMITERS if only in {None, delimiter} if (split := _split(lines, delimiter))
+    ]
+    if not splits and only is not None:
+        splits = [split for delimiter in _DELIMITERS if (split := _split(lines, delimiter))]
+    if not splits:
+        return None
+    best = max(splits, key=lambda split: split.score)
+    return _finish(lines, best)
+
+
+def _named_delimiter(lines: Sequence[str]) -> str | None:
+    """Return the delimiter of a line ``sep=;``, which spreadsheets write and read."""
+    for line in lines[:2]:
+        if line.strip().lower().startswith("sep="):
+            value = line.strip("\ufeff\r\n ")[4:].strip('"')
+            value = "\t" if value in {"\\t", "\t", ""} else value[:1]
+            return value if value in _DELIMITERS else None
+    return None
+
+
+def split_line(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one line, without blanks around them."""
+    if delimiter == BLANKS:
+        return line.split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    try:
+        return [
+            cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+        ]
+    except csv.Error:
+        return [cell.strip() for cell in line.split(delimiter)]
+
+
+def _split(lines: Sequence[str], delimiter: str) -> _Split | None:
+    rows = [split_line(line, delimiter) if line.strip() else [] for line in lines]
+    decimal = _decimal(rows) if delimiter != "," else "."
+    numbers = [_numbers(row, decimal) for row in rows]
+    filled = [sum(1 for cell in row if cell) for row in rows]
+    likely = [i for i, row in enumerate(rows) if numbers[i] >= 3 and numbers[i] >= 0.4 * filled[i]]
+    if not likely:
+        return None
+    widths = Counter(len(rows[i]) for i in likely)
+    width = max(widths, key=lambda cells: (widths[cells] * min(cells, _WIDE), cells))
+    fitting = tuple(i for i in likely if len(rows[i]) == width)
+    start = _start(fitting, len(lines))
+    fitting = tuple(i for i in fitting if i >= start)
+    return _Split(delimiter, decimal, rows, width, start, fitting)
+
+
+def _start(fitting: Sequence[int], lines: int) -> int:
+    """Return the first line from which most lines are rows: a number row in a preamble is not it."""
+    chosen = set(fitting)
+    for first in fitting:
+        window = range(first, min(first + 8, lines))
+        if sum(line in chosen for line in window) >= 0.6 * len(window):
+            return first
+    return fitting[0]
+
+
+def _decimal(rows: Sequence[Sequence[str]]) -> str:
+    commas = sum(bool(_COMMA_NUMBER.fullmatch(cell)) for row in rows for cell in row)
+    points = sum(bool(_DOT_NUMBER.fullmatch(cell)) for row in rows for cell in row)
+    return "," if commas > points else "."
+
+
+def _numbers(row: Sequence[str], decimal: str) -> int:
+    plain = sum(1 for cell in row if _NUMBER.fullmatch(cell))
+    return plain + (sum(1 for cell in row if _COMMA_NUMBER.fullmatch(cell)) if decimal == "," else 0)
+
+
+def _finish(lines: Sequence[str], split: _Split) -> Layout:
+    line, headers, units = _find_header(split)
+    before = lines[: line if line is not None else split.start]
+    headers, mismatch = _fit(headers, split)
+    match = _RATE.search("\n".join(lines[: split.start]))
+    rate = None
+    if match:
+        rate = float(match["rate"] or match["plain"]) * (1000 if match["kilo"] else 1)
+    rows = tuple(tuple(split.rows[i]) for i in split.fitting)
+    quoted = any('"' in lines[i] for i in split.fitting)
+    return Layout(
+        delimiter=split.delimiter,
+        decimal=split.decimal,
+        width=split.width,
+        headers=tuple(headers),
+        units=tuple(units),
+        preamble=tuple(text for text in before if text.strip()),
+        start=split.start,
+        rows=rows,
+        rate_hz=rate if rate and rate > 0 else None,
+        quoted=quoted,
+        mismatch=mismatch,
+    )
+
+
+def _find_header(split: _Split) -> tuple[int | None, list[str], list[str | None]]:
+    """Return the header's line, its names and the units of a row of units."""
+    units: list[str | None] = []
+    for line in range(split.start - 1, -1, -1):
+        row = split.rows[line]
+        row = row[1:] if row and row[0] in {"#", "%", "//"} else row
+        if abs(len(row) - split.width) > 1 or len(row) < 2:
+            continue
+        named = [cell.strip("[]()") for cell in row]
+        if not units and sum(is_unit(cell) for cell in named) >= 0.3 * len(row) and not _is_axes(row):
+            units = [cell if is_unit(cell) else None for cell in named]
+            continue
+        if not any(re.search(r"[^\W\d_]", cell) for cell in row):
+            continue
+        above = split.rows[line - 1] if line else []
+        return line, _two_rows(above, row), units
+    return None, [], units
+
+
+def _is_axes(row: Sequence[str]) -> bool:
+    return all(cell.lower().strip("\"'") in {"", "w", "x", "y", "z"} for cell in row)
+
+
+def _two_rows(above: Sequence[str], row: list[str]) -> list[str]:
+    """Join a header of two lines: groups above, x, y, z below."""
+    if not _is_axes(row) or abs(len(above) - len(row)) > 1 or not any(above):
+        return _labelled(row)
+    group, names = "", []
+    for name, axis in zip([*above, ""], row, strict=False):
+        group = name or group
+        names.append(f"{group} {axis}".strip())
+    return names
+
+
+def _labelled(row: list[str]) -> list[str]:
+    """Give repeated names x, y, z the name of the column before them, as rosbag_to_csv means it."""
+    if Counter(cell.lower() for cell in row)["x"] < 2:
+        return row
+    label, names = "", []
+    for cell in row:
+        if cell.lower() in {"x", "y", "z", "w"}:
+            names.append(f"{label} {cell}".strip())
+        else:
+            label = cell
+            names.append(cell)
+    return names
+
+
+def _fit(headers: list[str], split: _Split) -> tuple[list[str], int | None]:
+    """Return as many names as cells, and the number of names where they don't fit."""
+    if not headers or len(headers) == split.width:
+        return headers, None
+    if len(headers) == split.width + 1 and not headers[-1]:
+        return headers[:-1], None
+    last_empty = all(not split.rows[i][-1] for i in split.fitting)
+    if len(headers) == split.width - 1 and last_empty:
+        return [*headers, ""], None
+    return [], len(headers)

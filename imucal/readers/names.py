@@ -1,0 +1,317 @@
+"""What the name of a column says: sensor, axis and unit. By name alone, never by position."""
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+
+from imucal.recording import Sensor
+from imucal.units import is_unit, parse_sample_unit, parse_time_unit
+
+__all__ = ["Column", "Role", "parse_column"]
+
+
+class Role(StrEnum):
+    """What a column holds, as far as its name tells."""
+
+    GYROSCOPE = "gyroscope"
+    ACCELEROMETER = "accelerometer"
+    VECTOR = "vector"  # x, y or z of something the name leaves open
+    TIME = "time"
+    COUNTER = "counter"
+    TEMPERATURE = "temperature"
+    OTHER = "other"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """A column and what its name says.
+
+    Attributes
+    ----------
+    place
+        From 0.
+    header
+        The name as it stands in the log.
+    words
+        The name in small letters, cut into words, without axis and unit.
+    role
+        What it holds.
+    index
+        0, 1, 2 for x, y, z; for a numbered axis its number; None where the name has no axis.
+    numbered
+        Whether `index` is a number in the name, which may count from 1.
+    unit
+        The unit in the name, as written; None where there is none.
+    """
+
+    place: int
+    header: str
+    words: tuple[str, ...]
+    role: Role
+    index: int | None = None
+    numbered: bool = False
+    unit: str | None = None
+
+    @property
+    def family(self) -> tuple[str, ...]:
+        """What the three columns of a triad have in common."""
+        return (str(self.role), *self.words)
+
+
+#: A word of a name: camelCase, capitals, digits.
+_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zµμ]+\d*|[A-Z]+\d*|\d+")
+
+_BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
+
+_AXES = {"x": 0, "y": 1, "z": 2}
+
+_ATTITUDE = {"roll": 0, "pitch": 1, "yaw": 2}
+
+#: Names with one of these hold no raw sample of either sensor.
+_REJECTED = frozenset(
+    (
+        "cov covariance orientation quat quaternion mag magn compass euler bias biases gravity grav free user "
+        "setpoint motor motors motion est estimated delta angle angles attitude position pos pressure baro std "
+        "stddev variance var valid uncertainty clip clipping clipped integral target desired cmd ref reference "
+        "jerk relative calibration status accuracy rms inc heading gps lat lon alt altitude axisp axisi axisd "
+        "axisf debug rc vel velocity rotationvector gt truth"
+    ).split()
+)
+_REJECTED_STARTS = (
+    "quat",
+    "orient",
+    "magn",
+    "euler",
+    "covar",
+    "freeacc",
+    "useracc",
+    "accura",
+    "accum",
+    "deltav",
+)
+
+_GYRO_STARTS = (
+    "gyr",
+    "angular",
+    "angvel",
+    "angrate",
+    "omega",
+    "rotationrate",
+    "rotrate",
+    "turnrate",
+    "bodyrate",
+)
+_ACCEL_STARTS = ("acc", "linacc", "linearacc", "specificforce")
+
+#: A sensor and an axis in one word: gx, wz, ax, fy, gyrox, xaccel.
+_GLUED = re.compile(
+    r"(?:(?P<sensor>g|w|a|f|gyr|gyro|gyros|gyroscope|acc|accl|accel|acceleration|accelerometer|omega|alpha|"
+    r"angvel|angrate|rate|rotationrate|rot|mag)(?P<axis>[xyz]))"
+    r"|(?:(?P<axis2>[xyz])(?P<sensor2>gyr|gyro|gyros|acc|accl|accel|rate|angrate|angvel|mag))"
+)
+
+_VECTOR_WORDS = frozenset("axis dof 3 3dof value values val data raw sensor cal calibrated imu".split())
+
+_TIME_WORDS = frozenset(
+    (
+        "time timestamp stamp t tick ticks uptime epoch epoc elapsed clock sec secs second seconds nsec nsecs "
+        "nanosec nanosecs nanoseconds nanos usec usecs msec msecs millis micros ms us ns tow itow datetime date "
+        "utc ustime mstime nstime ts yyyy"
+    ).split()
+)
+_NOT_TIME = frozenset(
+    ("dt", "relative", "offset", "flags", "flag", "exposure", "zone", "type", "id", "duration")
+)
+_COUNTER_WORDS = frozenset(
+    "counter count packet index idx sample samples n frame seq number no iteration f row line cnt".split()
+)
+_NOT_COUNTER = frozenset(("id", "type", "rate", "satellites", "sats", "gps"))
+
+#: Last words of a name -> the unit they spell.
+_UNIT_TAILS: dict[tuple[str, ...], str] = {
+    ("deg", "s"): "deg/s",
+    ("deg", "sec"): "deg/s",
+    ("deg", "per", "s"): "deg/s",
+    ("deg", "per", "sec"): "deg/s",
+    ("rad", "s"): "rad/s",
+    ("rad", "sec"): "rad/s",
+    ("rad", "per", "s"): "rad/s",
+    ("rad", "per", "sec"): "rad/s",
+    ("mrad", "s"): "mrad/s",
+    ("mdeg", "s"): "mdeg/s",
+    ("rad",): "rad/s",
+    ("m", "s2"): "m/s^2",
+    ("m", "s", "2"): "m/s^2",
+    ("m", "s", "s"): "m/s^2",
+    ("m", "per", "s2"): "m/s^2",
+    ("m", "per", "sec2"): "m/s^2",
+    **{(word,): word for word in ("dps", "mdps", "rads", "radps", "degs", "degps", "mps2", "ms2", "mss")},
+    **{(word,): word for word in ("g", "mg", "ug", "ns", "us", "ms", "s", "sec", "usec", "msec", "nsec")},
+    ("c",): "degC",
+    ("degc",): "degC",
+}
+
+
+def parse_column(
+    header: str, place: int, *, unit: str | None = None, context: frozenset[str] = frozenset()
+) -> Column:
+    """Return what the name of a column says.
+
+    Parameters
+    ----------
+    header
+        Its name.
+    place
+        Its place, from 0.
+    unit
+        Its unit from a row of units, which goes before a unit in the name.
+    context
+        Names of the table's other columns in small letters: ``alpha_x`` is an acceleration only
+        beside an ``omega_x``, and p, q, r are rates only together.
+    """
+    shown = header.strip().strip("\ufeff").strip()
+    text = shown.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")
+    text, named_unit, index = _without_brackets(text)
+    unit = unit or named_unit
+    words = [word.lower() for word in _WORD.findall(text)]
+    numbered = index is not None
+    words, axis = _take_axis(words)
+    if axis is not None:
+        index, numbered = axis, False
+    elif not numbered and len(words) > 1 and words[-1] in {"0", "1", "2", "3"} and not _is_time(words):
+        index, numbered = int(words.pop()), True
+    if words in (["p"], ["q"], ["r"]) and {"p", "q", "r"} <= context:
+        index, words = "pqr".index(words[0]), ["rate"]
+    role, words, unit = _classify(words, index, unit, omega=_has_omega(context))
+    if role is Role.TEMPERATURE or role is Role.OTHER or text == "T":
+        role = _temperature(text, unit, role)
+    return Column(
+        place=place, header=shown, words=tuple(words), role=role, index=index, numbered=numbered, unit=unit
+    )
+
+
+def _without_brackets(text: str) -> tuple[str, str | None, int | None]:
+    """Take the units and numbers in brackets off a name; an axis in brackets becomes a word of it."""
+    unit: str | None = None
+    index: int | None = None
+
+    def replace(match: re.Match[str]) -> str:
+        nonlocal unit, index
+        inner = (match[1] if match[1] is not None else match[2]).strip()
+        if inner.lower() in _AXES:
+            return f" {inner} "
+        if inner.isdigit() and len(inner) == 1:
+            index = int(inner)
+        elif is_unit(inner) or inner in {"°", "º", "Â°"}:
+            unit = inner
+        return " "
+
+    return _BRACKETS.sub(replace, text).strip(), unit, index
+
+
+def _take_axis(words: list[str]) -> tuple[list[str], int | None]:
+    """Take the axis out of the words of a name."""
+    for position in range(len(words) - 1, -1, -1):
+        if words[position] in _AXES:
+            return words[:position] + words[position + 1 :], _AXES[words[position]]
+    for position in range(len(words) - 1, -1, -1):
+        match = _GLUED.fullmatch(words[position])
+        if match:
+            sensor, axis = match["sensor"] or match["sensor2"], match["axis"] or match["axis2"]
+            return [*words[:position], sensor, *words[position + 1 :]], _AXES[axis]
+    rate = any(word in {"rate", "angular", "gyro"} for word in words)
+    for position, word in enumerate(words):
+        if word in _ATTITUDE and rate:
+            return words[:position] + words[position + 1 :], _ATTITUDE[word]
+        if word.removesuffix("rate") in _ATTITUDE and word.endswith("rate"):
+            return [*words[:position], "rate", *words[position + 1 :]], _ATTITUDE[word.removesuffix("rate")]
+    return words, None
+
+
+def _classify(
+    words: list[str], index: int | None, unit: str | None, *, omega: bool
+) -> tuple[Role, list[str], str | None]:
+    """Return the role, the words left and the unit of a name."""
+    if unit is None:
+        for size in (3, 2, 1):
+            spelled = _UNIT_TAILS.get(tuple(words[-size:])) if len(words) > size else None
+            if spelled is None:
+                continue
+            role = _role(words[:-size], index, omega=omega)
+            agreed = _agreed(role, spelled)
+            if agreed is not None and (role is not Role.VECTOR or spelled != "s"):
+                return agreed, words[:-size], spelled
+    role = _role(words, index, omega=omega)
+    return (role if unit is None else _agreed(role, unit) or Role.OTHER), words, unit
+
+
+def _agreed(role: Role, unit: str) -> Role | None:
+    """Return the role of a name with a unit; None where they contradict each other."""
+    sample = parse_sample_unit(unit)
+    if role is Role.VECTOR:
+        return Role(str(sample[0])) if sample else Role.OTHER
+    if role in {Role.GYROSCOPE, Role.ACCELEROMETER}:
+        return role if sample and str(sample[0]) == str(role) else None
+    if role is Role.TIME:
+        return Role.TIME if parse_time_unit(unit) else None
+    if role is Role.TEMPERATURE:
+        return role if unit.lower().strip("°º") in {"c", "degc", "k", ""} else None
+    return role
+
+
+def _role(words: list[str], index: int | None, *, omega: bool) -> Role:
+    stems = [word.rstrip("0123456789") or word for word in words]
+    if _is_time(words) and not (index is not None and _sensor(stems, omega=omega)):
+        return Role.TIME
+    if index is not None:
+        return _axis_role(stems, omega=omega)
+    if any(stem in _COUNTER_WORDS for stem in stems) and not _NOT_COUNTER.intersection(stems):
+        return Role.COUNTER
+    if stems and any(stem in {"temp", "temperature", "temps"} for stem in stems):
+        return Role.TEMPERATURE
+    return Role.OTHER
+
+
+def _axis_role(stems: list[str], *, omega: bool) -> Role:
+    sensor = _sensor(stems, omega=omega)
+    rejected = _REJECTED - {"vel", "velocity"} if sensor is Sensor.GYROSCOPE else _REJECTED
+    if any(stem in rejected or stem.startswith(_REJECTED_STARTS) for stem in stems):
+        return Role.OTHER
+    if sensor is not None:
+        return Role(str(sensor))
+    return Role.VECTOR if all(stem in _VECTOR_WORDS for stem in stems) else Role.OTHER
+
+
+def _sensor(stems: list[str], *, omega: bool) -> Sensor | None:
+    """Return the sensor that words name, if they name one and only one."""
+    short = bool(stems) and all(len(stem) <= 2 for stem in stems)
+    gyro = any(stem.startswith(_GYRO_STARTS) or stem in {"rate", "rotation", "rot"} for stem in stems)
+    gyro = gyro or {"ang", "vel"} <= set(stems) or (short and stems[0] == "w") or stems[-1:] in (["g"], ["w"])
+    accel = any(stem.startswith(_ACCEL_STARTS) for stem in stems) or {"specific", "force"} <= set(stems)
+    accel = accel or (short and stems[0] in {"a", "f"}) or stems[-1:] in (["a"], ["f"])
+    accel = accel or (omega and "alpha" in stems)
+    if gyro == accel:
+        return None
+    return Sensor.GYROSCOPE if gyro else Sensor.ACCELEROMETER
+
+
+def _is_time(words: list[str]) -> bool:
+    stems = [word.rstrip("0123456789") or word for word in words]
+    if _NOT_TIME.intersection(stems):
+        return False
+    return any(
+        stem in _TIME_WORDS or stem.startswith(("timestamp", "datetime")) or stem.endswith(("time", "stamp"))
+        for stem in stems
+    )
+
+
+def _temperature(text: str, unit: str | None, role: Role) -> Role:
+    """Return the role of a column that may be the temperature: T, T(°), Temp."""
+    degrees = unit is not None and unit.strip().lower() in {"°", "º", "â°", "°c", "ºc", "degc", "c", "â°c"}
+    if text == "T" or (degrees and text.lower().startswith("t")):
+        return Role.TEMPERATURE
+    return role
+
+
+def _has_omega(context: frozenset[str]) -> bool:
+    return any("omega" in name for name in context)

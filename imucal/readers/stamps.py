@@ -1,0 +1,164 @@
+"""Time in a table: date and time texts, joins of columns, counters that wrap -> ns."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.units import TIME_UNITS_NS
+
+__all__ = ["infer_time_unit", "is_text_stamp", "parse_text_stamps", "to_ns", "unwrapped"]
+
+#: ns of a text that is no time.
+_NO_STAMP = int(np.iinfo(np.int64).min)
+
+_SECOND = 10**9
+_DAY = 86_400 * _SECOND
+_WEEK = 7 * _DAY
+
+#: Date, time of day, fraction; the separators differ from logger to logger.
+_DATE_TIME = re.compile(
+    r"\s*(?:(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})[T _]+)?"
+    r"(?P<hour>\d{1,2})[:.-](?P<minute>\d{2})[:.-](?P<second>\d{2})(?:[.,:_](?P<fraction>\d{1,12}))?"
+    r"\s*(?:Z|UTC|GMT|(?P<zone>[+-]\d{2}:?\d{2}))?\s*"
+)
+
+#: Rates at which IMUs are logged, in Hz; they tell the unit of a time without one.
+_RATES = (1.0, 20_000.0)
+
+
+def is_text_stamp(cell: str) -> bool:
+    """Return whether a cell is a date with a time of day, or a time of day."""
+    return _DATE_TIME.fullmatch(cell.strip("\"'")) is not None
+
+
+def parse_text_stamps(cells: Sequence[str]) -> IntArray:
+    """Return times as ns since 1970, or since midnight where there is no date; shape (n,).
+
+    A text that is no time becomes the smallest int64.
+    """
+    result = np.empty(len(cells), dtype=np.int64)
+    days: dict[tuple[str, str, str], int] = {}
+    for i, cell in enumerate(cells):
+        match = _DATE_TIME.fullmatch(cell.strip("\"'"))
+        result[i] = _NO_STAMP if match is None else _ns_of(match, days)
+    return result
+
+
+def _ns_of(match: re.Match[str], days: dict[tuple[str, str, str], int]) -> int:
+    day = 0
+    if match["year"]:
+        key = (match["year"], match["month"], match["day"])
+        if key not in days:
+            days[key] = _days_since_1970(*key)
+        if days[key] == _NO_STAMP:
+            return _NO_STAMP
+        day = days[key]
+    fraction = int(((match["fraction"] or "") + "0" * 9)[:9])
+    seconds = int(match["hour"]) * 3600 + int(match["minute"]) * 60 + int(match["second"])
+    if match["zone"]:
+        sign = -1 if match["zone"][0] == "+" else 1
+        digits = match["zone"][1:].replace(":", "")
+        seconds += sign * (int(digits[:2]) * 3600 + int(digits[2:]) * 60)
+    return (day * 86_400 + seconds) * _SECOND + fraction
+
+
+def _days_since_1970(year: str, month: str, day: str) -> int:
+    try:
+        return int(np.datetime64(f"{year}-{int(month):02d}-{int(day):02d}", "D").astype(np.int64))
+    except ValueError:
+        return _NO_STAMP
+
+
+def midnight_rolled(stamps_ns: IntArray) -> IntArray:
+    """Return times of day with a day added at every midnight."""
+    return _rolled(stamps_ns, _DAY)
+
+
+def week_rolled(stamps_ns: IntArray) -> IntArray:
+    """Return times of week with a week added at every turn of the week."""
+    return _rolled(stamps_ns, _WEEK)
+
+
+def _rolled(stamps_ns: IntArray, period: int) -> IntArray:
+    if not stamps_ns.size or stamps_ns.min() < 0 or stamps_ns.max() >= period:
+        return stamps_ns
+    steps = np.diff(stamps_ns)
+    turns = np.concatenate([[0], np.cumsum(steps < -period // 2)])
+    return stamps_ns + turns * period
+
+
+def unwrapped(counts: IntArray) -> tuple[IntArray, int]:
+    """Return counts that go on where an unsigned 8, 16 or 32 bit counter starts again, and how often it did.
+
+    A step back is a wrap only where it leads from near the counter's end to near its start: a restart
+    of the logger is none.
+    """
+    if counts.size < 2 or counts.min() < 0:
+        return counts, 0
+    steps = np.diff(counts)
+    back = np.flatnonzero(steps < 0)
+    if not back.size:
+        return counts, 0
+    forward = steps[steps > 0]
+    usual = int(np.median(forward)) if forward.size else 1
+    for bits in (8, 16, 32):
+        period = 1 << bits
+        if counts.max() >= period:
+            continue
+        over = steps[back] + period
+        # Some samples may be missing at the very wrap.
+        wraps = back[(over > 0) & (over <= max(100 * usual, period // 64))]
+        if not wraps.size:
+            continue
+        turns = np.zeros(counts.size, dtype=np.int64)
+        turns[wraps + 1] = period
+        return counts + np.cumsum(turns), int(wraps.size)
+    return counts, 0
+
+
+def to_ns(values: NDArray[np.int64] | FloatArray, ns: int) -> IntArray:
+    """Return times counted in units of `ns` ns as int64 ns, shape (n,).
+
+    Integers stay exact. Floats are split first, so that nothing is lost beyond their own resolution.
+    """
+    if values.dtype.kind == "i":
+        if values.size and max(abs(int(values.max())), abs(int(values.min()))) > (1 << 62) // ns:
+            values = values - values[0]
+        return np.asarray(values, dtype=np.int64) * ns
+    whole = np.floor(values)
+    limit = float((1 << 62) // ns)
+    whole = np.where(np.abs(whole) < limit, whole, 0.0)
+    return whole.astype(np.int64) * ns + np.round((values - np.floor(values)) * ns).astype(np.int64)
+
+
+def infer_time_unit(values: NDArray[np.int64] | FloatArray) -> tuple[str | None, tuple[str, ...]]:
+    """Return the unit of times that make sense for an IMU, and all units that fit.
+
+    The rate must lie between 1 Hz and 20 kHz. Where several units fit, the size of a time since 1970
+    decides; where that does not help, the unit is None.
+    """
+    step = _typical_step(values)
+    if step <= 0:
+        return None, ()
+    size = float(np.median(values[:100_000]))
+    epoch = next((unit for unit, ns in TIME_UNITS_NS.items() if 1e18 <= size * ns < 4e18), None)
+    rates = {unit: 1e9 / (step * ns) for unit, ns in TIME_UNITS_NS.items()}
+    fits = tuple(unit for unit, rate in rates.items() if _RATES[0] * 0.98 <= rate <= _RATES[1] * 1.02)
+    if epoch is not None and (epoch in fits or not fits):
+        return epoch, (epoch,)
+    return (fits[0] if len(fits) == 1 else None), fits
+
+
+def _typical_step(values: NDArray[np.int64] | FloatArray) -> float:
+    """Return the usual step between times: the median, or the mean where stamps repeat."""
+    head = values[:20_000]
+    steps = np.diff(head)
+    forward = steps[steps > 0]
+    if not forward.size:
+        return 0.0
+    if forward.size < 0.5 * steps.size:
+        return float((head[-1] - head[0]) / steps.size)
+    return float(np.median(steps)) if np.median(steps) > 0 else float(np.median(forward))

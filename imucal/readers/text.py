@@ -1,0 +1,277 @@
+"""Text of a log in blocks of whole lines: plain or compressed, a file or standard input, in any encoding.
+
+Blocks are bytes of UTF-8 with line feeds. A log compressed a hundredfold takes no more memory than its
+blocks, and one cut in the middle gives what is whole.
+"""
+
+import bz2
+import codecs
+import gzip
+import io
+import lzma
+import sys
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Self, cast
+
+from imucal.errors import ReadError
+from imucal.findings import Finding
+from imucal.readers.options import Progress
+
+__all__ = ["STANDARD_INPUT", "TextSource", "open_text"]
+
+#: The path that means standard input.
+STANDARD_INPUT = "-"
+
+#: Bytes looked at to find the layout.
+_HEAD = 1 << 18
+#: Bytes of text parsed at once: large enough for the parser, small enough for memory.
+_BLOCK = 8 << 20
+#: A line longer than this is no row of a table.
+_LONGEST_LINE = 1 << 20
+
+#: First bytes -> compression.
+_MAGIC: dict[bytes, str] = {
+    b"\x1f\x8b": "gzip",
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\x00": "xz",
+    b"\x04\x22\x4d\x18": "lz4",
+}
+
+_MARKS: tuple[tuple[bytes, str], ...] = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+
+
+class TextSource:
+    """A log of lines, opened.
+
+    Attributes
+    ----------
+    name
+        As the user named it.
+    compression
+        ``none``, ``gzip``, ``zstd``, ``bzip2``, ``xz`` or ``lz4``.
+    encoding
+        ``utf-8``, ``utf-16-le``, ``utf-16-be`` or ``latin-1``.
+    head
+        The first lines, decoded, without their ends; a line that the head cuts is left out.
+    whole
+        Whether `head` is all of the log.
+    findings
+        What reading it has shown so far: a cut end.
+    """
+
+    def __init__(self, name: str, raw: BinaryIO, *, size: int | None, progress: Progress | None) -> None:
+        self.name = name
+        self.size = size
+        self.findings: list[Finding] = []
+        self._raw = raw
+        self._progress = progress
+        start = _read_fully(raw, 6)
+        self.compression = next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "none")
+        joined = cast("BinaryIO", _Joined(start, raw))
+        self._stream = _decompressed(joined, self.compression)
+        self._ended = False
+        head = self._read(_HEAD)
+        self.whole = self._ended
+        self.encoding = self._find_encoding(head)
+        self._decode = (
+            None if self.encoding in {"utf-8", "latin-1"} else codecs.getincrementaldecoder(self.encoding)()
+        )
+        head = self._plain(head.removeprefix(codecs.BOM_UTF8))
+        self._return_only = b"\r" in head and b"\n" not in head
+        self._start = self._line_ends(head)
+        self.head = self._head_lines(self._start)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._raw.close()
+
+    def blocks(self) -> Iterator[bytes]:
+        """Yield all text, in blocks of whole lines; the last line may lack its end.
+
+        Raises
+        ------
+        ReadError
+            If a line is longer than any row of a table.
+        """
+        rest = self._start
+        while True:
+            data = self._line_ends(self._plain(self._read(_BLOCK - len(rest)))) if not self._ended else b""
+            if rest:
+                data = rest + data
+            cut = len(data) if self._ended else data.rfind(b"\n") + 1
+            block, rest = (data, b"") if cut == len(data) else (data[:cut], data[cut:])
+            if len(rest) > _LONGEST_LINE:
+                msg = f"{self.name}: a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
+                raise ReadError(msg)
+            if block:
+                yield block
+            self._report()
+            if self._ended and not rest:
+                return
+
+    def _read(self, size: int) -> bytes:
+        """Return up to `size` bytes of the unpacked stream; a cut stream ends, with a finding."""
+        pieces: list[bytes] = []
+        missing = max(size, 1)
+        try:
+            while missing > 0:
+                piece = self._stream.read(missing)
+                if not piece:
+                    self._ended = True
+                    break
+                pieces.append(piece)
+                missing -= len(piece)
+        except (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError) as error:
+            self._ended = True
+            self._note_damage(error)
+        except Exception as error:
+            # zstandard and lz4 have error classes of their own; anything else is a bug and goes on.
+            if type(error).__module__.partition(".")[0] not in {"zstandard", "lz4", "backports"}:
+                raise
+            self._ended = True
+            self._note_damage(error)
+        return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+    def _note_damage(self, error: Exception) -> None:
+        text = f"The {self.compression} stream is cut or damaged ({error}); what could be unpacked was read."
+        self.findings.append(Finding(level="warning", code="truncated", text=text))
+
+    def _find_encoding(self, head: bytes) -> str:
+        for mark, encoding in _MARKS:
+            if head.startswith(mark):
+                return encoding
+        zeros = head.count(0)
+        if zeros:
+            if zeros > 0.3 * len(head):
+                even, odd = head[0::2].count(0), head[1::2].count(0)
+                if odd > 10 * even:
+                    return "utf-16-le"
+                if even > 10 * odd:
+                    return "utf-16-be"
+            if zeros > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]:
+                msg = f"{self.name}: binary data, not text; expected a table of numbers, or a format imucal knows"
+                raise ReadError(msg)
+        try:
+            codecs.getincrementaldecoder("utf-8")().decode(head)
+        except UnicodeDecodeError:
+            return "latin-1"
+        return "utf-8"
+
+    def _plain(self, data: bytes) -> bytes:
+        """Return bytes as UTF-8 where they are UTF-16; all other encodings share the digits."""
+        if self._decode is None:
+            return data
+        text = self._decode.decode(data, final=self._ended)
+        return text.removeprefix("\ufeff").encode("utf-8", "replace")
+
+    def _line_ends(self, data: bytes) -> bytes:
+        if b"\r" not in data:
+            return data
+        return data.replace(b"\r", b"\n") if self._return_only else data.replace(b"\r\n", b"\n")
+
+    def _head_lines(self, data: bytes) -> list[str]:
+        text = data.decode("latin-1" if self.encoding == "latin-1" else "utf-8", "replace")
+        lines = text.replace("\x00", "").split("\n")
+        # The last piece is cut by the head or by the end of the log, or empty.
+        if not self.whole or not lines[-1] or len(lines) > 3:
+            lines.pop()
+        return [line.rstrip("\r") for line in lines]
+
+    def _report(self) -> None:
+        if self._progress is not None and self.size:
+            try:
+                done = self._raw.tell()
+            except (OSError, ValueError):
+                return
+            self._progress(min(done, self.size), self.size)
+
+
+class _Joined(io.RawIOBase):
+    """A stream with the bytes already read put back in front."""
+
+    def __init__(self, start: bytes, rest: BinaryIO) -> None:
+        self._start = start
+        self._rest = rest
+
+    def readable(self) -> bool:
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        if self._start:
+            taken = self._start if size < 0 else self._start[:size]
+            self._start = self._start[len(taken) :]
+            return taken if size >= 0 else taken + self._rest.read()
+        return self._rest.read(size)
+
+    def readinto(self, buffer: object) -> int:
+        view = memoryview(cast("bytearray", buffer)).cast("B")
+        data = self.read(len(view))
+        view[: len(data)] = data
+        return len(data)
+
+
+def open_text(path: Path, *, progress: Progress | None = None) -> TextSource:
+    """Open a text log; ``-`` is standard input.
+
+    Raises
+    ------
+    ReadError
+        If the file can't be opened, is empty, or is not text.
+    """
+    if str(path) == STANDARD_INPUT:
+        source = TextSource("standard input", sys.stdin.buffer, size=None, progress=None)
+    else:
+        try:
+            # Unbuffered: the blocks are the buffer.
+            raw = cast("BinaryIO", path.open("rb", buffering=0))
+            size = path.stat().st_size
+        except OSError as error:
+            msg = f"{path}: can't be opened: {error.strerror or error}"
+            raise ReadError(msg) from error
+        source = TextSource(str(path), raw, size=size, progress=progress)
+    if not any(line.strip() for line in source.head):
+        found = "is empty" if source.whole else "has no line end in its first 256 KiB"
+        found = f"{found} ({source.findings[0].text})" if source.findings else found
+        msg = f"{source.name}: the text {found}; expected a table of numbers"
+        raise ReadError(msg)
+    return source
+
+
+def _read_fully(raw: BinaryIO, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        piece = raw.read(size - len(data))
+        if not piece:
+            break
+        data += piece
+    return data
+
+
+def _decompressed(raw: BinaryIO, compression: str) -> BinaryIO:
+    if compression == "gzip":
+        return cast("BinaryIO", gzip.GzipFile(fileobj=raw, mode="rb"))
+    if compression == "bzip2":
+        return cast("BinaryIO", bz2.BZ2File(raw, "rb"))
+    if compression == "xz":
+        return cast("BinaryIO", lzma.LZMAFile(raw, "rb"))
+    if compression == "zstd":
+        import zstandard
+
+        return cast("BinaryIO", zstandard.ZstdDecompressor().stream_reader(raw, read_across_frames=True))
+    if compression == "lz4":
+        import lz4.frame
+
+        return cast("BinaryIO", lz4.frame.LZ4FrameFile(raw, "rb"))
+    return raw
