@@ -10,7 +10,7 @@ Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-ba
 composite stochastic processes", JASA 108, 1021; the full covariance: `imucal.fit.av_covariance`.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,8 @@ __all__ = ["fit_gmwm"]
 
 #: A misfit above so many standard deviations means that the model does not describe the curve.
 _MISFIT = 3.0
+#: A misfit of all averaging times above this makes the fit look whether the shortest are to blame.
+_FILTERED = 5.0
 #: The weight is computed anew at most so often; three are enough in practice.
 _STEPS = 8
 #: Models within so much of the best criterion are reported.
@@ -89,8 +91,8 @@ def fit_gmwm(
     else:
         rough = dictionary(points, eta3)
         spread = CurveSpread.of_terms(points, rough.laws, rough.times)
-        kept, weight, ranking = _band(points, spread, rough, structure, criterion=criterion, max_gm=max_gm)
-        ranking, solution, weight = _described(kept, ranking, weight)
+        search = _Search(spread, rough, structure, criterion, max_gm)
+        kept, ranking, solution, weight = _best_band(points, search)
     return _result(
         series,
         curve,
@@ -143,54 +145,70 @@ def _laws(structure: tuple[str, ...]) -> tuple[str, int]:
     return "".join(symbol for symbol in structure if symbol != "GM"), structure.count("GM")
 
 
-def _band(
-    points: AvarPoints,
-    spread: CurveSpread,
-    rough: Solution,
-    structure: tuple[str, ...] | None,
-    *,
-    criterion: str,
-    max_gm: int,
-) -> tuple[AvarPoints, Weight, list[tuple[float, Solution]]]:
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """Finds the models in reach, with the covariance that a rough fit gives."""
+
+    spread: CurveSpread
+    rough: Solution
+    structure: tuple[str, ...] | None
+    criterion: str
+    max_gm: int
+
+    def ranking(self, points: AvarPoints) -> tuple[list[tuple[float, Solution]], Weight, float]:
+        """Return the models of the last `points`, their weight and the least misfit."""
+        first = self.spread.points.size - points.size
+        covariance = self.spread.within(first).at(self.rough.variances)
+        weight = Weight.of_covariance(covariance)
+        ranking = _ranking(points, weight, self.structure, self.criterion, self.max_gm)
+        misfit = min(goodness(points, solution, covariance).statistic for _, solution in ranking)
+        return ranking, weight, misfit
+
+
+def _best_band(
+    points: AvarPoints, search: _Search
+) -> tuple[AvarPoints, list[tuple[float, Solution]], Solution, Weight]:
     """Return the longest run of points, up to the last, that a model describes, and the models.
 
     An output filter bends the curve at its first averaging times only; without those it is as good
-    as ever. Where no run is described, the one with the least misfit is returned.
+    as ever. All points stay where the misfit is small or leaving out points does not cure it.
     """
-    least = 6 if structure is None else len(structure) + structure.count("GM") + 3
-    best: tuple[float, AvarPoints, Weight, list[tuple[float, Solution]]] | None = None
-    for first in range(max(points.size - least, 0) + 1):
-        kept = points.within(first)
-        covariance = spread.within(first).at(rough.variances)
-        weight = Weight.of_covariance(covariance)
-        ranking = _ranking(kept, weight, structure, criterion, max_gm)
-        misfit = min(goodness(kept, solution, covariance).statistic for _, solution in ranking)
-        if best is None or misfit < best[0]:
-            best = misfit, kept, weight, ranking
-        if not misfit >= _MISFIT:
-            return kept, weight, ranking
-    if best is None:  # pragma: no cover - the loop runs at least once
-        msg = "no averaging times"
-        raise ValueError(msg)
-    return best[1:]
+    ranking, weight, _ = search.ranking(points)
+    whole = _described(points, ranking, weight)
+    least = 6 if search.structure is None else len(search.structure) + search.structure.count("GM") + 3
+    if whole.misfit >= _FILTERED:
+        for first in range(1, points.size - least + 1):
+            kept = points.within(first)
+            ranking, weight, misfit = search.ranking(kept)
+            if misfit < _MISFIT:
+                part = _described(kept, ranking, weight)
+                return kept, part.ranking, part.solution, part.weight
+    return points, whole.ranking, whole.solution, whole.weight
 
 
-def _described(
-    points: AvarPoints, ranking: list[tuple[float, Solution]], weight: Weight
-) -> tuple[list[tuple[float, Solution]], Solution, Weight]:
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    ranking: list[tuple[float, Solution]]
+    solution: Solution
+    weight: Weight
+    misfit: float
+
+
+def _described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight: Weight) -> _Fitted:
     """Return the first of the models that describes the curve with its own weight; else the first.
 
     The criterion ranks all models with one weight, under which a model that lacks a small term may
     win; with its own weight it then shows a misfit that the next one does not have.
     """
-    fits: list[tuple[Solution, Weight]] = []
-    for place, (_, start) in enumerate(ranking):
+    fits: list[_Fitted] = []
+    for place, (delta, start) in enumerate(ranking):
         solution, own, covariance = _converged(points, start, weight)
-        fits.append((solution, own))
-        if not goodness(points, solution, covariance).statistic >= _MISFIT:
-            delta = ranking[place][0]
-            return [(d - delta, s) for d, s in ranking[place:]], solution, own
-    return ranking, *fits[0]
+        misfit = goodness(points, solution, covariance).statistic
+        rest = [(d - delta, s) for d, s in ranking[place:]]
+        fits.append(_Fitted(rest, solution, own, misfit))
+        if not misfit >= _MISFIT:
+            return fits[-1]
+    return fits[0]
 
 
 def _converged(points: AvarPoints, solution: Solution, weight: Weight) -> tuple[Solution, Weight, FloatArray]:
