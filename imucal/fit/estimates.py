@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.fit.information import covariance
 from imucal.fit.intervals import RAMP, profile_limits
 from imucal.fit.likelihood import Candidates
 from imucal.fit.ordinates import LAWS, Ordinates
@@ -221,23 +222,21 @@ def covariance_of(
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the names of the parameters and their covariance in SI, from the expected information."""
     columns = parameter_columns(fitted.structure, fitted.candidate.room_markov)
-    free = np.flatnonzero(fitted.candidate.free[0])
-    inverse = np.linalg.pinv(fitted.maximum.information[0][np.ix_(free, free)], hermitian=True)
-    places = [int(np.flatnonzero(free == column)[0]) for _, column in columns]
-    names = [name.removesuffix(".sigma") if name == "GM.sigma" else name for name, _ in columns]
+    places = [column for _, column in columns]
+    inverse = covariance(fitted.maximum.information[0], fitted.candidate.free[0])
     names = [name for name, _ in columns]
     known = {e.key: e for e in estimates}
     slope = np.array([_slope(name, known) for name in names])
     widen = np.array([scales.widening.get(name, 1.0) for name in names])
     slope = slope * widen
-    covariance = inverse[np.ix_(places, places)] * np.outer(slope, slope)
+    matrix = inverse[np.ix_(places, places)] * np.outer(slope, slope)
     if "R" in fitted.structure:
         names.append("R")
         variance = float(fitted.maximum.beta_covariance[0, 0, 0]) * scales.deviation("R") ** 2
-        covariance = np.block(
-            [[covariance, np.zeros((len(columns), 1))], [np.zeros((1, len(columns))), np.array([[variance]])]]
+        matrix = np.block(
+            [[matrix, np.zeros((len(columns), 1))], [np.zeros((1, len(columns))), np.array([[variance]])]]
         )
-    return tuple(names), covariance
+    return tuple(names), matrix
 
 
 def _slope(name: str, known: dict[str, Estimate]) -> float:

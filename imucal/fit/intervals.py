@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
+from imucal.fit.information import covariance
 from imucal.fit.likelihood import Candidates
 from imucal.fit.ordinates import Ordinates
 from imucal.fit.scoring import Maximum, bounds, maximize
@@ -116,11 +117,8 @@ class _Search:
                 width[i] = float(np.sqrt(maximum.beta_covariance[row, 0, 0]))
                 continue
             column = int(self.columns[i])
-            used = np.flatnonzero(self.candidates.free[i])
-            information = maximum.information[row][np.ix_(used, used)]
-            inverse = np.linalg.pinv(information, hermitian=True)
-            place = int(np.flatnonzero(used == column)[0])
-            deviation = float(np.sqrt(max(inverse[place, place], 1e-12)))
+            inverse = covariance(maximum.information[row], self.candidates.free[i])
+            deviation = float(np.sqrt(max(inverse[column, column], 1e-12)))
             if self.variance[i]:
                 visible = float(np.exp(0.5 * (low[column] + 12.0)))
                 width[i] = max(0.5 * min(deviation, 2.0) * float(self.centre[i]), visible)

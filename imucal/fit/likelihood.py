@@ -13,7 +13,7 @@ Parameters of a candidate stand in one row, the same place for every candidate:
 
     log variances of Q, N, B, K | log variances of GM 1 … g | logs of their times | response a_1 … a_j
 
-with the response of the output filter |H|² = (1 - lam/4)^zeros / (1 + sum a_i (lam/lam_top)^i).
+with the response of the output filter |H|² = (1 - lam/4)^zeros / (1 + sum a_i (lam/top)^i).
 """
 
 from dataclasses import dataclass
@@ -29,6 +29,9 @@ from imucal.fit.ordinates import Ordinates
 __all__ = ["Candidates", "Evaluation", "evaluate"]
 
 BoolArray = NDArray[np.bool_]
+
+#: Places in a band, lam / top, where a response must be positive whatever the bins are.
+_BETWEEN = np.linspace(0.4, 1.0, 25)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -190,11 +193,15 @@ def _filter(
     rows = np.flatnonzero((candidates.poles > 0) | (candidates.zeros > 0))
     if not rows.size:
         return
-    x = ordinates.lam / ordinates.lam.max()
+    x = ordinates.lam / ordinates.top
     powers = x ** np.arange(1, candidates.room_poles + 1)[:, None]
     use = np.arange(candidates.room_poles) < candidates.poles[rows, None]
-    denominator = 1 + np.where(use, theta[rows, first:], 0.0) @ powers
-    denominator[np.any(denominator <= 0, axis=1)] = np.nan
+    response = np.where(use, theta[rows, first:], 0.0)
+    denominator = 1 + response @ powers
+    # It must be positive also between the bins and up to the very end of the band.
+    between = _BETWEEN ** np.arange(1, candidates.room_poles + 1)[:, None]
+    negative = np.any(denominator <= 0, axis=1) | np.any(1 + response @ between <= 0, axis=1)
+    denominator[negative] = np.nan
     numerator = np.maximum(1 - ordinates.lam / 4, 1e-12) ** candidates.zeros[rows, None]
     spectrum[rows] *= numerator / denominator
     slopes[rows, first:] = np.where(use[:, :, None], -powers / denominator[:, None, :], 0.0)

@@ -6,6 +6,7 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.findings import Finding
+from imucal.fit.band import find_band
 from imucal.fit.estimates import (
     Fitted,
     Scales,
@@ -19,7 +20,7 @@ from imucal.fit.estimates import (
 from imucal.fit.goodness import misfit
 from imucal.fit.ordinates import Ordinates
 from imucal.fit.result import Candidate, Estimate, Goodness, NoiseFit
-from imucal.fit.select import Choice, choose
+from imucal.fit.selection import Choice, choose
 from imucal.fit.structures import Structure, all_structures
 from imucal.fit.transform import bin_blocks, scale_of, transform
 from imucal.noise.model import structure_text
@@ -78,10 +79,20 @@ def fit_mle(
         msg = f"{series.name}: {series.n} samples, expected at least {_FEWEST}; record for longer"
         raise DataError(msg)
     scale = scale_of(series.samples, series.name)
-    ordinates = bin_blocks([transform(series.samples / scale)], scale)
+    whole = bin_blocks([transform(series.samples / scale)], scale)
     shortest = _SHORTEST if structure is None else 2.0
-    structures = all_structures(max_gm) if structure is None else [structure]
-    choice = choose(ordinates, structures, criterion=criterion, shortest=shortest)
+    band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST)
+    ordinates = whole.below(band.fraction)
+    structures = _structures(structure, max_gm, filtered=band.poles > 0)
+    choice = choose(
+        ordinates,
+        structures,
+        criterion=criterion,
+        poles=band.poles,
+        zeros=band.zeros,
+        response=band.response,
+        shortest=shortest,
+    )
     scales = Scales(unit=scale, tau0=series.tau0, widening={})
     fitted = Fitted(
         structure=choice.structures[0],
@@ -108,11 +119,28 @@ def fit_mle(
             band_hz=(float(ordinates.fraction.min()) * nyquist, float(ordinates.fraction.max()) * nyquist),
         ),
         curve=curve,
-        used=_used(curve, 1.0),
+        used=_used(curve, band.fraction),
         candidates=_candidates(choice),
         criterion="given" if structure is not None else criterion,
         findings=_choice_findings(choice, series.name) if structure is None else (),
     )
+
+
+def _richest(structure: Structure | None, max_gm: int) -> Structure:
+    """Return a structure that holds every candidate."""
+    if structure is None:
+        return ("Q", "N", "B", *["GM"] * max_gm, "K", "R")
+    order = list(TERMS)
+    missing = [s for s in ("N", "B", "GM", "K") if s not in structure]
+    return tuple(sorted((*structure, *missing), key=order.index))
+
+
+def _structures(structure: Structure | None, max_gm: int, *, filtered: bool) -> list[Structure]:
+    """Return the candidates; behind a filter they have N, which the response refers to, and no Q."""
+    if structure is not None:
+        return [structure]
+    every = all_structures(max_gm, quantization=not filtered)
+    return [s for s in every if "N" in s] if filtered else every
 
 
 def _settle(

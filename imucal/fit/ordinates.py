@@ -42,6 +42,8 @@ class Ordinates:
         Sums of ordinate times regressor's ordinate, shape (r, b).
     gram
         Sums of products of regressors' ordinates, shape (r, r, b).
+    top
+        lam at the upper end of the band, which a response's coefficients refer to.
     """
 
     scale: float
@@ -54,6 +56,7 @@ class Ordinates:
     names: tuple[str, ...]
     cross: FloatArray
     gram: FloatArray
+    top: float = 4.0
 
     @property
     def count(self) -> float:
@@ -86,7 +89,8 @@ class Ordinates:
 
     def below(self, fraction: float) -> "Ordinates":
         """Return the bins up to a fraction of Nyquist that hold any ordinate."""
-        return self.take((self.fraction <= fraction * (1 + 1e-9)) & (self.size > 0))
+        chosen = self.take((self.fraction <= fraction * (1 + 1e-9)) & (self.size > 0))
+        return replace(chosen, top=4 * float(np.sin(np.pi / 2 * fraction)) ** 2)
 
     def detrended(self) -> "Ordinates":
         """Return the ordinates less a roughly fitted ramp, for starting values only."""

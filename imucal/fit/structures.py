@@ -37,8 +37,8 @@ def candidates_of(
     structures: Sequence[Structure],
     names: Sequence[str],
     *,
-    poles: int = 0,
-    zeros: int = 0,
+    poles: int | Sequence[int] = 0,
+    zeros: int | Sequence[int] = 0,
     common: Sequence[str] = (),
     room_markov: int | None = None,
     room_poles: int | None = None,
@@ -50,7 +50,7 @@ def candidates_of(
     names
         The ordinates' regressors.
     poles, zeros
-        Order of the output filter's response, the same for all.
+        Order of the output filter's response, one for all or one for each.
     common
         Regressors that every candidate has.
     room_markov, room_poles
@@ -61,13 +61,13 @@ def candidates_of(
     return Candidates(
         laws=np.array([[s in structure for s in _SYMBOLS] for structure in structures]).reshape(count, 4),
         markov=markov,
-        poles=np.full(count, poles),
-        zeros=np.full(count, zeros),
+        poles=np.broadcast_to(np.asarray(poles, dtype=np.int64), count),
+        zeros=np.broadcast_to(np.asarray(zeros, dtype=np.int64), count),
         regressors=np.array(
             [[name in structure or name in common for name in names] for structure in structures]
         ).reshape(count, len(names)),
         room_markov=int(markov.max(initial=0)) if room_markov is None else room_markov,
-        room_poles=poles if room_poles is None else room_poles,
+        room_poles=int(np.max(poles)) if room_poles is None else room_poles,
     )
 
 

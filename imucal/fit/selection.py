@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.errors import DataError
 from imucal.fit.likelihood import Candidates
 from imucal.fit.ordinates import Ordinates, coarser
 from imucal.fit.scoring import Maximum, maximize
@@ -92,6 +93,9 @@ def choose(
         tolerance=1e-3,
         iterations=40,
     )
+    if not np.isfinite(rough.objective).any():
+        msg = "no candidate has a finite likelihood from its starting values"
+        raise DataError(msg)
     cost = penalty(criterion, ordinates.count) * candidates.parameters
     best = np.full(candidates.count, np.inf)
     np.minimum.at(best, owner, 2 * rough.objective)
@@ -128,7 +132,7 @@ def _ranked(
         rows = np.flatnonzero(owner == index)
         rows = rows[np.argsort(fine.objective[rows], kind="stable")]
         best.append(int(rows[0]))
-        others = fine.objective[rows[1:]] - fine.objective[rows[0]]
+        others = fine.objective[rows[1:]] - fine.objective[rows[0]] if len(rows) > 1 else np.zeros(0)
         apart = others[others > 0.02]
         modes.append(float(apart[0]) if apart.size else np.inf)
     value = 2 * fine.objective[best] + cost[near]

@@ -1,0 +1,276 @@
+"""Which part of the spectrum a model can describe, and the output filter that shapes it.
+
+Sensors filter their output. A model of noise alone can't describe a filtered spectrum, and a fit of
+the whole band is then wrong in every term. Two remedies are tried together: a narrower band, and a
+response that multiplies the spectrum,
+
+    |H|² = (1 - lam/4)^z / (1 + a_1 x + … + a_j x^j),   x = lam / top,  lam = 4 sin²(theta/2),
+
+which every all-pole filter of order j has exactly (z = 0: one-pole, cascades, resonances), and every
+Butterworth filter by the bilinear transform (z = j); any other smooth low-pass is close to one
+below its corner. DC gain is 1, so that N keeps its meaning.
+
+A description is sound when the misfit is within chance and the next orders of the response add
+nothing. Among the sound ones the one that tells N best is taken, and then one order more than it
+needs, so that what the response can't follow does not bias N.
+"""
+
+from dataclasses import dataclass
+from math import comb
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray
+from imucal.fit.goodness import misfit
+from imucal.fit.information import covariance
+from imucal.fit.likelihood import Candidates
+from imucal.fit.ordinates import Ordinates, coarser
+from imucal.fit.scoring import Maximum, maximize
+from imucal.fit.starts import find_starts
+from imucal.fit.structures import Structure, candidates_of
+
+__all__ = ["BANDS", "Band", "find_band"]
+
+#: Bands that are tried, as fractions of Nyquist.
+BANDS = (1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125)
+#: Misfit score below which a description is sound.
+_SOUND = 3.0
+#: Twice the log-likelihood that one, or two more orders of the response may gain by chance.
+_GAIN = (9.0, 12.0)
+#: Poles and zeros of a response.
+Order: TypeAlias = tuple[int, int]
+#: Highest number of poles.
+_ORDERS = 5
+#: Above this fraction of Nyquist a response's zeros show; at Nyquist itself they leave nothing.
+_NARROW = 0.4
+_ALL_POLES: list[Order] = [(poles, 0) for poles in range(_ORDERS + 1)]
+_WITH_ZEROS: list[Order] = [
+    *_ALL_POLES,
+    *((z + more, z) for z in (1, 2, 3, 4) for more in (0, 1, 2) if z + more <= _ORDERS),
+]
+#: A band needs so many bins.
+_FEWEST = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Band:
+    """The part of the spectrum to fit, and the response there.
+
+    Attributes
+    ----------
+    fraction
+        Its upper end as a fraction of Nyquist.
+    poles, zeros
+        Order of the response, 0 where it is flat.
+    response
+        Its coefficients a, shape (poles,).
+    sound
+        Whether the description is within chance.
+    statistic
+        Misfit score of the richest model.
+    """
+
+    fraction: float
+    poles: int
+    zeros: int
+    response: FloatArray
+    sound: bool
+    statistic: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Trial:
+    """One description: band, order, fit, and how it does."""
+
+    fraction: float
+    order: Order
+    maximum: Maximum
+    statistic: float
+    deviation: float
+
+    def band(self, *, sound: bool, width: int) -> Band:
+        return Band(
+            fraction=self.fraction,
+            poles=self.order[0],
+            zeros=self.order[1],
+            response=self.maximum.theta[0, width : width + self.order[0]],
+            sound=sound,
+            statistic=self.statistic,
+        )
+
+
+def find_band(
+    ordinates: Ordinates, rich: Structure, *, shortest: float, common: tuple[str, ...] = ()
+) -> Band:
+    """Return the band, and the response in it, that a rich model describes.
+
+    Parameters
+    ----------
+    rich
+        Terms of a model that holds all the candidates; Q counts only where the response is flat,
+        because both bend the top of the spectrum.
+    shortest
+        Shortest correlation time of its Gauss-Markov terms, in samples.
+    common
+        Regressors that are in every model.
+    """
+    coarse = coarser(ordinates.below(1.0), singles=48, merge=3)
+    search = _Search(coarse, rich, shortest, common)
+    flat = search.flat()
+    if flat.sound:
+        return flat
+    plain = tuple(symbol for symbol in rich if symbol != "Q")
+    return _Search(coarse, plain, shortest, common).filtered()
+
+
+class _Search:
+    """Fits of one structure to several bands with several responses."""
+
+    def __init__(
+        self, ordinates: Ordinates, structure: Structure, shortest: float, common: tuple[str, ...]
+    ) -> None:
+        self.ordinates, self.structure = ordinates, structure
+        self.shortest, self.common = shortest, common
+        self.width = 4 + 2 * structure.count("GM")
+
+    def candidates(self, orders: list[Order]) -> Candidates:
+        return candidates_of(
+            [self.structure] * len(orders),
+            self.ordinates.names,
+            poles=[poles for poles, _ in orders],
+            zeros=[zeros for _, zeros in orders],
+            common=self.common,
+            room_poles=_ORDERS,
+        )
+
+    def blind(self, seen: Ordinates) -> FloatArray:
+        """Return parameters of the best blind fit without a response, shape (1, p)."""
+        candidate = self.candidates([(0, 0)])
+        starts = find_starts(seen, candidate, shortest=self.shortest, keep=(1, 2, 4))
+        rows = np.zeros(starts.candidate.size, dtype=np.int64)
+        found = maximize(seen, candidate.take(rows), starts.theta, shortest=self.shortest, tolerance=1e-3)
+        return found.theta[[int(np.argmin(found.objective))]]
+
+    def fit(self, seen: Ordinates, fraction: float, orders: list[Order], starts: FloatArray) -> list[_Trial]:
+        """Fit one band with some responses, each from its row of `starts`, shape (k, p)."""
+        candidates = self.candidates(orders)
+        found = maximize(seen, candidates, starts, shortest=self.shortest, tolerance=1e-3, iterations=60)
+        rows = [np.array([row]) for row in range(len(orders))]
+        return [
+            _Trial(
+                fraction=fraction,
+                order=order,
+                maximum=found.take(row),
+                statistic=misfit(seen, candidates.take(row), found.theta[row]).statistic,
+                deviation=_deviation_of_white(candidates.take(row), found.take(row)),
+            )
+            for order, row in zip(orders, rows, strict=True)
+        ]
+
+    def flat(self) -> Band:
+        """Return the whole band without a response, sound if the data do not ask for more."""
+        start = self.blind(self.ordinates)
+        trials = self.fit(self.ordinates, 1.0, [(0, 0), (1, 0), (2, 0)], np.repeat(start, 3, axis=0))
+        return trials[0].band(sound=_enough(trials), width=self.width)
+
+    def filtered(self) -> Band:
+        """Return the best sound description, or the least bad one."""
+        narrow = self.ordinates.below(BANDS[-1])
+        low = self.blind(narrow if narrow.size.size >= _FEWEST else self.ordinates)
+        every: list[_Trial] = []
+        best: tuple[float, _Trial] | None = None
+        for fraction in BANDS:
+            seen = self.ordinates.below(fraction)
+            if seen.size.size < _FEWEST:
+                break
+            if best is not None and best[0] < np.sqrt(0.5 / seen.count):
+                break
+            orders = _WITH_ZEROS if _NARROW < fraction < 1 else _ALL_POLES
+            starts = np.concatenate([_start(seen, low, order, self.width) for order in orders])
+            fits = self.fit(seen, fraction, orders, starts)
+            trials = {t.order: t for t in fits if np.isfinite(t.maximum.objective[0])}
+            every += trials.values()
+            found = self.simplest(trials)
+            if found is not None and (best is None or found[0] < best[0]):
+                best = found
+        if best is None:
+            return min(every, key=lambda t: t.statistic).band(sound=False, width=self.width)
+        return best[1].band(sound=True, width=self.width)
+
+    @staticmethod
+    def simplest(trials: dict[Order, _Trial]) -> tuple[float, _Trial] | None:
+        """Return the error of N of the simplest sound description of a band, and its next order."""
+        for poles, zeros in sorted(trials, key=lambda order: (sum(order), order)):
+            nested = [trials[o] for more in range(3) if (o := (poles + more, zeros)) in trials]
+            if len(nested) > 1 and _enough(nested):
+                return nested[0].deviation, nested[1]
+        return None
+
+
+def _start(seen: Ordinates, low: FloatArray, order: Order, width: int) -> FloatArray:
+    """Return starting parameters, shape (1, p): slow terms as given, response from the spectrum.
+
+    Where white noise dominates, numerator / S = (1 + sum a_i x^i) / N²: a linear regression in 1/N²
+    and a/N². Where that is not positive, the flattest response 1 + c x^j that fits best.
+    """
+    poles, zeros = order
+    theta = np.concatenate([low[:, :width], np.zeros((1, _ORDERS))], axis=1)
+    if not poles:
+        return theta
+    x = seen.lam / seen.top
+    high = seen.fraction > min(0.03, 0.3 * float(seen.fraction.max()))
+    numerator = np.maximum(1 - seen.lam / 4, 1e-12) ** zeros
+    target = (numerator * seen.size / np.maximum(seen.power, 1e-300))[high]
+    powers = x[:, None] ** np.arange(poles + 1)
+    weight = np.sqrt(seen.size[high]) / target
+    solution = np.linalg.lstsq(powers[high] * weight[:, None], target * weight, rcond=None)[0]
+    for _ in range(2):
+        fitted = powers @ solution
+        if np.any(fitted <= 0) or solution.sum() <= 0:
+            solution = _flattest(seen, high, numerator, order)
+            break
+        weight = np.sqrt(seen.size[high]) / fitted[high]
+        better = np.linalg.lstsq(powers[high] * weight[:, None], target * weight, rcond=None)[0]
+        if np.any(powers @ better <= 0) or better.sum() <= 0:
+            break
+        solution = better
+    theta[0, 1] = -np.log(solution[0])
+    theta[0, width : width + poles] = solution[1:] / solution[0]
+    return theta
+
+
+def _flattest(seen: Ordinates, high: NDArray[np.bool_], numerator: FloatArray, order: Order) -> FloatArray:
+    """Return the best of a row of Butterworth responses, as coefficients of numerator / S."""
+    poles, zeros = order
+    x, best, solution = seen.lam / seen.top, np.inf, np.zeros(poles + 1)
+    for corner in np.geomspace(0.03, 0.97, 24):
+        # |H|² = (1 - lam/4)^z / ((1 - lam/4)^z + c lam^j), one half at the corner.
+        at = float(np.sin(np.pi / 2 * corner)) ** 2
+        binomial = np.array([comb(zeros, i) * (-seen.top / 4) ** i for i in range(zeros + 1)])
+        form = np.zeros(poles + 1)
+        form[: zeros + 1] = binomial
+        form[poles] += (1 - at) ** zeros * (seen.top / 4 / at) ** poles
+        shape = numerator / (x[:, None] ** np.arange(poles + 1) @ form)
+        ratio = (seen.power / shape)[high]
+        level = ratio.sum() / seen.size[high].sum()
+        misfit_ = float(np.sum(seen.size[high] * np.log(level * shape[high]) + ratio / level))
+        if misfit_ < best:
+            best, solution = misfit_, form / level
+    return solution
+
+
+def _enough(trials: list[_Trial]) -> bool:
+    """Whether the first of nested trials is sound and the next orders gain no more than chance."""
+    first = trials[0]
+    gains = [2 * float(first.maximum.objective[0] - t.maximum.objective[0]) for t in trials[1:]]
+    return first.statistic < _SOUND and all(g < most for g, most in zip(gains, _GAIN, strict=False))
+
+
+def _deviation_of_white(candidate: Candidates, maximum: Maximum) -> float:
+    """Return the relative standard error of N; infinite where it is not told."""
+    if not candidate.laws[0, 1]:
+        return float(np.inf)
+    variance = float(covariance(maximum.information[0], candidate.free[0])[1, 1])
+    return 0.5 * float(np.sqrt(variance))
