@@ -91,9 +91,13 @@ class BlockReader:
         if self._pattern is not None:
             block = b"\n".join(self._pattern.findall(block)) + b"\n"
         plain = self._plain(block)
-        if not plain.strip():
+        if not plain or plain.isspace():
             return
         values = self._by_polars(plain)
+        if values is None:
+            # Blank lines are looked for only now: the search costs as much as the parsing.
+            plain = re.sub(rb"\n{2,}", b"\n", plain).lstrip(b"\n")
+            values = self._by_polars(plain, last_try=True)
         if values is None:
             values = self._by_hand(plain)
         rows = len(values[self._places[0]])
@@ -114,21 +118,22 @@ class BlockReader:
             block = block.translate(None, b" ")
         if self.layout.decimal == ",":
             block = block.replace(b",", b".")
-        if b"\n\n" in block or block.startswith(b"\n"):
-            block = re.sub(rb"\n{2,}", b"\n", block).lstrip(b"\n")
         return block
 
     @property
     def _separator(self) -> str:
         return "," if self.layout.delimiter == BLANKS else self.layout.delimiter
 
-    def _by_polars(self, block: bytes) -> dict[int, NDArray[Any]] | None:
-        """Return the wanted columns of a block; None where it holds something that is no row."""
+    def _by_polars(self, block: bytes, *, last_try: bool = False) -> dict[int, NDArray[Any]] | None:
+        """Return the wanted columns of a block; None where it holds something that is no row.
+
+        Rows that lack a cell are such before the last try: they may be blank lines.
+        """
         import polars as pl
 
         types: dict[Kind, Any] = {"integer": pl.Int64, "float": pl.Float64, "text": pl.String}
         schema = {str(place): types[self.kinds.get(place, "text")] for place in range(self.layout.width)}
-        guards = self.needed | frozenset(self._places)
+        guards = sorted(self.needed | frozenset(self._places))
         try:
             table = pl.read_csv(
                 block,
@@ -136,16 +141,16 @@ class BlockReader:
                 separator=self._separator,
                 quote_char='"' if self.layout.quoted else None,
                 schema=schema,
-                columns=sorted(guards),
+                columns=guards if len(guards) < self.layout.width else None,
             )
         except (pl.exceptions.PolarsError, UnicodeDecodeError):
             return None
-        lines = block.count(b"\n") + (not block.endswith(b"\n"))
-        if table.height != lines:
+        # A quotation mark that stands open may swallow lines.
+        if self.layout.quoted and table.height != block.count(b"\n") + (not block.endswith(b"\n")):
             return None
         nulls = {int(name): table[name].null_count() for name in table.columns}
         empty = np.zeros(table.height, dtype=np.bool_)
-        for place in self.needed:
+        for place in self.needed if self.needed else self._places:
             if nulls[place]:
                 empty |= table[str(place)].is_null().to_numpy()
         values = {place: self._values(table[str(place)], nulls[place]) for place in self._places}
@@ -153,6 +158,8 @@ class BlockReader:
             if self.kinds[place] == "text":
                 empty |= values[place] == _NO_STAMP
         if empty.any():
+            if not last_try:
+                return None
             self._note_bad(int(empty.sum()), lambda: block.split(b"\n")[int(np.flatnonzero(empty)[0])])
             values = {place: array[~empty] for place, array in values.items()}
         return values

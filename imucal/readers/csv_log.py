@@ -11,7 +11,7 @@ from typing import Any
 
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
 from imucal.findings import Finding
-from imucal.readers.assemble import SensorColumns, assemble
+from imucal.readers.tabular import SensorColumns, assemble
 from imucal.readers.blocks import BlockReader, Kind, without_start
 from imucal.readers.columns import Rows
 from imucal.readers.contents import LogContents, TopicContents

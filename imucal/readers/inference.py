@@ -18,9 +18,10 @@ __all__ = ["AccelUnit", "GyroUnit", "infer_accel_unit", "infer_gyro_unit", "samp
 #: Counts per g of 16 bit converters at 2, 4, 8 and 16 g.
 _COUNTS_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)
 
-#: Range in g about 1 within which a sensor at rest reads gravity, scale errors included.
-_GRAVITY = (9.3 / G0, 10.3 / G0)
-_UNIT_GRAVITY = (0.93, 1.07)
+#: Scale errors of cheap sensors; the units themselves lie a factor of ten apart.
+_GRAVITY_TOLERANCE = 0.15
+#: The ranges of counts lie a factor of two apart, and a wrong one is a wrong result.
+_COUNT_TOLERANCE = 0.05
 
 _DEGREE = np.pi / 180
 
@@ -100,15 +101,12 @@ def infer_accel_unit(rows: FloatArray) -> AccelUnit:
         return AccelUnit(unit=None, reason="there are no finite samples")
     size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
     seen = f"median magnitude {size:.4g}"
-    if _GRAVITY[0] * G0 <= size <= _GRAVITY[1] * G0:
-        return AccelUnit(unit="m/s^2", reason=f"{seen} is gravity in m/s^2")
-    if _UNIT_GRAVITY[0] <= size <= _UNIT_GRAVITY[1]:
-        return AccelUnit(unit="g", reason=f"{seen} is gravity in g")
-    if 1e3 * _UNIT_GRAVITY[0] <= size <= 1e3 * _UNIT_GRAVITY[1]:
-        return AccelUnit(unit="mg", reason=f"{seen} is gravity in mg")
+    for unit, gravity in (("m/s^2", G0), ("g", 1.0), ("mg", 1000.0)):
+        if abs(size / gravity - 1) <= _GRAVITY_TOLERANCE:
+            return AccelUnit(unit=unit, reason=f"{seen} is gravity in {unit}")
     integers = bool((rows == np.round(rows)).all())
     for counts in _COUNTS_PER_G if integers else ():
-        if abs(size / counts - 1) <= 0.05:
+        if abs(size / counts - 1) <= _COUNT_TOLERANCE:
             return AccelUnit(
                 unit="count", scale=G0 / counts, reason=f"{seen} is gravity at {counts:.0f} counts per g"
             )

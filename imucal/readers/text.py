@@ -105,20 +105,20 @@ class TextSource:
         ReadError
             If a line is longer than any row of a table.
         """
-        rest = self._start
+        rest, self._start = self._start, b""
         while True:
-            data = self._line_ends(self._plain(self._read(_BLOCK - len(rest)))) if not self._ended else b""
-            if rest:
-                data = rest + data
+            data = b"" if self._ended else self._line_ends(self._plain(self._read(_BLOCK)))
             cut = len(data) if self._ended else data.rfind(b"\n") + 1
-            block, rest = (data, b"") if cut == len(data) else (data[:cut], data[cut:])
+            # One copy: the block is the rest of the one before and the whole lines of this one.
+            block = b"".join((rest, memoryview(data)[:cut])) if cut or self._ended else b""
+            rest = data[cut:] if block or not rest else rest + data
             if len(rest) > _LONGEST_LINE:
                 msg = f"{self.name}: a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
                 raise ReadError(msg)
+            self._report()
             if block:
                 yield block
-            self._report()
-            if self._ended and not rest:
+            if self._ended:
                 return
 
     def _read(self, size: int) -> bytes:
