@@ -67,7 +67,7 @@ class GenericModel:
         return total
 
 
-def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator) -> float:
+def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *, stride: int = 1) -> float:
     """Return the equivalent degrees of freedom of one value, at least 1.
 
     Parameters
@@ -80,6 +80,8 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator) -
         Number M of differences that are averaged.
     estimator
         Which differences.
+    stride
+        Samples between neighbouring differences of an overlapping estimator; a divisor of `m`.
 
     Notes
     -----
@@ -95,8 +97,9 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator) -
         ratio = m / _MODIFIED_LIMIT
         variances = variances * np.array([ratio ** _MODIFIED_SLOPES[law] for law in PowerLaw])
         terms, m = max(terms / ratio, 1.0), _MODIFIED_LIMIT
-    span = terms if estimator.overlapping else terms * m
-    lags, weights, basis = _basis(m, int(np.ceil(span)), estimator)
+    stride = stride if estimator.overlapping else m
+    span = terms * stride
+    lags, weights, basis = _basis(m, int(np.ceil(span)), stride, estimator)
     weights = weights * (1 - lags / span)
     covariance = variances @ basis
     lag_sum = max(float(weights @ covariance), 0.0)
@@ -113,25 +116,24 @@ def _drift_square(drift: float, m: int, estimator: Estimator) -> float:
 
 
 @lru_cache(maxsize=128)
-def _basis(m: int, span: int, estimator: Estimator) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _basis(m: int, span: int, stride: int, estimator: Estimator) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return lags, shape (j,), their weights, and s(k) of each law of unit variance, shape (4, j)."""
-    lags, weights = _lag_grid(m, min(span - 1, _FAR * m), estimator)
+    lags, weights = _lag_grid(m, min(span - 1, _FAR * m), stride, estimator.order)
     return lags, weights, np.array([_covariance(law, lags, m, estimator) for law in PowerLaw])
 
 
-def _lag_grid(m: int, last: int, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
-    """Return lags from 0 to `last` and the weights that sum a smooth even function over all lags.
+def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return lags from 0 to `last` and the weights that sum a smooth even function over them.
 
     Every lag stands alone about the kinks 0, m, … order m; between, points thin out and the
     trapezoid rule carries the lags they stand for.
     """
-    stride = 1 if estimator.overlapping else m
     if stride > 1:
         lags = np.arange(0, last + 1, stride)
     elif last <= _ALL_LAGS:
         lags = np.arange(last + 1)
     else:
-        lags = _graded(m, last, estimator.order)
+        lags = _graded(m, last, order)
     gaps = np.diff(lags) / stride - 1.0
     weights = np.ones(lags.size)
     weights[1:] += gaps / 2

@@ -11,7 +11,7 @@ import numpy as np
 from imucal.allan.estimators import Estimator
 from imucal.arrays import FloatArray, IntArray
 
-__all__ = ["sum_of_squares", "variances"]
+__all__ = ["SquareSum", "sum_of_squares", "variances"]
 
 #: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
 _BLOCK = 32768
@@ -75,7 +75,7 @@ def sum_of_squares(values: FloatArray) -> float:
     return float(np.vecdot(rows, rows).sum() + np.vecdot(tail, tail))
 
 
-class _Squares:
+class SquareSum:
     """The sum of squares of what is written to a work array, block after block.
 
     It is kept row by row until the end, which saves a reduction a block.
@@ -83,22 +83,25 @@ class _Squares:
 
     def __init__(self, work: FloatArray) -> None:
         self.work = work
-        self._rows = work.reshape(-1, _ROW)
+        self._rows = work[: work.size - work.size % _ROW].reshape(-1, _ROW)
         self._block = np.empty(len(self._rows))
         self._total = np.zeros(len(self._rows))
+        self._tails = 0.0
 
     def add(self, count: int) -> None:
         """Add the squares of the first `count` elements of the work array."""
         whole = count // _ROW
-        rows, block = self._rows[:whole], self._block[:whole]
-        np.vecdot(rows, rows, out=block)
-        self._total[:whole] += block
+        if whole:
+            rows, block = self._rows[:whole], self._block[:whole]
+            np.vecdot(rows, rows, out=block)
+            self._total[:whole] += block
         if count % _ROW:
             tail = self.work[whole * _ROW : count]
-            self._total[0] += np.vecdot(tail, tail)
+            self._tails += float(np.vecdot(tail, tail))
 
     def total(self) -> float:
-        return float(self._total.sum())
+        """Return the sum so far."""
+        return float(self._total.sum()) + self._tails
 
 
 def _integral(samples: FloatArray, integrations: int) -> FloatArray:
@@ -125,7 +128,7 @@ def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
     end = samples.size + depth
     work = np.empty(_BLOCK)
     lower = [np.empty(_BLOCK + reach) for _ in range(order - 1)]
-    squares = [_Squares(work) for _ in factors]
+    squares = [SquareSum(work) for _ in factors]
     for start in range(0, end - order * min(factors), _BLOCK):
         stop = min(start + _BLOCK + reach, end)
         local = _local_integral(samples[start : stop - depth], depth)
@@ -167,7 +170,7 @@ def _column_sum(total: FloatArray, m: int, order: int) -> float:
     """
     count = total.size - order * m
     work = np.empty(_BLOCK)
-    squares = _Squares(work)
+    squares = SquareSum(work)
     kept = [np.empty(_BLOCK) for _ in range(order - 1)]
     fresh = [np.empty(_BLOCK) for _ in range(order - 1)]
     for column in range(0, min(m, count), _BLOCK):
