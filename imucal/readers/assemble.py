@@ -1,8 +1,8 @@
-"""Columns of numbers -> Recording: units, stamps, clocks, temperature, and how each was decided."""
+"""Containers -> Recording: choose topics, decode them, and give each sensor its clock."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias, cast
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,414 +10,251 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
-from imucal.readers.clock import ClockReading, clock_from_stamps
-from imucal.readers.inference import infer_accel_unit, infer_gyro_unit, sample_of
+from imucal.readers.choice import Choice, choose
+from imucal.readers.clock import LOG_TIME, ClockReading, clock_from_stamps
+from imucal.readers.container import Container
+from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.engine import Decoding, decode
+from imucal.readers.losses import DAMAGE, loss_findings
 from imucal.readers.options import ReadOptions
-from imucal.readers.plan import SensorPlan
-from imucal.readers.signatures import Signature
-from imucal.readers.stamps import infer_time_unit, midnight_rolled, to_ns, unwrapped, week_rolled
-from imucal.readers.timing import TimeChoice
-from imucal.recording import Axis, AxisSeries, Clock, Recording, Sensor, Source, Temperature
-from imucal.units import SAMPLE_UNITS, TIME_UNITS_NS, parse_sample_unit
+from imucal.readers.order import in_time_order
+from imucal.readers.store import Columns
+from imucal.readers.topics import Topic, find_topics, stream_of
+from imucal.readers.two_clocks import compare_clocks
+from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
+from imucal.units import SAMPLE_UNITS
 
-__all__ = ["SensorColumns", "assemble"]
+__all__ = ["HEADER", "describe_logs", "read_logs"]
 
-#: A column of counts or values.
-Numbers: TypeAlias = NDArray[np.int64] | FloatArray
+#: Name of the time in the messages.
+HEADER = "header stamp"
 
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
-
-#: Temperatures in which electronics work, in degrees Celsius; others are raw counts.
-_TEMPERATURES = (-80.0, 200.0)
+_TIMES = (None, "header", "log")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SensorColumns:
-    """The columns of one sensor, as read.
-
-    Attributes
-    ----------
-    plan
-        Which columns they are.
-    axes
-        x, y and z, in the unit of the log; shape (n,) each.
-    time, log_time
-        The columns of the plan's times; empty where there are none.
-    temperature
-        The temperature of the same rows, or None.
-    sparse
-        Whether rows with no value of the sensor belong to other sensors.
-    """
-
-    plan: SensorPlan
-    axes: tuple[FloatArray, FloatArray, FloatArray]
-    time: tuple[Numbers, ...] = ()
-    log_time: tuple[Numbers, ...] = ()
-    temperature: FloatArray | None = None
-    sparse: bool = False
-
-
-@dataclass(slots=True, kw_only=True)
-class _Work:
-    """What is known while a recording is put together."""
-
-    path: str
-    options: ReadOptions
-    signature: Signature | None
-    rate_hz: float | None
-    decisions: list[tuple[str, str]] = field(default_factory=list)
-    findings: list[Finding] = field(default_factory=list)
-    clocks: dict[tuple[Any, ...], tuple[Clock, IntArray | None]] = field(default_factory=dict)
-
-    def decide(self, what: str, how: str) -> None:
-        if (what, how) not in self.decisions:
-            self.decisions.append((what, how))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Timed:
-    """A sensor's samples with their clock, still in the unit of the log."""
-
-    columns: SensorColumns
-    axes: list[FloatArray]
-    clock: Clock
-    temperature: FloatArray | None
-
-
-def assemble(
-    source: Source,
-    sensors: Sequence[SensorColumns],
-    options: ReadOptions,
-    *,
-    signature: Signature | None = None,
-    rate_hz: float | None = None,
-    findings: Sequence[Finding] = (),
+def read_logs(
+    containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str = ""
 ) -> Recording:
-    """Put a recording together.
+    """Read the IMU samples of the files of one log.
 
     Parameters
     ----------
-    source
-        Path, format and the decisions so far.
-    sensors
-        Columns of the gyroscope, the accelerometer, or both.
-    options
-        What the user said.
-    signature
-        The format that the column names show.
-    rate_hz
-        Sampling rate that the log itself states.
-    findings
-        What reading has shown so far.
-
-    Raises
-    ------
-    ChoiceError
-        If a unit or the time of the samples is open.
-    DataError
-        If there are no samples, or no rate.
+    path
+        The log as the user named it.
+    form
+        Its format, where it is not the first container's.
     """
-    work = _Work(path=source.path, options=options, signature=signature, rate_hz=rate_hz)
-    work.decisions.extend(source.decisions)
-    work.findings.extend(findings)
-    timed = [_timed(work, columns) for columns in sensors]
-    scales = _scales(work, timed)
-    series = []
-    for entry in timed:
-        scale = scales[entry.columns.plan.triad.sensor]
-        for axis, samples in zip(_AXES, entry.axes, strict=True):
-            series.append(
-                AxisSeries(
-                    sensor=entry.columns.plan.triad.sensor,
-                    axis=axis,
-                    samples=_scaled(samples, scale),
-                    clock=entry.clock,
-                )
-            )
-    return Recording(
-        source=replace(source, decisions=tuple(work.decisions)),
-        series=tuple(series),
-        temperature=_temperature(work, timed),
-        findings=tuple(work.findings),
+    try:
+        return _read(containers, path, options, form or containers[0].format)
+    finally:
+        for container in containers:
+            container.close()
+
+
+def describe_logs(
+    containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str = ""
+) -> LogContents:
+    """Return what the files of one log hold."""
+    try:
+        topics = find_topics(containers, options)
+        starts = [c.start_ns for c in containers if c.start_ns is not None]
+        ends = [c.end_ns for c in containers if c.end_ns is not None]
+        return LogContents(
+            path=str(path),
+            format=form or containers[0].format,
+            size_bytes=sum(container.size for container in containers),
+            topics=tuple(_contents(containers, topic, options) for topic in topics),
+            start_ns=min(starts, default=None),
+            duration_s=(max(ends) - min(starts)) / 1e9 if starts and ends else None,
+            compression=", ".join(sorted({container.compression for container in containers})),
+            findings=tuple(finding for container in containers for finding in container.findings),
+        )
+    finally:
+        for container in containers:
+            container.close()
+
+
+def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
+    sensors: tuple[Sensor, ...] = ()
+    note = topic.reason
+    if topic.carrier is not None and topic.count != 0:
+        alive = _live(containers, topic, options)
+        sensors = tuple(sensor for sensor in topic.carrier.sensors if sensor in alive)
+        silent = [sensor for sensor in topic.carrier.sensors if sensor not in alive]
+        note = " and ".join(silent) + " constant: no data" if silent else ""
+        note = note or ("read only where it is named" if topic.carrier.plain else "")
+    return TopicContents(
+        name=topic.name,
+        type=topic.type,
+        count=topic.count,
+        rate_hz=topic.rate_hz,
+        duration_s=topic.duration_s,
+        sensors=sensors,
+        note=note,
     )
 
 
-def _scaled(samples: FloatArray, scale: float) -> FloatArray:
-    """Return samples in SI; in place where they are this reader's own memory."""
-    if scale == 1.0:
-        return samples
-    if samples.flags.writeable:
-        np.multiply(samples, scale, out=samples)
-        return samples
-    return samples * scale
+def _live(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> frozenset[Sensor]:
+    """Return the sensors whose samples change in the first chunk of a topic.
+
+    One sample, or none that can be decoded, tells nothing: the type is believed then.
+    """
+    if topic.carrier is None:
+        return frozenset()
+    stream = stream_of(topic, topic.carrier.sensors, options)
+    columns = decode(containers, [stream], first_only=True)[0].columns
+    if columns.n < 2:
+        return frozenset(topic.carrier.sensors)
+    return frozenset(sensor for sensor, rows in columns.vectors.items() if not _constant(rows))
 
 
-def _timed(work: _Work, columns: SensorColumns) -> _Timed:
-    """Drop rows that are none of the sensor's, and read its clock."""
-    sensor = columns.plan.triad.sensor
-    axes = list(columns.axes)
-    time, log_time, temperature = list(columns.time), list(columns.log_time), columns.temperature
-    keep = _rows_of_sensor(work, columns)
-    if keep is not None:
-        axes = [axis[keep] for axis in axes]
-        time = [cast("Numbers", column[keep]) for column in time]
-        log_time = [cast("Numbers", column[keep]) for column in log_time]
-        temperature = temperature[keep] if temperature is not None else None
-    if not axes[0].size:
-        msg = f"{work.path}: the columns of the {sensor} ({', '.join(columns.plan.triad.headers)}) hold no samples"
+def _constant(rows: FloatArray) -> bool:
+    """Say whether no axis ever changes."""
+    return all(
+        bool(_same(row[:1000], row[0]).all()) and bool(_same(row, row[0]).all()) for row in rows if row.size
+    )
+
+
+def _same(row: FloatArray, value: float) -> NDArray[np.bool_]:
+    return np.isnan(row) if np.isnan(value) else row == value
+
+
+def _read(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> Recording:
+    if options.time not in _TIMES:
+        msg = f"{path}: messages have no time called {options.time!r}; expected header or log"
+        raise ChoiceError(msg)
+    topics = find_topics(containers, options)
+    choices = choose(path, topics, options, lambda topic: _live(containers, topic, options))
+    streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
+    decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
+    findings = [finding for container in containers for finding in container.findings]
+    series: list[AxisSeries] = []
+    temperature: Temperature | None = None
+    decisions = [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
+    for choice, decoding in zip(choices, decodings, strict=True):
+        findings += loss_findings(decoding.losses)
+        _refuse_empty(path, choice, decoding)
+        some, heat, notes, decided = _series(path, choice, decoding.columns, options, len(choices) > 1)
+        series += some
+        temperature = temperature or heat
+        findings += notes
+        decisions += decided
+    _refuse_damage(path, findings, options)
+    if not series:
+        msg = f"{path}: no sensor has samples that change: {'; '.join(f.text for f in findings) or 'no data'}"
         raise DataError(msg)
-    key = (columns.plan.time, columns.plan.triad.rows, None if keep is None else keep.tobytes(), axes[0].size)
-    if key not in work.clocks:
-        reading = _clock(work, columns.plan, axes, time, log_time)
-        work.findings.extend(reading.findings)
-        work.clocks[key] = (reading.clock, reading.order)
-    clock, order = work.clocks[key]
-    if order is not None:
-        axes = [axis[order] for axis in axes]
-        temperature = temperature[order] if temperature is not None else None
-    return _Timed(columns=columns, axes=axes, clock=clock, temperature=temperature)
+    source = Source(
+        path=str(path),
+        format=form,
+        topics=tuple(choice.topic.name for choice in choices),
+        message_types=tuple(choice.topic.type for choice in choices),
+        decisions=tuple(decisions),
+    )
+    return Recording(
+        source=source, series=tuple(series), temperature=temperature, findings=tuple(_unique(findings))
+    )
 
 
-def _rows_of_sensor(work: _Work, columns: SensorColumns) -> NDArray[np.bool_] | None:
-    """Return which rows are samples of the sensor; None where all are."""
-    keep: NDArray[np.bool_] | None = None
-    if columns.sparse:
-        keep = ~(np.isnan(columns.axes[0]) & np.isnan(columns.axes[1]) & np.isnan(columns.axes[2]))
-    for column in columns.time:
-        if column.dtype.kind == "f":
-            finite = np.isfinite(column)
-            if not finite.all():
-                lost = int(np.count_nonzero(~finite if keep is None else keep & ~finite))
-                keep = finite if keep is None else keep & finite
-                if lost:
-                    text = f"{lost} rows have no finite time; they were dropped."
-                    work.findings.append(Finding(level="warning", code="bad-rows", text=text))
-    return None if keep is None or bool(keep.all()) else keep
+def _refuse_empty(path: Path, choice: Choice, decoding: Decoding) -> None:
+    if decoding.columns.n:
+        return
+    why = f": {decoding.losses[0].text}" if decoding.losses else ""
+    msg = f"{path}: no message of topic {choice.topic.name} could be read{why}"
+    raise ReadError(msg)
 
 
-def _clock(
-    work: _Work, plan: SensorPlan, axes: Sequence[FloatArray], time: Sequence[Numbers], log: Sequence[Numbers]
-) -> ClockReading:
-    n = axes[0].size
-    if plan.time is None or plan.time.kind == "counter":
-        return _counted_clock(work, plan, n, time)
-    source = f"column {plan.time.name}"
-    stamps = _stamps(work, plan.time, time, plan.triad.sensor)
-    log_ns = _stamps(work, plan.log_time, log, plan.triad.sensor) if plan.log_time and log else None
-    # A device's clock may start at zero, which is a stamp like any other.
-    shift = 1_000_000_000 if stamps.min() == 0 and stamps[0] == 0 and stamps.any() and log_ns is None else 0
-    stamps = stamps + shift
-    same = np.zeros(n, dtype=np.bool_)
-    same[1:] = (stamps[1:] == stamps[:-1]) & _repeats(axes)
+def _refuse_damage(path: Path, findings: list[Finding], options: ReadOptions) -> None:
+    damage = [finding for finding in findings if finding.code in DAMAGE]
+    if options.strict and damage:
+        msg = f"{path}: the log is damaged, and recovery was not wanted: {damage[0].text}"
+        raise ReadError(msg)
+
+
+def _series(
+    path: Path, choice: Choice, columns: Columns, options: ReadOptions, several: bool
+) -> tuple[list[AxisSeries], Temperature | None, list[Finding], list[tuple[str, str]]]:
+    """Return the axes of one topic."""
+    findings = in_time_order(columns)
+    reading = _clock(path, choice, columns, options)
+    label = choice.sensors[0].short if several and len(choice.sensors) == 1 else None
+    findings += [replace(finding, axis=label) for finding in reading.findings]
+    if reading.clock.source == HEADER:
+        findings += compare_clocks(columns.stamps, columns.log)
+    decisions = [("time", reading.clock.source)]
+    series = []
+    for sensor, rows in columns.vectors.items():
+        if _constant(rows):
+            value = ", ".join(f"{row[0]:g}" for row in rows)
+            text = f"The {sensor} of topic {choice.topic.name} is always ({value}): it has no data."
+            findings.append(Finding(level="warning", code="no-data", text=text, axis=sensor.short))
+            continue
+        factor, how = _factor(sensor, choice.topic, options)
+        decisions.append((f"{sensor} unit", how))
+        for axis, row in zip(_AXES, rows, strict=True):
+            if factor != 1.0:
+                np.multiply(row, factor, out=row)
+            samples = row if reading.order is None else row[reading.order]
+            series.append(AxisSeries(sensor=sensor, axis=axis, samples=samples, clock=reading.clock))
+    return series, _temperature(columns, reading), findings, decisions
+
+
+def _clock(path: Path, choice: Choice, columns: Columns, options: ReadOptions) -> ClockReading:
+    own = choice.topic.carrier is not None and choice.topic.carrier.stamp is not None
+    by_log = options.time == "log"
     try:
-        reading = clock_from_stamps(
-            stamps, source=source, log_ns=log_ns, rate_hz=work.options.rate_hz, repeated=same
+        return clock_from_stamps(
+            columns.log if by_log else columns.stamps,
+            source=LOG_TIME if by_log else (HEADER if own else "stamp"),
+            log_ns=columns.log,
+            rate_hz=options.rate_hz,
+            repeated=_repeated(columns),
         )
     except DataError as error:
-        msg = f"{work.path}: {error}"
+        msg = f"{path}: topic {choice.topic.name}: {error}"
         raise DataError(msg) from error
-    if shift and reading.clock.start_ns is not None:
-        reading = replace(reading, clock=replace(reading.clock, start_ns=reading.clock.start_ns - shift))
-    work.decide("time", f"{source}, {_time_words(plan.time)}")
-    _compare_rates(work, reading.clock.rate_hz)
-    return reading
 
 
-def _repeats(axes: Sequence[FloatArray]) -> NDArray[np.bool_]:
-    """Return which samples, from the second on, have the values of the one before."""
-    same: NDArray[np.bool_] = axes[0][1:] == axes[0][:-1]
-    for axis in axes[1:]:
-        same &= axis[1:] == axis[:-1]
-    return same
+def _repeated(columns: Columns) -> NDArray[np.bool_] | None:
+    """Return the samples recorded twice: same stamp and same six values; None where there are none."""
+    same = np.flatnonzero(columns.stamps[1:] == columns.stamps[:-1]) + 1
+    if not same.size or len(columns.vectors) < 2:
+        return None
+    twin = columns.stamps[same] != 0
+    for rows in columns.vectors.values():
+        for row in rows:
+            twin &= row[same] == row[same - 1]
+    if not twin.any():
+        return None
+    repeated = np.zeros(columns.n, dtype=np.bool_)
+    repeated[same[twin]] = True
+    return repeated
 
 
-def _time_words(time: TimeChoice) -> str:
-    return {
-        "pair": "seconds + nanoseconds",
-        "week": "GPS week and time of week",
-        "text": "date and time",
-    }.get(time.kind, "stamps")
-
-
-def _compare_rates(work: _Work, measured: float) -> None:
-    stated = work.rate_hz
-    if stated is not None and work.options.rate_hz is None and abs(measured / stated - 1) > 0.02:
-        text = f"The log states {stated:g} Hz, its stamps give {measured:.6g} Hz; the stamps are used."
-        finding = Finding(
-            level="warning",
-            code="rate-differs",
-            text=text,
-            advice="Give the sampling rate if the stamps are wrong.",
-        )
-        if finding not in work.findings:
-            work.findings.append(finding)
-
-
-def _stamps(work: _Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor) -> IntArray:
-    """Return the stamps of a time in ns."""
-    if time.kind == "text":
-        return midnight_rolled(cast("IntArray", columns[0]))
-    if time.kind == "pair":
-        return to_ns(columns[0], TIME_UNITS_NS["s"]) + to_ns(columns[1], 1)
-    if time.kind == "week":
-        ns = _ns_per_count(work, time, columns[1], sensor)
-        tow = to_ns(columns[1], ns)
-        weeks = to_ns(columns[0], 604_800 * TIME_UNITS_NS["s"])
-        # A receiver without a fix leaves the week at zero or at its last value.
-        return week_rolled(tow) if bool((weeks == weeks[0]).all()) else weeks + tow
-    values = columns[0]
-    if values.dtype.kind == "i":
-        values, wraps = unwrapped(cast("IntArray", values))
-        if wraps:
-            text = f"Column {time.name} started again {wraps} times at the end of its range; it was put in order."
-            work.findings.append(Finding(level="info", code="wrapped", text=text))
-    return to_ns(values, _ns_per_count(work, time, values, sensor))
-
-
-def _ns_per_count(work: _Work, time: TimeChoice, values: Numbers, sensor: Sensor) -> int:
-    if time.ns is not None:
-        unit = next((unit for unit, ns in TIME_UNITS_NS.items() if ns == time.ns), f"{time.ns} ns")
-        work.decide("time unit", f"{unit} for {time.name}, {time.ns_source}")
-        return time.ns
-    unit, fits = infer_time_unit(values)
-    if unit is not None:
-        work.decide("time unit", f"{unit} for {time.name}, inferred from its size and its steps")
-        return TIME_UNITS_NS[unit]
-    steps = np.diff(values[:20_000])
-    step = float(np.median(steps)) if steps.size else 0.0
-    found = f"column {time.name!r}, the time of the {sensor}, has no unit, and goes on by {step:g} a row"
-    if step == 1 and values.dtype.kind == "i" and work.options.rate_hz is not None:
-        work.decide("time unit", f"{time.name} counts samples at the given rate")
-        return max(1, round(1e9 / work.options.rate_hz))
-    fitting = f"which fits {' and '.join(fits)}" if fits else "which fits none of s, ms, us and ns for an IMU"
-    msg = (
-        f"{work.path}: {found}, {fitting}; expected a unit in its name, such as {time.name.strip()}_ms; "
-        "name the unit in the header, choose another time column, or give columns without a time and the sampling rate"
-    )
-    raise ChoiceError(msg)
-
-
-def _counted_clock(work: _Work, plan: SensorPlan, n: int, time: Sequence[Numbers]) -> ClockReading:
-    """Return the clock of samples that have no stamps: by their counter and a rate, or by a rate alone."""
-    rate, source = work.options.rate_hz, "given rate"
-    if rate is None:
-        rate, source = work.rate_hz, "rate that the log states"
-    if rate is None:
-        what = f"only a counter ({plan.time.name})" if plan.time else "no time column"
-        msg = (
-            f"{work.path}: {what} and no sampling rate for the {plan.triad.sensor}; "
-            "expected stamps or a rate; give the sampling rate"
-        )
-        raise ChoiceError(msg)
-    work.decide("time", f"{rate:g} Hz, the {source}")
-    if plan.time is not None and time and time[0].dtype.kind == "i":
-        counts, _ = unwrapped(cast("IntArray", time[0]))
-        steps = np.diff(counts)
-        if steps.size and float(np.mean(steps == 1)) >= 0.9:
-            reading = clock_from_stamps(
-                1_000_000_000 + np.round((counts - counts[0]) * (1e9 / rate)).astype(np.int64),
-                source=f"counter {plan.time.name} at the {source}",
-                rate_hz=rate,
-            )
-            return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
-        text = f"Counter {plan.time.name} counts more than the samples, so it can't show gaps; the rate alone is used."
-        work.findings.append(Finding(level="info", code="counter-unused", text=text))
-    return ClockReading(clock=Clock.even(n, rate, source=source), order=None, findings=())
-
-
-def _scales(work: _Work, timed: Sequence[_Timed]) -> dict[Sensor, float]:
-    """Return SI per unit of the log for each sensor; the accelerometer first, as it tells of the other."""
-    scales: dict[Sensor, float] = {}
-    accel_unit: str | None = None
-    for entry in sorted(timed, key=lambda entry: entry.columns.plan.triad.sensor is Sensor.GYROSCOPE):
-        sensor = entry.columns.plan.triad.sensor
-        stated = _stated_scale(work, entry)
-        if stated is None:
-            stated = _inferred_accel(work, entry) if sensor is Sensor.ACCELEROMETER else None
-        if stated is None:
-            stated = _inferred_gyro(work, entry, accel_unit)
-        unit, scales[sensor], reason = stated
-        if sensor is Sensor.ACCELEROMETER:
-            accel_unit = unit
-        work.decide(f"{sensor} unit", f"{unit}, {reason}")
-    return scales
-
-
-def _stated_scale(work: _Work, entry: _Timed) -> tuple[str, float, str] | None:
-    """Return unit, scale and reason where the user, the header or the format states the unit."""
-    triad = entry.columns.plan.triad
-    gyro = triad.sensor is Sensor.GYROSCOPE
-    options, signature = work.options, work.signature
-    unit = options.gyro_unit if gyro else options.accel_unit
+def _factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float, str]:
+    """Return what turns samples into SI, and why."""
+    gyro = sensor is Sensor.GYROSCOPE
     scale = options.gyro_scale if gyro else options.accel_scale
-    if unit is not None and scale is not None:
-        msg = f"{work.path}: both a unit ({unit}) and a scale ({scale:g}) are given for the {triad.sensor}; give one"
-        raise ChoiceError(msg)
+    unit = options.gyro_unit if gyro else options.accel_unit
     if scale is not None:
-        return "count", scale, f"{scale:g} {triad.sensor.unit} per count as given"
+        return scale, f"{scale:g} {sensor.unit} per count, given"
     if unit is not None:
-        parsed = parse_sample_unit(unit)
-        if parsed is None or parsed[0] is not triad.sensor:
-            known = ", ".join(SAMPLE_UNITS[triad.sensor])
-            msg = f"{work.path}: {unit!r} is no unit of the {triad.sensor}; expected one of {known}"
+        if unit not in SAMPLE_UNITS[sensor]:
+            known = ", ".join(SAMPLE_UNITS[sensor])
+            msg = f"the unit {unit!r} of the {sensor} is not known; expected one of {known}"
             raise ChoiceError(msg)
-        return parsed[1], SAMPLE_UNITS[triad.sensor][parsed[1]], "as given"
-    if triad.unit is not None:
-        return triad.unit, SAMPLE_UNITS[triad.sensor][triad.unit], "from the column header"
-    known_unit = None if signature is None else signature.gyro_unit if gyro else signature.accel_unit
-    if known_unit is not None and signature is not None:
-        return known_unit, SAMPLE_UNITS[triad.sensor][known_unit], f"as {signature.name} logs it"
-    return None
+        return SAMPLE_UNITS[sensor][unit], f"{unit}, given"
+    standard = topic.carrier is not None and topic.carrier.standard
+    return 1.0, f"{sensor.unit}, " + ("from the message type" if standard else "assumed for this message type")
 
 
-def _inferred_accel(work: _Work, entry: _Timed) -> tuple[str, float, str]:
-    found = infer_accel_unit(sample_of(entry.axes))
-    if found.unit is None:
-        known = ", ".join(SAMPLE_UNITS[Sensor.ACCELEROMETER])
-        msg = (
-            f"{work.path}: the unit of the accelerometer is open: no header says it, and {found.reason}; "
-            f"expected one of {known}; give its unit, or the scale of its counts in m/s^2 per count"
-        )
-        raise ChoiceError(msg)
-    scale = found.scale if found.scale is not None else SAMPLE_UNITS[Sensor.ACCELEROMETER][found.unit]
-    return found.unit, scale, f"inferred: {found.reason}"
+def _temperature(columns: Columns, reading: ClockReading) -> Temperature | None:
+    if columns.temperature is None or not columns.temperature.any():
+        return None
+    order: IntArray | None = reading.order
+    samples = columns.temperature if order is None else columns.temperature[order]
+    return Temperature(samples=samples, clock=reading.clock)
 
 
-def _inferred_gyro(work: _Work, entry: _Timed, accel_unit: str | None) -> tuple[str, float, str]:
-    found = infer_gyro_unit(sample_of(entry.axes), rate_hz=entry.clock.rate_hz, accel_unit=accel_unit)
-    if found.unit is None:
-        known = ", ".join(SAMPLE_UNITS[Sensor.GYROSCOPE])
-        msg = (
-            f"{work.path}: the unit of the gyroscope is open: no header says it, and {found.reason}; "
-            f"expected one of {known}; give its unit, or the scale of its counts in rad/s per count"
-        )
-        raise ChoiceError(msg)
-    if not found.sure:
-        text = f"The unit of the gyroscope is taken to be {found.unit}: {found.reason}."
-        advice = "Give its unit if that is wrong: deg/s instead of rad/s changes every result by 57."
-        work.findings.append(
-            Finding(level="warning", code="unit-assumed", axis="gyro", text=text, advice=advice)
-        )
-    return found.unit, SAMPLE_UNITS[Sensor.GYROSCOPE][found.unit], f"inferred: {found.reason}"
-
-
-def _temperature(work: _Work, timed: Sequence[_Timed]) -> Temperature | None:
-    """Return the temperature, where its column holds degrees."""
-    for entry in timed:
-        if entry.temperature is None:
-            continue
-        values = np.asarray(entry.temperature, dtype=np.float64)
-        finite = values[np.isfinite(values)]
-        if not finite.size:
-            return None
-        usual = float(np.median(finite))
-        if not _TEMPERATURES[0] <= usual <= _TEMPERATURES[1]:
-            work.decide("temperature", f"left out: a median of {usual:.4g} is not in degrees Celsius")
-            return None
-        return Temperature(samples=values, clock=entry.clock)
-    return None
-
-
-def not_read(path: str, reason: str) -> ReadError:
-    """Return the error for a table that can't be read."""
-    return ReadError(f"{path}: {reason}")
+def _unique(findings: list[Finding]) -> list[Finding]:
+    return list(dict.fromkeys(findings))

@@ -1,0 +1,189 @@
+"""Chunks and files that are compressed: zstd, lz4, bz2.
+
+No claim of a damaged or hostile file is believed before memory is taken for it: a chunk may not grow by
+more than `_MAX_RATIO`, unless it is small anyway, and never beyond the size that its header states.
+"""
+
+import bz2
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from imucal.readers.files import DamagedError, Scratch
+
+__all__ = ["KINDS", "check_crc", "decompress", "decompress_prefix", "keep_freed_memory", "unpack_file"]
+
+#: Sizes up to this are taken as they come, in bytes.
+_SMALL = 1 << 26
+#: Above, data may grow by this factor.
+_MAX_RATIO = 400
+
+#: Names of compressions; MCAP writes "" and ROS bags write "none".
+KINDS = ("", "none", "zstd", "lz4", "bz2")
+
+
+def keep_freed_memory() -> None:
+    """Tell glibc to keep freed chunk buffers instead of giving each one back to the system.
+
+    Freeing one block of 31 MiB raises the thresholds above which glibc maps and unmaps memory; without
+    it, lz4 spends six times as long in page faults as in decompression. Harmless elsewhere.
+    """
+    del_me = bytearray(31 << 20)
+    del del_me
+
+
+def decompress(kind: str, data: memoryview, size: int, scratch: Scratch) -> memoryview:
+    """Return the `size` bytes that `data` holds.
+
+    Raises
+    ------
+    DamagedError
+        If the data are damaged, hold another number of bytes, or claim an impossible one.
+    """
+    if kind in {"", "none"}:
+        if len(data) != size:
+            msg = f"a chunk of {len(data)} bytes claims {size}"
+            raise DamagedError("damaged", msg)
+        return data
+    if size > max(_SMALL, _MAX_RATIO * len(data)):
+        msg = f"a chunk of {len(data)} bytes claims to hold {size}"
+        raise DamagedError("damaged", msg)
+    unpack = _UNPACK.get(kind)
+    if unpack is None:
+        msg = f"compression {kind!r} is unknown; expected one of zstd, lz4, bz2"
+        raise DamagedError("compression", msg)
+    raw = unpack(data, size, scratch)
+    if len(raw) != size:
+        msg = f"a chunk holds {len(raw)} bytes instead of the {size} it claims"
+        raise DamagedError("damaged", msg)
+    return raw
+
+
+def decompress_prefix(kind: str, data: memoryview, size: int) -> bytes:
+    """Return as much as a cut chunk still gives: the bytes before the cut."""
+    size = min(size, max(_SMALL, _MAX_RATIO * len(data)))
+    try:
+        if kind in {"", "none"}:
+            return bytes(data[:size])
+        if kind == "zstd":
+            import zstandard
+
+            parts = zstandard.ZstdDecompressor().read_to_iter(bytes(data))
+            return _gather(parts, size)
+        if kind == "lz4":
+            import lz4.frame
+
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(bytes(data), max_length=size))
+        if kind == "bz2":
+            return bz2.BZ2Decompressor().decompress(data, max_length=size)
+    except (ValueError, OSError, EOFError, RuntimeError, *_zstd_errors()):
+        return b""
+    return b""
+
+
+def check_crc(raw: memoryview, expected: int) -> None:
+    """Compare a CRC-32; 0 means that none was stored."""
+    if expected and zlib.crc32(raw) != expected:
+        msg = "a chunk's checksum does not match its content"
+        raise DamagedError("crc", msg)
+
+
+def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]) -> None:
+    """Decompress a zstd file into an open file, block by block; calls `progress` with the bytes read.
+
+    Raises
+    ------
+    DamagedError
+        If the file ends early or is damaged; what came before is written.
+    """
+    import zstandard
+
+    with source.open("rb") as file, zstandard.ZstdDecompressor().stream_reader(file) as reader:
+        try:
+            while block := reader.read(1 << 22):
+                target.write(block)
+                progress(file.tell())
+        except zstandard.ZstdError as error:
+            msg = f"the zstd stream is damaged: {error}"
+            raise DamagedError("damaged", msg) from error
+
+
+def _zstd_errors() -> tuple[type[Exception], ...]:
+    import zstandard
+
+    return (zstandard.ZstdError,)
+
+
+def _gather(parts: object, size: int) -> bytes:
+    """Join blocks until the stream breaks off."""
+    import zstandard
+
+    joined = bytearray()
+    try:
+        for part in parts:  # type: ignore[attr-defined]
+            joined += part
+            if len(joined) >= size:
+                break
+    except zstandard.ZstdError:
+        pass
+    return bytes(joined[:size])
+
+
+def _unpack_zstd(data: memoryview, size: int, scratch: Scratch) -> memoryview:
+    import zstandard
+
+    try:
+        stated = zstandard.frame_content_size(data)
+        if stated not in {-1, size}:
+            msg = f"a zstd frame states {stated} bytes, its chunk {size}"
+            raise DamagedError("damaged", msg)
+        raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+    except (zstandard.ZstdError, MemoryError) as error:
+        msg = f"a zstd chunk is damaged: {error}"
+        raise DamagedError("damaged", msg) from error
+    del scratch
+    return memoryview(raw)
+
+
+def _unpack_lz4(data: memoryview, size: int, scratch: Scratch) -> memoryview:
+    import lz4.frame
+
+    del scratch
+    try:
+        stated = lz4.frame.get_frame_info(data[:32]).get("content_size", 0)
+        if stated > size:
+            msg = f"an lz4 frame states {stated} bytes, its chunk {size}"
+            raise DamagedError("damaged", msg)
+        raw, used = lz4.frame.decompress(data, return_bytes_read=True)
+        if used == len(data):
+            return memoryview(raw)
+        # ROS bags may hold several frames in a row.
+        parts, length = [raw], len(raw)
+        while used < len(data) and length < size:
+            raw, more = lz4.frame.decompress(data[used:], return_bytes_read=True)
+            used += more
+            length += len(raw)
+            parts.append(raw)
+    except (RuntimeError, ValueError, EOFError, MemoryError) as error:
+        msg = f"an lz4 chunk is damaged: {error}"
+        raise DamagedError("damaged", msg) from error
+    return memoryview(b"".join(parts))
+
+
+def _unpack_bz2(data: memoryview, size: int, scratch: Scratch) -> memoryview:
+    del scratch
+    try:
+        machine = bz2.BZ2Decompressor()
+        raw = machine.decompress(data, max_length=size)
+    except (OSError, ValueError, EOFError) as error:
+        msg = f"a bz2 chunk is damaged: {error}"
+        raise DamagedError("damaged", msg) from error
+    return memoryview(raw)
+
+
+_UNPACK: dict[str, Callable[[memoryview, int, Scratch], memoryview]] = {
+    "zstd": _unpack_zstd,
+    "lz4": _unpack_lz4,
+    "bz2": _unpack_bz2,
+}

@@ -1,0 +1,247 @@
+"""Messages -> numbers in columns: the fast way for messages of one shape, the walk for the others."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.readers.batch import Batch, Guard
+from imucal.readers.definitions import Field
+from imucal.readers.files import DamagedError
+from imucal.readers.messages import Carrier, Stamp, Vector
+from imucal.readers.store import Columns
+from imucal.readers.walker import Bytes, Found, Layout, Place, Position, Walker, gather
+
+__all__ = ["BinaryDecoder"]
+
+#: Encapsulation, as a big-endian number -> layout. Source: OMG DDS-XTypes 1.3, table 60; DDSI-RTPS 10.2.
+_ENCAPSULATIONS = {
+    0x0000: Layout(order=">", align=8),
+    0x0001: Layout(order="<", align=8),
+    0x0006: Layout(order=">", align=4),
+    0x0007: Layout(order="<", align=4),
+}
+_ROS1 = Layout(order="<", align=1)
+#: Longest head of a message that is gathered at once, in bytes.
+_HEAD = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Template:
+    """A channel's layout when every message has the shape of the first.
+
+    Attributes
+    ----------
+    guards, lengths
+        Eight-byte words of the record's head, and length words (position, type, value), all from the start
+        of the record, that every record must repeat.
+    head
+        Bytes at the start of a record that hold them and the stamp.
+    places
+        Path -> position from the start of the record, and type.
+    end
+        Bytes a record must have.
+    """
+
+    guards: tuple[Guard, ...]
+    words: tuple[tuple[int, str, int], ...]
+    head: int
+    places: dict[str, Place]
+    end: int
+
+
+class BinaryDecoder:
+    """Decodes the ROS 1 or CDR messages of one channel."""
+
+    def __init__(self, fields: Sequence[Field], carrier: Carrier, *, ros1: bool, exact: bool = False) -> None:
+        self.carrier = carrier
+        self.ros1 = ros1
+        self.walker = Walker(fields, carrier.wanted)
+        self._whole = Walker(fields, [fields[-1].path]) if exact else None
+        self._template: _Template | None = None
+
+    def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
+        """Decode records that all repeat the shape of the first one seen; False if they don't."""
+        template = self._template
+        if template is None or template.guards != batch.guards:
+            template = self._template = self._learn(batch) if batch.guards else None
+        if template is None:
+            return False
+        n, starts = batch.n, batch.starts
+        if int(starts.max()) + template.end > len(batch.buffer) or int(starts.min()) < 0:
+            return False
+        head = gather(batch.buffer, starts, template.head)
+
+        def word(at: int, dtype: str) -> NDArray[np.int64]:
+            return np.ndarray((n,), dtype, buffer=head, offset=at, strides=(template.head,))
+
+        if not all(bool((word(at, "<u8") == value).all()) for at, value in template.guards):
+            return False
+        if not all(bool((word(at, dtype) == value).all()) for at, dtype, value in template.words):
+            return False
+        part = slice(first, first + n)
+        columns.log[part] = batch.log_ns if batch.log_at is None else word(batch.log_at, "<i8")
+        _write(batch.buffer, starts, template.places, self.carrier, columns, part)
+        return True
+
+    def slow(self, batch: Batch, columns: Columns, first: int) -> None:
+        """Decode a checked batch whose messages may all differ.
+
+        Raises
+        ------
+        DamagedError
+            If a message is shorter than its type, or is laid out in an unknown way.
+        """
+        if self.ros1:
+            self._walk(batch, batch.payload(), _ROS1, columns, slice(first, first + batch.n))
+        elif batch.n:
+            self._by_encapsulation(batch, columns, first)
+
+    def _learn(self, batch: Batch) -> _Template | None:
+        """Learn the shape of the first record; None where its messages can't be taken at once."""
+        if not isinstance(batch.sizes, int) or self._whole is not None:
+            return None
+        start = batch.starts[:1]
+        skip, layout = batch.header, _ROS1
+        words: list[tuple[int, str, int]] = []
+        if not self.ros1:
+            code = bytes(gather(batch.buffer, start + batch.header, 2))
+            known = _ENCAPSULATIONS.get(int.from_bytes(code, "big"))
+            if known is None:
+                return None
+            layout, skip = known, batch.header + 4
+            words.append((batch.header, "<u2", int.from_bytes(code, "little")))
+        found = self.walker.walk(batch.buffer, start + skip, layout)
+        for at, length in found.lengths:
+            words.append((skip + _fixed(at), layout.order + "u4", _fixed(length)))
+        if skip + _fixed(found.end) > batch.header + batch.sizes:
+            return None
+        places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
+        ends = [at + 8 for at, _ in batch.guards] + [at + 4 for at, _, _ in words]
+        head = max([*ends, (batch.log_at or 0) + 8])
+        end = batch.header + batch.sizes
+        if head > min(_HEAD, end):
+            return None
+        return _Template(batch.guards, tuple(words), head, places, end)
+
+    # The walk
+
+    def _by_encapsulation(self, batch: Batch, columns: Columns, first: int) -> None:
+        """Walk the messages of each encapsulation on their own."""
+        if int(np.min(batch.sizes)) < 4:
+            msg = "a message is too short for CDR"
+            raise DamagedError("damaged", msg)
+        payload = batch.payload()
+        codes = gather(batch.buffer, payload, 2).view(">u2")
+        kinds = np.unique(codes)
+        for kind in kinds.tolist():
+            layout = _ENCAPSULATIONS.get(kind)
+            if layout is None:
+                msg = f"encapsulation 0x{kind:04x} is not supported; expected plain CDR or XCDR2"
+                raise DamagedError("encapsulation", msg)
+            if kinds.size == 1:
+                self._walk(batch, payload + 4, layout, columns, slice(first, first + batch.n))
+            else:
+                chosen = np.flatnonzero(codes == kind)
+                self._walk(batch.part(chosen), payload[chosen] + 4, layout, columns, chosen + first)
+
+    def _walk(
+        self, batch: Batch, body: IntArray, layout: Layout, columns: Columns, to: slice | IntArray
+    ) -> None:
+        found = self.walker.walk(batch.buffer, body, layout)
+        self._check_size(batch, body, layout, found)
+        columns.log[to] = batch.log_ns
+        _write(batch.buffer, body, found.places, self.carrier, columns, to)
+
+    def _check_size(self, batch: Batch, body: IntArray, layout: Layout, found: Found) -> None:
+        """Refuse messages that end before the last wanted field; bytes behind it are nobody's business."""
+        skipped = 0 if self.ros1 else 4
+        if bool(np.any(found.end > batch.sizes - np.int64(skipped))):
+            msg = "a message is shorter than its type"
+            raise DamagedError("damaged", msg)
+        if self._whole is not None:
+            end = self._whole.walk(batch.buffer, body, layout).end
+            if bool(np.any(np.abs(end + skipped - batch.sizes) > 3)):
+                msg = "messages do not have the size of the built-in definition of their type"
+                raise DamagedError("definition", msg)
+
+
+def _write(
+    buffer: Bytes,
+    starts: IntArray,
+    places: dict[str, Place],
+    carrier: Carrier,
+    columns: Columns,
+    to: slice | IntArray,
+) -> None:
+    """Gather the wanted fields and write them to the columns."""
+    if carrier.stamp is None:
+        columns.stamps[to] = 0
+    else:
+        columns.stamps[to] = _stamps(buffer, starts, places, carrier.stamp)
+    for vector in carrier.vectors:
+        _write_vector(buffer, starts, places, vector, columns.vectors[vector.sensor], to)
+    if carrier.temperature and columns.temperature is not None:
+        place = places[carrier.temperature]
+        columns.temperature[to] = _column(buffer, starts, place)
+
+
+def _write_vector(
+    buffer: Bytes,
+    starts: IntArray,
+    places: dict[str, Place],
+    vector: Vector,
+    rows: FloatArray,
+    to: slice | IntArray,
+) -> None:
+    """Gather x, y and z at once where they lie side by side, and turn increments into rates."""
+    first = places[vector.paths[0]]
+    size = np.dtype(first.dtype).itemsize
+    ats = [places[path].at for path in vector.paths]
+    if len(ats) == 1 or (_apart(ats[0], ats[1], size) and _apart(ats[1], ats[2], size)):
+        values = gather(buffer, starts + first.at, 3 * size).view(first.dtype).reshape(-1, 3)
+        rows[:, to] = values.T
+    else:
+        for row, path in zip(rows, vector.paths, strict=True):
+            row[to] = _column(buffer, starts, places[path])
+    if vector.divisor:
+        seconds = _column(buffer, starts, places[vector.divisor]).astype(np.float64) * 1e-6
+        seconds[seconds == 0] = np.nan
+        rows[:, to] /= seconds
+
+
+def _stamps(buffer: Bytes, starts: IntArray, places: dict[str, Place], stamp: Stamp) -> IntArray:
+    """Return stamps in ns, shape (n,)."""
+    sec = places[stamp.sec]
+    if not stamp.nanosec:
+        return _column(buffer, starts, sec).astype(np.int64) * np.int64(stamp.scale)
+    nanosec = places[stamp.nanosec]
+    if _apart(sec.at, nanosec.at, 4):
+        both = gather(buffer, starts + sec.at, 8)
+        seconds = np.ndarray((starts.size,), sec.dtype, buffer=both, strides=(8,))
+        rest = np.ndarray((starts.size,), nanosec.dtype, buffer=both, offset=4, strides=(8,))
+    else:
+        seconds, rest = _column(buffer, starts, sec), _column(buffer, starts, nanosec)
+    result = seconds.astype(np.int64)
+    result *= 1_000_000_000
+    result += rest
+    return result
+
+
+def _column(buffer: Bytes, starts: IntArray, place: Place) -> NDArray[np.float64]:
+    """Return one field of every message, shape (n,)."""
+    dtype = np.dtype(place.dtype)
+    values: NDArray[np.float64] = gather(buffer, starts + place.at, dtype.itemsize).view(dtype)
+    return values
+
+
+def _apart(first: Position, second: Position, size: int) -> bool:
+    """Say whether `second` lies `size` bytes after `first` in every message."""
+    return bool(np.all(np.asarray(second) - np.asarray(first) == size))
+
+
+def _fixed(at: Position) -> int:
+    """Return the position that a walk of one message gives."""
+    return int(np.asarray(at).reshape(-1)[0])

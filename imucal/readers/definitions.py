@@ -1,0 +1,245 @@
+"""Message definitions: `.msg` text -> the flat list of fields, in the order of their bytes."""
+
+import re
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+__all__ = ["BUILT_IN", "DefinitionError", "Field", "Kind", "built_in", "flatten", "plain_type"]
+
+#: What a field is: one number, a fixed array, a string, a sequence of numbers, or anything else.
+Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
+
+
+class DefinitionError(Exception):
+    """A message definition can't be understood; says which line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field of a message, with its path from the top such as ``header.stamp.sec``.
+
+    Attributes
+    ----------
+    kind
+        See `Kind`.
+    code
+        NumPy code of a number without byte order, such as ``f8``; empty for strings and others.
+    count
+        Numbers of a fixed array, or numbers of one element of a sequence; 1 otherwise.
+    """
+
+    path: str
+    kind: Kind
+    code: str = ""
+    count: int = 1
+
+    @property
+    def size(self) -> int:
+        """Bytes of one number."""
+        return int(self.code[1:]) if self.code else 0
+
+
+_NUMBERS = {
+    "bool": "u1",
+    "byte": "u1",
+    "octet": "u1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float32": "f4",
+    "float64": "f8",
+}
+_TIMES = {"time", "duration", "builtin_interfaces/Time", "builtin_interfaces/Duration"}
+_FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(<=)?(\d*)\])?\s+(\w+)\s*(.*)$")
+_SEPARATOR = re.compile(r"^=+\s*$", re.MULTILINE)
+#: A definition that nests deeper than this, or has more fields, is refused.
+_DEEP, _MANY = 16, 20_000
+
+_Line: TypeAlias = tuple[str, str | None, str | None, str | None, str]
+
+#: Definitions of types that logs don't always carry. Source: common_interfaces, PX4 1.14 msg/.
+_HEADER = "\n===\nMSG: std_msgs/Header\n{seq}{time} stamp\nstring frame_id"
+_VECTOR = "\n===\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z"
+_QUATERNION = "\n===\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w"
+_TWIST = "\n===\nMSG: geometry_msgs/Twist\nVector3 linear\nVector3 angular" + _VECTOR
+BUILT_IN: dict[str, str] = {
+    "sensor_msgs/Imu": (
+        "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
+        "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
+        "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance"
+        + _HEADER
+        + _QUATERNION
+        + _VECTOR
+    ),
+    "geometry_msgs/Vector3Stamped": "std_msgs/Header header\nVector3 vector" + _HEADER + _VECTOR,
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/TwistStamped": "std_msgs/Header header\nTwist twist" + _HEADER + _TWIST,
+    "geometry_msgs/Twist": "Vector3 linear\nVector3 angular" + _VECTOR,
+    "geometry_msgs/TwistWithCovarianceStamped": (
+        "std_msgs/Header header\nTwistWithCovariance twist\n===\nMSG: geometry_msgs/TwistWithCovariance\n"
+        "Twist twist\nfloat64[36] covariance" + _HEADER + _TWIST
+    ),
+    "geometry_msgs/AccelStamped": (
+        "std_msgs/Header header\nAccel accel\n===\nMSG: geometry_msgs/Accel\nVector3 linear\nVector3 angular"
+        + _HEADER
+        + _VECTOR
+    ),
+    "px4_msgs/SensorCombined": (
+        "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 gyro_integral_dt\n"
+        "int32 accelerometer_timestamp_relative\nfloat32[3] accelerometer_m_s2\n"
+        "uint32 accelerometer_integral_dt\nuint8 accelerometer_clipping\nuint8 gyro_clipping\n"
+        "uint8 accel_calibration_count\nuint8 gyro_calibration_count"
+    ),
+    "px4_msgs/VehicleImu": (
+        "uint64 timestamp\nuint64 timestamp_sample\nuint32 accel_device_id\nuint32 gyro_device_id\n"
+        "float32[3] delta_angle\nfloat32[3] delta_velocity\nuint32 delta_angle_dt\nuint32 delta_velocity_dt\n"
+        "uint8 delta_angle_clipping\nuint8 delta_velocity_clipping\nuint8 accel_calibration_count\n"
+        "uint8 gyro_calibration_count"
+    ),
+}
+
+
+def plain_type(name: str) -> str:
+    """Return ``package/Name`` of ``package/msg/Name``."""
+    return name.replace("/msg/", "/")
+
+
+def built_in(name: str, *, ros1: bool) -> str | None:
+    """Return the definition of a well-known type, or None."""
+    text = BUILT_IN.get(plain_type(name))
+    if text is None:
+        return None
+    seq, time = ("uint32 seq\n", "time") if ros1 else ("", "builtin_interfaces/Time")
+    return text.replace("{seq}", seq).replace("{time}", time)
+
+
+def flatten(name: str, text: str, *, ros1: bool) -> tuple[Field, ...]:
+    """Return the fields of a message, nested ones in their place.
+
+    A field that can't be laid out (a sequence of structures or strings) is of kind "other"; what follows
+    it is left out, because its place depends on that field.
+
+    Raises
+    ------
+    DefinitionError
+        If a line can't be read, or a type is not defined.
+    """
+    return tuple(_Flattener(name, text, ros1=ros1).fields)
+
+
+class _Flattener:
+    """Walks the definitions of a message and of the types in it."""
+
+    def __init__(self, name: str, text: str, *, ros1: bool) -> None:
+        self.ros1 = ros1
+        self.numbers = {**_NUMBERS, "byte": "i1"} if ros1 else _NUMBERS
+        self.sec = "u4" if ros1 else "i4"
+        self.defined = _split(plain_type(name), text)
+        self.fields: list[Field] = []
+        self._walk(plain_type(name), "", 0)
+
+    def _walk(self, name: str, prefix: str, depth: int) -> bool:
+        """Append the fields of a type; False where the layout ends being known."""
+        if depth > _DEEP or len(self.fields) > _MANY:
+            msg = f"{name} nests too deeply or has too many fields"
+            raise DefinitionError(msg)
+        lines = self.defined[name]
+        if not lines and not self.ros1:
+            # A ROS 2 structure without members takes one byte: rosidl adds a member.
+            self.fields.append(Field(prefix + "structure_needs_at_least_one_member", "number", "u1"))
+        return all(self._field(name, line, prefix, depth) for line in lines)
+
+    def _field(self, owner: str, line: _Line, prefix: str, depth: int) -> bool:
+        kind, array, bounded, count, name = line
+        path = prefix + name
+        fixed = int(count) if array is not None and count and not bounded else None
+        if kind in self.numbers:
+            self._number(path, self.numbers[kind], array, fixed)
+            return True
+        if kind in {"string", "wstring"}:
+            plain = array is None and kind == "string"
+            self.fields.append(Field(path, "string" if plain else "other"))
+            return plain
+        repeat = 1 if array is None else fixed
+        if plain_type(kind) in _TIMES:
+            return self._times(path, repeat, array)
+        nested = self._resolve(owner, kind)
+        if repeat is None:
+            return self._structures(nested, path, depth)
+        if repeat > _MANY:
+            msg = f"{path} has {repeat} elements"
+            raise DefinitionError(msg)
+        places = [path] if array is None else [f"{path}[{i}]" for i in range(repeat)]
+        return all(self._walk(nested, place + ".", depth + 1) for place in places)
+
+    def _number(self, path: str, code: str, array: str | None, fixed: int | None) -> None:
+        if array is None:
+            self.fields.append(Field(path, "number", code))
+        elif fixed is not None:
+            self.fields.append(Field(path, "array", code, fixed))
+        else:
+            self.fields.append(Field(path, "sequence", code))
+
+    def _times(self, path: str, repeat: int | None, array: str | None) -> bool:
+        if array is not None or repeat is None:
+            self.fields.append(Field(path, "other"))
+            return False
+        self.fields += [Field(path + ".sec", "number", self.sec), Field(path + ".nanosec", "number", "u4")]
+        return True
+
+    def _structures(self, nested: str, path: str, depth: int) -> bool:
+        """Lay out a sequence of structures that hold numbers of one size only."""
+        start = len(self.fields)
+        whole = self._walk(nested, path + "[].", depth + 1)
+        inner, self.fields[start:] = self.fields[start:], []
+        codes = {field.size for field in inner}
+        if whole and len(codes) == 1 and all(field.kind in {"number", "array"} for field in inner):
+            count = sum(field.count for field in inner)
+            self.fields.append(Field(path, "sequence", inner[0].code, count))
+            return True
+        self.fields.append(Field(path, "other"))
+        return False
+
+    def _resolve(self, owner: str, kind: str) -> str:
+        name = plain_type(kind)
+        candidates = [name] if "/" in name else [f"{owner.split('/')[0]}/{name}", f"std_msgs/{name}"]
+        candidates += [known for known in self.defined if known.endswith("/" + name)]
+        for candidate in candidates:
+            if candidate in self.defined:
+                return candidate
+        msg = f"type {kind} is not defined"
+        raise DefinitionError(msg)
+
+
+def _split(name: str, text: str) -> dict[str, list[_Line]]:
+    """Return the lines of each type in a definition."""
+    defined: dict[str, list[_Line]] = {}
+    for place, part in enumerate(_SEPARATOR.split(text)):
+        own, body = name, part
+        if place:
+            match = re.match(r"\s*MSG:\s*(\S+)", part)
+            if match is None:
+                continue
+            own, body = plain_type(match[1]), part[match.end() :]
+        defined.setdefault(own, [line for raw in body.splitlines() if (line := _line(raw)) is not None])
+    return defined
+
+
+def _line(raw: str) -> _Line | None:
+    """Return the parts of a line; None for blanks, comments and constants."""
+    line = raw.split("#")[0].strip()
+    if not line:
+        return None
+    match = _FIELD.match(line)
+    if match is None:
+        msg = f"line {line[:60]!r} is not a field"
+        raise DefinitionError(msg)
+    if match[6].startswith("="):
+        return None
+    return match[1], match[2], match[3], match[4], match[5]

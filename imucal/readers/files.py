@@ -1,0 +1,102 @@
+"""Bytes of a log file, read at any place by any thread, and the buffers each thread keeps."""
+
+import os
+import threading
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from imucal.errors import ReadError
+
+__all__ = ["DamagedError", "LogFile", "Scratch"]
+
+
+class DamagedError(Exception):
+    """A part of a log can't be decoded; `code` is the finding it leads to. Never leaves the readers."""
+
+    def __init__(self, code: str, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class LogFile:
+    """A file read by absolute position; safe to share between threads.
+
+    Positioned reads into a buffer that is used again beat a memory map for uncompressed logs, keep the
+    file's pages out of the process, and can't raise SIGBUS on a file that is cut while it is read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._file = path.open("rb", buffering=0)
+            self.size = path.stat().st_size
+        except OSError as error:
+            msg = f"{path}: can't be opened: {error.strerror or error}"
+            raise ReadError(msg) from error
+        self.path = path
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def into(self, position: int, view: memoryview) -> None:
+        """Fill `view` with the bytes from `position` on.
+
+        Raises
+        ------
+        DamagedError
+            If the file ends before.
+        """
+        if position < 0 or position + len(view) > self.size:
+            msg = f"bytes {position} to {position + len(view)} lie beyond the end of the file"
+            raise DamagedError("truncated", msg)
+        done = 0
+        while done < len(view):
+            count = self._read_some(position + done, view[done:])
+            if not count:
+                msg = f"the file ended at byte {position + done} while it was read"
+                raise DamagedError("truncated", msg)
+            done += count
+
+    def read(self, position: int, size: int) -> bytearray:
+        """Return `size` bytes from `position` on; raises DamagedError if the file ends before."""
+        if size < 0 or position + size > self.size:
+            msg = f"{size} bytes at byte {position} lie beyond the end of the file"
+            raise DamagedError("truncated", msg)
+        data = bytearray(size)
+        self.into(position, memoryview(data))
+        return data
+
+    def _read_some(self, position: int, view: memoryview) -> int:
+        try:
+            if hasattr(os, "preadv"):
+                return os.preadv(self._file.fileno(), [view], position)
+            with self._lock:
+                self._file.seek(position)
+                return self._file.readinto(view) or 0
+        except OSError as error:
+            msg = f"{self.path}: can't be read at byte {position}: {error.strerror or error}"
+            raise ReadError(msg) from error
+
+
+class Scratch:
+    """Buffers of one thread, used again for every chunk so that memory is touched once."""
+
+    def __init__(self) -> None:
+        self._buffers: dict[str, bytearray] = {}
+
+    def buffer(self, name: str, size: int) -> memoryview:
+        """Return a buffer of `size` bytes; its content is that of the last use."""
+        held = self._buffers.get(name)
+        if held is None or len(held) < size:
+            held = self._buffers[name] = bytearray(size + size // 8)
+        return memoryview(held)[:size]
