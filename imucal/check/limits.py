@@ -50,7 +50,8 @@ Undecided: TypeAlias = Literal["pass", "fail"]
 
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
 _AXIS_NAMES = {f"{sensor.short}_{axis}": sensor for sensor in Sensor for axis in _AXES}
-_SECTIONS = ("log", *Sensor, *_AXIS_NAMES)
+_SENSORS = tuple(sensor.value for sensor in Sensor)
+_SECTIONS = ("log", *_SENSORS, *_AXIS_NAMES)
 _TOP = (*_SECTIONS, "findings", "baseline", "undecided")
 _GRAVE = ("info", "warning", "error")
 _CODE = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
@@ -179,10 +180,10 @@ class _File:
         required: dict[Sensor, tuple[Axis, ...]] = {}
         for section in _SECTIONS:
             table = self._table(section, document.get(section, {}))
-            if section in tuple(Sensor) and "axes" in table:
+            if section in _SENSORS and "axes" in table:
                 required[Sensor(section)] = self._axes(f"{section}.axes", table["axes"])
             limits += self._section(section, {key: table[key] for key in table if key != "axes"})
-            if "axes" in table and section not in tuple(Sensor):
+            if "axes" in table and section not in _SENSORS:
                 self._refuse(f"{section}.axes", "only gyroscope and accelerometer have axes", "remove it")
         findings = self._findings(self._table("findings", document.get("findings", {})))
         baseline = None
@@ -203,7 +204,7 @@ class _File:
         known: tuple[str, ...] = LOG_QUANTITIES
         if section != "log":
             known = (*TERM_QUANTITIES, *SAMPLE_QUANTITIES, *LOG_QUANTITIES)
-        self._known(section, table, known, also=("axes",) if section in tuple(Sensor) else ())
+        self._known(section, table, known, also=("axes",) if section in _SENSORS else ())
         limits: list[Limit] = []
         for quantity, entry in table.items():
             limits += self._limit(section, quantity, self._table(f"{section}.{quantity}", entry))
@@ -304,7 +305,8 @@ class _File:
     ) -> None:
         for key in keys:
             if key not in known and key not in also:
-                near = difflib.get_close_matches(key, [*known, *also], n=1, cutoff=0.5)
+                near = [name for name in known if name in _SENSORS and key and name.startswith(key)]
+                near += difflib.get_close_matches(key, [*known, *also], n=1, cutoff=0.5)
                 hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join([*known, *also])}"
                 self._refuse(place, f"unknown key {key!r}", hint)
 
