@@ -1,0 +1,115 @@
+"""The folder of a ROS 2 bag: which files it has, in which order, and what its metadata say."""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from imucal.errors import ReadError
+
+__all__ = ["Folder", "natural", "open_folder", "parse_metadata"]
+
+#: Endings of the files of a bag.
+ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.zst", ".db3.zst")
+
+_METADATA = "metadata.yaml"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Folder:
+    """A bag's files, in order, and what the metadata say of them.
+
+    Attributes
+    ----------
+    files
+        Those that exist, in the order of the recording.
+    missing
+        Names of files that the metadata list and the folder lacks.
+    per_message
+        Whether each message is compressed on its own.
+    counts
+        Topic -> messages in all files; None where the metadata don't say.
+    """
+
+    files: tuple[Path, ...]
+    missing: tuple[str, ...] = ()
+    per_message: bool = False
+    counts: dict[str, int] | None = field(default=None)
+
+
+def open_folder(path: Path) -> Folder:
+    """Return the files of a bag.
+
+    Raises
+    ------
+    ReadError
+        If the folder holds none.
+    """
+    present = {entry.name: entry for entry in path.iterdir() if entry.name.endswith(ENDINGS)}
+    metadata = path / _METADATA
+    names: tuple[str, ...] = ()
+    mode, counts = "", None
+    if metadata.exists():
+        try:
+            names, mode, counts = parse_metadata(metadata.read_text(encoding="utf-8", errors="replace"))
+        except OSError as error:
+            msg = f"{metadata}: can't be read: {error.strerror or error}"
+            raise ReadError(msg) from error
+    files = [_present(present, name) for name in names]
+    found = tuple(file for file in files if file is not None)
+    if not found:
+        found = tuple(sorted(present.values(), key=natural))
+        counts = None
+    if not found:
+        inside = ", ".join(sorted(entry.name for entry in path.iterdir())[:10]) or "nothing"
+        msg = f"{path}: not the folder of a ROS 2 bag: it holds {inside}; expected .mcap or .db3 files"
+        raise ReadError(msg)
+    missing = tuple(name for name, file in zip(names, files, strict=True) if file is None)
+    return Folder(
+        files=found,
+        missing=missing,
+        per_message=mode.upper() == "MESSAGE",
+        counts=None if missing else counts,
+    )
+
+
+def parse_metadata(text: str) -> tuple[tuple[str, ...], str, dict[str, int] | None]:
+    """Return relative paths, compression mode and messages of each topic.
+
+    The few lines that matter are found by their keys: a YAML parser is not worth a dependency here.
+    """
+    paths = re.search(r"^\s*relative_file_paths:\s*\n((?:\s*-\s.*\n?)+)", text, re.MULTILINE)
+    names = tuple(_unquoted(line.split("-", 1)[1]) for line in paths[1].splitlines()) if paths else ()
+    mode = re.search(r"^\s*compression_mode:[ \t]*(.*)$", text, re.MULTILINE)
+    topics = text.partition("topics_with_message_count:")[2]
+    counts: dict[str, int] = {}
+    name: str | None = None
+    count: int | None = None
+    for key, value in re.findall(r"^[ \t-]*(name|message_count):[ \t]*(.*)$", topics, re.MULTILINE):
+        if key == "name":
+            name = _unquoted(value)
+        elif value.strip().isdigit():
+            count = int(value)
+        if name is not None and count is not None:
+            counts[name] = count
+            name = count = None
+    return names, _unquoted(mode[1]) if mode else "", counts or None
+
+
+def natural(path: Path) -> tuple[tuple[int, int, str], ...]:
+    """Return a key that sorts bag_2 before bag_10."""
+    parts = re.split(r"(\d+)", path.name)
+    return tuple((1, int(part), "") if part.isdigit() else (0, 0, part) for part in parts)
+
+
+def _present(present: dict[str, Path], name: str) -> Path | None:
+    """Return the file of a name, which may have been unpacked or packed since the metadata were written."""
+    base = Path(name).name
+    for ending in ("", ".zstd", ".zst"):
+        if base + ending in present:
+            return present[base + ending]
+    bare = re.sub(r"\.zstd?$", "", base)
+    return present.get(bare)
+
+
+def _unquoted(value: str) -> str:
+    return value.strip().strip("'\"")
