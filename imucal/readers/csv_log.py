@@ -5,7 +5,9 @@ polars into columns. In doubt nothing is guessed: the error shows the columns an
 """
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -16,10 +18,12 @@ from imucal.readers.blocks import BlockReader, Kind, without_start
 from imucal.readers.columns import Rows
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.growing import default_memory_limit
+from imucal.readers.headless import named_columns, propose_columns, rows_of_tag, tagged_layout
 from imucal.readers.layout import Layout, find_layout, split_line
 from imucal.readers.options import ReadOptions
 from imucal.readers.plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.text import TextSource, open_text
+from imucal.readers.vectornav import find_vectornav, good_sentences
 from imucal.recording import Recording, Source
 
 __all__ = ["describe", "read"]
@@ -45,10 +49,11 @@ def read(path: Path, options: ReadOptions) -> Recording:
 
 def read_source(source: TextSource, options: ReadOptions, *, name: str = "") -> Recording:
     """Read the table of an opened text; `name` is the file's own name, which may name the sensor."""
-    layout = _layout(source, options)
+    text = _lay_out(source.name, source.head, options)
+    layout = text.layout
     plan = _plan(source.name, layout, options, name or PurePath(source.name).name)
     groups = _by_rows(plan)
-    readers = [_reader(layout, plan, group, options) for group in groups]
+    readers = [_reader(text, plan, group, options) for group in groups]
     cut = _read_blocks(source, layout, readers)
     findings = [*source.findings, *_row_findings(source.name, cut, layout, readers, options)]
     sensors = []
@@ -80,19 +85,17 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     size = path.stat().st_size if path.is_file() else None
     with open_text(path) as source:
         compression = source.compression
-        layout = find_layout(source.head)
+        lines = source.head
     if size is not None and size <= _SMALL:
-        return _described_by_reading(path, options, size, compression, layout)
-    return _described_by_head(path, options, size, compression, layout)
+        return _described_by_reading(path, options, size, compression)
+    return _described_by_head(path, options, size, compression, lines)
 
 
 #: Files up to this size are read to be described: they take less than half a second.
 _SMALL = 64 << 20
 
 
-def _described_by_reading(
-    path: Path, options: ReadOptions, size: int, compression: str, layout: Layout | None
-) -> LogContents:
+def _described_by_reading(path: Path, options: ReadOptions, size: int, compression: str) -> LogContents:
     try:
         recording = read(path, options)
     except ImucalError as error:
@@ -128,45 +131,86 @@ def _described_by_reading(
 
 
 def _described_by_head(
-    path: Path, options: ReadOptions, size: int | None, compression: str, layout: Layout | None
+    path: Path, options: ReadOptions, size: int | None, compression: str, lines: Sequence[str]
 ) -> LogContents:
-    name = path.name
-    if layout is None:
-        topic = TopicContents(name=name, type="text", note="no rows of numbers")
-        return LogContents(
-            path=str(path), format="csv", size_bytes=size, topics=(topic,), compression=compression
-        )
     try:
-        plan = _plan(str(path), layout, options, name)
+        layout = _lay_out(str(path), lines, options).layout
+        plan = _plan(str(path), layout, options, path.name)
     except ImucalError as error:
-        topic = TopicContents(name=name, type="table", note=str(error))
+        topic = TopicContents(name=path.name, type="table", note=str(error))
     else:
         kind = plan.signature.name if plan.signature else "table"
         note = "; ".join(f"{what}: {how}" for what, how in plan.decisions)
         sensors = tuple(sensor.triad.sensor for sensor in plan.sensors)
-        topic = TopicContents(name=name, type=kind, rate_hz=layout.rate_hz, sensors=sensors, note=note)
+        topic = TopicContents(name=path.name, type=kind, rate_hz=layout.rate_hz, sensors=sensors, note=note)
     return LogContents(
         path=str(path), format="csv", size_bytes=size, topics=(topic,), compression=compression
     )
 
 
-def _layout(source: TextSource, options: ReadOptions) -> Layout:
-    layout = find_layout(source.head)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Text:
+    """A text whose layout is known.
+
+    Attributes
+    ----------
+    layout
+        Of its rows.
+    rows
+        The rows to read, where the format is one of tagged rows.
+    prepare
+        Turns a block into rows of plain cells, where the format needs it.
+    lines
+        The head.
+    """
+
+    layout: Layout
+    rows: Rows = None
+    prepare: Callable[[bytes], bytes] | None = None
+    lines: Sequence[str] = ()
+
+
+def _lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> _Text:
+    """Find the layout of a text.
+
+    Raises
+    ------
+    ReadError
+        If it holds no rows of numbers.
+    ChoiceError
+        If its header doesn't fit its rows.
+    """
+    sentences = find_vectornav(lines)
+    if sentences is not None:
+        return _Text(layout=sentences, rows=None, prepare=good_sentences, lines=lines)
+    tagged = tagged_layout(lines)
+    if tagged is not None:
+        return _Text(layout=tagged[0], rows=tagged[1], lines=lines)
+    layout = find_layout(lines)
     if layout is None:
-        first = next((line.strip() for line in source.head if line.strip()), "")
+        first = next((line.strip() for line in lines if line.strip()), "")
         msg = (
-            f"{source.name}: no rows of three numbers or more, the first line is {first[:80]!r}; "
+            f"{path}: no rows of three numbers or more, the first line is {first[:80]!r}; "
             "expected a table with a row per sample"
         )
         raise ReadError(msg)
     if layout.mismatch is not None and options.columns is None:
         msg = (
-            f"{source.name}: the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
+            f"{path}: the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
             f"belongs to a column; found the row {', '.join(layout.rows[0][:40])}; correct the header, or say which "
             "columns are which by a columns text such as t=0,g=1:4,a=4:7 (places from 0 with the end left out)"
         )
         raise ChoiceError(msg)
-    return layout
+    layout = named_columns(layout)
+    if not layout.headers and options.columns is None:
+        shown = ", ".join(f"{place} {cell}" for place, cell in enumerate(layout.rows[0][:40]))
+        msg = (
+            f"{path}: no header names the {layout.width} columns, and an order is not guessed; found the row {shown}; "
+            "expected a header, or a columns text that says which are which, such as "
+            f"{propose_columns(lines, layout)} (places from 0 with the end left out; check which is which)"
+        )
+        raise ChoiceError(msg)
+    return _Text(layout=layout, lines=lines)
 
 
 def _plan(path: str, layout: Layout, options: ReadOptions, name: str) -> TablePlan:
@@ -184,10 +228,10 @@ def _by_rows(plan: TablePlan) -> list[list[SensorPlan]]:
     return list(groups.values())
 
 
-def _reader(
-    layout: Layout, plan: TablePlan, sensors: Sequence[SensorPlan], options: ReadOptions
-) -> BlockReader:
+def _reader(text: _Text, plan: TablePlan, sensors: Sequence[SensorPlan], options: ReadOptions) -> BlockReader:
     """Return the reader of one group's rows."""
+    rows = sensors[0].triad.rows or text.rows
+    layout = _of_rows(text, rows)
     kinds: dict[int, Kind] = {}
     for sensor in sensors:
         kinds |= dict.fromkeys(sensor.triad.places, "float")
@@ -201,10 +245,25 @@ def _reader(
         kinds[plan.temperature] = "float"
     last = layout.width - 1
     # A row that lacks its last cell was cut, perhaps within a number that stands before it.
-    if sensors[0].triad.rows is None and all(layout.cells(last)):
+    if all(layout.cells(last)):
         needed |= {last}
     limit = (options.memory_limit or default_memory_limit()) // max(1, len(kinds))
-    return BlockReader(layout=layout, kinds=kinds, needed=needed, rows=sensors[0].triad.rows, limit=limit)
+    return BlockReader(
+        layout=layout, kinds=kinds, needed=needed, rows=rows, limit=limit, prepare=text.prepare
+    )
+
+
+def _of_rows(text: _Text, rows: Rows) -> Layout:
+    """Return the layout of some of the rows: tagged rows differ in width."""
+    if rows is None or rows == text.rows:
+        return text.layout
+    lines = rows_of_tag(text.lines[text.layout.start :], text.layout.delimiter, rows)
+    cells = [tuple(split_line(line, text.layout.delimiter)) for line in lines]
+    if not cells:
+        return text.layout
+    width = Counter(len(row) for row in cells).most_common(1)[0][0]
+    same = tuple(row for row in cells if len(row) == width)
+    return replace(text.layout, width=width, rows=same)
 
 
 def _kind(cells: Sequence[str], *, text: bool) -> Kind:

@@ -28,7 +28,7 @@ STANDARD_INPUT = "-"
 #: Bytes looked at to find the layout.
 _HEAD = 1 << 18
 #: Bytes of text parsed at once: large enough for the parser, small enough for memory.
-_BLOCK = 8 << 20
+_BLOCK = 4 << 20
 #: A line longer than this is no row of a table.
 _LONGEST_LINE = 1 << 20
 
