@@ -100,13 +100,14 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     angles = np.degrees(np.arccos(np.clip(smooth @ usual / lengths, -1, 1)))
     if angles.max() < _TURN_DEG:
         return ()
+    turn = int(np.linalg.norm(np.diff(down, axis=0), axis=1).argmax())
     return (
         Finding(
             level="error",
             code="motion",
             text=(
-                f"The IMU was turned by {angles.max():.0f} degrees during the log: gravity points elsewhere "
-                f"at {seconds[int(angles.argmax())]:.1f} s."
+                f"The IMU was turned by up to {angles.max():.0f} degrees, mostly near "
+                f"{seconds[turn]:.1f} s: gravity points elsewhere then."
             ),
             advice=f"Record again in one pose, or keep the longest rest, {span(*keep)}.",
             keep_s=keep,

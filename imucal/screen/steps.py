@@ -62,7 +62,9 @@ def _largest(profile: Profile) -> _Step | None:
     windows = profile.windows
     rest = ~profile.disturbed
     mean, seconds = windows.mean[rest], windows.time_s[rest]
-    least = profile.lsb or 0.0
+    # Without the noise to dither it, a value toggles by an LSB when its mean moves by none at all.
+    lsb = profile.lsb or 0.0
+    least = lsb if profile.noise < 0.5 * lsb else 0.0
     best: _Step | None = None
     span = 2
     while span * _LEAST_MEANS <= mean.size:

@@ -10,13 +10,12 @@ from imucal.screen.words import amount, time
 
 __all__ = ["check_warm_up"]
 
-#: Numbers of means tried: many see a quick warm-up, few average more noise away.
-_COUNTS = (64, 32)
+#: Numbers of means tried: many see a quick warm-up, few average more noise away. With each, how many
+#: deviations of the wander over as long a span the drift must be; few means know that wander less well.
+_LIMITS = {64: 7.0, 32: 9.0}
 #: Spans, in blocks, over which the start may drift: up to a quarter of the log.
 _SPANS = (1, 2, 4, 8, 16)
-#: The drift must be this many deviations of the wander over as long a span …
-_LIMIT = 7.0
-#: … and this much larger than the largest of the rest.
+#: The drift must be this much larger than the largest move of the rest.
 _BEYOND = 1.7
 #: Drift that has not settled by this part of the log never does.
 _LATEST = 0.6
@@ -32,12 +31,12 @@ def check_warm_up(profile: Profile) -> tuple[Finding, ...]:
     """
     if profile.series.duration_s < _LEAST_S:
         return ()
-    for count in _COUNTS:
+    for count, limit in _LIMITS.items():
         means = blocks(profile, count)
         if means.mean.size >= 0.75 * count:
             level = _without_later_slope(means)
-            if _drifts(level):
-                return (_finding(profile, means, level),)
+            if _drifts(level, limit):
+                return (_finding(profile, means, level[level.size // 4 :]),)
     return ()
 
 
@@ -50,7 +49,7 @@ def _without_later_slope(means: Blocks) -> FloatArray:
     return level
 
 
-def _drifts(level: FloatArray) -> bool:
+def _drifts(level: FloatArray, limit: float) -> bool:
     rest = level[level.size // 4 :]
     spans = [k for k in _SPANS if k <= level.size // 4]
     moves = [np.abs(rest[k:] - rest[:-k]) for k in spans]
@@ -60,7 +59,7 @@ def _drifts(level: FloatArray) -> bool:
     deviation = np.sqrt(_wander(np.array(spans, dtype=np.float64), squares))
     largest = np.array([m.max() for m in moves])
     start = np.abs(level[spans] - level[0])
-    return bool(np.any((start > _LIMIT * deviation) & (start > _BEYOND * largest)))
+    return bool(np.any((start > limit * deviation) & (start > _BEYOND * largest)))
 
 
 def _wander(spans: FloatArray, squares: FloatArray) -> FloatArray:
@@ -75,13 +74,12 @@ def _wander(spans: FloatArray, squares: FloatArray) -> FloatArray:
     return wander
 
 
-def _finding(profile: Profile, means: Blocks, level: FloatArray) -> Finding:
+def _finding(profile: Profile, means: Blocks, later: FloatArray) -> Finding:
     series = profile.series
-    rest = level[level.size // 2 :]
-    away = np.abs(level - rest.mean())
-    settled = away <= max(2 * float(rest.std()), 0.05 * float(away[0]))
-    index = int(settled.argmax()) if settled.any() else level.size
-    seconds = float(means.time_s[index]) if index < level.size else series.duration_s
+    end = means.mean[-means.mean.size // 4 :]
+    away = np.abs(means.mean - end.mean())
+    settled = away <= max(2 * float(end.std()), 2 * float(later.std()), 0.05 * float(away[0]))
+    seconds = float(means.time_s[int(settled.argmax())])
     drift = amount(float(away[0]), series.sensor)
     if seconds > _LATEST * series.duration_s:
         return Finding(

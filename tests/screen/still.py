@@ -7,12 +7,13 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.powerlaw import PowerLaw
-from imucal.recording import AxisSeries, Clock, Recording, Sensor, Source, Temperature
+from imucal.recording import Axis, AxisSeries, Clock, Recording, Sensor, Source, Temperature
 from imucal.units import G0
 
 __all__ = ["KINDS", "flicker", "recording", "still", "unrelated_temperature", "with_samples"]
 
 RATE = 100.0
+AXES: tuple[Axis, ...] = ("x", "y", "z")
 #: Deviation per sample of a common MEMS IMU at 100 Hz: rad/s and m/s².
 NOISE = {Sensor.GYROSCOPE: 1.5e-3, Sensor.ACCELEROMETER: 2e-2}
 
@@ -22,7 +23,7 @@ def flicker(n: int, rng: np.random.Generator) -> FloatArray:
     f = np.fft.rfftfreq(n)
     spectrum = rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size)
     spectrum[0] = 0
-    spectrum[1:] *= np.sqrt(n * PowerLaw.FLICKER.psd(2 * np.pi * f[1:]) / 2)
+    spectrum[1:] *= np.sqrt(n * PowerLaw.FLICKER.psd(np.asarray(2 * np.pi * f[1:], dtype=np.float64)) / 2)
     samples: FloatArray = np.fft.irfft(spectrum, n)
     return samples
 
@@ -48,12 +49,15 @@ KINDS: dict[str, Callable[[int, np.random.Generator], FloatArray]] = {
     "flicker": lambda n, rng: rng.standard_normal(n) + 0.2 * flicker(n, rng),
     "strong flicker": lambda n, rng: 0.3 * rng.standard_normal(n) + flicker(n, rng),
     "random walk": lambda n, rng: rng.standard_normal(n) + 0.01 * rng.standard_normal(n).cumsum(),
-    "strong random walk": lambda n, rng: 0.1 * rng.standard_normal(n)
-    + 0.05 * rng.standard_normal(n).cumsum(),
-    "Gauss-Markov 1 s": lambda n, rng: rng.standard_normal(n)
-    + _recursion(0.05 * rng.standard_normal(n), np.exp(-0.01)),
-    "Gauss-Markov 100 s": lambda n, rng: rng.standard_normal(n)
-    + _recursion(0.01 * rng.standard_normal(n), np.exp(-1e-4)),
+    "strong random walk": lambda n, rng: (
+        0.1 * rng.standard_normal(n) + 0.05 * rng.standard_normal(n).cumsum()
+    ),
+    "Gauss-Markov 1 s": lambda n, rng: (
+        rng.standard_normal(n) + _recursion(0.05 * rng.standard_normal(n), np.exp(-0.01))
+    ),
+    "Gauss-Markov 100 s": lambda n, rng: (
+        rng.standard_normal(n) + _recursion(0.01 * rng.standard_normal(n), np.exp(-1e-4))
+    ),
     "ramp": lambda n, rng: rng.standard_normal(n) + np.linspace(0, 5, n),
     "quantization": lambda n, rng: 0.3 * rng.standard_normal(n) + np.diff(rng.standard_normal(n + 1)),
     "rounded": lambda n, rng: np.round(rng.standard_normal(n)),
@@ -78,7 +82,7 @@ def recording(
     series = tuple(
         AxisSeries(sensor=sensor, axis=axis, samples=samples, clock=clock)
         for sensor, table in ((Sensor.GYROSCOPE, gyro), (Sensor.ACCELEROMETER, accel))
-        for axis, samples in zip(("x", "y", "z"), table, strict=True)
+        for axis, samples in zip(AXES, table, strict=True)
     )
     warmth = None if temperature is None else Temperature(samples=temperature, clock=clock)
     return Recording(source=Source(path="still.csv", format="csv"), series=series, temperature=warmth)

@@ -1,0 +1,83 @@
+"""Logs at rest: how rarely the screening cries wolf."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucal.recording import AxisSeries, Clock, Recording, Source
+from imucal.screen import screen
+from tests.screen.still import KINDS, recording, still, unrelated_temperature
+
+LOGS = 6
+
+
+@pytest.fixture(scope="module", params=list(KINDS))
+def alarms(request: pytest.FixtureRequest) -> list[str]:
+    """Codes of all warnings and errors of some logs at rest of one kind of noise."""
+    n = 20_000
+    return [
+        finding.code
+        for seed in range(LOGS)
+        for finding in screen(
+            recording(
+                *still(n, 1000 + seed, request.param), temperature=unrelated_temperature(n, 1000 + seed)
+            )
+        )
+        if finding.level != "info"
+    ]
+
+
+def test_noise_of_any_kind_is_no_fault(alarms: list[str]) -> None:
+    """Six logs of six axes: none warned of.
+
+    tests/benchmarks/screening.py measures the rate on many logs: below 1 % of logs for each check
+    over all kinds, so that one alarm in six logs, for the worst kind, is what chance may still do.
+    """
+    assert len(alarms) <= 1
+
+
+def test_clean_white_noise_has_no_finding_at_all() -> None:
+    """Not even a note: nothing is wrong and nothing is coloured."""
+    assert screen(recording(*still(30_000, 7))) == ()
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 1000.0])
+def test_other_rates_are_as_quiet(rate_hz: float) -> None:
+    """Slow and quick sensors have other windows; none of them is disturbed."""
+    gyro, accel = still(30_000, 8)
+    found = screen(recording(gyro, accel, clock=Clock.even(30_000, rate_hz)))
+    assert found == ()
+
+
+def test_gaps_are_no_fault() -> None:
+    """Bursts and single samples missing, NaN left in: nothing to warn of."""
+    rng = np.random.default_rng(9)
+    whole = recording(*still(40_000, 9))
+    keep = rng.random(40_000) > 0.01
+    keep[10_000:14_000] = False
+    series = tuple(s.keeping(keep) for s in whole.series)
+    samples = series[0].samples.copy()
+    samples[::500] = np.nan
+    series = (replace(series[0], samples=samples), *series[1:])
+    assert [f for f in screen(replace(whole, series=series)) if f.level != "info"] == []
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 15, 16, 17, 40, 200, 1000])
+def test_short_logs_neither_crash_nor_alarm(n: int) -> None:
+    """What little there is raises no warning; nothing at all is said to be no data."""
+    found = screen(recording(*still(n, 10)))
+    assert {f.code for f in found} == (set() if n else {"no-data"})
+
+
+def test_an_empty_recording_has_no_finding() -> None:
+    """No axes, nothing to say: the reader has refused it, or the caller has left them out."""
+    assert screen(Recording(source=Source(path="empty", format="csv"), series=())) == ()
+
+
+def test_one_axis_alone_is_screened() -> None:
+    """Checks that need three axes pass over it."""
+    series = AxisSeries.from_samples(np.random.default_rng(11).normal(size=20_000), rate_hz=100.0)
+    found = screen(Recording(source=Source(path="one", format="array"), series=(series,)))
+    # Noise of deviation 1 rad/s is no gyroscope's.
+    assert [f.code for f in found] == ["unit-suspect"]
