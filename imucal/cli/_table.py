@@ -60,7 +60,10 @@ def _can_print(encoding: str) -> bool:
 def _order(columns: Sequence[dict[str, _Block]]) -> list[str]:
     """Return the keys of all blocks: the heading, the terms by rising slope, the minimum."""
     keys = {key for column in columns for key in column}
-    first = ["", *(f"{symbol}{n}{part}" for symbol in TERMS for n in ("", *"123456789") for part in ("", " T"))]
+    first = [
+        "",
+        *(f"{symbol}{n}{part}" for symbol in TERMS for n in ("", *"123456789") for part in ("", " T")),
+    ]
     return [key for key in first if key in keys] + ["minimum"]
 
 
@@ -102,7 +105,8 @@ def _heading(axes: list[AxisReport]) -> _Block:
 
 
 def _time(estimate: Estimate) -> Quantity | None:
-    return estimate.correlation_time and numbers.correlation_time(estimate.correlation_time)
+    time = estimate.correlation_time
+    return None if time is None else numbers.correlation_time(time)
 
 
 def _block(title: str, rows: list[tuple[AxisReport, Quantity, str]], *, plain: bool) -> _Block:

@@ -171,8 +171,8 @@ def test_load_takes_the_file_or_its_folder(tmp_path: Path) -> None:
             "N=x",
             (
                 "r.json: axes[0].fit.expression: found a model that can't be read ('x' is not a number; "
-                "write a sum such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'), expected a sum of valued "
-                "terms; write the report again"
+                "write a sum such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'), expected a sum of "
+                "valued terms; write the report again"
             ),
         ),
         (

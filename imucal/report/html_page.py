@@ -1,0 +1,152 @@
+"""`report.html`: one page that holds everything and opens without a network.
+
+Text and tables are there without any script. The plots are drawn by plotly's own script, which the
+page carries deflated: two megabytes instead of five.
+"""
+
+import base64
+import zlib
+from importlib.resources import files
+from string import Template
+
+from imucal.report import numbers
+from imucal.report.figure import axis_title
+from imucal.report.figure_allan import shown_points
+from imucal.report.markup import Markup, element, join, row, table
+from imucal.report.page_data import page_data
+from imucal.report.page_downstream import downstream_section
+from imucal.report.page_summary import findings_section, summary_section
+from imucal.report.page_words import glossary_section, method_section
+from imucal.report.result import AxisReport, Report
+from imucal.units import pretty
+
+__all__ = ["render_page"]
+
+
+def render_page(report: Report) -> str:
+    """Return the page; the same report always gives the same text."""
+    sections = [
+        ("summary", "Summary", summary_section(report)),
+        ("findings", "Findings", findings_section(report)),
+        ("downstream", "Which number goes where", downstream_section(report)),
+        *((axis.name, axis_title(axis), _axis_section(axis)) for axis in report.axes),
+        ("terms", "What the terms mean", glossary_section()),
+        ("method", "How the numbers were made", method_section(report)),
+    ]
+    name = report.source.path.rstrip("/").rsplit("/", 1)[-1] or report.source.path
+    links = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in sections]
+    bodies = [
+        element(
+            "section",
+            element("h2", title, id=f"{anchor}-title"),
+            body,
+            id=anchor,
+            aria_labelledby=f"{anchor}-title",
+        )
+        for anchor, title, body in sections
+    ]
+    return Template(_part("page.html")).substitute(
+        title=element("title", f"{name} – IMU noise report"),
+        heading=element("h1", name),
+        lead=_lead(report),
+        navigation=element("ul", *links),
+        sections=join(bodies),
+        version=element("span", f"imucal {report.version}"),
+        style=_part("page.css"),
+        script=_part("page.js"),
+        data=page_data(report),
+        plotly=_plotly(),
+    )
+
+
+def _part(name: str) -> str:
+    return files("imucal.report").joinpath("page", name).read_text(encoding="utf-8")
+
+
+def _plotly() -> str:
+    """Return plotly's script, deflated and in base64."""
+    from plotly.offline import get_plotlyjs
+
+    return base64.b64encode(zlib.compress(get_plotlyjs().encode(), 9)).decode("ascii")
+
+
+def _lead(report: Report) -> Markup:
+    """Return one line on what was recorded."""
+    texts = []
+    for axis in report.axes:
+        text = f"{axis.sensor}: {numbers.hours(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
+        if text not in texts:
+            texts.append(text)
+    return element("p", " · ".join(texts) or "No axis could be analysed.", class_="lead")
+
+
+def _axis_section(axis: AxisReport) -> Markup:
+    """Return the plots of one axis, each with a caption, and the curve as a table."""
+    where = axis_title(axis)
+    tau = axis.fit.curve.minimum[1]
+    sheet, plain = numbers.minimum(axis)[::-1]
+    curve = join(
+        [
+            f"Allan deviation of {where.lower()}: its minimum is ",
+            element("span", numbers.with_interval(numbers.comfortable(sheet)), class_="sheet"),
+            element("span", numbers.with_interval(plain), class_="si"),
+            f" at {numbers.seconds(tau)}. Model {str(axis.fit.model) or 'without a term'}.",
+        ]
+    )
+    goodness = axis.fit.goodness
+    psd = (
+        f"Root of the two-sided power spectral density of {where.lower()}: white noise lies at the height N."
+    )
+    if goodness.lines:
+        psd += (
+            f" Lines left out at {', '.join(f'{line.frequency_hz:.4g} Hz' for line in goodness.lines[:6])}."
+        )
+    raw = (
+        f"Raw signal of {where.lower()}, lowest to highest sample of each stretch: mean {axis.mean:.6g} "
+        f"{pretty(axis.unit)}, standard deviation {axis.std:.4g} {pretty(axis.unit)}, "
+        f"{len(axis.gaps) or 'no'} gap{'' if len(axis.gaps) == 1 else 's'}."
+    )
+    return join(
+        [
+            element("div", _figure(axis, "allan", curve), _figure(axis, "psd", psd), class_="pair"),
+            _figure(axis, "raw", raw),
+            element("details", element("summary", "The curve as a table"), _curve_table(axis)),
+        ]
+    )
+
+
+def _figure(axis: AxisReport, kind: str, caption: str | Markup) -> Markup:
+    anchor = f"{axis.name}-{kind}"
+    plot = element(
+        "div",
+        class_=f"plot {kind}",
+        id=anchor,
+        data_axis=axis.name,
+        data_plot=kind,
+        tabindex="0",
+        role="group",
+        aria_labelledby=f"{anchor}-caption",
+        aria_describedby="plot-help",
+    )
+    return element("figure", plot, element("figcaption", caption, id=f"{anchor}-caption"))
+
+
+def _curve_table(axis: AxisReport) -> Markup:
+    fit = axis.fit
+    low, high = fit.curve.confidence_interval(fit.level)
+    model, used = fit.model_adev(), set(fit.used.tolist())
+    titles = ("τ (s)", "m", "deviation", "low", "high", "model", "degrees of freedom", "used by the fit")
+    body = []
+    for i in shown_points(fit.curve).tolist():
+        values = (fit.curve.adev[i], low[i], high[i], model[i])
+        body.append(
+            row(
+                element("th", f"{fit.curve.tau[i]:.6g}", scope="row"),
+                element("td", str(fit.curve.m[i])),
+                *(element("td", f"{value:.4g}") for value in values),
+                element("td", f"{fit.curve.edf[i]:.3g}"),
+                element("td", "yes" if i in used else "no"),
+            )
+        )
+    caption = f"{axis_title(axis)}: Allan deviation in {pretty(axis.unit)}, {100 * fit.level:.4g} % interval"
+    return table(caption, [row(*(element("th", title, scope="col") for title in titles))], body)

@@ -1,0 +1,67 @@
+"""HTML as values: text is escaped unless it is `Markup` already."""
+
+from collections.abc import Iterable
+from html import escape
+from typing import TypeAlias
+
+__all__ = ["Child", "Markup", "element", "join", "row", "table"]
+
+_VOID = frozenset({"br", "hr", "input", "link", "meta"})
+
+
+class Markup(str):
+    """Text that is HTML and needs no escaping."""
+
+    __slots__ = ()
+
+
+Child: TypeAlias = "str | Markup | None"
+
+
+def element(tag: str, *children: Child, **attributes: str | bool | None) -> Markup:
+    """Return ``<tag attributes>children</tag>``.
+
+    A trailing underscore of an attribute is dropped (``class_``), inner ones become hyphens
+    (``aria_label``); True stands for a bare attribute; None and False leave it out.
+    """
+    written = "".join(_attribute(name, value) for name, value in attributes.items())
+    if tag in _VOID:
+        return Markup(f"<{tag}{written}>")
+    return Markup(f"<{tag}{written}>{join(children)}</{tag}>")
+
+
+def join(children: Iterable[Child]) -> Markup:
+    """Return the children one after the other, plain text escaped."""
+    return Markup("".join(_escaped(child) for child in children if child is not None))
+
+
+def row(*cells: Markup) -> Markup:
+    """Return a table row."""
+    return element("tr", *cells)
+
+
+def table(caption: Child, head: Iterable[Markup], body: Iterable[Markup], *, class_: str = "") -> Markup:
+    """Return a table with a caption, in a box that scrolls sideways where the screen is narrow."""
+    inner = element(
+        "table",
+        element("caption", element("span", caption)),
+        element("thead", *head),
+        element("tbody", *body),
+        class_=class_ or None,
+    )
+    return element("div", inner, class_="scroll", tabindex="0", role="group", aria_label=_plain(caption))
+
+
+def _escaped(child: str) -> str:
+    return child if isinstance(child, Markup) else escape(child, quote=False)
+
+
+def _attribute(name: str, value: str | bool | None) -> str:  # noqa: FBT001 - as HTML has them
+    if value is None or value is False:
+        return ""
+    key = name.rstrip("_").replace("_", "-")
+    return f" {key}" if value is True else f' {key}="{escape(value)}"'
+
+
+def _plain(caption: Child) -> str | None:
+    return None if caption is None or isinstance(caption, Markup) else caption

@@ -1,0 +1,231 @@
+(() => {
+  "use strict";
+  const root = document.documentElement;
+  const data = JSON.parse(document.getElementById("imucal-data").textContent);
+  const plots = [...document.querySelectorAll(".plot")];
+  const darkness = matchMedia("(prefers-color-scheme: dark)");
+
+  const isDark = () => {
+    if (root.classList.contains("printing")) return false;
+    return root.dataset.theme === "auto" ? darkness.matches : root.dataset.theme === "dark";
+  };
+  const colour = (name) => data.colours[name][isDark() ? 1 : 0];
+  const css = (name) => getComputedStyle(root).getPropertyValue(name).trim();
+  const dashes = { Q: "2px,4px", N: "9px,3px", B: "9px,3px,2px,3px", GM: "5px,3px", K: "14px,5px", R: "11px,3px,2px,3px,2px,3px" };
+  const times = (values, factor) => values.map((v) => (v === null ? null : v * factor));
+  const number = (v) => (v === null || v === undefined ? "?" : Number(v).toPrecision(4).replace(/e([+-]\d+)/, " × 10^$1").replace("^+", "^"));
+
+  const scale = (title, extra) => ({
+    title: { text: title, standoff: 6 }, gridcolor: css("--grid"), linecolor: css("--rule"), zeroline: false,
+    showline: true, ticks: "outside", tickcolor: css("--rule"), automargin: true, ...extra,
+  });
+  const log = (title, range) => scale(title, { type: "log", exponentformat: "power", dtick: range[1] - range[0] < 1.6 ? "D2" : 1, range });
+  const layout = (x, y, extra) => ({
+    xaxis: x, yaxis: y, margin: { l: 64, r: 12, t: 30, b: 44 }, hovermode: "closest",
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: css("--second"), activecolor: css("--accent") },
+    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+    font: { color: css("--ink"), size: 13, family: getComputedStyle(document.body).fontFamily },
+    legend: { orientation: "h", yref: "container", y: 0, yanchor: "bottom", x: 0, font: { size: 12 } },
+    hoverlabel: { align: "left", bgcolor: css("--paper"), bordercolor: css("--rule"), font: { color: css("--ink") } },
+    ...extra,
+  });
+  const span = (values) => {
+    const known = values.filter((v) => v > 0);
+    return [Math.log10(Math.min(...known)) - 0.3, Math.log10(Math.max(...known)) + 0.3];
+  };
+  const line = (name, width, dash) => ({ mode: "lines", hoverinfo: "skip", line: { color: colour(name), width, dash } });
+
+  function allan(axis) {
+    const [unit, factor] = axis.units[root.dataset.units];
+    const curve = axis.curve, fine = axis.fine;
+    const adev = times(curve.adev, factor), low = times(curve.low, factor), high = times(curve.high, factor);
+    const model = times(curve.model, factor);
+    const traces = [
+      { x: curve.tau, y: low, mode: "lines", line: { width: 0 }, hoverinfo: "skip", showlegend: false },
+      { x: curve.tau, y: high, mode: "lines", line: { width: 0 }, fill: "tonexty", hoverinfo: "skip",
+        fillcolor: isDark() ? "rgba(120,160,200,.25)" : "rgba(120,160,200,.35)", name: `${axis.level} % interval` },
+    ];
+    for (const term of fine.terms) {
+      traces.push({ x: fine.tau, y: times(term.adev, factor), ...line(term.symbol, 1.6, dashes[term.symbol]),
+        opacity: term.bounded ? 0.6 : 1, name: `${term.key}${term.bounded ? " (bound)" : ""}`, legendgroup: term.key });
+    }
+    traces.push({ x: fine.tau, y: times(fine.adev, factor), ...line("model", 2.4), name: `model ${axis.model}` });
+    for (const used of [1, 0]) {
+      const index = curve.used.flatMap((u, i) => (u === used ? [i] : []));
+      if (!index.length) continue;
+      const pick = (values) => index.map((i) => values[i]);
+      traces.push({
+        x: pick(curve.tau), y: pick(adev), mode: "markers", name: used ? "Allan deviation" : "not used by the fit",
+        meta: "points",
+        marker: { color: colour(used ? "data" : "unused"), size: 7 },
+        customdata: index.map((i) => [number(low[i]), number(high[i]), number(model[i]), number(adev[i]), number(curve.tau[i]), number(curve.edf[i])]),
+        hovertemplate: `τ = %{customdata[4]} s<br><b>%{customdata[3]} ${unit}</b><br>${axis.level} %: %{customdata[0]} to %{customdata[1]}` +
+          "<br>model: %{customdata[2]}<br>degrees of freedom: %{customdata[5]}<extra></extra>",
+      });
+    }
+    for (const term of fine.terms.filter((t) => !t.bounded)) {
+      traces.push({
+        x: [term.at[0]], y: [term.at[1] * factor], mode: "markers", showlegend: false, legendgroup: term.key,
+        marker: { symbol: "diamond", size: 10, color: colour(term.symbol), line: { color: css("--paper"), width: 1 } },
+        hovertemplate: `<b>${term.key}</b> ${term.name}<br>${term[root.dataset.units]}<extra></extra>`,
+      });
+    }
+    return [traces, layout(log("averaging time τ (s)", span(curve.tau)), log(`Allan deviation (${unit})`, span(adev)))];
+  }
+
+  function psd(axis) {
+    const [, , unit, factor] = axis.units[root.dataset.units];
+    const fine = axis.fine, s = axis.psd;
+    const y = times(s.root, factor), model = times(s.model, factor);
+    const traces = [{
+      x: s.f, y, mode: "lines", meta: "points", line: { color: colour("data"), width: 1.2 }, name: "√PSD",
+      customdata: s.f.map((f, i) => [number(f), number(y[i]), number(model[i])]),
+      hovertemplate: `%{customdata[0]} Hz<br><b>%{customdata[1]} ${unit}</b><br>model: %{customdata[2]}<extra></extra>`,
+    }];
+    for (const term of fine.terms.filter((t) => !t.bounded && t.root.some((v) => v > 0))) {
+      traces.push({ x: fine.f, y: times(term.root, factor), ...line(term.symbol, 1.4, dashes[term.symbol]), showlegend: false });
+    }
+    traces.push({ x: fine.f, y: times(fine.root, factor), ...line("model", 2.4), name: "model" });
+    if (s.lines.length) {
+      const near = (f) => s.f.reduce((best, v, i) => (Math.abs(v - f) < Math.abs(s.f[best] - f) ? i : best), 0);
+      traces.push({
+        x: s.lines.map((l) => l[0]), y: s.lines.map((l) => y[near(l[0])] * 1.12), mode: "markers", name: "line left out",
+        marker: { symbol: "triangle-down", size: 11, color: colour("line") },
+        customdata: s.lines.map((l) => [number(l[0])]),
+        hovertemplate: "line at %{customdata[0]} Hz<br>left out of the fit<extra></extra>",
+      });
+    }
+    const range = s.f.length ? [Math.log10(s.f[0]) - 0.1, Math.log10(s.f[s.f.length - 1]) + 0.1] : [0, 1];
+    const grey = { type: "rect", xref: "x", yref: "paper", y0: 0, y1: 1, line: { width: 0 }, layer: "below", fillcolor: colour("unused"), opacity: 0.3 };
+    const shapes = [];
+    if (s.band && s.f.length) {
+      if (s.f[0] < s.band[0]) shapes.push({ ...grey, x0: 10 ** range[0], x1: s.band[0] });
+      if (s.f[s.f.length - 1] > s.band[1] * 1.01) shapes.push({ ...grey, x0: s.band[1], x1: 10 ** range[1] });
+    }
+    const annotations = [];
+    if (s.filter) {
+      shapes.push({ type: "line", xref: "x", yref: "paper", x0: s.filter[1], x1: s.filter[1], y0: 0, y1: 1, line: { color: css("--ink"), width: 1, dash: "dot" } });
+      annotations.push({ x: Math.log10(s.filter[1]), y: 0.02, yref: "paper", xanchor: "right", yanchor: "bottom", showarrow: false, align: "right",
+        text: `output filter<br>${s.filter[0]}<br>${number(s.filter[1])} Hz`, font: { size: 11 } });
+    }
+    return [traces, layout(log("frequency (Hz)", range), log(`√PSD, two-sided (${unit})`, y.length ? span(y) : [0, 1]), { shapes, annotations })];
+  }
+
+  function raw(axis) {
+    const [unit, factor] = axis.units[root.dataset.units];
+    const last = axis.raw.t[axis.raw.t.length - 1] || 0;
+    const [clock, seconds] = last > 7200 ? ["h", 3600] : last > 600 ? ["min", 60] : ["s", 1];
+    const r = { t: times(axis.raw.t, 1 / seconds), gaps: axis.raw.gaps.map((g) => times(g, 1 / seconds)), out: times(axis.raw.out, 1 / seconds), low: axis.raw.low, high: axis.raw.high };
+    const low = times(r.low, factor), high = times(r.high, factor);
+    const fill = isDark() ? "rgba(93,182,242,.45)" : "rgba(0,99,163,.4)";
+    const traces = [];
+    // A fill can't jump over a gap, so each unbroken run is a pair of traces of its own.
+    let start = -1;
+    for (let i = 0; i <= r.t.length; i++) {
+      const known = i < r.t.length && low[i] !== null;
+      if (known && start < 0) start = i;
+      if (!known && start >= 0) {
+        const cut = (values) => values.slice(start, i);
+        const edge = { color: colour("model"), width: 0.8 };
+        traces.push({ x: cut(r.t), y: cut(low), mode: "lines", line: edge, hoverinfo: "skip", showlegend: false });
+        traces.push({
+          x: cut(r.t), y: cut(high), mode: "lines", meta: "points", line: edge, fill: "tonexty", fillcolor: fill,
+          showlegend: false, customdata: cut(low).map((v, k) => [number(v), number(cut(high)[k]), number(r.t[start + k])]),
+          hovertemplate: `%{customdata[2]} ${clock}<br>%{customdata[0]} to %{customdata[1]} ${unit}<extra></extra>`,
+        });
+        start = -1;
+      }
+    }
+    const shapes = r.gaps.map(([from, to]) => ({
+      type: "rect", xref: "x", yref: "paper", x0: from, x1: to, y0: 0, y1: 1, layer: "below",
+      fillcolor: colour("line"), opacity: 0.22, line: { color: colour("line"), width: 1 },
+    }));
+    if (r.gaps.length) traces.push({ x: [null], y: [null], mode: "markers", name: "gap", marker: { symbol: "square", size: 11, color: colour("line"), opacity: 0.4 } });
+    if (r.out.length) {
+      const top = Math.max(...high.filter((v) => v !== null));
+      traces.push({
+        x: r.out, y: r.out.map(() => top), mode: "markers", name: "stands out: spike or touch",
+        marker: { symbol: "triangle-down", size: 9, color: colour("N") },
+        hovertemplate: `%{x:.4g} ${clock}: samples far from their neighbours<extra></extra>`,
+      });
+    }
+    return [traces, layout(scale(`time (${clock})`), scale(unit, { exponentformat: "power", nticks: 5 }), {
+      shapes, legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", yref: "paper" }, margin: { l: 64, r: 12, t: 30, b: 40 },
+      showlegend: r.gaps.length + r.out.length > 0,
+    })];
+  }
+
+  const makers = { allan, psd, raw };
+  const drawn = new Set();
+  let ready = false;
+
+  function draw(plot) {
+    if (!ready) return;
+    const [traces, shape] = makers[plot.dataset.plot](data.axes[plot.dataset.axis]);
+    const config = { responsive: true, displaylogo: false, modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]], toImageButtonOptions: { filename: plot.id } };
+    // On paper the size is fixed; on a screen plotly follows its box.
+    if (root.classList.contains("printing")) Object.assign(shape, { width: plot.clientWidth, height: plot.clientHeight });
+    else shape.autosize = true;
+    window.Plotly.react(plot, traces, shape, config);
+    drawn.add(plot);
+  }
+  const redraw = () => drawn.forEach(draw);
+
+  for (const input of document.querySelectorAll(".controls input")) {
+    input.addEventListener("change", () => {
+      root.dataset[input.name] = input.value;
+      redraw();
+    });
+    if (input.defaultChecked) input.checked = true;
+  }
+  darkness.addEventListener("change", redraw);
+  addEventListener("beforeprint", () => {
+    root.classList.add("printing");
+    plots.forEach(draw);
+  });
+  addEventListener("afterprint", () => {
+    root.classList.remove("printing");
+    redraw();
+  });
+
+  for (const plot of plots) {
+    let at = -1;
+    plot.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+      if (!step || event.target !== plot || !drawn.has(plot)) return;
+      const points = plot.data.flatMap((trace, curveNumber) =>
+        trace.meta === "points" ? trace.x.map((x, pointNumber) => ({ x, curveNumber, pointNumber })) : []);
+      points.sort((a, b) => a.x - b.x);
+      if (!points.length) return;
+      at = Math.min(Math.max(at + step, 0), points.length - 1);
+      const { curveNumber, pointNumber } = points[at];
+      window.Plotly.Fx.hover(plot, [{ curveNumber, pointNumber }]);
+      const shown = [...plot.querySelectorAll(".hoverlayer text")].map((node) => [...node.querySelectorAll("tspan.line")].map((l) => l.textContent).join(", ") || node.textContent);
+      document.getElementById("announcement").textContent = shown.join("; ");
+      event.preventDefault();
+    });
+    plot.addEventListener("blur", () => { if (drawn.has(plot)) window.Plotly.Fx.unhover(plot); at = -1; });
+  }
+
+  async function unpack() {
+    const packed = Uint8Array.from(atob(document.getElementById("imucal-plotly").textContent), (c) => c.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const script = document.createElement("script");
+    script.textContent = await new Response(stream).text();
+    document.head.append(script);
+    ready = true;
+    const watcher = new IntersectionObserver((entries) => {
+      for (const { isIntersecting, target } of entries) {
+        if (!isIntersecting) continue;
+        watcher.unobserve(target);
+        draw(target);
+      }
+    }, { rootMargin: "600px" });
+    plots.forEach((plot) => watcher.observe(plot));
+    root.dataset.ready = "yes";
+  }
+  unpack().catch((error) => {
+    document.getElementById("no-plots").hidden = false;
+    console.error(error);
+  });
+})();

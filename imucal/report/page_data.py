@@ -1,0 +1,184 @@
+"""What the page's plots draw, as compact JSON: few digits, no repetition."""
+
+import json
+import math
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+from imucal.report import numbers
+from imucal.report.document import plain
+from imucal.report.figure_allan import shown_points
+from imucal.report.figure_parts import drawn_terms
+from imucal.report.palette import DATA, LEFT_OUT, MODEL, TERMS, UNUSED
+from imucal.report.result import AxisReport, Overview, Report
+from imucal.units import datasheet_unit, pretty
+
+__all__ = ["page_data", "standing_out"]
+
+#: Points of a smooth line, per plot.
+_FINE = 60
+#: Gaps nearer to each other than this part of the recording are drawn as one.
+_MERGED = 1 / 500
+#: A stretch stands out when its extreme is this many robust deviations from its neighbours'.
+_STANDS_OUT = 8.0
+_NEIGHBOURS = 25
+
+
+def page_data(report: Report) -> str:
+    """Return the JSON text of all plots; safe inside a script element."""
+    strokes = {symbol: [stroke.light, stroke.dark] for symbol, stroke in TERMS.items()}
+    document = {
+        "colours": {
+            **strokes,
+            "data": [DATA.light, DATA.dark],
+            "model": [MODEL.light, MODEL.dark],
+            "unused": [UNUSED, "#5d6873"],
+            "line": [LEFT_OUT, "#ff7b86"],
+        },
+        "axes": {axis.name: _axis(axis) for axis in report.axes},
+    }
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    return text.replace("<", "\\u003c")
+
+
+def standing_out(overview: Overview, std: float) -> FloatArray:
+    """Return the times of stretches whose extremes stand out from their neighbours', in s.
+
+    Extremes are compared with the running median of theirs, in units of their own median absolute
+    deviation, or of an eighth of `std` where that is larger.
+    """
+    found = np.zeros(overview.time_s.size, dtype=bool)
+    for extreme in (overview.low, overview.high):
+        away = np.abs(extreme - _running_median(extreme))
+        known = away[np.isfinite(away)]
+        if known.size >= _NEIGHBOURS:
+            spread = max(1.4826 * float(np.median(known)), std / 8)
+            found |= np.nan_to_num(away) > _STANDS_OUT * spread
+    return overview.time_s[found]
+
+
+def _running_median(values: FloatArray) -> FloatArray:
+    half = _NEIGHBOURS // 2
+    padded = np.pad(values, half, mode="reflect") if values.size > half else np.pad(values, half, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS)
+    filled = np.where(np.isfinite(windows), windows, np.inf)
+    middle = np.sort(filled, axis=1)
+    count = np.isfinite(windows).sum(axis=1)
+    return np.where(count > 0, middle[np.arange(values.size), np.maximum(count - 1, 0) // 2], np.nan)
+
+
+def _axis(axis: AxisReport) -> dict[str, object]:
+    level, density = datasheet_unit("B", axis.sensor), datasheet_unit("N", axis.sensor)
+    return {
+        "units": {
+            "si": [pretty(axis.unit), 1, pretty(f"{axis.unit}/sqrt(Hz)"), 1],
+            "sheet": [pretty(level.name), level.factor, pretty(density.name), density.factor],
+        },
+        "level": f"{100 * axis.fit.level:.4g}",
+        "model": str(axis.fit.model),
+        "curve": _curve(axis),
+        "fine": _fine(axis),
+        "psd": _psd(axis),
+        "raw": _raw(axis),
+    }
+
+
+def _curve(axis: AxisReport) -> dict[str, object]:
+    curve = axis.fit.curve
+    shown = shown_points(curve)
+    low, high = curve.confidence_interval(axis.fit.level)
+    return {
+        "tau": _round(curve.tau[shown]),
+        "adev": _round(curve.adev[shown]),
+        "low": _round(low[shown]),
+        "high": _round(high[shown]),
+        "model": _round(axis.fit.model_adev()[shown]),
+        "edf": _round(curve.edf[shown], 3),
+        "used": np.isin(shown, axis.fit.used).astype(int).tolist(),
+    }
+
+
+def _fine(axis: AxisReport) -> dict[str, object]:
+    """Return the model and its terms as smooth lines, and where each coefficient is read."""
+    curve, rate = axis.fit.curve, axis.fit.rate_hz
+    shown = shown_points(curve)
+    m = np.unique(np.geomspace(curve.m[shown].min(), curve.m[shown].max(), _FINE).round())
+    total = np.sqrt(axis.fit.model.avar(m, rate_hz=rate))
+    frequency = axis.spectrum.frequency
+    grid = np.geomspace(frequency[0], frequency[-1], _FINE) if frequency.size else np.zeros(0)
+    terms = []
+    for drawn in drawn_terms(axis):
+        estimate = drawn.estimate
+        line = np.sqrt(drawn.term.avar(m, 1 / rate))
+        at = drawn.tau_s
+        if at is None:
+            at = float(m[np.argmax(line / np.where(total > 0, total, math.inf))] / rate)
+        si, sheet = numbers.si(estimate, axis.sensor), numbers.datasheet(estimate, axis.sensor)
+        terms.append(
+            {
+                "key": estimate.key,
+                "symbol": estimate.symbol,
+                "name": numbers.term_name(estimate.symbol, axis.sensor),
+                "bounded": estimate.value is None,
+                "si": numbers.with_interval(si),
+                "sheet": numbers.with_interval(numbers.comfortable(sheet)),
+                "adev": _round(line, 4),
+                "root": _round(np.sqrt(drawn.term.psd(grid, 1 / rate)), 4),
+                "at": [float(f"{at:.4g}"), float(f"{drawn.height:.4g}")],
+            }
+        )
+    return {
+        "tau": _round(m / rate, 4),
+        "adev": _round(total, 4),
+        "f": _round(grid, 4),
+        "root": _round(np.sqrt(axis.fit.model.psd(grid, rate_hz=rate)), 4),
+        "terms": terms,
+    }
+
+
+def _psd(axis: AxisReport) -> dict[str, object]:
+    spectrum, fit = axis.spectrum, axis.fit
+    response = fit.response
+    return {
+        "f": _round(spectrum.frequency, 4),
+        "root": _round(np.sqrt(spectrum.psd), 4),
+        "model": _round(np.sqrt(fit.model.psd(spectrum.frequency, rate_hz=fit.rate_hz)), 4),
+        "band": plain(fit.goodness.band_hz),
+        "lines": [[line.frequency_hz, plain(line.amplitude)] for line in fit.goodness.lines],
+        "filter": response and [response.kind, plain(response.cutoff_hz)],
+    }
+
+
+def _raw(axis: AxisReport) -> dict[str, object]:
+    overview = axis.overview
+    return {
+        "t": _round(overview.time_s, 6),
+        "low": _fixed(overview.low, axis.std),
+        "high": _fixed(overview.high, axis.std),
+        "gaps": _gaps(axis),
+        "out": _round(standing_out(overview, axis.std), 6),
+    }
+
+
+def _gaps(axis: AxisReport) -> list[list[float]]:
+    """Return start and end of the gaps, those too near to tell apart as one."""
+    merged: list[list[float]] = []
+    for gap in axis.gaps:
+        start, end = gap.start_s, gap.start_s + gap.duration_s
+        if merged and start - merged[-1][1] < _MERGED * axis.duration_s:
+            merged[-1][1] = round(end, 4)
+        else:
+            merged.append([round(start, 4), round(end, 4)])
+    return merged
+
+
+def _round(values: FloatArray, digits: int = 5) -> list[float | None]:
+    """Return numbers of so many significant digits, null where unknown."""
+    return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
+
+
+def _fixed(values: FloatArray, std: float) -> list[float | None]:
+    """Return numbers as fine as a hundredth of `std`: a signal on top of a large mean."""
+    places = 9 if not (math.isfinite(std) and std > 0) else min(15, max(0, 2 - math.floor(math.log10(std))))
+    return [round(value, places) if math.isfinite(value) else None for value in values.tolist()]

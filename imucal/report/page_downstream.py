@@ -1,0 +1,207 @@
+"""The page's answer to the question asked most: which number goes into my configuration."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from imucal.errors import DataError
+from imucal.recording import Sensor
+from imucal.report import numbers
+from imucal.report.exports.numbers import Choices, Number, Numbers
+from imucal.report.markup import Markup, element, join, row, table
+from imucal.report.result import Report
+from imucal.units import pretty
+
+__all__ = ["downstream_section"]
+
+#: PX4's EKF2 runs at this period, in s, whatever the rate of the IMU.
+_PX4_PERIOD = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class _Use:
+    """A number that filters ask for: its formula and kind, who asks, how it follows from a term."""
+
+    formula: str
+    kind: str
+    consumers: str
+    symbol: str
+    value: Callable[[float, float], float]
+    unit: str
+
+
+_USES = (
+    _Use(
+        "N",
+        "continuous: a density, the same at every rate",
+        "Kalibr, OpenVINS, ORB-SLAM3, LIO-SAM, Isaac ROS, EuRoC noise_density; MATLAB NoiseDensity",
+        "N",
+        lambda n, f: n,  # noqa: ARG005 - one signature for all
+        "{u}/sqrt(Hz)",
+    ),
+    _Use(
+        "K",
+        "continuous: a density of the bias's steps, the same at every rate",
+        "Kalibr, OpenVINS, Isaac ROS, EuRoC random_walk; ORB-SLAM3 GyroWalk, AccWalk; LIO-SAM BiasN; "
+        "Gazebo dynamic_bias_stddev; MATLAB RandomWalk",
+        "K",
+        lambda k, f: k,  # noqa: ARG005
+        "{u}/sqrt(s)",
+    ),
+    _Use(
+        "N²",
+        "continuous: a covariance density",
+        "GTSAM accelerometerCovariance, gyroscopeCovariance",
+        "N",
+        lambda n, f: n * n,  # noqa: ARG005
+        "({u})^2/Hz",
+    ),
+    _Use(
+        "K²",
+        "continuous: a covariance density",
+        "GTSAM biasAccCovariance, biasOmegaCovariance",
+        "K",
+        lambda k, f: k * k,  # noqa: ARG005
+        "({u})^2/s",
+    ),
+    _Use(
+        "N √f",
+        "discrete: the standard deviation of one sample at the rate f",
+        "Gazebo stddev; any simulation that adds noise sample by sample",
+        "N",
+        lambda n, f: n * f**0.5,
+        "{u}",
+    ),
+    _Use(
+        "N √(2f)",
+        "discrete: this code halves the white variance, so that √f alone would be √2 too low",
+        "VINS-Mono, VINS-Fusion acc_n, gyr_n",
+        "N",
+        lambda n, f: n * (2 * f) ** 0.5,
+        "{u}",
+    ),
+    _Use(
+        "K √f",
+        "discrete, as this code integrates it",
+        "VINS-Mono, VINS-Fusion acc_w, gyr_w",
+        "K",
+        lambda k, f: k * f**0.5,
+        "{u}",
+    ),
+    _Use(
+        "N² f",
+        "discrete: the variance of one sample",
+        "ROS sensor_msgs/Imu covariance; FAST-LIO acc_cov, gyr_cov",
+        "N",
+        lambda n, f: n * n * f,
+        "({u})^2",
+    ),
+    _Use(
+        "K² f",
+        "discrete, as this code integrates it",
+        "FAST-LIO b_acc_cov, b_gyr_cov",
+        "K",
+        lambda k, f: k * k * f,
+        "({u})^2",
+    ),
+    _Use(
+        "N / √0.01 s",
+        "discrete at the filter's period of 0.01 s, not at the IMU's rate",
+        "PX4 EKF2_GYR_NOISE, EKF2_ACC_NOISE",
+        "N",
+        lambda n, f: n / _PX4_PERIOD**0.5,  # noqa: ARG005
+        "{u}",
+    ),
+    _Use(
+        "K / √0.01 s",
+        "discrete at the filter's period of 0.01 s",
+        "PX4 EKF2_GYR_B_NOISE, EKF2_ACC_B_NOISE",
+        "K",
+        lambda k, f: k / _PX4_PERIOD**0.5,  # noqa: ARG005
+        "{u}/s",
+    ),
+    _Use(
+        "B",
+        "the flicker coefficient; neither a density nor the curve's minimum",
+        "MATLAB BiasInstability; data sheets",
+        "B",
+        lambda b, f: b,  # noqa: ARG005
+        "{u}",
+    ),
+)
+
+
+def downstream_section(report: Report) -> Markup:
+    """Return which number goes into which configuration, with its formula."""
+    chosen = Numbers(report=report, choices=Choices(), target="the page")
+    sensors = [sensor for sensor in Sensor if any(axis.sensor is sensor for axis in report.axes)]
+    head = [
+        element("th", title, scope="col")
+        for title in ("Formula", "Kind", *(str(s).capitalize() for s in sensors), "Asked for by")
+    ]
+    body = []
+    for use in _USES:
+        cells = [element("td", _use_value(chosen, sensor, use)) for sensor in sensors]
+        first = element("th", use.formula, scope="row")
+        body.append(row(first, element("td", use.kind), *cells, element("td", use.consumers)))
+    rates = ", ".join(f"f = {chosen.rate_hz(s):.6g} Hz ({s})" for s in sensors)
+    return join(
+        [
+            element(
+                "p",
+                "Values in SI, each from the worst of the sensor's axes; ≤ marks an upper bound where the "
+                f"data do not show the term. {rates}. The export command writes these files, formula included.",
+            ),
+            table("Values for filters and simulators", [row(*head)], body, class_="wide"),
+            _two_floors(report),
+        ]
+    )
+
+
+def _use_value(chosen: Numbers, sensor: Sensor, use: _Use) -> Markup:
+    try:
+        number: Number = chosen.one(sensor, use.symbol)
+    except DataError:
+        return Markup("–")
+    value = use.value(number.value, chosen.rate_hz(sensor))
+    bound = "≤ " if number.bounded else ""
+    where = ", ".join(name.split("_")[1] for name in number.axes)
+    unit = pretty(use.unit.format(u=sensor.unit)).replace("(rad/s)²", "rad²/s²").replace("(m/s²)²", "m²/s⁴")
+    return join([f"{bound}{value:.4g} ", element("small", f"{unit}, {where}")])
+
+
+def _two_floors(report: Report) -> Markup:
+    """Return B and the curve's minimum of each axis, side by side and named."""
+    titles = ("Axis", "B (flicker)", "0.664 B (its floor)", "Minimum of the curve", "Minimum / 0.664")
+    body = []
+    for axis in report.axes:
+        estimate = axis.fit["B"]
+        sheet, plain = numbers.datasheet(estimate, axis.sensor), numbers.si(estimate, axis.sensor)
+        low = numbers.minimum(axis)
+        pairs = (
+            (sheet, plain),
+            (sheet.scaled(0.664, sheet.unit), plain.scaled(0.664, plain.unit)),
+            (low[1], low[0]),
+            (low[1].scaled(1 / 0.664, low[1].unit), low[0].scaled(1 / 0.664, low[0].unit)),
+        )
+        cells = [
+            element(
+                "td",
+                element("span", numbers.with_interval(numbers.comfortable(one)), class_="sheet"),
+                element("span", numbers.with_interval(other), class_="si"),
+            )
+            for one, other in pairs
+        ]
+        body.append(row(element("th", axis.name, scope="row"), *cells))
+    note = (
+        "“Bias instability” has two meanings. B is the coefficient of flicker noise, whose floor lies at "
+        "0.664 B. The minimum of the curve holds every term at once; divided by 0.664 it gives an upper "
+        "estimate of B, right only where flicker alone makes the floor."
+    )
+    heads = [element("th", title, scope="col") for title in titles]
+    return join(
+        [
+            element("h3", "Bias instability, both ways"),
+            element("p", note),
+            table("B and the minimum", [row(*heads)], body, class_="tight"),
+        ]
+    )

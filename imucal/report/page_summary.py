@@ -1,0 +1,188 @@
+"""The page's first part: one table a sensor, in both conventions, and the findings in words."""
+
+import math
+from collections.abc import Callable
+
+from imucal.findings import Finding
+from imucal.fit.result import Estimate
+from imucal.noise.terms import GaussMarkov
+from imucal.recording import Sensor
+from imucal.report import numbers
+from imucal.report.markup import Markup, element, join, row, table
+from imucal.report.numbers import Quantity
+from imucal.report.palette import TERMS
+from imucal.report.result import AxisReport, Report
+from imucal.units import pretty
+
+__all__ = ["both_units", "findings_section", "summary_section"]
+
+_LEVELS = ("error", "warning", "info")
+_HEADINGS = {"error": "Errors", "warning": "Warnings", "info": "Notes"}
+
+
+def summary_section(report: Report) -> Markup:
+    """Return the tables of both sensors."""
+    tables = []
+    for sensor in Sensor:
+        axes = [axis for axis in report.axes if axis.sensor is sensor]
+        if axes:
+            tables.append(_sensor_table(sensor, axes))
+    return join(tables)
+
+
+def findings_section(report: Report) -> Markup:
+    """Return every finding in words, the grave ones first; axes that share a sentence stand together."""
+    grouped: dict[Finding, list[str]] = {}
+    for axis, finding in _all_findings(report):
+        key = Finding(
+            level=finding.level,
+            code=finding.code,
+            text=finding.text,
+            advice=finding.advice,
+            keep_s=finding.keep_s,
+        )
+        grouped.setdefault(key, []).append(axis)
+    if not grouped:
+        return element("p", "Nothing to remark: no gap, no movement, no line, no doubt about the fit.")
+    parts = []
+    for level in _LEVELS:
+        items = [_finding(f, names) for f, names in grouped.items() if f.level == level]
+        if items:
+            parts.append(element("h3", f"{_HEADINGS[level]} ({len(items)})"))
+            parts.append(element("ul", *items, class_=f"findings {level}"))
+    return join(parts)
+
+
+def both_units(sheet: str | Markup, plain: str | Markup, *, tag: str = "span") -> Markup:
+    """Return a text in data-sheet units and in SI, of which the page shows one."""
+    return join([element(tag, sheet, class_="sheet"), element(tag, plain, class_="si")])
+
+
+def _all_findings(report: Report) -> list[tuple[str, Finding]]:
+    found = [(finding.axis or "", finding) for finding in report.findings]
+    for axis in report.axes:
+        merged = dict.fromkeys((*axis.findings, *axis.fit.findings))
+        found += [(finding.axis or axis.name, finding) for finding in merged]
+    return found
+
+
+def _finding(finding: Finding, axes: list[str]) -> Markup:
+    names = " ".join(dict.fromkeys(name for name in axes if name))
+    keep = None
+    if finding.keep_s is not None:
+        start, end = finding.keep_s
+        keep = element("span", f"Part worth keeping: {start:.0f} s to {end:.0f} s.", class_="keep")
+    return element(
+        "li",
+        element("code", finding.code),
+        element("strong", f" {names}") if names else None,
+        f" {_sentence(finding.text)} ",
+        element("em", f"{_sentence(finding.advice)} ") if finding.advice else None,
+        keep,
+    )
+
+
+def _sentence(text: str) -> str:
+    text = pretty(text[:1].upper() + text[1:])
+    return text if text.endswith((".", "!", "?")) else f"{text}."
+
+
+def _sensor_table(sensor: Sensor, axes: list[AxisReport]) -> Markup:
+    first = axes[0]
+    head = [element("td"), *(element("th", axis.axis, scope="col") for axis in axes)]
+    estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
+    keys = dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol)
+    body = []
+    for key in keys:
+        body += _term_rows(key, axes, sensor)
+    body.append(
+        _row(
+            "minimum",
+            "of the curve",
+            [(numbers.minimum(axis), _at(axis)) for axis in axes],
+        )
+    )
+    body.append(_text_row("model", axes, lambda axis: str(axis.fit.model) or "none shown"))
+    body.append(_text_row("misfit score", axes, _misfit))
+    rates = " / ".join(dict.fromkeys(f"{axis.rate_hz:.6g}" for axis in axes))
+    samples = f"{first.samples:,}".replace(",", "\N{NO-BREAK SPACE}")
+    caption = (
+        f"{str(sensor).capitalize()}: {numbers.hours(first.duration_s)} at {rates} Hz, {samples} samples, "
+        f"{100 * first.fit.level:.4g} % intervals"
+    )
+    return table(caption, [row(*head)], body, class_="summary")
+
+
+def _term_rows(key: str, axes: list[AxisReport], sensor: Sensor) -> list[Markup]:
+    found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
+    symbol = next(e.symbol for e in found if e)
+    cells = [
+        None if e is None else ((numbers.si(e, sensor), numbers.datasheet(e, sensor)), "") for e in found
+    ]
+    if symbol != "GM":
+        return [_row(key, numbers.term_name(symbol, sensor), cells)]
+    times = [None if e is None else _time(e) for e in found]
+    return [
+        _row(f"{key} σ", "Gauss-Markov, standard deviation", cells),
+        _row(f"{key} T", "its correlation time", times),
+        _text_row(f"{key} φ, q", axes, lambda axis: _state(axis, key), "x[t+1] = φ x[t] + q w[t], SI"),
+    ]
+
+
+def _time(estimate: Estimate) -> tuple[tuple[Quantity, Quantity], str] | None:
+    if estimate.correlation_time is None:
+        return None
+    quantity = numbers.correlation_time(estimate.correlation_time)
+    return (quantity, quantity), ""
+
+
+def _state(axis: AxisReport, key: str) -> str:
+    """Return phi and q of a Gauss-Markov term for a filter at the sampling rate."""
+    markov = sorted((t for t in axis.fit.model.terms if isinstance(t, GaussMarkov)), key=lambda t: t.T)
+    number = int(key[2:] or 1)
+    if number > len(markov) or all(e.key != key for e in axis.fit.estimates):
+        return "–"
+    term, tau0 = markov[number - 1], 1 / axis.fit.rate_hz
+    return f"{term.phi(tau0):.9g}, {term.q(tau0):.4g} {pretty(axis.unit)}"
+
+
+def _at(axis: AxisReport) -> str:
+    return f"at {numbers.seconds(axis.fit.curve.minimum[1])}"
+
+
+def _misfit(axis: AxisReport) -> str:
+    score = axis.fit.goodness.statistic
+    if math.isnan(score):
+        return "unknown"
+    return f"{score:.1f} ({'the model does not fit' if score > 3 else 'the model fits'})"
+
+
+def _text_row(key: str, axes: list[AxisReport], text: Callable[[AxisReport], str], note: str = "") -> Markup:
+    head = element("th", key, element("small", note) if note else None, scope="row")
+    return row(head, *(element("td", text(axis)) for axis in axes))
+
+
+def _row(key: str, name: str, cells: list[tuple[tuple[Quantity, Quantity], str] | None]) -> Markup:
+    """Return a row of quantities, each unit with one power of ten for all axes."""
+    known = [cell for cell in cells if cell]
+    heads, columns = [], []
+    for index in (1, 0):
+        quantities = [pair[index] for pair, _ in known]
+        exponent = numbers.engineering_exponent(quantities)
+        power = join(["10", element("sup", str(exponent).replace("-", "−")), " "]) if exponent else ""
+        heads.append(element("small", power, pretty(quantities[0].unit), class_="unit"))
+        columns.append([_cell(cell and (cell[0][index], cell[1]), exponent) for cell in cells])
+    head = element("th", element("b", key), " ", name, both_units(*heads), scope="row")
+    pairs = zip(*columns, strict=True)
+    return row(head, *(element("td", both_units(sheet, plain)) for sheet, plain in pairs))
+
+
+def _cell(cell: tuple[Quantity, str] | None, exponent: int) -> Markup:
+    if cell is None:
+        return Markup("–")
+    quantity, note = cell
+    value, interval = numbers.compact(quantity, exponent=exponent)
+    if quantity.value is None:
+        return join([value, element("small", "not shown; upper bound")])
+    small = " ".join(part for part in (interval, note) if part)
+    return join([element("b", value), element("small", small) if small else None])
