@@ -13,7 +13,6 @@ eta3
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +20,21 @@ from numpy.typing import NDArray
 from imucal.allan.covariance import GenericModel, model_edf
 from imucal.allan.dct import DctBins, bin_power, dct_bins, dct_ordinates, fast_length
 from imucal.allan.estimators import Estimator
-from imucal.allan.generic import fit_spectrum
+from imucal.allan.gaps import GappyVariances
+from imucal.allan.generic import fit_curve, fit_spectrum
 from imucal.allan.noise_id import named_laws
+from imucal.allan.response import power_response
 from imucal.allan.variance import sum_of_squares
 from imucal.arrays import FloatArray, IntArray
 from imucal.powerlaw import PowerLaw
 
-__all__ = ["EDF_METHODS", "degrees_of_freedom", "excess_kurtosis", "spectral_edf"]
+__all__ = [
+    "EDF_METHODS",
+    "degrees_of_freedom",
+    "excess_kurtosis",
+    "gappy_degrees_of_freedom",
+    "spectral_edf",
+]
 
 #: Up to n / 256 the spectrum has enough ordinates in the passband to need no model.
 _CROSSOVER = 256
@@ -158,25 +165,10 @@ def spectral_edf(
     square = level**2 * count / (count + 2)
     edf = np.empty(m.size)
     for i, (factor, number) in enumerate(zip(m.tolist(), terms.tolist(), strict=True)):
-        response, squared = _responses(bins, factor, estimator)
+        response, squared = power_response(bins, factor, estimator)
         first, second = float((count * response) @ level), float((count * squared) @ square)
         edf[i] = number * first**2 / (second * (bins.n - 1)) if second > 0 else number
     return edf
-
-
-def _responses(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
-    """Return the estimator's power response and its square, averaged over each bin, unscaled.
-
-    Where a bin is wider than a ripple, the ripple's mean takes its place:
-    the mean of (2 sin)^(2j) is the central binomial coefficient of j.
-    """
-    order = estimator.order
-    tail = (2 * np.sin(bins.omega / 2)) ** (-2 * estimator.integrations)
-    ripple = (2 * np.sin(m * bins.omega / 2)) ** (2 * order)
-    wide = bins.count * m * np.pi / bins.n > 1
-    response = np.where(wide, comb(2 * order, order), ripple) * tail
-    squared = np.where(wide, comb(4 * order, 2 * order), ripple**2) * tail**2
-    return response, squared
 
 
 def excess_kurtosis(samples: FloatArray) -> float:
@@ -203,3 +195,33 @@ def _less_for_heavy_tails(edf: FloatArray, question: _Question) -> FloatArray:
     independent = n - order * question.m + 1.0
     corrected = edf / (1 + kappa * edf / (2 * np.maximum(independent, 1)))
     return np.where(independent >= order * question.m, corrected, edf)
+
+
+def gappy_degrees_of_freedom(
+    samples: FloatArray, values: GappyVariances, estimator: Estimator, method: str
+) -> FloatArray:
+    """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
+
+    There is no spectrum of a series with gaps to go by: ``hybrid`` and ``model`` take the generic
+    model nearest to the curve, with as many differences as there are windows or pairs to fill them.
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown.
+    """
+    if method not in EDF_METHODS:
+        msg = f"edf method {method!r} is not known: expected one of {', '.join(EDF_METHODS)}"
+        raise ValueError(msg)
+    question = _Question(samples=samples, m=values.m, terms=values.terms, estimator=estimator)
+    if method == "eta3":
+        return np.maximum(_eta3(question), 1.0)
+    if method == "greenhall":
+        return np.maximum(_greenhall(question), 1.0)
+    m = values.m.astype(np.float64)
+    model = fit_curve(m, values.avar, np.maximum(values.terms / m, 1.0))
+    edf = _of_model(model, question, np.ones(m.size, dtype=bool))
+    white = GenericModel(variances=(*model.variances[:2], 0.0, 0.0))
+    edf = 2 / (2 / edf + (white.avar(m) / model.avar(m)) ** 2 * values.extra)
+    corrected: FloatArray = np.maximum(_less_for_heavy_tails(edf, question), 1.0)
+    return corrected

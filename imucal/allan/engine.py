@@ -1,14 +1,24 @@
 """From the samples of an axis to its Allan curve."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from imucal.allan.averaging import averaging_factors
-from imucal.allan.confidence import degrees_of_freedom
+from imucal.allan.confidence import degrees_of_freedom, gappy_degrees_of_freedom
 from imucal.allan.curve import AllanCurve
-from imucal.allan.estimators import estimator_named
+from imucal.allan.estimators import Estimator, estimator_named
+from imucal.allan.gaps import (
+    GappyVariances,
+    gap_method,
+    longest_run,
+    pair_variances,
+    run_variances,
+    window_variances,
+)
 from imucal.allan.variance import variances
+from imucal.arrays import IntArray
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
 
@@ -36,6 +46,12 @@ def allan_curve(
     edf
         ``hybrid``, ``model``, ``greenhall`` or ``eta3``; see `imucal.allan.confidence`.
 
+    Returns
+    -------
+    The curve. Where samples are missing, `computed` says how it was done (see `imucal.allan.gaps`),
+    averaging times that the samples can't give are left out, and the degrees of freedom are those
+    of the generic model nearest to the curve.
+
     Raises
     ------
     DataError
@@ -45,22 +61,80 @@ def allan_curve(
 
     Source: IEEE Std 952-1997, Annex C; NIST SP 1065 (2008).
     """
-    table = estimator_named(estimator)
+    chosen = _Choice(taus=taus, estimator=estimator_named(estimator), edf=edf)
     series = series.finite()
-    n = series.n
-    if table.largest(n) < 1:
-        msg = f"{series.name}: {n} samples are too few for an Allan variance; at least 2 are needed"
-        raise DataError(msg)
-    m = averaging_factors(
-        taus, tau0=series.tau0, largest=table.largest(n), drawn=table.drawn(n), name=series.name
-    )
-    avar = variances(series.samples, m, table)
+    how = gap_method(series.clock)
+    if how == "exact":
+        return _exact(series, chosen)
+    return _gappy(series, chosen, how if estimator == "overlapping" else "runs")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Choice:
+    """What the caller asked for."""
+
+    taus: str | Sequence[float]
+    estimator: Estimator
+    edf: str
+
+
+def _exact(series: AxisSeries, chosen: _Choice) -> AllanCurve:
+    estimator = chosen.estimator
+    m = _factors(series, chosen, series.n)
     return AllanCurve(
         tau=m.astype(np.float64) * series.tau0,
         m=m,
-        avar=avar,
-        edf=degrees_of_freedom(series.samples, m, table, edf),
-        n=n,
-        estimator=estimator,
-        edf_method=edf,
+        avar=variances(series.samples, m, estimator),
+        edf=degrees_of_freedom(series.samples, m, estimator, chosen.edf),
+        n=series.n,
+        estimator=estimator.name,
+        edf_method=chosen.edf,
+    )
+
+
+def _gappy(series: AxisSeries, chosen: _Choice, how: str) -> AllanCurve:
+    span = longest_run(series.clock) if how == "runs" else series.clock.grid_size
+    m = _factors(series, chosen, span)
+    values: GappyVariances
+    if how == "runs":
+        values = run_variances(series, m, chosen.estimator)
+    elif how == "windows":
+        values = window_variances(series, m)
+    else:
+        values = pair_variances(series, m)
+    if not values.m.size:
+        msg = (
+            f"{series.name}: too many samples are missing for an Allan variance: {series.n} of "
+            f"{series.clock.grid_size} are there, and no neighbouring windows are filled or no value is "
+            "above zero"
+        )
+        raise DataError(msg)
+    return AllanCurve(
+        tau=values.m.astype(np.float64) * series.tau0,
+        m=values.m,
+        avar=values.avar,
+        edf=gappy_degrees_of_freedom(series.samples, values, chosen.estimator, chosen.edf),
+        n=series.n,
+        estimator=chosen.estimator.name,
+        computed=how,
+        edf_method="model" if chosen.edf == "hybrid" else chosen.edf,
+    )
+
+
+def _factors(series: AxisSeries, chosen: _Choice, span: int) -> IntArray:
+    """Return the averaging factors for a series of `span` places."""
+    largest = chosen.estimator.largest(span)
+    if largest < 1:
+        needed = chosen.estimator.order + 1 - chosen.estimator.integrations
+        msg = (
+            f"{series.name}: {span} neighbouring samples are too few for the {chosen.estimator.name} "
+            f"estimator; at least {needed} are needed"
+        )
+        raise DataError(msg)
+    return averaging_factors(
+        chosen.taus,
+        tau0=series.tau0,
+        largest=largest,
+        drawn=chosen.estimator.drawn(span),
+        name=series.name,
     )

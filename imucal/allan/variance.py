@@ -11,7 +11,7 @@ import numpy as np
 from imucal.allan.estimators import Estimator
 from imucal.arrays import FloatArray, IntArray
 
-__all__ = ["SquareSum", "sum_of_squares", "variances"]
+__all__ = ["SquareSum", "square_sums", "sum_of_squares", "variances"]
 
 #: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
 _BLOCK = 32768
@@ -50,22 +50,27 @@ def variances(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatAr
     O(n) per factor; memory one full-length array where a factor is above 8192, else a few blocks.
     The relative error stays below 1e-12 up to 1e8 samples on a mean of a million deviations.
     """
-    n = samples.size
-    largest = estimator.largest(n)
+    divisors = [estimator.scale(mi) * estimator.terms(samples.size, mi) for mi in m.tolist()]
+    return square_sums(samples, m, estimator) / np.array(divisors, dtype=np.float64).reshape(m.shape)
+
+
+def square_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
+    """Return the sums of the squared differences, before scaling; as `variances` otherwise."""
+    largest = estimator.largest(samples.size)
     if m.size and not (m.min() >= 1 and m.max() <= largest):
-        msg = f"averaging factors must be in 1..{largest} for {n} samples, got {m.min()}..{m.max()}"
+        msg = (
+            f"averaging factors must be in 1..{largest} for {samples.size} samples, got {m.min()}..{m.max()}"
+        )
         raise ValueError(msg)
+    if not estimator.overlapping:
+        return _strided_sums(_integral(samples, 1), m, estimator.order)
     sums = np.zeros(m.size)
     small = m <= _SMALL
-    if not estimator.overlapping:
-        sums = _strided_sums(_integral(samples, 1), m, estimator.order)
-    else:
-        if small.any():
-            sums[small] = _small_sums(samples, m[small], estimator)
-        if not small.all():
-            sums[~small] = _large_sums(samples, m[~small], estimator)
-    divisors = [estimator.scale(mi) * estimator.terms(n, mi) for mi in m.tolist()]
-    return sums / np.array(divisors, dtype=np.float64).reshape(m.shape)
+    if small.any():
+        sums[small] = _small_sums(samples, m[small], estimator)
+    if not small.all():
+        sums[~small] = _large_sums(samples, m[~small], estimator)
+    return sums
 
 
 def sum_of_squares(values: FloatArray) -> float:
