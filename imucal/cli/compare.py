@@ -141,12 +141,16 @@ def _line(difference: Difference, *, datasheet: bool) -> str:
     if datasheet and difference.unit != "s":
         unit = datasheet_unit(difference.symbol, difference.sensor)
     ratio = "" if difference.ratio is None else f"{difference.ratio:.4g}"
-    p = "" if difference.p_adjusted is None else f"{difference.p_adjusted:.2g}"
+    p = "" if difference.p_adjusted is None else _probability(difference.p_adjusted)
     numbers = f"{_cell(difference.a, unit):>11}{_cell(difference.b, unit):>11}{ratio:>8}{p:>9}"
     outcome = (
         click.style(difference.outcome, fg="red") if difference.outcome == "differs" else difference.outcome
     )
     return f"{difference.axis:<8}{difference.key:<6}{unit.name:<17}{numbers}  {outcome}"
+
+
+def _probability(p: float) -> str:
+    return f"{p:.2g}" if p >= 1e-9 else "<1e-9"
 
 
 def _cell(estimate: Estimate | None, unit: DatasheetUnit) -> str:

@@ -1,0 +1,121 @@
+"""`imucal export`: files, streams and exit codes."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from imucal.report.exports import TARGETS
+from tests.cli.reports import write_report
+from tests.cli.run import SAMPLE_LOGS, run
+from tests.report.synthetic import small_report
+
+
+@pytest.fixture
+def still(tmp_path: Path) -> str:
+    """Return the name of a report folder."""
+    return write_report(tmp_path)
+
+
+def test_a_file_is_written_under_its_own_name(still: str, tmp_path: Path) -> None:
+    """Its path stands on standard output, what to know on standard error."""
+    done = run("export", still, "--to", "kalibr", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, "kalibr_imu.yaml\n")
+    assert "K was not identified on gyro_y, accel_y" in done.stderr
+    assert yaml.safe_load((tmp_path / "kalibr_imu.yaml").read_text())["update_rate"] == 200.0
+
+
+def test_standard_output_takes_one_format(still: str, tmp_path: Path) -> None:
+    """Nothing but the file is on it; report.json itself will do for a report."""
+    done = run("export", f"{still}/report.json", "--to", "lio_sam", "-o", "-", "-q", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert yaml.safe_load(done.stdout)["lio_sam"]["imuGyrNoise"] == 1.3e-4
+    done = run("export", still, "--to", "all", "-o", "-", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "standard output takes one format; give a folder" in done.stderr
+
+
+@pytest.mark.parametrize(("targets", "count"), [(("all",), len(TARGETS)), (("px4", "sdf", "px4"), 2)])
+def test_several_formats_go_to_a_folder(
+    targets: tuple[str, ...], count: int, still: str, tmp_path: Path
+) -> None:
+    """The folder is made; every path is printed."""
+    options = [option for target in targets for option in ("--to", target)]
+    done = run("export", still, *options, "-o", "a/b", "-q", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    paths = done.stdout.splitlines()
+    assert len(paths) == count
+    assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == sorted(
+        Path(path).name for path in paths
+    )
+
+
+def test_policy_inflation_and_topic_reach_the_file(still: str, tmp_path: Path) -> None:
+    """Each changes its number, and is said."""
+    options = ("--axis-policy", "x", "--inflate", "white=2, walk=10", "--rostopic", "/my/imu")
+    done = run("export", still, "--to", "kalibr", "-o", "-", "-q", *options, cwd=tmp_path)
+    data = yaml.safe_load(done.stdout)
+    assert data["gyroscope_noise_density"] == 2.4e-4
+    assert data["gyroscope_random_walk"] == pytest.approx(1.1e-5)
+    assert data["rostopic"] == "/my/imu"
+    assert "# axes: x alone" in done.stdout
+    assert "white (N) x 2, walk (K) x 10; ALREADY in the numbers" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("--to", "kalbir"), 2, "no downstream format 'kalbir'; did you mean kalibr?"),
+        (("--to", "kalibr", "--inflate", "pink=2"), 2, "'pink=2' is not one of white, walk, flicker with a"),
+        (
+            ("--to", "kalibr", "--inflate", "walk=-1"),
+            2,
+            "'walk=-1' is not one of white, walk, flicker with a",
+        ),
+        (("--to", "kalibr", "--axis-policy", "w"), 2, "'w' is not one of 'worst', 'rms', 'x', 'y', 'z'"),
+        (("--to", "all", "--unidentified", "refuse", "-o", "out"), 4, "accel_y: K was not identified"),
+        (("--to", "kalibr", "-o", "no/where.yaml"), 5, "no/where.yaml: can't be written: No such file"),
+        (
+            ("--to", "kalibr", "--topic", "/imu"),
+            2,
+            "still-imucal is a report, but topic is about reading a log;",
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_one_message(
+    arguments: tuple[str, ...], code: int, message: str, still: str, tmp_path: Path
+) -> None:
+    """No traceback, nothing on standard output, no file."""
+    done = run("export", still, *arguments, cwd=tmp_path)
+    assert done.returncode == code
+    assert message in " ".join(done.stderr.split())
+    assert done.stdout == ""
+    assert [path.name for path in tmp_path.iterdir()] == [still]
+
+
+def test_a_report_without_an_accelerometer_is_refused(tmp_path: Path) -> None:
+    """The message says what was found."""
+    name = write_report(tmp_path, report=small_report())
+    done = run("export", name, "--to", "vins", cwd=tmp_path)
+    assert done.returncode == 4
+    assert "no accelerometer, which vins needs; found gyro_x" in done.stderr
+
+
+def test_something_else_than_a_report_is_refused(tmp_path: Path) -> None:
+    """A JSON file of another kind, and a missing one."""
+    (tmp_path / "a.json").write_text("{}")
+    assert run("export", "a.json", "--to", "vins", cwd=tmp_path).returncode == 3
+    done = run("export", "missing.json", "--to", "vins", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "missing.json: no such file" in done.stderr
+
+
+def test_a_log_is_characterised_first(tmp_path: Path) -> None:
+    """The file names the log it came from."""
+    log = str(SAMPLE_LOGS / "too_short.db3")
+    done = run("export", log, "--to", "isaac-ros", "-o", "-", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    values = yaml.safe_load(done.stdout)["/**"]["ros__parameters"]
+    assert all(value > 0 for value in values.values())
+    assert "too_short.db3" in done.stdout
+    assert list(tmp_path.iterdir()) == []
