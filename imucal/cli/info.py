@@ -1,0 +1,260 @@
+"""``imucal info``: what is in a log, from its index; gaps and clocks where the log is small."""
+
+import json
+import textwrap
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+
+from imucal.cli._options import describe_duration
+from imucal.errors import ImucalError
+from imucal.findings import Finding
+from imucal.readers import LogContents, ReadOptions, TopicContents, describe, read
+from imucal.recording import Recording
+
+__all__ = ["SCHEMA", "command"]
+
+#: What ``--json`` prints follows this.
+SCHEMA = "imucal/info/1"
+
+_WIDTH = 80
+#: Logs up to this size are read in full without being asked, in bytes: it takes less than a second.
+_SMALL = 64_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Read:
+    """What reading a topic showed: its recording, or why there is none."""
+
+    recording: Recording | None = None
+    error: str = ""
+
+
+@click.command()
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
+@click.option(
+    "--gaps/--no-gaps",
+    default=None,
+    help="Read the samples too, to find gaps and what is wrong with clocks (default: logs up to 64 MB).",
+)
+@click.option(
+    "--msg",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Definition (.msg) of a message type the log doesn't define.",
+)
+def command(logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, msg: Path | None) -> None:
+    """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps."""
+    entries = []
+    for log in logs:
+        contents = describe(log, ReadOptions(message_definition=msg))
+        small = contents.size_bytes is not None and contents.size_bytes <= _SMALL
+        wanted = small if gaps is None else gaps
+        found = _read_topics(contents, msg) if wanted else {}
+        if as_json:
+            entries.append(_as_json(contents, found))
+        else:
+            click.echo("\n".join(_lines(contents, found, looked=wanted)))
+    if as_json:
+        document = {"schema": SCHEMA, "logs": entries}
+        click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _read_topics(contents: LogContents, msg: Path | None) -> dict[str, _Read]:
+    """Read every topic that carries IMU samples; a table is read as a whole."""
+    found = {}
+    for topic in contents.imu_topics:
+        named = topic.name if len(contents.topics) > 1 else None
+        try:
+            recording = read(contents.path, topic=named, message_definition=msg)
+            found[topic.name] = _Read(recording=recording)
+        except ImucalError as error:
+            found[topic.name] = _Read(error=str(error))
+    return found
+
+
+# Text
+
+
+def _lines(contents: LogContents, found: dict[str, _Read], *, looked: bool) -> Iterator[str]:
+    yield from _wrapped(contents.path)
+    yield from _wrapped(", ".join(_head(contents)), indent=2)
+    topics = [*contents.imu_topics, *(topic for topic in contents.topics if not topic.sensors)]
+    if topics:
+        yield ""
+        yield from _table(topics)
+    for topic in contents.imu_topics:
+        yield from _what_was_read(topic, found.get(topic.name))
+    if contents.imu_topics and not looked:
+        yield ""
+        yield from _wrapped("Gaps are not looked for in a large log; --gaps reads all samples.")
+    if not contents.imu_topics:
+        yield ""
+        yield "No gyroscope or accelerometer was found."
+    for finding in contents.findings:
+        yield from _finding(finding)
+    yield ""
+
+
+def _head(contents: LogContents) -> Iterator[str]:
+    yield contents.format
+    if contents.compression:
+        yield f"compression {contents.compression}"
+    if contents.size_bytes is not None:
+        yield _size(contents.size_bytes)
+    if contents.duration_s is not None:
+        yield describe_duration(contents.duration_s)
+    if contents.start_ns is not None and contents.start_ns > 0:
+        yield f"from {_date(contents.start_ns)}"
+
+
+def _table(topics: list[TopicContents]) -> Iterator[str]:
+    """Yield a line a topic, and a second one for a note or for a name that does not fit."""
+    rows = [(topic.name, topic.type, *_figures(topic), _sensors(topic)) for topic in topics]
+    heads = ("topic", "type", "messages", "rate", "duration", "sensors")
+    widths = [max(len(heads[i]), *(len(row[i]) for row in rows)) for i in range(6)]
+    spare = _WIDTH - 2 - 2 * 5 - sum(widths[2:])
+    widths[1] = min(widths[1], max(spare - min(widths[0], spare // 2), 8))
+    widths[0] = min(widths[0], max(spare - widths[1], 8))
+    yield _row(heads, widths)
+    for topic, row in zip(topics, rows, strict=True):
+        long = [text for text, width in zip(row[:2], widths[:2], strict=True) if len(text) > width]
+        fitted = [_fit(text, width) for text, width in zip(row[:2], widths[:2], strict=True)]
+        yield _row((*fitted, *row[2:]), widths)
+        for text in [*long, *([topic.note] if topic.note else [])]:
+            yield from _wrapped(text, indent=6)
+
+
+def _row(cells: tuple[str, ...], widths: list[int]) -> str:
+    name, kind, *figures, sensors = cells
+    middle = [text.rjust(width) for text, width in zip(figures, widths[2:5], strict=True)]
+    left = [name.ljust(widths[0]), kind.ljust(widths[1])]
+    return ("  " + "  ".join([*left, *middle, sensors])).rstrip()
+
+
+def _figures(topic: TopicContents) -> tuple[str, str, str]:
+    count = "?" if topic.count is None else str(topic.count)
+    rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
+    return count, rate, "" if topic.duration_s is None else describe_duration(topic.duration_s)
+
+
+def _sensors(topic: TopicContents) -> str:
+    return ", ".join(sensor.short for sensor in topic.sensors)
+
+
+def _what_was_read(topic: TopicContents, found: _Read | None) -> Iterator[str]:
+    """Yield rate, gaps, units and findings of a topic that was read."""
+    if found is None:
+        return
+    yield ""
+    if found.recording is None:
+        yield from _wrapped(f"{topic.name}: {found.error}")
+        return
+    clocks = {id(series.clock): series for series in found.recording.series}
+    for series in clocks.values():
+        clock = series.clock
+        jitter = "" if clock.jitter_s is None else f", jitter {clock.jitter_s * 1e3:.3g} ms"
+        gaps = f"{len(clock.gaps)} gaps, {clock.missing} missing" if clock.gaps else "no gaps"
+        text = f"{topic.name}: {clock.rate_hz:.6g} Hz by {clock.source}, {clock.n} samples, {gaps}{jitter}"
+        yield from _wrapped(text)
+    for question, answer in found.recording.source.decisions:
+        yield from _wrapped(f"{question}: {answer}", indent=2)
+    for finding in found.recording.findings:
+        yield from _finding(finding)
+
+
+def _finding(finding: Finding) -> Iterator[str]:
+    yield from _wrapped(f"{finding.level} [{finding.code}]: {finding.text} {finding.advice}", indent=2)
+
+
+def _wrapped(text: str, *, indent: int = 0) -> list[str]:
+    """Break a text into lines of the page's width; line breaks of its own are kept."""
+    lines = []
+    for line in text.rstrip().split("\n"):
+        own = indent + len(line) - len(line.lstrip())
+        lines += textwrap.wrap(
+            line,
+            _WIDTH,
+            initial_indent=" " * own if line.strip() else "",
+            subsequent_indent=" " * (own + 2),
+            break_on_hyphens=False,
+        ) or [""]
+    return lines
+
+
+def _fit(text: str, width: int) -> str:
+    """Return a text that is cut in its middle where it is too long."""
+    if len(text) <= width:
+        return text
+    left = (width - 1) // 2
+    return text[:left] + "…" + text[len(text) - (width - 1 - left) :]
+
+
+def _size(size: int) -> str:
+    if size >= 10**9:
+        return f"{size / 1e9:.4g} GB"
+    return f"{size / 1e6:.4g} MB" if size >= 10**6 else f"{size / 1e3:.4g} kB"
+
+
+def _date(ns: int) -> str:
+    from datetime import UTC, datetime
+
+    try:
+        return datetime.fromtimestamp(ns / 1e9, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    except (ValueError, OverflowError, OSError):
+        return f"{ns / 1e9:.6g} s"
+
+
+# JSON
+
+
+def _as_json(contents: LogContents, found: dict[str, _Read]) -> dict[str, object]:
+    return {
+        "path": contents.path,
+        "format": contents.format,
+        "compression": contents.compression,
+        "size_bytes": contents.size_bytes,
+        "start_ns": contents.start_ns,
+        "duration_s": contents.duration_s,
+        "topics": [_topic_json(topic, found.get(topic.name)) for topic in contents.topics],
+        "findings": [_finding_json(finding) for finding in contents.findings],
+    }
+
+
+def _topic_json(topic: TopicContents, found: _Read | None) -> dict[str, object]:
+    entry: dict[str, object] = {
+        **asdict(topic),
+        "sensors": [str(sensor) for sensor in topic.sensors],
+    }
+    if found is None:
+        return entry
+    if found.recording is None:
+        return {**entry, "error": found.error}
+    clocks = {series.sensor: series.clock for series in found.recording.series}
+    entry["clocks"] = {
+        str(sensor): {
+            "source": clock.source,
+            "rate_hz": clock.rate_hz,
+            "samples": clock.n,
+            "jitter_s": clock.jitter_s,
+            "missing": clock.missing,
+            "gaps": [asdict(gap) for gap in clock.gaps],
+        }
+        for sensor, clock in clocks.items()
+    }
+    entry["decisions"] = [list(pair) for pair in found.recording.source.decisions]
+    entry["findings"] = [_finding_json(finding) for finding in found.recording.findings]
+    return entry
+
+
+def _finding_json(finding: Finding) -> dict[str, object]:
+    return {
+        "level": finding.level,
+        "code": finding.code,
+        "axis": finding.axis,
+        "text": finding.text,
+        "advice": finding.advice,
+    }
