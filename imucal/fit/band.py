@@ -33,14 +33,14 @@ from imucal.fit.structures import Structure, candidates_of
 
 __all__ = ["BANDS", "Band", "find_band"]
 
+#: Poles and zeros of a response.
+Order: TypeAlias = tuple[int, int]
 #: Bands that are tried, as fractions of Nyquist.
 BANDS = (1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125)
 #: Misfit score below which a description is sound.
 _SOUND = 3.0
 #: Twice the log-likelihood that one, or two more orders of the response may gain by chance.
 _GAIN = (9.0, 12.0)
-#: Poles and zeros of a response.
-Order: TypeAlias = tuple[int, int]
 #: Highest number of poles.
 _ORDERS = 5
 #: Above this fraction of Nyquist a response's zeros show; at Nyquist itself they leave nothing.
@@ -62,8 +62,10 @@ class Band:
     ----------
     fraction
         Its upper end as a fraction of Nyquist.
+    order
+        Poles and zeros of the simplest response that is sound.
     poles, zeros
-        Order of the response, 0 where it is flat.
+        Order of the response to fit, 0 where it is flat: one more than the simplest.
     response
         Its coefficients a, shape (poles,).
     sound
@@ -73,6 +75,7 @@ class Band:
     """
 
     fraction: float
+    order: Order
     poles: int
     zeros: int
     response: FloatArray
@@ -90,9 +93,10 @@ class _Trial:
     statistic: float
     deviation: float
 
-    def band(self, *, sound: bool, width: int) -> Band:
+    def band(self, *, sound: bool, width: int, simplest: Order | None = None) -> Band:
         return Band(
             fraction=self.fraction,
+            order=simplest or self.order,
             poles=self.order[0],
             zeros=self.order[1],
             response=self.maximum.theta[0, width : width + self.order[0]],
@@ -171,8 +175,15 @@ class _Search:
 
     def flat(self) -> Band:
         """Return the whole band without a response, sound if the data do not ask for more."""
+        orders: list[Order] = [(0, 0), (1, 0), (2, 0)]
         start = self.blind(self.ordinates)
-        trials = self.fit(self.ordinates, 1.0, [(0, 0), (1, 0), (2, 0)], np.repeat(start, 3, axis=0))
+        trials = self.fit(self.ordinates, 1.0, orders, np.repeat(start, 3, axis=0))
+        if not _enough(trials):
+            # The richer fits may have found a better place for the slow terms: try it without them.
+            again = np.concatenate([t.maximum.theta for t in trials])
+            again[:, self.width :] = 0.0
+            flat = self.fit(self.ordinates, 1.0, [(0, 0)] * 3, again)
+            trials[0] = min(flat, key=lambda t: t.maximum.objective[0])
         return trials[0].band(sound=_enough(trials), width=self.width)
 
     def filtered(self) -> Band:
@@ -180,7 +191,7 @@ class _Search:
         narrow = self.ordinates.below(BANDS[-1])
         low = self.blind(narrow if narrow.size.size >= _FEWEST else self.ordinates)
         every: list[_Trial] = []
-        best: tuple[float, _Trial] | None = None
+        best: tuple[float, _Trial, _Trial] | None = None
         for fraction in BANDS:
             seen = self.ordinates.below(fraction)
             if seen.size.size < _FEWEST:
@@ -197,15 +208,18 @@ class _Search:
                 best = found
         if best is None:
             return min(every, key=lambda t: t.statistic).band(sound=False, width=self.width)
-        return best[1].band(sound=True, width=self.width)
+        _, simplest, richer = best
+        if simplest.order == (0, 0) and simplest.fraction == 1.0:
+            return simplest.band(sound=True, width=self.width)
+        return richer.band(sound=True, width=self.width, simplest=simplest.order)
 
     @staticmethod
-    def simplest(trials: dict[Order, _Trial]) -> tuple[float, _Trial] | None:
-        """Return the error of N of the simplest sound description of a band, and its next order."""
+    def simplest(trials: dict[Order, _Trial]) -> tuple[float, _Trial, _Trial] | None:
+        """Return the error of N of the simplest sound description of a band, it, and its next order."""
         for poles, zeros in sorted(trials, key=lambda order: (sum(order), order)):
             nested = [trials[o] for more in range(3) if (o := (poles + more, zeros)) in trials]
             if len(nested) > 1 and _enough(nested):
-                return nested[0].deviation, nested[1]
+                return nested[0].deviation, nested[0], nested[1]
         return None
 
 

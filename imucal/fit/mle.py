@@ -1,43 +1,52 @@
 """Maximum likelihood on the spectrum of the samples: the default method."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
-from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fit.band import find_band
-from imucal.fit.estimates import (
-    Fitted,
-    Scales,
-    add_term,
-    covariance_of,
-    drop_terms,
-    estimate,
-    model_of,
-    upper_bound,
-)
-from imucal.fit.goodness import misfit
+from imucal.fit.band import Band, find_band
+from imucal.fit.blocks import Blocks, make_blocks
+from imucal.fit.confusion import choice_findings, near_candidates
+from imucal.fit.estimates import Fitted, Scales, covariance_of, model_of
+from imucal.fit.goodness import Misfit, misfit
 from imucal.fit.ordinates import Ordinates
-from imucal.fit.result import Candidate, Estimate, Goodness, NoiseFit
-from imucal.fit.selection import Choice, choose
+from imucal.fit.regressors import choose_regressors
+from imucal.fit.response import filter_finding, response_of
+from imucal.fit.result import Goodness, Line, NoiseFit
+from imucal.fit.robust import resolution_effect
+from imucal.fit.selection import choose
+from imucal.fit.settle import Setting, settle
 from imucal.fit.structures import Structure, all_structures
-from imucal.fit.transform import bin_blocks, scale_of, transform
-from imucal.noise.model import structure_text
+from imucal.fit.tails import heavy_tails
+from imucal.fit.transform import bin_blocks
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
 __all__ = ["fit_mle"]
 
-#: Fewest samples that a model can be fitted to.
-_FEWEST = 64
 #: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
 #: shorter is the sensor's output filter.
 _SHORTEST = 10.0
-#: Models whose criterion is within this of the best are listed.
-_NEAR = 6.0
-#: Terms that every fit reports.
-_ALWAYS = ("N", "B", "K")
+#: Shortest of a given model.
+_SHORTEST_GIVEN = 2.0
+#: Misfit score above which the model does not describe the axis.
+_MISFIT = 3.0
+#: Lines named in a finding.
+_NAMED = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _View:
+    """What part of the spectrum is fitted, and with what beside the noise."""
+
+    blocks: Blocks
+    band: Band
+    ordinates: Ordinates
+    common: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def fit_mle(
@@ -56,7 +65,7 @@ def fit_mle(
     Parameters
     ----------
     series
-        Finite samples.
+        Finite samples; gaps are allowed.
     curve
         Their Allan curve, for the picture; the fit does not use it.
     structure
@@ -75,40 +84,46 @@ def fit_mle(
     DataError
         If there are too few samples, or they are all equal.
     """
-    if series.n < _FEWEST:
-        msg = f"{series.name}: {series.n} samples, expected at least {_FEWEST}; record for longer"
-        raise DataError(msg)
-    scale = scale_of(series.samples, series.name)
-    whole = bin_blocks([transform(series.samples / scale)], scale)
-    shortest = _SHORTEST if structure is None else 2.0
-    band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST)
-    ordinates = whole.below(band.fraction)
-    structures = _structures(structure, max_gm, filtered=band.poles > 0)
+    view = _view(series, structure, max_gm, temperature)
+    shortest = _SHORTEST if structure is None else _SHORTEST_GIVEN
+    band = view.band
     choice = choose(
-        ordinates,
-        structures,
+        view.ordinates,
+        _structures(structure, max_gm, filtered=band.poles > 0),
         criterion=criterion,
         poles=band.poles,
         zeros=band.zeros,
         response=band.response,
+        common=view.common,
         shortest=shortest,
     )
-    scales = Scales(unit=scale, tau0=series.tau0, widening={})
-    fitted = Fitted(
-        structure=choice.structures[0],
-        candidate=choice.candidates.take(np.array([0])),
-        maximum=choice.maximum.take(np.array([0])),
-    ).by_time()
-    fitted, estimates = _settle(ordinates, fitted, scales, level=level, shortest=shortest)
-    found = misfit(ordinates, fitted.candidate, fitted.maximum.theta)
+    scales = Scales(unit=view.blocks.scale, tau0=series.tau0, widening={"N": heavy_tails(series.samples)})
+    setting = Setting(level=level, shortest=shortest, common=view.common, scales=scales)
+    fitted, estimates = settle(view.ordinates, choice, setting)
+    found = misfit(view.ordinates, fitted.candidate, fitted.maximum.theta)
+    response = response_of(view.ordinates, fitted, band, series.rate_hz)
     names, covariance = covariance_of(fitted, estimates, scales)
+    model = model_of(estimates, fitted, scales)
+    findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
+    findings += filter_finding(
+        view.ordinates, fitted, band, response, rate_hz=series.rate_hz, axis=series.name
+    )
+    findings += _misfit_findings(found, str(model), series.name)
+    if structure is None:
+        findings += choice_findings(choice, series.name)
+    white = next(e for e in estimates if e.key == "N")
+    findings += resolution_effect(series, white.value or 0.0)
+    if verify:
+        from imucal.fit.verify import verify_findings
+
+        findings += verify_findings(series, model, names, covariance)
     nyquist = series.rate_hz / 2
     return NoiseFit(
         method="mle",
         sensor=series.sensor,
         rate_hz=series.rate_hz,
         level=level,
-        model=model_of(estimates, fitted, scales),
+        model=model,
         estimates=estimates,
         parameters=names,
         covariance=covariance,
@@ -116,20 +131,40 @@ def fit_mle(
             statistic=found.statistic,
             p_value=found.p_value,
             chi2_per_bin=found.chi2_per_bin,
-            band_hz=(float(ordinates.fraction.min()) * nyquist, float(ordinates.fraction.max()) * nyquist),
+            band_hz=(float(view.ordinates.fraction.min()) * nyquist, band.fraction * nyquist),
+            lines=view.blocks.lines,
         ),
         curve=curve,
-        used=_used(curve, band.fraction),
-        candidates=_candidates(choice),
+        used=_used(curve, band, response.cutoff_hz / nyquist if response else 1.0),
+        response=response,
+        candidates=near_candidates(choice),
         criterion="given" if structure is not None else criterion,
-        findings=_choice_findings(choice, series.name) if structure is None else (),
+        findings=tuple(findings),
+        settings=_settings(band, view.common),
+    )
+
+
+def _view(
+    series: AxisSeries, structure: Structure | None, max_gm: int, temperature: FloatArray | None
+) -> _View:
+    """Return the part of the spectrum that a rich model describes."""
+    blocks = make_blocks(series, temperature)
+    common, findings = choose_regressors(blocks.blocks, axis=series.name, tau0=series.tau0)
+    whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
+    band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common)
+    return _View(
+        blocks=blocks,
+        band=band,
+        ordinates=whole.below(band.fraction),
+        common=common,
+        findings=blocks.findings + findings,
     )
 
 
 def _richest(structure: Structure | None, max_gm: int) -> Structure:
     """Return a structure that holds every candidate."""
     if structure is None:
-        return ("Q", "N", "B", *["GM"] * max_gm, "K", "R")
+        return ("Q", "N", "B", *["GM"] * max(max_gm, 1), "K", "R")
     order = list(TERMS)
     missing = [s for s in ("N", "B", "GM", "K") if s not in structure]
     return tuple(sorted((*structure, *missing), key=order.index))
@@ -143,55 +178,50 @@ def _structures(structure: Structure | None, max_gm: int, *, filtered: bool) -> 
     return [s for s in every if "N" in s] if filtered else every
 
 
-def _settle(
-    ordinates: Ordinates, fitted: Fitted, scales: Scales, *, level: float, shortest: float
-) -> tuple[Fitted, tuple[Estimate, ...]]:
-    """Return the fit without the terms that may be zero, and estimates or bounds of all terms."""
-    bounded: dict[str, Estimate] = {}
-    estimates = estimate(ordinates, fitted, scales, level=level, shortest=shortest)
-    while any(e.status == "bounded" for e in estimates):
-        keys = [e.key for e in estimates if e.status == "bounded"]
-        if len(keys) == len(estimates):
-            break
-        bounded |= {e.key: e for e in estimates if e.status == "bounded"}
-        fitted = drop_terms(ordinates, fitted, keys, shortest=shortest, common=())
-        estimates = estimate(ordinates, fitted, scales, level=level, shortest=shortest)
-    known = {e.symbol for e in estimates} | set(bounded)
-    for symbol in _ALWAYS:
-        if symbol not in known:
-            added = add_term(ordinates, fitted, symbol, shortest=shortest, common=())
-            bounded[symbol], _ = upper_bound(ordinates, added, symbol, scales, level=level, shortest=shortest)
-    order = list(TERMS)
-    everything = sorted((*estimates, *bounded.values()), key=lambda e: (order.index(e.symbol), e.key))
-    return fitted, tuple(everything)
+def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:
+    """Return the points of the curve that average over longer than the filter or the band lets see."""
+    return np.flatnonzero(curve.m * min(band.fraction, corner) >= 1 - 1e-9)
 
 
-def _used(curve: AllanCurve, fraction: float) -> IntArray:
-    """Return the points of the curve that average over less than the band that was used."""
-    return np.flatnonzero(curve.m * fraction >= 1 - 1e-9)
+def _settings(band: Band, common: tuple[str, ...]) -> dict[str, object]:
+    """Return what the fit decided, as JSON values."""
+    return {
+        "band_fraction": band.fraction,
+        "response_poles": band.poles,
+        "response_zeros": band.zeros,
+        "regressors": list(common),
+    }
 
 
-def _candidates(choice: Choice) -> tuple[Candidate, ...]:
-    delta = choice.criterion - choice.criterion[0]
-    return tuple(
-        Candidate(structure=structure_text(structure), delta=float(d))
-        for structure, d in zip(choice.structures, delta, strict=True)
-        if d <= _NEAR
-    )
-
-
-def _choice_findings(choice: Choice, axis: str) -> tuple[Finding, ...]:
-    near = _candidates(choice)[1:]
-    if not near:
+def _line_findings(lines: tuple[Line, ...], series: AxisSeries) -> tuple[Finding, ...]:
+    if not lines:
         return ()
-    best = structure_text(choice.structures[0])
-    others = ", ".join(f"{c.structure} (+{c.delta:.1f})" for c in near)
+    named = ", ".join(
+        f"{line.frequency_hz:.4g} Hz (amplitude {line.amplitude:.3g} {series.unit})"
+        for line in lines[:_NAMED]
+    )
+    more = f" and {len(lines) - _NAMED} weaker ones" if len(lines) > _NAMED else ""
     return (
         Finding(
             level="info",
-            code="model-choice",
+            code="line",
+            axis=series.name,
+            text=f"{'Line' if len(lines) == 1 else 'Lines'} at {named}{more}; left out of the fit.",
+            advice="Look for a motor, a fan or mains near the sensor; the Allan curve still holds the lines.",
+        ),
+    )
+
+
+def _misfit_findings(found: Misfit, model: str, axis: str) -> tuple[Finding, ...]:
+    if found.statistic < _MISFIT:
+        return ()
+    return (
+        Finding(
+            level="warning",
+            code="model-misfit",
             axis=axis,
-            text=f"The record does not tell {best} from {others} for sure.",
-            advice="Record for longer, or fix the model if the sensor's noise is known.",
+            text=f"{model} does not describe this axis: the squared residuals of its spectrum are "
+            f"{found.chi2_per_bin:.3g} on average where 1 is expected (score {found.statistic:.1f}).",
+            advice="Look at the spectrum for what is not noise of these kinds; the intervals are too narrow.",
         ),
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray
 from imucal.powerlaw import PowerLaw
 
-__all__ = ["LAWS", "Ordinates", "coarser", "ramp_ordinates"]
+__all__ = ["LAWS", "Ordinates", "coarser", "exponential_ordinates", "ramp_ordinates"]
 
 #: The power-law terms, in the order of a rising slope.
 LAWS = (PowerLaw.QUANTIZATION, PowerLaw.WHITE, PowerLaw.FLICKER, PowerLaw.WALK)
@@ -135,12 +135,27 @@ def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordin
     )
 
 
-def ramp_ordinates(n: int) -> FloatArray:
-    """Return the orthonormal DCT-II ordinates k = 1 … n-1 of the ramp 0, 1, … n-1, shape (n-1,).
+def ramp_ordinates(n: int, count: int) -> FloatArray:
+    """Return the orthonormal DCT-II ordinates k = 1 … count of the ramp 0, 1, … n-1.
 
     -sqrt(2/n) cos(theta/2) / (2 sin²(theta/2)) for odd k, 0 for even k.
     """
-    half = np.pi / (2 * n) * np.arange(1, n, 2, dtype=np.float64)
-    ramp = np.zeros(n - 1)
+    half = np.pi / (2 * n) * np.arange(1, count + 1, 2, dtype=np.float64)
+    ramp = np.zeros(count)
     ramp[::2] = -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2)
     return ramp
+
+
+def exponential_ordinates(n: int, count: int, time: float, offset: int) -> FloatArray:
+    """Return the ordinates k = 1 … count of exp(-(offset + t)/time), t = 0 … n-1.
+
+    With phi = exp(-1/time): sqrt(2/n) (1 - phi) cos(theta/2) (1 - (-1)^k phi^n) / den, and
+    den = (1 - phi)² + 4 phi sin²(theta/2).
+    """
+    k = np.arange(1, count + 1, dtype=np.float64)
+    half = np.pi / (2 * n) * k
+    one_minus = -np.expm1(-1 / time)
+    ends = np.where(k % 2 == 1, 1 + np.exp(-n / time), -np.expm1(-n / time))
+    den = one_minus**2 + 4 * np.exp(-1 / time) * np.sin(half) ** 2
+    shape: FloatArray = np.sqrt(2 / n) * one_minus * np.cos(half) * ends / den
+    return float(np.exp(-offset / time)) * shape

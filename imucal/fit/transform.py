@@ -1,78 +1,19 @@
-"""Samples -> Ordinates: scale, transform, leave lines out, bin."""
+"""Blocks -> Ordinates: sums of squares in bins, and of products with the regressors."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.allan.dct import DctBins, dct_bins, dct_ordinates
 from imucal.arrays import FloatArray
-from imucal.errors import DataError
-from imucal.fit.ordinates import LAWS, Ordinates, ramp_ordinates
+from imucal.fit.blocks import Block
+from imucal.fit.ordinates import LAWS, Ordinates
 
-__all__ = ["Block", "bin_blocks", "scale_of", "transform"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Block:
-    """The ordinates of one unbroken run of samples, in scaled units.
-
-    Attributes
-    ----------
-    bins
-        Their bins.
-    ordinates
-        X_k for k = 1 … n-1, shape (n-1,).
-    kept
-        Which of them are used, shape (n-1,); None for all.
-    regressors
-        Name -> DCT-II ordinates of what is taken out by least squares, each of shape (n-1,).
-    loss
-        Share of each bin's information that missing samples took, shape (b,); None for none.
-    """
-
-    bins: DctBins
-    ordinates: FloatArray
-    kept: NDArray[np.bool_] | None
-    regressors: dict[str, FloatArray]
-    loss: FloatArray | None = None
+__all__ = ["bin_blocks"]
 
 
-def scale_of(samples: FloatArray, name: str) -> float:
-    """Return a power of two near the size of the samples' steps, in U.
-
-    Raises
-    ------
-    DataError
-        If there are no steps: all samples are equal, or the steps are not finite.
-    """
-    size = float(np.sqrt(np.mean(np.square(np.diff(samples / _safe(samples)))))) * _safe(samples)
-    if not (np.isfinite(size) and size > 0):
-        msg = (
-            f"{name}: all {samples.size} samples are equal, expected noise; "
-            "check that the sensor was on and that its resolution shows its noise"
-        )
-        raise DataError(msg)
-    return float(2.0 ** np.round(np.log2(size)))
-
-
-def _safe(samples: FloatArray) -> float:
-    """Return the largest sample's size, so that squares neither overflow nor vanish."""
-    largest = float(np.max(np.abs(samples), initial=0.0))
-    return largest if largest > 0 else 1.0
-
-
-def transform(samples: FloatArray, *, ramp: bool = True) -> Block:
-    """Return the ordinates of an unbroken run of scaled samples."""
-    n = samples.size
-    regressors = {"R": ramp_ordinates(n)} if ramp else {}
-    return Block(bins=dct_bins(n), ordinates=dct_ordinates(samples), kept=None, regressors=regressors)
-
-
-def bin_blocks(blocks: list[Block], scale: float) -> Ordinates:
-    """Return the binned ordinates of all blocks; the regressors are common to them."""
-    parts = [_bin(block) for block in blocks]
-    names = tuple(blocks[0].regressors)
+def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
+    """Return the binned ordinates of all blocks; the regressors `names` are common to them."""
+    parts = [_bin(block, names) for block in blocks]
 
     def join(key: str) -> FloatArray:
         return np.concatenate([part[key] for part in parts], axis=-1)
@@ -91,21 +32,24 @@ def bin_blocks(blocks: list[Block], scale: float) -> Ordinates:
     )
 
 
-def _bin(block: Block) -> dict[str, FloatArray]:
-    bins, x = block.bins, block.ordinates
-    kept = block.kept
-    seen = x if kept is None else np.where(kept, x, 0.0)
+def _bin(block: Block, names: tuple[str, ...]) -> dict[str, FloatArray]:
+    bins, kept = block.bins, block.kept
 
     def total(values: FloatArray) -> FloatArray:
-        summed: FloatArray = np.add.reduceat(values, bins.first - 1)
+        used = values if kept is None else np.where(kept, values, 0.0)
+        summed: FloatArray = np.add.reduceat(used, bins.first - 1)
         return summed
 
-    size = bins.count.astype(np.float64) if kept is None else total(kept.astype(np.float64))
-    power = total(seen * seen)
-    vectors = [v if kept is None else np.where(kept, v, 0.0) for v in block.regressors.values()]
-    cross = np.array([total(seen * v) for v in vectors]).reshape(len(vectors), bins.size)
-    gram = np.array([[total(v * w) for w in vectors] for v in vectors])
-    gram = gram.reshape(len(vectors), len(vectors), bins.size)
+    count = bins.count.astype(np.float64)
+    size = count if kept is None else np.add.reduceat(kept.astype(np.float64), bins.first - 1)
+    square = block.ordinates**2
+    power = total(square if block.variance is None else square + block.variance)
+    vectors = [block.regressor(name) for name in names]
+    cross = np.array([total(block.ordinates * v) for v in vectors]).reshape(len(names), bins.size)
+    gram = np.zeros((len(names), len(names), bins.size))
+    for i, v in enumerate(vectors):
+        for j, w in enumerate(vectors[: i + 1]):
+            gram[i, j] = gram[j, i] = total(v * w)
     if block.loss is not None:
         keep = 1 - block.loss
         size, power, cross, gram = size * keep, power * keep, cross * keep, gram * keep

@@ -1,0 +1,84 @@
+"""The output filter that a fit found, in words and figures."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray
+from imucal.findings import Finding
+from imucal.fit.band import Band
+from imucal.fit.estimates import Fitted
+from imucal.fit.ordinates import Ordinates
+from imucal.fit.result import Response
+
+__all__ = ["filter_finding", "response_of"]
+
+_NUMBER = ("no", "one", "two", "three", "four", "five")
+#: Largest difference of |H|² from a Butterworth filter's that is called one.
+_ALIKE = 0.02
+
+
+def response_of(ordinates: Ordinates, fitted: Fitted, band: Band, rate_hz: float) -> Response | None:
+    """Return the filter's kind and -3 dB corner, or None where it has none inside the band."""
+    if not band.order[0]:
+        return None
+    frequency = np.linspace(0.0, band.fraction, 2001)[1:]
+    power = _power(ordinates, fitted, frequency)
+    below = np.flatnonzero(power < 0.5)
+    if not below.size:
+        return None
+    corner = float(frequency[below[0]])
+    return Response(kind=_kind(band, frequency, power, corner), cutoff_hz=corner * rate_hz / 2)
+
+
+def _power(ordinates: Ordinates, fitted: Fitted, frequency: FloatArray) -> FloatArray:
+    """Return |H|² at fractions of Nyquist."""
+    lam = 4 * np.sin(np.pi / 2 * frequency) ** 2
+    poles, zeros = int(fitted.candidate.poles[0]), int(fitted.candidate.zeros[0])
+    first = 4 + 2 * fitted.candidate.room_markov
+    response = fitted.maximum.theta[0, first : first + poles]
+    denominator = 1 + (lam[:, None] / ordinates.top) ** np.arange(1, poles + 1) @ response
+    power: FloatArray = (1 - lam / 4) ** zeros / denominator
+    return power
+
+
+def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -> str:
+    """Return the name of the family: ``one-pole``, ``butterworth-2``, ``three-pole`` …"""
+    poles, zeros = band.order
+    used: NDArray[np.bool_] = frequency < 0.98
+    if zeros == poles:
+        ratio = np.tan(np.pi / 2 * frequency[used]) / np.tan(np.pi / 2 * corner)
+        if np.max(np.abs(power[used] - 1 / (1 + ratio ** (2 * poles)))) < _ALIKE:
+            return f"butterworth-{poles}"
+    name = f"{_NUMBER[poles]}-pole"
+    return name if not zeros else f"{name} {_NUMBER[zeros]}-zero"
+
+
+def filter_finding(
+    ordinates: Ordinates, fitted: Fitted, band: Band, response: Response | None, *, rate_hz: float, axis: str
+) -> tuple[Finding, ...]:
+    """Return what is said about an output filter; nothing where the whole band is flat."""
+    top = band.fraction * rate_hz / 2
+    if band.poles == 0 and band.fraction == 1.0:
+        return ()
+    if response is not None:
+        text = (
+            f"An output filter ({response.kind}, -3 dB at {response.cutoff_hz:.4g} Hz) shapes the spectrum; "
+            f"its response is fitted with the noise up to {top:.4g} Hz."
+        )
+    elif band.order[0]:
+        change = 10 * float(np.log10(_power(ordinates, fitted, np.array([band.fraction]))[0]))
+        text = (
+            f"The sensor's output is not flat ({change:+.1f} dB at {top:.4g} Hz); "
+            f"the response is fitted with the noise up to {top:.4g} Hz."
+        )
+    else:
+        text = f"The output filter above {top:.4g} Hz is left out: the fit uses what is below."
+    return (
+        Finding(
+            level="info",
+            code="output-filter",
+            axis=axis,
+            text=text,
+            advice="The model is that of the noise before the filter: it is right at times longer than the filter's.",
+        ),
+    )
