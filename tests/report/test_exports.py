@@ -1,5 +1,6 @@
 """Downstream files: read back by the consumers' parsers, honest about what is in them."""
 
+import json
 import math
 import re
 from collections.abc import Callable
@@ -9,14 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from imucal.errors import DataError, WriteError
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import BiasInstability
+from imucal.noise.terms import BiasInstability, GaussMarkov
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
 from imucal.report.exports.gauss_markov import flicker_bank
 from imucal.report.exports.text import comment, decimal, real
+from imucal.report.json_file import dumps, from_document, to_document
 from imucal.report.result import Report
 from tests.report.downstream import READERS, opencv
 from tests.report.synthetic import axis_report, consumer_report, small_report
@@ -260,8 +264,8 @@ def test_kf_gins_takes_the_steady_state_of_gauss_markov_terms() -> None:
 
 
 def test_px4_numbers_outside_its_range_are_said() -> None:
-    """PX4 clamps in silence; the file doesn't."""
-    assert "EKF2_ACC_NOISE: 0.003 is outside PX4's range 0.01 to 1" in render(
+    """A good accelerometer at rest is below it; a ground station would warn without saying why."""
+    assert "EKF2_ACC_NOISE: 0.003 is outside the range PX4 documents, 0.01 to 1" in render(
         replace(
             _plain_report(),
             axes=tuple(
@@ -272,6 +276,28 @@ def test_px4_numbers_outside_its_range_are_said() -> None:
         ),
         "px4",
     )
+
+
+def test_gazebo_and_the_walk_agree_step_by_step() -> None:
+    """Gazebo drives the bias by sigma_b sqrt(-T/2 expm1(-2 dt/T)) a step: K sqrt(dt) to dt/T."""
+    driving, time, dt = 3e-6, 3600.0, 1 / 200
+    step = driving * math.sqrt(-time / 2 * math.expm1(-2 * dt / time))
+    assert step == pytest.approx(driving * math.sqrt(dt), rel=dt / time)
+    assert GaussMarkov(sigma=driving * math.sqrt(time / 2), T=time).q(dt) == pytest.approx(step, rel=1e-12)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_report_read_from_its_file_gives_the_same_text(target: str) -> None:
+    """So that ``imucal export`` of a folder and of a log agree."""
+    report = consumer_report()
+    again = from_document(json.loads(dumps(to_document(report))))
+    assert render(again, target) == render(report, target)
+
+
+@given(value=st.floats(1e-300, 1e300))
+def test_every_number_reads_back_exactly(value: float) -> None:
+    """By Python, by YAML 1.1, and without an exponent."""
+    assert float(real(value)) == yaml.safe_load(real(value)) == float(decimal(value)) == value
 
 
 def test_a_bank_of_states_is_flicker() -> None:

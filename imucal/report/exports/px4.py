@@ -18,8 +18,8 @@ __all__ = ["TARGET"]
 #: Period of EKF2's prediction, in s (EKF2_PREDICT_US = 10000).
 _PERIOD_S = 0.01
 
-#: Parameter -> lowest and highest value that PX4 accepts.
-_ACCEPTED = {
+#: Parameter -> lowest and highest value that PX4 documents; ground stations warn outside.
+_DOCUMENTED = {
     "EKF2_GYR_NOISE": (0.0001, 0.1),
     "EKF2_ACC_NOISE": (0.01, 1.0),
     "EKF2_GYR_B_NOISE": (0.0, 0.01),
@@ -63,12 +63,14 @@ def _discrete(number: Number) -> float:
 
 
 def _out_of_range(values: dict[str, Number]) -> list[str]:
-    """Say which numbers PX4 will clamp."""
+    """Say which numbers a ground station will warn of."""
     lines = []
     for name, number in values.items():
-        low, high = _ACCEPTED[name]
+        low, high = _DOCUMENTED[name]
         if not low <= _discrete(number) <= high:
-            lines.append(f"{name}: {_discrete(number):.3g} is outside PX4's range {low:g} to {high:g}")
+            lines.append(
+                f"{name}: {_discrete(number):.3g} is outside the range PX4 documents, {low:g} to {high:g}"
+            )
     return lines
 
 
