@@ -69,7 +69,9 @@ def _has(numbers: Numbers, sensor: Sensor) -> bool:
 
 def _sensor_line(numbers: Numbers, sensor: Sensor) -> str:
     axis = numbers.axes(sensor)[0]
-    return f"{sensor}: f = {numbers.rate_hz(sensor):g} Hz (measured), {axis.duration_s:g} s recorded"
+    given = any(finding.code == "rate-given" for finding in (*numbers.report.findings, *axis.findings))
+    origin = "given by the user" if given else "measured"
+    return f"{sensor}: f = {numbers.rate_hz(sensor):.9g} Hz ({origin}), {axis.duration_s:.6g} s recorded"
 
 
 def _axes(numbers: Numbers, *, per_axis: bool) -> str:
