@@ -15,7 +15,7 @@ from imucal.screen.stuck import check_no_data, check_repeats, check_saturated, c
 from imucal.screen.temperature import check_temperature
 from imucal.screen.tones import check_tones
 from imucal.screen.tremor import check_tremor
-from imucal.screen.units import check_units
+from imucal.screen.units import check_accelerometer_unit, check_gyroscope_unit
 from imucal.screen.warmup import check_warm_up
 
 __all__ = ["screen"]
@@ -24,7 +24,12 @@ AxisCheck: TypeAlias = Callable[[Profile], tuple[Finding, ...]]
 LogCheck: TypeAlias = Callable[[Sequence[Profile]], tuple[Finding, ...]]
 
 #: Checks over all axes that hold data.
-_LOG_CHECKS: tuple[LogCheck, ...] = (check_swapped, check_duplicates, check_units, check_repeats)
+_LOG_CHECKS: tuple[LogCheck, ...] = (
+    check_swapped,
+    check_duplicates,
+    check_accelerometer_unit,
+    check_repeats,
+)
 #: Was the IMU at rest; the first that says no is enough.
 _REST_CHECKS: tuple[LogCheck, ...] = (check_tremor, check_turned, check_motion)
 #: Checks of one axis that holds data.
@@ -36,11 +41,11 @@ _NOISE_CHECKS: tuple[AxisCheck, ...] = (check_steps, check_warm_up, check_tones,
 def screen(recording: Recording) -> tuple[Finding, ...]:
     """Return what speaks against trusting a recording, worst first; empty for a good one.
 
-    Codes: ``no-data``, ``stuck``, ``saturated``, ``repeated-samples``, ``coarse-lsb``,
+    Codes: ``no-data``, ``stuck``, ``saturated``, ``held-samples``, ``coarse-lsb``,
     ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``, ``no-gravity``, ``motion``,
     ``touch``, ``step``, ``warm-up``, ``temperature``, ``tone``, ``roll-off``.
-    The samples are passed once, in blocks; NaN and gaps are left out. Fewer than 16 samples in a row
-    say nothing.
+    What reading the log has said already is not said again. The samples are passed once, in blocks;
+    NaN and gaps are left out, and fewer than 16 samples in a row say nothing.
     """
     profiles = [profile(series) for series in recording.series]
     findings = [finding for p in profiles for finding in check_no_data(p)]
@@ -52,7 +57,10 @@ def screen(recording: Recording) -> tuple[Finding, ...]:
     checks = _AXIS_CHECKS
     if not any(finding.level == "error" for finding in rest):
         checks += _NOISE_CHECKS
+        findings += check_gyroscope_unit(alive)
         findings += check_temperature(alive, recording.temperature)
     findings += [finding for check in checks for p in alive for finding in check(p)]
+    said = {(finding.code, finding.axis) for finding in recording.findings}
+    findings = [finding for finding in findings if (finding.code, finding.axis) not in said]
     order = ("error", "warning", "info")
     return tuple(sorted(findings, key=lambda finding: order.index(finding.level)))

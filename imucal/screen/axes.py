@@ -9,8 +9,7 @@ from imucal.findings import Finding
 from imucal.recording import Sensor
 from imucal.screen.profile import Profile
 from imucal.screen.resolution import excerpt
-from imucal.screen.units import gravity
-from imucal.units import G0
+from imucal.screen.units import gravity, swapped
 
 __all__ = ["check_duplicates", "check_swapped"]
 
@@ -22,14 +21,10 @@ _LEAST = 64
 
 def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return an error when gravity is in the gyroscope and not in the accelerometer."""
+    if not swapped(profiles):
+        return ()
     gyro = gravity([p for p in profiles if p.series.sensor is Sensor.GYROSCOPE])
     accel = gravity([p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER])
-    if gyro is None or accel is None:
-        return ()
-    in_si = abs(gyro / G0 - 1) < 0.2 and accel < 1
-    in_g = abs(gyro - 1) < 0.1 and accel < 0.1
-    if not (in_si or in_g):
-        return ()
     return (
         Finding(
             level="error",

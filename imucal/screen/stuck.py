@@ -133,7 +133,7 @@ def check_repeats(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
             findings.append(
                 Finding(
                     level="warning",
-                    code="repeated-samples",
+                    code="held-samples",
                     text=(
                         f"{together:.1%} of the {sensor} samples repeat the one before on all axes: the log "
                         f"holds {rate:.4g} samples a second, about {rate * (1 - together):.3g} of them new."

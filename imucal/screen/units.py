@@ -10,7 +10,7 @@ from imucal.recording import Sensor
 from imucal.screen.profile import Profile
 from imucal.units import G0
 
-__all__ = ["check_units", "gravity"]
+__all__ = ["check_accelerometer_unit", "check_gyroscope_unit", "gravity", "swapped"]
 
 #: Gravity as an uncalibrated accelerometer may show it, in m/s²: 20 % off at most.
 _GRAVITY = (0.8 * G0, 1.2 * G0)
@@ -34,34 +34,49 @@ def gravity(profiles: Sequence[Profile]) -> float | None:
     return float(np.median(np.sqrt(sum(p.windows.mean**2 for p in profiles))))
 
 
-def check_units(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return findings for figures that do not look like m/s² and rad/s."""
-    gyro = [p for p in profiles if p.series.sensor is Sensor.GYROSCOPE]
+def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return a finding when the length of gravity is not that of m/s²."""
     accel = [p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER]
-    length, rate = gravity(accel), gravity(gyro)
-    if length is not None and rate is not None and _GRAVITY[0] < rate < _GRAVITY[1] and length < 1:
-        return ()  # the sensors are swapped: another check says so
-    findings = _accelerometer(accel, length) if length is not None else []
-    return tuple(findings + _gyroscope(gyro, rate))
+    length = gravity(accel)
+    if length is None or swapped(profiles):
+        return ()
+    return _accelerometer(accel, length)
 
 
-def _accelerometer(accel: Sequence[Profile], length: float) -> list[Finding]:
+def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return a finding when a gyroscope at rest does not look like rad/s: its steps, noise or mean."""
+    gyro = [p for p in profiles if p.series.sensor is Sensor.GYROSCOPE]
+    return () if swapped(profiles) else _gyroscope(gyro, gravity(gyro))
+
+
+def swapped(profiles: Sequence[Profile]) -> bool:
+    """Whether gravity is in the gyroscope and not in the accelerometer."""
+    gyro = gravity([p for p in profiles if p.series.sensor is Sensor.GYROSCOPE])
+    accel = gravity([p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER])
+    if gyro is None or accel is None:
+        return False
+    in_si = _GRAVITY[0] < gyro < _GRAVITY[1] and accel < 1
+    in_g = abs(gyro - 1) < 0.1 and accel < 0.1
+    return in_si or in_g
+
+
+def _accelerometer(accel: Sequence[Profile], length: float) -> tuple[Finding, ...]:
     if _GRAVITY[0] <= length <= _GRAVITY[1]:
-        return []
+        return ()
     if length < _NO_GRAVITY:
         text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
         advice = "If a driver takes gravity off, log the raw acceleration: the filter's noise is in this one."
-        return [Finding(level="info", code="no-gravity", text=text, advice=advice, axis="accel")]
+        return (Finding(level="info", code="no-gravity", text=text, advice=advice, axis="accel"),)
     guess = _accelerometer_guess(accel, length)
-    return [
+    return (
         Finding(
             level="warning",
             code="unit-suspect",
             text=f"|a| is {length:.4g} at rest, where m/s^2 would give {G0:.1f}: {guess}.",
             advice="Name the accelerometer's unit when reading; every figure of it scales with the unit.",
             axis="accel",
-        )
-    ]
+        ),
+    )
 
 
 def _accelerometer_guess(accel: Sequence[Profile], length: float) -> str:
@@ -74,19 +89,19 @@ def _accelerometer_guess(accel: Sequence[Profile], length: float) -> str:
     return "these look like raw counts" if _counts(accel) or length > 1e3 else "no known unit fits"
 
 
-def _gyroscope(gyro: Sequence[Profile], rate: float | None) -> list[Finding]:
+def _gyroscope(gyro: Sequence[Profile], rate: float | None) -> tuple[Finding, ...]:
     reason = _counts_reason(gyro) or _lsb_reason(gyro) or _noise_reason(gyro) or _rate_reason(rate)
     if reason is None:
-        return []
-    return [
+        return ()
+    return (
         Finding(
             level="warning",
             code="unit-suspect",
             text=f"The gyroscope may not be in rad/s: {reason}.",
             advice="Name the gyroscope's unit when reading; every figure of it scales with the unit.",
             axis="gyro",
-        )
-    ]
+        ),
+    )
 
 
 def _counts(profiles: Sequence[Profile]) -> bool:

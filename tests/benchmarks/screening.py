@@ -23,7 +23,7 @@ def main() -> None:
             found = screen(recording(*still(n, seed, kind), temperature=unrelated_temperature(n, seed)))
             counts.update({f"{f.code}{'' if f.level != 'info' else ' (info)'}" for f in found})
         total += counts
-        print(f"{kind:26s}", ", ".join(f"{code} {k / logs:.1%}" for code, k in counts.most_common()) or "none")
+        print(f"{kind:26s}", ", ".join(f"{c} {k / logs:.1%}" for c, k in counts.most_common()) or "none")
     print(f"{'all':26s}", ", ".join(f"{c} {k / logs / len(KINDS):.2%}" for c, k in total.most_common()))
 
 

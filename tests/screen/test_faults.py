@@ -210,7 +210,7 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (humming, "warning", "tone", "gyro_z",
      ("gyro_z holds a tone: it bends the Allan curve: 31.25 Hz, 0.00102 rad/s (0.0585 deg/s) "
      "(a fan or motor at 1875 rpm, or a folded higher tone).")),
-    (repeated, "warning", "repeated-samples", "gyro",
+    (repeated, "warning", "held-samples", "gyro",
      ("50.0% of the gyroscope samples repeat the one before on all axes: the log holds 100 samples a second, "
      "about 50 of them new.")),
     (weightless, "info", "no-gravity", "accel",

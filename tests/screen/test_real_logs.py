@@ -64,7 +64,7 @@ def test_stampfly_bump() -> None:
     assert "gyro_y" in bump.text
     assert bump.keep_s is not None
     assert bump.keep_s[0] < 6
-    assert {f.axis for f in found if f.code == "repeated-samples"} == {"gyro", "accel"}
+    assert {f.axis for f in found if f.code == "held-samples"} == {"gyro", "accel"}
     table = np.loadtxt(
         real_data("real", "stampfly", "stampfly_fft_20260114T115628.csv"), delimiter=",", skiprows=1
     ).T
