@@ -1,0 +1,174 @@
+"""``imucal adev``: the curves alone."""
+
+import json
+import re
+from collections.abc import Sequence
+
+import click
+
+from imucal._version import __version__
+from imucal.cli._options import Duration, LogRequest, log_options, say
+from imucal.errors import DataError
+from imucal.recording import AxisSeries
+
+__all__ = ["Taus", "command"]
+
+#: Written like this, averaging times are a set and not a list.
+_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
+
+
+class Taus(click.ParamType[str | tuple[float, ...]]):
+    """A set of averaging times by name, or a list of durations."""
+
+    name = "taus"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> str | tuple[float, ...]:
+        text = str(value).strip()
+        if _SET.fullmatch(text):
+            return text
+        try:
+            seconds = tuple(Duration().convert(part, param, ctx) for part in text.split(","))
+        except click.BadParameter:
+            seconds = (0.0,)
+        if min(seconds) <= 0:
+            known = "octave, decade, decade:20 or all, nor a list of times such as 0.1,1,10min"
+            self.fail(f"{text!r} is neither {known}", param, ctx)
+        return seconds
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  imucal adev log.mcap > curves.csv
+  imucal adev log.bag --taus decade:20 --estimator modified
+  imucal adev log.csv --taus 0.1,1,10,10min --json
+
+\b
+Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be analysed."""
+)
+@log_options
+@click.option(
+    "--taus",
+    type=Taus(),
+    default="octave",
+    show_default=True,
+    metavar="SET",
+    help="octave, decade, decade:20, all, or times such as 0.1,1,10min.",
+)
+@click.option(
+    "--estimator",
+    type=click.Choice(["overlapping", "standard", "modified", "hadamard"]),
+    default="overlapping",
+    show_default=True,
+    help="Which deviation.",
+)
+@click.option(
+    "--edf",
+    type=click.Choice(["hybrid", "model", "greenhall", "eta3"]),
+    default="hybrid",
+    show_default=True,
+    help="Degrees of freedom of the intervals.",
+)
+@click.option(
+    "--level",
+    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    default=0.95,
+    show_default=True,
+    help="Confidence level of the intervals.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, with the spectrum of each axis, not CSV.")
+def command(
+    *,
+    request: LogRequest,
+    taus: str | tuple[float, ...],
+    estimator: str,
+    edf: str,
+    level: float,
+    as_json: bool,
+) -> None:
+    """Print the Allan deviations of every axis of LOG as CSV or JSON.
+
+    Deviations are of the rate signal, in rad/s and m/s^2; low and high are the limits of their
+    interval, edf its degrees of freedom. Sets of averaging times but "all" stop where a value has
+    some 2 degrees of freedom left.
+    """
+    recording = request.read()
+    axes: list[dict[str, object]] = []
+    failures: list[DataError] = []
+    for series in recording.series:
+        try:
+            axes.append(_axis(series, taus, estimator=estimator, edf=edf, level=level, spectrum=as_json))
+        except DataError as error:
+            failures.append(error)
+    if not axes:
+        msg = f"{recording.source.path}: no axis of a gyroscope or an accelerometer was found"
+        raise failures[0] if failures else DataError(msg)
+    if as_json:
+        document = {"schema": "imucal/adev/1", "version": __version__, "level": level, "axes": axes}
+        click.echo(json.dumps(document, indent=1, allow_nan=False))
+    else:
+        click.echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
+    for failure in failures:
+        say(f"Error: {failure}")
+    if failures:
+        click.get_current_context().exit(DataError.exit_code)
+
+
+def _axis(
+    series: AxisSeries,
+    taus: str | Sequence[float],
+    *,
+    estimator: str,
+    edf: str,
+    level: float,
+    spectrum: bool,
+) -> dict[str, object]:
+    """Return what is printed of one axis, as JSON values."""
+    from imucal.allan import allan_curve
+    from imucal.allan import spectrum as spectrum_of
+
+    curve = allan_curve(series, taus=taus, estimator=estimator, edf=edf)
+    low, high = curve.confidence_interval(level)
+    axis: dict[str, object] = {
+        "name": series.name,
+        "sensor": str(series.sensor),
+        "axis": series.axis,
+        "unit": series.unit,
+        "samples": curve.n,
+        "rate_hz": series.rate_hz,
+        "estimator": curve.estimator,
+        "computed": curve.computed,
+        "edf_method": curve.edf_method,
+        "curve": {
+            "tau_s": curve.tau.tolist(),
+            "m": curve.m.tolist(),
+            "adev": curve.adev.tolist(),
+            "low": low.tolist(),
+            "high": high.tolist(),
+            "edf": curve.edf.tolist(),
+        },
+    }
+    if spectrum:
+        psd = spectrum_of(series)
+        axis["spectrum"] = {
+            "unit": f"({series.unit})^2/Hz",
+            "sided": "two",
+            "frequency_hz": psd.frequency.tolist(),
+            "psd": psd.psd.tolist(),
+            "count": psd.count.tolist(),
+        }
+    return axis
+
+
+def _lines(axis: dict[str, object]) -> list[str]:
+    """Return the CSV lines of one axis: nine digits, which is more than an interval supports."""
+    curve = axis["curve"]
+    if not isinstance(curve, dict):
+        return []
+    columns = zip(*(curve[key] for key in ("tau_s", "m", "adev", "low", "high", "edf")), strict=True)
+    return [
+        f"{axis['name']},{tau:.12g},{m},{adev:.9g},{low:.9g},{high:.9g},{edf:.6g}"
+        for tau, m, adev, low, high, edf in columns
+    ]

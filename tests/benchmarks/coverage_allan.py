@@ -1,0 +1,166 @@
+"""How often the intervals of an Allan curve hold the truth: prints markdown tables.
+
+    python tests/benchmarks/coverage_allan.py [replications] [edf method]
+
+Every series has n = 4096 samples; the curve is the default one (octaves, m <= n/4). The settings
+of the first table are those the method was built on, those of the second it never saw.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+
+import numpy as np
+
+from imucal.allan import allan_curve
+from imucal.arrays import FloatArray
+from imucal.noise import NoiseModel
+from imucal.recording import AxisSeries
+
+__all__ = ["HELD_OUT", "STANDARD", "N", "Setting", "coverage"]
+
+N = 4096
+LEVELS = (0.68, 0.95)
+
+#: Draws a series; returns it. The truth is a function of the averaging factors.
+Setting = tuple[Callable[[np.random.Generator], FloatArray], Callable[[FloatArray], FloatArray]]
+
+
+def of_model(text: str) -> Setting:
+    """Return the setting of a model at one sample a second."""
+    model = NoiseModel.parse(text)
+    return partial(_draw_model, model), partial(_model_truth, model)
+
+
+def _draw_model(model: NoiseModel, rng: np.random.Generator) -> FloatArray:
+    return model.simulate(N, rate_hz=1.0, rng=rng)
+
+
+def _model_truth(model: NoiseModel, m: FloatArray) -> FloatArray:
+    return model.avar(m, rate_hz=1.0)
+
+
+def filtered(numerator: FloatArray, denominator: FloatArray) -> Setting:
+    """Return the setting of unit white noise behind a digital filter."""
+    return partial(_draw_filtered, numerator, denominator), partial(_filtered_truth, numerator, denominator)
+
+
+def _draw_filtered(numerator: FloatArray, denominator: FloatArray, rng: np.random.Generator) -> FloatArray:
+    from scipy.signal import lfilter
+
+    settled = np.asarray(lfilter(numerator, denominator, rng.standard_normal(N + 2000)))
+    return settled[2000:]
+
+
+def _filtered_truth(numerator: FloatArray, denominator: FloatArray, m: FloatArray) -> FloatArray:
+    """Average the psd times the response of the Allan variance over a fine grid of frequencies."""
+    from scipy.signal import freqz
+
+    omega = np.pi * (np.arange(1 << 18) + 0.5) / (1 << 18)
+    _, gain = freqz(numerator, denominator, worN=omega)
+    psd = np.abs(gain) ** 2
+    return np.array([np.mean(psd * 2 * np.sin(k * omega / 2) ** 4 / (k * np.sin(omega / 2)) ** 2) for k in m])
+
+
+def heavy(draw: Callable[[np.random.Generator], FloatArray]) -> Setting:
+    """Return the setting of independent values of unit variance."""
+    return draw, _white_truth
+
+
+def _white_truth(m: FloatArray) -> FloatArray:
+    return 1 / m
+
+
+def _laplace(rng: np.random.Generator) -> FloatArray:
+    draw: FloatArray = rng.laplace(size=N) / np.sqrt(2)
+    return draw
+
+
+def _student(rng: np.random.Generator) -> FloatArray:
+    draw: FloatArray = rng.standard_t(5, size=N) / np.sqrt(5 / 3)
+    return draw
+
+
+def _butterworth(order: int, corner: float) -> Setting:
+    from scipy.signal import butter
+
+    return filtered(*butter(order, corner))
+
+
+STANDARD: dict[str, Setting] = {
+    "N": of_model("N=1"),
+    "N + K": of_model("N=1 + K=0.03"),
+    "N + B": of_model("N=1 + B=0.2"),
+    "N + GM": of_model("N=1 + GM(sigma=0.3, T=50)"),
+    "Q + N": of_model("Q=2 + N=1"),
+    "K": of_model("K=1"),
+}
+
+HELD_OUT: dict[str, Setting] = {
+    "N + 2*GM": of_model("N=1 + GM(sigma=0.5, T=10) + GM(sigma=0.3, T=300)"),
+    "Q + N + B + K": of_model("Q=2 + N=1 + B=0.2 + K=0.01"),
+    "Butterworth-4, 0.5 Nyquist": _butterworth(4, 0.5),
+    "Butterworth-4, 0.75 Nyquist": _butterworth(4, 0.75),
+    "Butterworth-4, 0.3 Nyquist": _butterworth(4, 0.3),
+    "one pole, 0.2 Nyquist": _butterworth(1, 0.2),
+    "resonance": filtered(np.array([1.0]), np.array([1.0, -1.2, 0.8])),
+    "Laplace": heavy(_laplace),
+    "Student t, 5 dof": heavy(_student),
+    "N + R": of_model("N=1 + R=2e-4"),
+}
+
+
+def coverage(
+    setting: Setting, replications: int, seed: int, *, edf: str = "hybrid", level: float = 0.95
+) -> tuple[FloatArray, FloatArray]:
+    """Return the averaging factors and the share of intervals that hold the truth, each (k,)."""
+    draw, truth = setting
+    rng = np.random.default_rng(seed)
+    true = np.zeros(0)
+    m = np.zeros(0)
+    held = np.zeros(0)
+    for _ in range(replications):
+        curve = allan_curve(AxisSeries.from_samples(draw(rng), rate_hz=1.0), edf=edf)
+        if not m.size:
+            m = curve.m.astype(np.float64)
+            true, held = np.sqrt(truth(m)), np.zeros(m.size)
+        low, high = curve.confidence_interval(level)
+        held += (low <= true) & (true <= high)
+    return m, held / replications
+
+
+def _row(job: tuple[str, str, int, int, str]) -> tuple[str, str, FloatArray, FloatArray]:
+    group, name, replications, seed, edf = job
+    settings = STANDARD if group == "standard" else HELD_OUT
+    m, share = coverage(settings[name], replications, seed, edf=edf)
+    return group, name, m, share
+
+
+def main() -> None:
+    replications = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+    edf = sys.argv[2] if len(sys.argv) > 2 else "hybrid"
+    began = time.perf_counter()
+    groups = {"standard": STANDARD, "held out": HELD_OUT}
+    jobs = [(g, name, replications, 100 + i, edf) for g, s in groups.items() for i, name in enumerate(s)]
+    with ProcessPoolExecutor(2) as pool:
+        rows = list(pool.map(_row, jobs))
+    print(f"Coverage of 95 % intervals, in %; n = {N}, {replications} replications, edf {edf}.")
+    for group in groups:
+        mine = [row for row in rows if row[0] == group]
+        print(f"\n| {group}, m = | " + " | ".join(f"{m:.0f}" for m in mine[0][2]) + " | mean |")
+        print("|---" * (mine[0][2].size + 2) + "|")
+        for _, name, _, share in mine:
+            print(
+                f"| {name} | "
+                + " | ".join(f"{100 * s:.1f}" for s in share)
+                + f" | {100 * share.mean():.1f} |"
+            )
+        every = np.array([share for *_, share in mine])
+        print(f"\n{group}: {100 * every.min():.1f} to {100 * every.max():.1f}, mean {100 * every.mean():.1f}")
+    print(f"\n{time.perf_counter() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
