@@ -11,7 +11,7 @@ width; two bounds can't be told apart.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -81,6 +81,8 @@ class Comparison:
         Relative difference that doesn't count.
     differences
         A row for each term of each axis.
+    notes
+        What else may make the reports differ, in sentences.
     """
 
     a: str
@@ -88,6 +90,7 @@ class Comparison:
     alpha: float
     tolerance: float
     differences: tuple[Difference, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def tested(self) -> int:
@@ -146,7 +149,21 @@ def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0
         alpha=alpha,
         tolerance=tolerance,
         differences=_holm(differences, alpha),
+        notes=tuple(_notes(axes_a, axes_b)),
     )
+
+
+def _notes(a: Mapping[str, AxisReport], b: Mapping[str, AxisReport]) -> Iterator[str]:
+    """Say where the two were not made alike."""
+    both = [(a[name], b[name]) for name in a if name in b]
+    pairs = {
+        "fitted by": {(one.fit.method, other.fit.method) for one, other in both},
+        "sampled at": {(f"{one.rate_hz:.4g} Hz", f"{other.rate_hz:.4g} Hz") for one, other in both},
+    }
+    for what, found in pairs.items():
+        for one, other in sorted(found):
+            if one != other:
+                yield f"A was {what} {one}, B {what} {other}; differences may come from that"
 
 
 def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[Difference]:

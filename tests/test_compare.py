@@ -164,6 +164,16 @@ def test_terms_and_axes_of_one_report_alone_are_named() -> None:
     assert compare(b, a).differences[0].outcome == "only-a"
 
 
+def test_reports_made_otherwise_are_noted() -> None:
+    """Another method or another rate may be the reason of a difference."""
+    a = small_report()
+    b = replace(a, axes=(axis_report(GYRO, "x", "N=1e-3", bounds={"B": 1e-4, "K": 1e-4}, rate_hz=100.0),))
+    assert compare(a, b).notes == (
+        "A was sampled at 200 Hz, B sampled at 100 Hz; differences may come from that",
+    )
+    assert compare(a, a).notes == ()
+
+
 def test_reports_without_a_common_axis_are_refused() -> None:
     """The message lists both."""
     a = small_report()

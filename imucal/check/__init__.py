@@ -1,7 +1,8 @@
 """The gate: a report against limits, by the interval and not by the point."""
 
 from imucal.check.gate import check
-from imucal.check.limits import Baseline, FindingRules, Limit, Limits, parse_limits, read_limits
+from imucal.check.limits import Baseline, FindingRules, Limit, Limits
+from imucal.check.limits_file import parse_limits, read_limits
 from imucal.check.render import github_annotations, junit_xml, to_document
 from imucal.check.verdict import CheckResult, Measured, Row, Verdict
 

@@ -23,6 +23,7 @@ def report_or_log(command: Command) -> Callable[..., Any]:
     for parameter in decorated.__click_params__:  # type: ignore[attr-defined]
         if isinstance(parameter, click.Argument):
             parameter.metavar = "REPORT"
+            parameter.type = click.Path()  # the shell completes it
         elif parameter.name == "strict":
             parameter.help = "Log: Refuse a damaged log."
         elif parameter.name not in ("quiet", "verbose"):

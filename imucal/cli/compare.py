@@ -76,6 +76,8 @@ def command(
         click.echo(_table(result, datasheet=datasheet))
     for name, path in (("A", result.a), ("B", result.b)):
         say(f"{name}: {path}", quiet=quiet)
+    for note in result.notes:
+        say(note, quiet=quiet)
     if result.significant and not no_fail:
         click.get_current_context().exit(1)
 
@@ -90,6 +92,7 @@ def to_document(result: Comparison) -> dict[str, object]:
         "tolerance": result.tolerance,
         "tested": result.tested,
         "significant": len(result.significant),
+        "notes": list(result.notes),
         "differences": [
             {
                 "axis": difference.axis,

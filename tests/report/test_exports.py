@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imucal.errors import DataError, WriteError
+from imucal.findings import Finding
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import BiasInstability, GaussMarkov
 from imucal.recording import Axis, Sensor, Source
@@ -227,6 +228,29 @@ def test_a_topic_can_be_given_or_is_said_to_be_missing() -> None:
     table = replace(_plain_report(), source=Source(path="a.csv", format="csv", topics=("gx", "gy")))
     assert 'rostopic: "/imu0"  # the log names no topic; set yours' in render(table, "kalibr")
     assert 'rostopic: "/my/imu"  # as given' in render(table, "kalibr", topic="/my/imu")
+
+
+def test_sensors_of_two_rates_keep_their_own() -> None:
+    """Discrete numbers use the sensor's own rate; the one rate in a file is the gyroscope's."""
+    fast = tuple(
+        axis_report(GYRO, axis.axis, "N=1e-5 + B=1e-5 + K=1e-7", rate_hz=400.0)
+        for axis in _plain_report().axes[:3]
+    )
+    report = replace(_plain_report(), axes=(*fast, *_plain_report().axes[3:]))
+    data = yaml.safe_load(render(report, "fast-lio"))["mapping"]
+    assert data["gyr_cov"] == pytest.approx(1e-5**2 * 400)
+    assert data["acc_cov"] == pytest.approx(3e-3**2 * 200)
+    text = render(report, "kalibr")
+    assert yaml.safe_load(text)["update_rate"] == 400
+    assert "the rates differ: f is each sensor's own" in text
+    assert "the rates differ" not in render(_plain_report(), "kalibr")
+
+
+def test_a_rate_the_user_gave_is_not_called_measured() -> None:
+    """The finding of the reader decides."""
+    finding = Finding(level="warning", code="rate-given", text="the rate is the one given")
+    text = render(replace(_plain_report(), findings=(finding,)), "kalibr")
+    assert "# gyroscope: f = 200 Hz (given by the user)" in text
 
 
 def test_opencv_files_start_with_their_directive(tmp_path: Path) -> None:

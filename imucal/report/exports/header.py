@@ -59,12 +59,20 @@ def header(
     if bounds:
         level = report.axes[0].fit.level
         lines.append(f"not identified, so the {level:.0%} upper bound is written: {', '.join(bounds)}")
+    if _rates_differ(numbers):
+        lines.append("the rates differ: f is each sensor's own; a single rate in the file is the gyroscope's")
     lines += _left_out(report.axes, carries)
     return lines + _warnings(numbers)
 
 
 def _has(numbers: Numbers, sensor: Sensor) -> bool:
     return any(axis.sensor is sensor for axis in numbers.report.axes)
+
+
+def _rates_differ(numbers: Numbers) -> bool:
+    """Return whether both sensors are there and their rates are more than 0.1 % apart."""
+    rates = [numbers.rate_hz(sensor) for sensor in Sensor if _has(numbers, sensor)]
+    return max(rates) > 1.001 * min(rates)
 
 
 def _sensor_line(numbers: Numbers, sensor: Sensor) -> str:
