@@ -105,27 +105,15 @@ _TIME_SPELLINGS: dict[str, str] = {
     )
 }
 
+
+def _spellings(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
 #: Units of other columns: they show that a text is a unit, no more.
-_OTHER_UNITS = frozenset(
-    (
-        "degc",
-        "c",
-        "degf",
-        "k",
-        "ut",
-        "mt",
-        "nt",
-        "t",
-        "gauss",
-        "mgauss",
-        "ga",
-        "mga",
-        "pa",
-        "hpa",
-        "kpa",
-        "mbar",
-    )
-    + ("v", "mv", "deg", "rad", "m", "m/s", "km/h", "hz", "%", "nounits", "localflux", "n/a", "-")  # noqa: RUF005
+_OTHER_UNITS = _spellings(
+    "degc c degf k ut mt nt t gauss mgauss ga mga pa hpa kpa mbar v mv deg rad m m/s km/h hz % "
+    "nounits localflux n/a -"
 )
 
 

@@ -150,7 +150,7 @@ class BlockReader:
             return None
         nulls = {int(name): table[name].null_count() for name in table.columns}
         empty = np.zeros(table.height, dtype=np.bool_)
-        for place in self.needed if self.needed else self._places:
+        for place in self.needed or self._places:
             if nulls[place]:
                 empty |= table[str(place)].is_null().to_numpy()
         values = {place: self._values(table[str(place)], nulls[place]) for place in self._places}

@@ -71,11 +71,12 @@ def list_columns(headers: Sequence[str], *, most: int = 60) -> str:
 
 def ask(path: str, problem: str, headers: Sequence[str], *, example: str = "t=0,g=1:4,a=4:7") -> ChoiceError:
     """Return the error that shows the columns and a ready text for them."""
-    return ChoiceError(
+    msg = (
         f"{path}: {problem}; found columns: {list_columns(headers)}; "
         f"say which are which by a columns text such as {example} "
         "(places from 0 with the end left out, or three names joined by +)"
     )
+    return ChoiceError(msg)
 
 
 def find_triads(columns: Sequence[Column], path: str, *, units_given: Sequence[Sensor] = ()) -> list[Triad]:
@@ -147,7 +148,8 @@ def _triad(
             f"the axes of the {sensor} carry different units ({shown}), so at least one of them is wrong; "
             f"expected one unit; give the unit of the {sensor}, or correct the header"
         )
-        raise ChoiceError(f"{path}: {problem}; found columns: {list_columns(headers)}")
+        msg = f"{path}: {problem}; found columns: {list_columns(headers)}"
+        raise ChoiceError(msg)
     return Triad(
         sensor=sensor,
         places=(x.place, y.place, z.place),
@@ -194,9 +196,9 @@ def pick(
     found = [triad for triad in triads if triad.sensor is sensor]
     if len(found) <= 1:
         return found[0] if found else None
-    gyros = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE] or [None]
-    accels = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER] or [None]
-    texts = [columns_text(time, gyro, accel) for gyro, accel in product(gyros, accels)]
+    gyros: list[Triad | None] = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE]
+    accels: list[Triad | None] = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER]
+    texts = [columns_text(time, gyro, accel) for gyro, accel in product(gyros or [None], accels or [None])]
     problem = f"{len(found)} sets of {sensor} columns: " + ", ".join(triad.headers[0] for triad in found)
     raise ask(path, problem, headers, example=" or ".join(texts[:4]))
 

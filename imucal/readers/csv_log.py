@@ -1,88 +1,60 @@
-"""Delimited text: CSV, TSV, blanks; plain or compressed; a file, standard input, or an app's zip of files.
+"""Delimited text: CSV, TSV, blanks; plain or compressed; a file, standard input, or an app's set of files.
 
 The head gives the layout, the names of the columns give the sensors, and blocks of rows go through
 polars into columns. In doubt nothing is guessed: the error shows the columns and a text to choose them.
 """
 
-import re
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path, PurePath
-from typing import Any
+from collections.abc import Sequence
+from pathlib import Path
 
-from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
-from imucal.findings import Finding
-from imucal.readers.tabular import SensorColumns, assemble
-from imucal.readers.blocks import BlockReader, Kind, without_start
-from imucal.readers.columns import Rows
+from imucal.errors import ImucalError
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.growing import default_memory_limit
-from imucal.readers.headless import named_columns, propose_columns, rows_of_tag, tagged_layout
-from imucal.readers.layout import Layout, find_layout, split_line
+from imucal.readers.file_sets import is_set, read_set, read_together
 from imucal.readers.options import ReadOptions
-from imucal.readers.plan import SensorPlan, TablePlan, make_plan
-from imucal.readers.text import TextSource, open_text
-from imucal.readers.vectornav import find_vectornav, good_sentences
-from imucal.recording import Recording, Source
+from imucal.readers.text import STANDARD_INPUT, open_text
+from imucal.readers.text_table import plan_of_head, read_table
+from imucal.recording import Recording
 
-__all__ = ["describe", "read"]
+__all__ = ["describe", "read", "read_many"]
 
-_INTEGER = re.compile(r"[+-]?\d{1,20}")
+#: Files up to this size are read to be described: they take less than half a second.
+_SMALL = 64 << 20
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
-    """Read a text table.
+    """Read a text table, or the zip or folder of tables that a phone's app writes.
 
     Raises
     ------
     ChoiceError
-        If columns, units or time are not clear.
+        If files, columns, units or time are not clear.
     ReadError
         If it can't be opened, or is no table.
     DataError
         If it holds no samples.
     """
+    if is_set(path):
+        return read_set(path, options)
     with open_text(path, progress=options.progress) as source:
-        return read_source(source, options)
+        return read_table(source, options)
 
 
-def read_source(source: TextSource, options: ReadOptions, *, name: str = "") -> Recording:
-    """Read the table of an opened text; `name` is the file's own name, which may name the sensor."""
-    text = _lay_out(source.name, source.head, options)
-    layout = text.layout
-    plan = _plan(source.name, layout, options, name or PurePath(source.name).name)
-    groups = _by_rows(plan)
-    readers = [_reader(text, plan, group, options) for group in groups]
-    cut = _read_blocks(source, layout, readers)
-    findings = [*source.findings, *_row_findings(source.name, cut, layout, readers, options)]
-    sensors = []
-    for reader, group in zip(readers, groups, strict=True):
-        values = {place: column.take() for place, column in reader.columns.items()}
-        sensors += [
-            _columns(reader, sensor, values, plan.temperature) for sensor in group if reader.counts.good
-        ]
-    if not sensors:
-        msg = f"{source.name}: the table has no rows of its sensors; expected a row per sample"
-        raise DataError(msg)
-    return assemble(
-        Source(
-            path=source.name,
-            format="csv",
-            topics=tuple(plan.headers[place] for s in plan.sensors for place in s.triad.places),
-            decisions=plan.decisions,
-        ),
-        sensors,
-        options,
-        signature=plan.signature,
-        rate_hz=layout.rate_hz,
-        findings=findings,
-    )
+def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
+    """Read files that hold one sensor each, perhaps with a file of times; None where they are no such files.
+
+    Raises
+    ------
+    ReadError
+        If one of them can't be read.
+    """
+    return read_together(paths, options)
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
     """Return the table a text holds: its columns, units, rate and what it gives."""
-    size = path.stat().st_size if path.is_file() else None
+    if is_set(path):
+        return _described_by_reading(path, options, None, "zip" if path.is_file() else "none")
+    size = path.stat().st_size if str(path) != STANDARD_INPUT and path.is_file() else None
     with open_text(path) as source:
         compression = source.compression
         lines = source.head
@@ -91,11 +63,9 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     return _described_by_head(path, options, size, compression, lines)
 
 
-#: Files up to this size are read to be described: they take less than half a second.
-_SMALL = 64 << 20
-
-
-def _described_by_reading(path: Path, options: ReadOptions, size: int, compression: str) -> LogContents:
+def _described_by_reading(
+    path: Path, options: ReadOptions, size: int | None, compression: str
+) -> LogContents:
     try:
         recording = read(path, options)
     except ImucalError as error:
@@ -134,8 +104,7 @@ def _described_by_head(
     path: Path, options: ReadOptions, size: int | None, compression: str, lines: Sequence[str]
 ) -> LogContents:
     try:
-        layout = _lay_out(str(path), lines, options).layout
-        plan = _plan(str(path), layout, options, path.name)
+        layout, plan = plan_of_head(str(path), lines, options, path.name)
     except ImucalError as error:
         topic = TopicContents(name=path.name, type="table", note=str(error))
     else:
@@ -145,190 +114,4 @@ def _described_by_head(
         topic = TopicContents(name=path.name, type=kind, rate_hz=layout.rate_hz, sensors=sensors, note=note)
     return LogContents(
         path=str(path), format="csv", size_bytes=size, topics=(topic,), compression=compression
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Text:
-    """A text whose layout is known.
-
-    Attributes
-    ----------
-    layout
-        Of its rows.
-    rows
-        The rows to read, where the format is one of tagged rows.
-    prepare
-        Turns a block into rows of plain cells, where the format needs it.
-    lines
-        The head.
-    """
-
-    layout: Layout
-    rows: Rows = None
-    prepare: Callable[[bytes], bytes] | None = None
-    lines: Sequence[str] = ()
-
-
-def _lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> _Text:
-    """Find the layout of a text.
-
-    Raises
-    ------
-    ReadError
-        If it holds no rows of numbers.
-    ChoiceError
-        If its header doesn't fit its rows.
-    """
-    sentences = find_vectornav(lines)
-    if sentences is not None:
-        return _Text(layout=sentences, rows=None, prepare=good_sentences, lines=lines)
-    tagged = tagged_layout(lines)
-    if tagged is not None:
-        return _Text(layout=tagged[0], rows=tagged[1], lines=lines)
-    layout = find_layout(lines)
-    if layout is None:
-        first = next((line.strip() for line in lines if line.strip()), "")
-        msg = (
-            f"{path}: no rows of three numbers or more, the first line is {first[:80]!r}; "
-            "expected a table with a row per sample"
-        )
-        raise ReadError(msg)
-    if layout.mismatch is not None and options.columns is None:
-        msg = (
-            f"{path}: the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
-            f"belongs to a column; found the row {', '.join(layout.rows[0][:40])}; correct the header, or say which "
-            "columns are which by a columns text such as t=0,g=1:4,a=4:7 (places from 0 with the end left out)"
-        )
-        raise ChoiceError(msg)
-    layout = named_columns(layout)
-    if not layout.headers and options.columns is None:
-        shown = ", ".join(f"{place} {cell}" for place, cell in enumerate(layout.rows[0][:40]))
-        msg = (
-            f"{path}: no header names the {layout.width} columns, and an order is not guessed; found the row {shown}; "
-            "expected a header, or a columns text that says which are which, such as "
-            f"{propose_columns(lines, layout)} (places from 0 with the end left out; check which is which)"
-        )
-        raise ChoiceError(msg)
-    return _Text(layout=layout, lines=lines)
-
-
-def _plan(path: str, layout: Layout, options: ReadOptions, name: str) -> TablePlan:
-    headers = layout.headers or ("",) * layout.width
-    return make_plan(
-        path, headers, layout.cells, options, units=layout.units, preamble=layout.preamble, name=name
-    )
-
-
-def _by_rows(plan: TablePlan) -> list[list[SensorPlan]]:
-    """Return the sensors in groups that are read from the same rows."""
-    groups: dict[Rows, list[SensorPlan]] = {}
-    for sensor in plan.sensors:
-        groups.setdefault(sensor.triad.rows, []).append(sensor)
-    return list(groups.values())
-
-
-def _reader(text: _Text, plan: TablePlan, sensors: Sequence[SensorPlan], options: ReadOptions) -> BlockReader:
-    """Return the reader of one group's rows."""
-    rows = sensors[0].triad.rows or text.rows
-    layout = _of_rows(text, rows)
-    kinds: dict[int, Kind] = {}
-    for sensor in sensors:
-        kinds |= dict.fromkeys(sensor.triad.places, "float")
-        for time in (sensor.time, sensor.log_time):
-            if time is not None:
-                kinds |= {
-                    place: _kind(layout.cells(place), text=time.kind == "text") for place in time.places
-                }
-    needed = frozenset(place for place in kinds if all(layout.cells(place)))
-    if plan.temperature is not None and plan.temperature not in kinds:
-        kinds[plan.temperature] = "float"
-    last = layout.width - 1
-    # A row that lacks its last cell was cut, perhaps within a number that stands before it.
-    if all(layout.cells(last)):
-        needed |= {last}
-    limit = (options.memory_limit or default_memory_limit()) // max(1, len(kinds))
-    return BlockReader(
-        layout=layout, kinds=kinds, needed=needed, rows=rows, limit=limit, prepare=text.prepare
-    )
-
-
-def _of_rows(text: _Text, rows: Rows) -> Layout:
-    """Return the layout of some of the rows: tagged rows differ in width."""
-    if rows is None or rows == text.rows:
-        return text.layout
-    lines = rows_of_tag(text.lines[text.layout.start :], text.layout.delimiter, rows)
-    cells = [tuple(split_line(line, text.layout.delimiter)) for line in lines]
-    if not cells:
-        return text.layout
-    width = Counter(len(row) for row in cells).most_common(1)[0][0]
-    same = tuple(row for row in cells if len(row) == width)
-    return replace(text.layout, width=width, rows=same)
-
-
-def _kind(cells: Sequence[str], *, text: bool) -> Kind:
-    if text:
-        return "text"
-    filled = [cell.strip("\"'") for cell in cells if cell]
-    integers = bool(filled) and all(_INTEGER.fullmatch(cell) for cell in filled)
-    return "integer" if integers and all(-(2**63) <= int(cell) < 2**63 for cell in filled) else "float"
-
-
-def _read_blocks(source: TextSource, layout: Layout, readers: Sequence[BlockReader]) -> str:
-    """Read all rows; returns the last line where it may be cut, else an empty text."""
-    cut = ""
-    for block in without_start(source.blocks(), layout.start):
-        whole = block
-        if not block.endswith(b"\n"):
-            end = block.rfind(b"\n") + 1
-            last = block[end:]
-            if last.strip() and not _is_complete(last, layout):
-                cut, whole = last.decode("utf-8", "replace"), block[:end]
-        for reader in readers:
-            reader.add(whole)
-    return cut
-
-
-def _is_complete(line: bytes, layout: Layout) -> bool:
-    """Return whether a line without an end has all its cells, the last one as long as any other."""
-    cells = split_line(line.decode("utf-8", "replace"), layout.delimiter)
-    if len(cells) != layout.width:
-        return False
-    lengths = [len(cell.partition(".")[2]) for cell in layout.cells(layout.width - 1)]
-    point = layout.decimal
-    return point in cells[-1] and len(cells[-1].partition(point)[2]) >= max(lengths, default=0)
-
-
-def _row_findings(
-    path: str, cut: str, layout: Layout, readers: Sequence[BlockReader], options: ReadOptions
-) -> list[Finding]:
-    """Return what was wrong with the rows; refuse a table of which hardly a row can be read."""
-    findings = []
-    good = sum(reader.counts.good for reader in readers)
-    bad = sum(reader.counts.bad for reader in readers)
-    first = next((reader.counts.first_bad for reader in readers if reader.counts.bad), "")
-    if bad:
-        found = f"{bad} of {good + bad} rows are no rows of {layout.width} numbers, the first is {first!r}"
-        if options.strict or bad > good:
-            msg = f"{path}: {found}; expected a table with a row per sample"
-            raise ReadError(msg)
-        text = f"{found}; they were dropped."
-        findings.append(Finding(level="warning", code="bad-rows", text=text))
-    if cut:
-        text = f"The last line has no line end and may be cut ({cut[:60]!r}); it was dropped."
-        findings.append(Finding(level="info", code="cut-line", text=text))
-    return findings
-
-
-def _columns(
-    reader: BlockReader, sensor: SensorPlan, values: dict[int, Any], temperature: int | None
-) -> SensorColumns:
-    x, y, z = (values[place] for place in sensor.triad.places)
-    return SensorColumns(
-        plan=sensor,
-        axes=(x, y, z),
-        time=tuple(values[place] for place in sensor.time.places) if sensor.time else (),
-        log_time=tuple(values[place] for place in sensor.log_time.places) if sensor.log_time else (),
-        temperature=values.get(temperature) if temperature is not None else None,
-        sparse=not set(sensor.triad.places) <= reader.needed,
     )

@@ -85,14 +85,12 @@ class GyroUnit:
 def sample_of(axes: Sequence[FloatArray]) -> FloatArray:
     """Return up to 20 000 rows of a triad, spread over the log, finite ones only; shape (k, 3)."""
     n = min(axis.size for axis in axes)
-    parts = []
     size = _SAMPLE // 4
-    for start in sorted({max(0, min(n - size, k * n // 4)) for k in range(4)}):
-        parts.append(
-            np.stack([np.asarray(axis[start : start + size], dtype=np.float64) for axis in axes], axis=1)
-        )
-    rows = np.concatenate(parts) if parts else np.zeros((0, 3))
-    return rows[np.isfinite(rows).all(axis=1)]
+    starts = sorted({max(0, min(n - size, k * n // 4)) for k in range(4)})
+    rows = np.concatenate(
+        [np.stack([axis[first : first + size] for axis in axes], axis=1) for first in starts]
+    )
+    return np.asarray(rows[np.isfinite(rows).all(axis=1)], dtype=np.float64)
 
 
 def infer_accel_unit(rows: FloatArray) -> AccelUnit:
@@ -137,12 +135,22 @@ def infer_gyro_unit(rows: FloatArray, *, rate_hz: float | None, accel_unit: str 
         return GyroUnit(unit=None, sure=False, reason="there are no finite samples")
     if bool((rows == np.round(rows)).all()) and bool(rows.any()):
         return GyroUnit(unit=None, sure=False, reason="the rates are integer counts of an unknown scale")
+    return _by_step(rows) or _by_size(rows, rate_hz, accel_unit)
+
+
+def _by_step(rows: FloatArray) -> GyroUnit | None:
+    """Return the unit in which the converter's step is a known one."""
     step = _step(rows)
     for unit, factor in (("deg/s", 1.0), ("rad/s", _DEGREE)):
         for known in _STEPS:
             if step is not None and abs(step / (known * factor) - 1) < _STEP_TOLERANCE:
                 reason = f"the rates come in steps of {step:.6g}, a converter's {known:.6g} deg/s"
                 return GyroUnit(unit=unit, sure=True, reason=reason)
+    return None
+
+
+def _by_size(rows: FloatArray, rate_hz: float | None, accel_unit: str | None) -> GyroUnit:
+    """Return rad/s where rate and noise are those of a gyroscope in SI, beside an accelerometer in SI."""
     size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
     if size > _FASTEST_REST:
         reason = f"the median rate {size:.3g} is too fast for rad/s at rest, so deg/s is likely"

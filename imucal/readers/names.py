@@ -67,39 +67,25 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 
 _ATTITUDE = {"roll": 0, "pitch": 1, "yaw": 2}
 
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
 #: Names with one of these hold no raw sample of either sensor.
-_REJECTED = frozenset(
-    (
-        "cov covariance orientation quat quaternion mag magn compass euler bias biases gravity grav free user "
-        "setpoint motor motors motion est estimated delta angle angles attitude position pos pressure baro std "
-        "stddev variance var valid uncertainty clip clipping clipped integral target desired cmd ref reference "
-        "jerk relative calibration status accuracy rms inc heading gps lat lon alt altitude axisp axisi axisd "
-        "axisf debug rc vel velocity rotationvector gt truth"
-    ).split()
+_REJECTED = _words(
+    "cov covariance orientation quat quaternion mag magn compass euler bias biases gravity grav free user "
+    "setpoint motor motors motion est estimated delta angle angles attitude position pos pressure baro std "
+    "stddev variance var valid uncertainty clip clipping clipped integral target desired cmd ref reference "
+    "jerk relative calibration status accuracy rms inc heading gps lat lon alt altitude axisp axisi axisd "
+    "axisf debug rc vel velocity rotationvector gt truth"
 )
 _REJECTED_STARTS = (
-    "quat",
-    "orient",
-    "magn",
-    "euler",
-    "covar",
-    "freeacc",
-    "useracc",
-    "accura",
-    "accum",
-    "deltav",
+    *("quat", "orient", "magn", "euler", "covar", "freeacc", "useracc", "accura", "accum", "deltav"),
 )
 
 _GYRO_STARTS = (
-    "gyr",
-    "angular",
-    "angvel",
-    "angrate",
-    "omega",
-    "rotationrate",
-    "rotrate",
-    "turnrate",
-    "bodyrate",
+    *("gyr", "angular", "angvel", "angrate", "omega", "rotationrate", "rotrate", "turnrate", "bodyrate"),
 )
 _ACCEL_STARTS = ("acc", "linacc", "linearacc", "specificforce")
 
@@ -110,22 +96,18 @@ _GLUED = re.compile(
     r"|(?:(?P<axis2>[xyz])(?P<sensor2>gyr|gyro|gyros|acc|accl|accel|rate|angrate|angvel|mag))"
 )
 
-_VECTOR_WORDS = frozenset("axis dof 3 3dof value values val data raw sensor cal calibrated imu".split())
+_VECTOR_WORDS = _words("axis dof 3 3dof value values val data raw sensor cal calibrated imu")
 
-_TIME_WORDS = frozenset(
-    (
-        "time timestamp stamp t tick ticks uptime epoch epoc elapsed clock sec secs second seconds nsec nsecs "
-        "nanosec nanosecs nanoseconds nanos usec usecs msec msecs millis micros ms us ns tow itow datetime date "
-        "utc ustime mstime nstime ts yyyy"
-    ).split()
+_TIME_WORDS = _words(
+    "time timestamp stamp t tick ticks uptime epoch epoc elapsed clock sec secs second seconds nsec nsecs "
+    "nanosec nanosecs nanoseconds nanos usec usecs msec msecs millis micros ms us ns tow itow datetime date "
+    "utc ustime mstime nstime ts yyyy"
 )
-_NOT_TIME = frozenset(
-    ("dt", "relative", "offset", "flags", "flag", "exposure", "zone", "type", "id", "duration")
+_NOT_TIME = _words("dt relative offset flags flag exposure zone type id duration")
+_COUNTER_WORDS = _words(
+    "counter count packet index idx sample samples n frame seq number no iteration f row line cnt"
 )
-_COUNTER_WORDS = frozenset(
-    "counter count packet index idx sample samples n frame seq number no iteration f row line cnt".split()
-)
-_NOT_COUNTER = frozenset(("id", "type", "rate", "satellites", "sats", "gps"))
+_NOT_COUNTER = _words("id type rate satellites sats gps")
 
 #: Last words of a name -> the unit they spell.
 _UNIT_TAILS: dict[tuple[str, ...], str] = {

@@ -301,7 +301,8 @@ def _refuse_instances(table: _Table, gyro: Triad | None, accel: Triad | None) ->
                 parts += [f"g={gyro.text}@{column.header.strip()}:{cell}"] if gyro else []
                 parts += [f"a={accel.text}@{column.header.strip()}:{cell}"] if accel else []
                 texts.append(",".join(parts))
-            problem = f"rows of {len(cells)} sensors, told apart by column {column.header.strip()} ({', '.join(shown)})"
+            told = f"column {column.header.strip()} ({', '.join(shown)})"
+            problem = f"rows of {len(cells)} sensors, told apart by {told}"
             raise ask(table.path, problem, table.headers, example=" or ".join(texts))
 
 

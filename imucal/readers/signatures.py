@@ -6,6 +6,7 @@ A unit in the header always goes first; these are the makers' own conventions.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 __all__ = ["SIGNATURES", "Signature", "find_signature"]
 
@@ -42,7 +43,7 @@ class Signature:
         return all(any(re.fullmatch(pattern, name) for name in headers) for pattern in self.headers)
 
 
-_SI = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
+_SI: Any = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
 
 #: In the order in which they are tried.
 SIGNATURES: tuple[Signature, ...] = (

@@ -87,7 +87,7 @@ def _rolled(stamps_ns: IntArray, period: int) -> IntArray:
         return stamps_ns
     steps = np.diff(stamps_ns)
     turns = np.concatenate([[0], np.cumsum(steps < -period // 2)])
-    return stamps_ns + turns * period
+    return np.asarray(stamps_ns + turns * period, dtype=np.int64)
 
 
 def unwrapped(counts: IntArray) -> tuple[IntArray, int]:

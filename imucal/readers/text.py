@@ -161,7 +161,7 @@ class TextSource:
                 if even > 10 * odd:
                     return "utf-16-be"
             if zeros > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]:
-                msg = f"{self.name}: binary data, not text; expected a table of numbers, or a format imucal knows"
+                msg = f"{self.name}: binary data, not text; expected a table of numbers, or another format"
                 raise ReadError(msg)
         try:
             codecs.getincrementaldecoder("utf-8")().decode(head)

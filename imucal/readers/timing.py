@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, TypeAlias
 
 from imucal.errors import ChoiceError
@@ -13,7 +14,7 @@ from imucal.readers.stamps import is_text_stamp
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
-__all__ = ["TimeChoice", "choose_times", "time_of_places", "time_of_place"]
+__all__ = ["TimeChoice", "choose_times", "time_of_place", "time_of_places"]
 
 TimeKind: TypeAlias = Literal["stamp", "pair", "week", "text", "counter"]
 
@@ -166,12 +167,13 @@ def _single(column: Column, cells: Sequence[str], signature: Signature | None) -
     filled = [cell.strip("\"'") for cell in cells if cell]
     if not filled:
         return None
+    name = column.header or str(column.place)
     if sum(map(is_number, filled)) < 0.5 * len(filled):
         if sum(map(is_text_stamp, filled)) < 0.5 * len(filled):
             return None
-        return TimeChoice(kind="text", places=(column.place,), name=column.header, ns=1, ns_source="text")
+        return TimeChoice(kind="text", places=(column.place,), name=name, ns=1, ns_source="text")
     ns, source = _unit(column, signature)
-    return TimeChoice(kind="stamp", places=(column.place,), name=column.header, ns=ns, ns_source=source)
+    return TimeChoice(kind="stamp", places=(column.place,), name=name, ns=ns, ns_source=source)
 
 
 def _unit(column: Column, signature: Signature | None) -> tuple[int | None, str]:
@@ -271,6 +273,6 @@ def _counters(columns: Sequence[Column], cells: Cells) -> list[TimeChoice]:
         values = [cell for cell in cells(column.place) if cell]
         if column.role is Role.COUNTER and len(values) > 1 and all(cell.isdigit() for cell in values):
             numbers = [int(cell) for cell in values]
-            if sum(b > a for a, b in zip(numbers, numbers[1:], strict=False)) > 0.5 * len(numbers):
+            if sum(b > a for a, b in pairwise(numbers)) > 0.5 * len(numbers):
                 found.append(TimeChoice(kind="counter", places=(column.place,), name=column.header))
     return found
