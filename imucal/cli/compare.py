@@ -24,7 +24,7 @@ _report = click.Path(exists=True, path_type=Path)
 Examples:
   imucal compare monday-imucal tuesday-imucal
   imucal compare golden-imucal new-imucal --tolerance 0.1
-  imucal compare a-imucal b-imucal --json | jq '.differences[]|select(.outcome=="differs")'
+  imucal compare a-imucal b-imucal --json -q | jq '.differences[].outcome'
 
 \b
 Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,

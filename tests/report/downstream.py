@@ -123,6 +123,7 @@ def _gtsam(path: Path) -> Recovered:
     names["imu_params"]()
     for value in called.values():
         np.testing.assert_array_equal(value, value[0, 0] * np.eye(3))
+    assert called["setIntegrationCovariance"][0, 0] == 1e-8
     keys = (
         "setAccelerometerCovariance",
         "setBiasAccCovariance",

@@ -14,6 +14,9 @@ from imucal.units import G0
 
 __all__ = ["TARGET"]
 
+#: Covariance of the integration itself: GTSAM's own default of 1 would drown the sensor's.
+_INTEGRATION = 1e-8
+
 _FUNCTION = '''
 
 def imu_params(gravity: float = {gravity}) -> gtsam.PreintegrationCombinedParams:
@@ -22,6 +25,7 @@ def imu_params(gravity: float = {gravity}) -> gtsam.PreintegrationCombinedParams
     params = gtsam.PreintegrationCombinedParams.MakeSharedU(gravity)
     params.setAccelerometerCovariance(accelerometerCovariance * identity)
     params.setGyroscopeCovariance(gyroscopeCovariance * identity)
+    params.setIntegrationCovariance(integrationCovariance * identity)
     params.setBiasAccCovariance(biasAccCovariance * identity)
     params.setBiasOmegaCovariance(biasOmegaCovariance * identity)
     return params
@@ -48,6 +52,7 @@ def _render(numbers: Numbers) -> str:
         _assignment("gyroscopeCovariance", values.gyro_n, "(rad/s)^2/Hz"),
         _assignment("biasAccCovariance", values.accel_k, "(m/s^3)^2/Hz"),
         _assignment("biasOmegaCovariance", values.gyro_k, "(rad/s^2)^2/Hz"),
+        f"integrationCovariance = {real(_INTEGRATION)}  # of the integration's rounding, not of the sensor",
         *_correlation_times(numbers),
     ]
     return "\n".join(lines) + "\n" + _FUNCTION.format(gravity=real(G0))
