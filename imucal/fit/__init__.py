@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imucal.allan.curve import AllanCurve
+from imucal.allan import AllanCurve, allan_curve
 from imucal.arrays import FloatArray
 from imucal.fit.result import NoiseFit
 from imucal.noise.model import parse_structure
@@ -105,10 +105,8 @@ def fit(
 
         cleaned, findings = clean_spikes(series)
         if cleaned is not series:
-            series, curve = cleaned, None
+            series, curve = cleaned, _again(cleaned, curve)
     if curve is None:
-        from imucal.allan import allan_curve
-
         curve = allan_curve(series)
     if method != "mle":
         result = _from_curve(
@@ -158,6 +156,14 @@ def _from_curve(
     return fit_gmwm(
         series, curve, structure, level=level, criterion=criterion, weights=weights, max_gm=max_gm
     )
+
+
+def _again(series: AxisSeries, curve: AllanCurve | None) -> AllanCurve | None:
+    """Return a curve of the cleaned samples at the same averaging times, None for None."""
+    if curve is None:
+        return None
+    edf = curve.edf_method or "hybrid"
+    return allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf)
 
 
 def _at_finite(temperature: FloatArray | None, series: AxisSeries) -> FloatArray | None:

@@ -147,7 +147,9 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Bl
             "expected a recording that is mostly unbroken"
         )
         raise DataError(msg)
-    blocks, lines, longest = [], (), 0
+    blocks: list[Block] = []
+    lines: tuple[Line, ...] = ()
+    longest = 0
     for run in runs:
         block = _transform(series, run, scale, temperature)
         kept, found = find_lines(block.ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)

@@ -28,7 +28,6 @@ def choice_findings(choice: Choice, axis: str) -> tuple[Finding, ...]:
     near = near_candidates(choice)
     findings = []
     if len(near) > 1:
-        best = choice.structures[0]
         others = ", ".join(f"{c.structure} (+{c.delta:.1f})" for c in near[1:])
         text = (
             f"The record does not tell {near[0].structure} from {others}: {_difference(choice, len(near))}."
@@ -39,7 +38,7 @@ def choice_findings(choice: Choice, axis: str) -> tuple[Finding, ...]:
                 code="model-choice",
                 axis=axis,
                 text=text,
-                advice="Record for longer, or give the model if it is known." if best else "",
+                advice="Record for longer, or give the model if it is known.",
             )
         )
     if choice.modes[0] < _MODES / 2:
@@ -60,7 +59,7 @@ def _difference(choice: Choice, count: int) -> str:
     """Return which terms are in some of the near models only, in words."""
     sets = [set(structure) for structure in choice.structures[:count]]
     numbers = [structure.count("GM") for structure in choice.structures[:count]]
-    unsure = sorted(set.union(*sets) - set.intersection(*sets))
+    unsure = sorted({s for one in sets for s in one if not all(s in other for other in sets)})
     if not unsure:
         return f"between {min(numbers)} and {max(numbers)} GM terms"
     if len(unsure) == 1:

@@ -181,4 +181,5 @@ class _Search:
         self.theta[rows] = found.theta
         drop = found.objective - self.peak[rows]
         self.better = max(self.better, float(-np.min(drop)))
-        return np.sqrt(2 * np.maximum(drop, 0.0))
+        root: FloatArray = np.sqrt(2 * np.maximum(drop, 0.0))
+        return root

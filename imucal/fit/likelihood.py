@@ -215,14 +215,14 @@ def _regress(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return beta (c, r), its covariance (c, r, r) and the squares it leaves in each bin (c, b)."""
     beta = np.zeros(candidates.regressors.shape)
-    covariance = np.zeros((*beta.shape, beta.shape[1]))
+    number = len(ordinates.names)
+    covariance = np.zeros((candidates.count, number, number))
     rest = np.broadcast_to(ordinates.power, spectrum.shape)
     rows = np.flatnonzero(candidates.regressors.any(axis=1))
     if not rows.size:
         return beta, covariance, rest
     use = candidates.regressors[rows]
     weight = 1 / spectrum[rows]
-    number = len(ordinates.names)
     gram = np.einsum("cb,ijb->cij", weight, ordinates.gram)
     cross = np.einsum("cb,ib->ci", weight, ordinates.cross)
     if ramp is not None:
@@ -233,10 +233,9 @@ def _regress(
         use[held, 0] = False
     gram = np.where(use[:, :, None] & use[:, None, :], gram, 0.0)
     cross = np.where(use, cross, 0.0)
-    diagonal = np.arange(number)
-    gram[:, diagonal, diagonal] = np.where(use, gram[:, diagonal, diagonal], 1.0)
+    gram += np.where(use, 0.0, 1.0)[:, :, None] * np.eye(number)
     gram[~np.isfinite(gram).all(axis=(1, 2))] = np.eye(number)
-    size = np.sqrt(gram[:, diagonal, diagonal])
+    size = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
     both = size[:, :, None] * size[:, None, :]
     inverse = np.linalg.inv(gram / both) / both
     covariance[rows] = np.where(use[:, :, None] & use[:, None, :], inverse, 0.0)

@@ -97,7 +97,8 @@ def _without(found: IntArray, reach: IntArray, size: int) -> NDArray[np.bool_]:
     steps = np.zeros(size + 1, dtype=np.int64)
     np.add.at(steps, np.maximum(found - reach, _LOWEST), 1)
     np.add.at(steps, np.minimum(found + reach + 1, size), -1)
-    return np.cumsum(steps[:size]) == 0
+    free: NDArray[np.bool_] = np.cumsum(steps[:size]) == 0
+    return free
 
 
 def _describe(

@@ -107,7 +107,7 @@ def _conjugate(apply: Callable[[FloatArray], FloatArray], right: FloatArray, uni
     rest = right.copy()
     direction = rest.copy()
     size = rest @ rest
-    goal = (_CLOSE**2) * max(size, right.size / unit)
+    goal = _CLOSE**2 * max(float(size), right.size / unit)
     for _ in range(_STEPS):
         if size <= goal:
             break

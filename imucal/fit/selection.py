@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.arrays import FloatArray
+from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.fit.likelihood import Candidates
 from imucal.fit.ordinates import Ordinates, coarser
@@ -49,7 +49,7 @@ def penalty(criterion: str, count: float) -> float:
     Source: Schwarz (1978), Annals of Statistics 6 (bic); Hannan & Quinn (1979), JRSS B 41 (hq);
     Akaike (1974), IEEE TAC 19 (aic).
     """
-    return {"bic": np.log(count), "hq": 2 * np.log(np.log(count)), "aic": 2.0}[criterion]
+    return float({"bic": np.log(count), "hq": 2 * np.log(np.log(count)), "aic": 2.0}[criterion])
 
 
 def choose(
@@ -96,7 +96,7 @@ def choose(
     if not np.isfinite(rough.objective).any():
         msg = "no candidate has a finite likelihood from its starting values"
         raise DataError(msg)
-    cost = penalty(criterion, ordinates.count) * candidates.parameters
+    cost = penalty(criterion, ordinates.count) * candidates.parameters.astype(np.float64)
     best = np.full(candidates.count, np.inf)
     np.minimum.at(best, owner, 2 * rough.objective)
     value = best + cost
@@ -108,7 +108,7 @@ def choose(
     return _ranked(structures, candidates, fine, owner[index], near, cost)
 
 
-def _distinct(rows: np.typing.NDArray[np.int64], objective: FloatArray) -> list[int]:
+def _distinct(rows: IntArray, objective: FloatArray) -> list[int]:
     """Return the best of a candidate's maxima, and the second where it is another one."""
     order = rows[np.argsort(objective[rows], kind="stable")]
     kept = [int(order[0])]
@@ -123,8 +123,8 @@ def _ranked(
     structures: list[Structure],
     candidates: Candidates,
     fine: Maximum,
-    owner: np.typing.NDArray[np.int64],
-    near: np.typing.NDArray[np.int64],
+    owner: IntArray,
+    near: IntArray,
     cost: FloatArray,
 ) -> Choice:
     best, modes = [], []

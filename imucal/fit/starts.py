@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.fit.gauss_markov import gauss_markov_dct
@@ -66,7 +67,7 @@ def find_starts(
     owner = np.repeat(np.arange(candidates.count), [len(plan) for plan in plans])
     theta = np.empty((owner.size, candidates.width))
     score = np.empty(owner.size)
-    ramped = candidates.regressors.any(axis=1)[owner]
+    ramped: NDArray[np.bool_] = np.any(candidates.regressors, axis=1)[owner]
     for rows, seen in ((~ramped, ordinates), (ramped, ordinates.detrended())):
         if rows.any():
             chosen = [combo for plan in plans for combo in plan]
@@ -91,7 +92,7 @@ def _combinations(count: int) -> list[tuple[int, ...]]:
 
 def _mixtures(
     ordinates: Ordinates,
-    laws: np.typing.NDArray[np.bool_],
+    laws: NDArray[np.bool_],
     combos: list[tuple[int, ...]],
     times: FloatArray,
     candidates: Candidates,
