@@ -4,11 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.arrays import FloatArray
 from imucal.fit.blocks import Block
 from imucal.fit.ordinates import LAWS, Ordinates
 
-__all__ = ["bin_blocks"]
+__all__ = ["bin_blocks", "ordinates_of"]
 
 
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
@@ -63,3 +64,9 @@ def _bin(block: Block, names: tuple[str, ...]) -> dict[str, FloatArray]:
         "cross": cross,
         "gram": gram,
     }
+
+
+def ordinates_of(samples: FloatArray) -> Ordinates:
+    """Return the binned ordinates of unbroken samples as they are, with the ramp as regressor."""
+    bins = dct_bins(samples.size)
+    return bin_blocks([Block(offset=0, bins=bins, ordinates=dct_ordinates(samples))], 1.0)

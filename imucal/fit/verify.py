@@ -9,7 +9,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import GaussMarkov
 from imucal.recording import AxisSeries
 
-__all__ = ["verify_findings"]
+__all__ = ["distances", "verify_findings"]
 
 #: Distance of the two maxima, in standard errors, that is reported as a warning.
 _FAR = 0.5
@@ -22,15 +22,7 @@ def verify_findings(
 
     Slow: some seconds for 1e5 samples. `names` and `covariance`, shape (p, p), are the fit's own.
     """
-    structure = tuple(term.symbol for term in model.terms)
-    exact, _ = fit_exact(series, structure, model)
-    here, there = _values(model), _values(exact)
-    deviation = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    distance = {
-        name: abs(there[name] - here[name]) / deviation[name]
-        for name in here
-        if np.isfinite(deviation[name]) and deviation[name] > 0
-    }
+    distance = distances(series, model, names, covariance)
     worst = max(distance, key=lambda name: distance[name], default="")
     if not worst:
         return ()
@@ -45,6 +37,21 @@ def verify_findings(
             advice="Trust neither alone: look for lines, a filter or a misfit." if far else "",
         ),
     )
+
+
+def distances(
+    series: AxisSeries, model: NoiseModel, names: tuple[str, ...], covariance: FloatArray
+) -> dict[str, float]:
+    """Return how far each parameter is from the exact likelihood's maximum, in standard errors."""
+    structure = tuple(term.symbol for term in model.terms)
+    exact, _ = fit_exact(series, structure, model)
+    here, there = _values(model), _values(exact)
+    deviation = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    return {
+        name: abs(there[name] - here[name]) / deviation[name]
+        for name in here
+        if np.isfinite(deviation[name]) and deviation[name] > 0
+    }
 
 
 def _values(model: NoiseModel) -> dict[str, float]:
