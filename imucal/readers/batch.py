@@ -10,8 +10,8 @@ from imucal.readers.walker import Bytes
 
 __all__ = ["Batch", "Guard", "Loss"]
 
-#: A position from the start of a record, and the eight bytes that every record has there.
-Guard = tuple[int, int]
+#: A position from the start of a record, a NumPy type, and the number that every record has there.
+Guard = tuple[int, str, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.readers.placing import Breaks, find_breaks, find_resets, fit_period
+from imucal.readers.placing import NO_BREAKS, Breaks, Steps, find_breaks, fit_period, look_at_steps
 from imucal.readers.rate import Period, estimate_period
 from imucal.recording import Clock, Segment
 
@@ -141,13 +141,15 @@ def _read(
     notes: list[Finding],
 ) -> ClockReading:
     """Place every sample on the grid, twice: the second time with the rate that the first gave."""
-    resets = find_resets(stamps, period.tau_ns)
+    steps = look_at_steps(stamps, period.tau_ns)
+    resets = steps.resets
     if resets.size > max(1000, stamps.size // _RESETS):
         msg = f"the stamps ({source}) go back {resets.size} times in {stamps.size} samples; expected a clock"
         raise DataError(msg)
     edges = [0, *resets.tolist(), stamps.size]
-    for _ in range(2):
-        breaks = _all_breaks(stamps, edges, period)
+    breaks = NO_BREAKS
+    for _ in range(1 if steps.even else 2):
+        breaks = breaks if steps.even else _all_breaks(stamps, edges, period)
         starts = np.unique(np.concatenate([[0], breaks.at, breaks.doubled, resets]))
         tau, jitter = fit_period(stamps, starts, period.tau_ns)
         if not 0.5 < tau / period.tau_ns < 2:
@@ -156,7 +158,7 @@ def _read(
     missing, jumps = _believable(
         stamps, log_ns if source != LOG_TIME else None, breaks, resets, period.tau_ns
     )
-    notes += _notes(stamps, breaks, period)
+    notes += _notes(steps, stamps.size, breaks, period)
     notes += _jump_notes(stamps, jumps)
     keep = np.ones(stamps.size, dtype=np.bool_)
     keep[breaks.doubled] = False
@@ -242,12 +244,10 @@ def _repeated_note(count: int, n: int) -> Finding:
     return Finding(level="warning", code="duplicate-stamps", text=text)
 
 
-def _notes(stamps: IntArray, breaks: Breaks, period: Period) -> list[Finding]:
+def _notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
     """Return what the stamps show apart from gaps and jumps."""
     notes = []
-    steps = np.diff(stamps)
-    same, back = int(np.count_nonzero(steps == 0)), int(np.count_nonzero(steps < 0))
-    tau = period.tau_ns
+    same, back, tau = steps.same, steps.back, period.tau_ns
     if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
         text = (
             f"Stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling period of "
@@ -266,16 +266,16 @@ def _notes(stamps: IntArray, breaks: Breaks, period: Period) -> list[Finding]:
             if breaks.doubled.size
             else "all are kept"
         )
-        text = f"{same} of {stamps.size} samples carry the stamp of the one before; {fate}."
+        text = f"{same} of {n} samples carry the stamp of the one before; {fate}."
         notes.append(Finding(level="warning", code="duplicate-stamps", text=text))
     elif breaks.doubled.size:
         text = (
-            f"{breaks.doubled.size} of {stamps.size} samples are one too many for the clock and are dropped."
+            f"{breaks.doubled.size} of {n} samples are one too many for the clock and are dropped."
         )
         notes.append(Finding(level="warning", code="extra-samples", text=text))
     if back:
         text = (
-            f"{back} of {stamps.size} stamps are earlier than the one before; samples keep the log's order."
+            f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
         )
         notes.append(Finding(level="info", code="stamps-out-of-order", text=text))
     return notes

@@ -34,9 +34,10 @@ class _Template:
 
     Attributes
     ----------
-    guards, lengths
-        Eight-byte words of the record's head, and length words (position, type, value), all from the start
-        of the record, that every record must repeat.
+    guards
+        Those of the batch it was learnt from.
+    words
+        The guards, the encapsulation and the lengths of strings, which every record must repeat.
     head
         Bytes at the start of a record that hold them and the stamp.
     places
@@ -46,7 +47,7 @@ class _Template:
     """
 
     guards: tuple[Guard, ...]
-    words: tuple[tuple[int, str, int], ...]
+    words: tuple[Guard, ...]
     head: int
     places: dict[str, Place]
     end: int
@@ -77,8 +78,6 @@ class BinaryDecoder:
         def word(at: int, dtype: str) -> NDArray[np.int64]:
             return np.ndarray((n,), dtype, buffer=head, offset=at, strides=(template.head,))
 
-        if not all(bool((word(at, "<u8") == value).all()) for at, value in template.guards):
-            return False
         if not all(bool((word(at, dtype) == value).all()) for at, dtype, value in template.words):
             return False
         part = slice(first, first + n)
@@ -105,7 +104,7 @@ class BinaryDecoder:
             return None
         start = batch.starts[:1]
         skip, layout = batch.header, _ROS1
-        words: list[tuple[int, str, int]] = []
+        words = list(batch.guards)
         if not self.ros1:
             code = bytes(gather(batch.buffer, start + batch.header, 2))
             known = _ENCAPSULATIONS.get(int.from_bytes(code, "big"))
@@ -119,7 +118,7 @@ class BinaryDecoder:
         if skip + _fixed(found.end) > batch.header + batch.sizes:
             return None
         places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
-        ends = [at + 8 for at, _ in batch.guards] + [at + 4 for at, _, _ in words]
+        ends = [at + np.dtype(dtype).itemsize for at, dtype, _ in words]
         head = max([*ends, (batch.log_at or 0) + 8])
         end = batch.header + batch.sizes
         if head > min(_HEAD, end):

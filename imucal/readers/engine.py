@@ -21,6 +21,8 @@ __all__ = ["Decoder", "Decoding", "Stream", "decode"]
 
 #: More threads gain nothing: the interpreter's lock is held in between.
 _MAX_THREADS = 4
+#: Logs of more messages have chunks enough to make up for preparing the allocator.
+_LARGE = 50_000
 #: Losses kept word by word; the rest is counted.
 _MAX_LOSSES = 1000
 
@@ -128,7 +130,8 @@ class _Run:
         return job
 
     def go(self) -> list[Decoding]:
-        keep_freed_memory()
+        if sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
+            keep_freed_memory()
         threads = min(_MAX_THREADS, os.cpu_count() or 1, len(self.jobs)) if self.parallel else 1
         if threads > 1:
             self._in_threads(threads)

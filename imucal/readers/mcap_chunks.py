@@ -77,7 +77,7 @@ class ChunkTask:
         if opcode != records.MESSAGE or length < _MESSAGE - 9:
             return check()
         head = _RECORD.pack(records.MESSAGE, length, key)
-        guards = ((0, int.from_bytes(head[:8], "little")), (3, int.from_bytes(head[3:], "little")))
+        first_word, last_word = (int.from_bytes(part, "little") for part in (head[:8], head[3:]))
         return Batch(
             buffer=raw,
             starts=starts,
@@ -85,7 +85,7 @@ class ChunkTask:
             sizes=length - (_MESSAGE - 9),
             log_ns=starts[:0],
             log_at=15,
-            guards=guards,
+            guards=((0, "<u8", first_word), (3, "<u8", last_word)),
             check=check,
         )
 

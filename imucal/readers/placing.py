@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray
 from imucal.readers.rate import Period
 
-__all__ = ["Breaks", "find_breaks", "find_resets", "fit_period"]
+__all__ = ["NO_BREAKS", "Breaks", "Steps", "find_breaks", "fit_period", "look_at_steps"]
 
-_BLOCK = 1 << 20
+#: Samples worked on at once: what fits the processor's cache.
+_BLOCK = 1 << 16
 #: Samples that may catch up after a pause, at most.
 _REACH = 1 << 13
 #: Samples before and after a step that say where the clock stood.
@@ -41,24 +42,56 @@ class Breaks:
     doubled: IntArray
 
 
-def find_resets(stamps: IntArray, tau: float) -> IntArray:
-    """Return the samples at which the clock went back for good, shape (r,).
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Steps:
+    """What the steps from stamp to stamp show.
 
-    A single stamp out of order is none: the median of five after it is not below that of five before.
+    Attributes
+    ----------
+    same, back
+        Number of stamps equal to, and earlier than, the one before.
+    resets
+        Samples at which the clock went back for good, shape (r,).
+    even
+        Whether every step is between half a period and one and a half.
+    """
+
+    same: int
+    back: int
+    resets: IntArray
+    even: bool
+
+
+def look_at_steps(stamps: IntArray, tau: float) -> Steps:
+    """Look once at all steps of stamps in ns, shape (n,).
+
+    A single stamp out of order is no reset: the median of five after it is not below that of five before.
     """
     found = []
-    n = stamps.size
-    near = np.arange(5)
-    for start in range(0, n - 1, _BLOCK):
+    same = back = 0
+    even = True
+    for start in range(0, stamps.size - 1, _BLOCK):
         steps = np.diff(stamps[start : start + _BLOCK + 1])
-        at = np.flatnonzero(steps < -0.5 * tau) + start + 1
-        if at.size:
-            before = np.median(
-                stamps[np.maximum(at[:, None] - 5 + near, 0)] - stamps[at - 1][:, None], axis=1
-            )
-            after = np.median(stamps[np.minimum(at[:, None] + near, n - 1)] - stamps[at - 1][:, None], axis=1)
-            found.append(at[after < before])
-    return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+        low, high = int(steps.min()), int(steps.max())
+        even = even and 0.5 * tau <= low and high <= 1.5 * tau
+        if low > 0:
+            continue
+        same += int(np.count_nonzero(steps == 0))
+        back += int(np.count_nonzero(steps < 0))
+        if low < -0.5 * tau:
+            found.append(_resets(stamps, np.flatnonzero(steps < -0.5 * tau) + start + 1))
+    resets = np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+    return Steps(same=same, back=back, resets=resets, even=even)
+
+
+def _resets(stamps: IntArray, at: IntArray) -> IntArray:
+    """Return those of the samples `at` from which on the clock stays behind."""
+    near = np.arange(5)
+    base = stamps[at - 1][:, None]
+    before = np.median(stamps[np.maximum(at[:, None] - 5 + near, 0)] - base, axis=1)
+    after = np.median(stamps[np.minimum(at[:, None] + near, stamps.size - 1)] - base, axis=1)
+    chosen: IntArray = at[after < before]
+    return chosen
 
 
 def find_breaks(stamps: IntArray, period: Period) -> Breaks:
@@ -66,7 +99,7 @@ def find_breaks(stamps: IntArray, period: Period) -> Breaks:
     spread = (period.burst - 1) if period.burst > 1 else min(3 * period.jitter, 0.3)
     near = min(max(_NEAR, 2 * period.burst), _REACH)
     at, missing, doubled = [], [], []
-    for first, block, inner in _blocks(stamps, near):
+    for first, block, inner in _blocks(stamps, period.tau_ns):
         lifts, counts, extra = _breaks(block, inner, period, near, spread)
         at.append(lifts + first)
         missing.append(counts)
@@ -77,6 +110,12 @@ def find_breaks(stamps: IntArray, period: Period) -> Breaks:
         missing=np.concatenate(missing or empty),
         doubled=np.concatenate(doubled or empty),
     )
+
+
+#: Nothing is missing.
+NO_BREAKS = Breaks(
+    at=np.zeros(0, dtype=np.int64), missing=np.zeros(0, dtype=np.int64), doubled=np.zeros(0, dtype=np.int64)
+)
 
 
 def fit_period(stamps: IntArray, starts: IntArray, tau: float) -> tuple[float, float]:
@@ -105,9 +144,9 @@ def fit_period(stamps: IntArray, starts: IntArray, tau: float) -> tuple[float, f
         _center(place, edges, sizes)
         _center(late, edges, sizes)
         _drop_outliers(place, late)
-        moment += float(place @ late)
-        weight += float(place @ place)
-        square += float(late @ late)
+        moment += _dot(place, late)
+        weight += _dot(place, place)
+        square += _dot(late, late)
         count += block.size - edges.size
     if weight == 0 or count < 1:
         return tau, 0.0
@@ -115,11 +154,16 @@ def fit_period(stamps: IntArray, starts: IntArray, tau: float) -> tuple[float, f
     return tau + slope, float(np.sqrt(max(square - slope * moment, 0.0) / max(count, 1)))
 
 
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    """Return the scalar product, without the threads that BLAS would start for it."""
+    return float(np.einsum("i,i", a, b))
+
+
 def _drop_outliers(place: FloatArray, late: FloatArray) -> None:
     """Give stamps that are far off no weight, in place: a broken stamp is not late, it is wrong."""
-    size = np.abs(late)
-    far = size > 20 * np.percentile(size[:: max(size.size // 2000, 1)], 90) + 1
-    if far.any():
+    limit = 20 * float(np.percentile(np.abs(late[:: max(late.size // 1000, 1)]), 90)) + 1
+    if max(float(late.max()), -float(late.min())) > limit:
+        far = np.abs(late) > limit
         place[far] = late[far] = 0.0
 
 
@@ -131,11 +175,14 @@ def _center(values: FloatArray, edges: IntArray, sizes: IntArray) -> None:
         values -= np.repeat(np.add.reduceat(values, edges) / sizes, sizes)
 
 
-def _blocks(stamps: IntArray, near: int) -> Iterator[tuple[int, IntArray, slice]]:
-    """Yield the first sample, the stamps with what surrounds them, and the part that is the block's own."""
+def _blocks(stamps: IntArray, tau: float) -> Iterator[tuple[int, IntArray, slice]]:
+    """Yield each block with odd steps: where it begins, its stamps and those around, and its own part."""
     n = stamps.size
     for start in range(0, n, _BLOCK):
-        first, last = max(start - near - 1, 0), min(start + _BLOCK + _REACH, n)
+        steps = np.diff(stamps[max(start - 1, 0) : start + _BLOCK])
+        if not steps.size or (steps.min() >= 0.5 * tau and steps.max() <= 1.5 * tau):
+            continue
+        first, last = max(start - _REACH, 0), min(start + _BLOCK + _REACH, n)
         yield first, stamps[first:last], slice(start - first, min(start + _BLOCK, n) - first)
 
 

@@ -14,7 +14,7 @@ from imucal.arrays import FloatArray, IntArray
 __all__ = ["Period", "estimate_period", "resolution"]
 
 #: Blocks of neighbouring samples looked at, and samples in each; all samples where there are fewer.
-_BLOCKS = 96
+_BLOCKS = 24
 _BLOCK = 4096
 
 #: Relative difference of two slopes that counts as the same.

@@ -47,7 +47,7 @@ class BagChunkTask:
     def __init__(self, file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> None:
         self._file = file
         self._chunk = chunk
-        self.size = chunk.size
+        self.position, self.size = chunk.start, chunk.size
         # An index entry has 12 bytes: a count beyond them is not believed.
         most = chunk.size // 12 if chunk.indexed else chunk.size
         self.counts = {key: min(n, most) for key, n in chunk.counts.items() if key in keys and n}
@@ -165,16 +165,15 @@ def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
 
 
 def _guards(head: bytes) -> tuple[Guard, ...] | None:
-    """Return the eight-byte words that cover a header, its lengths too, except the value of its time."""
+    """Return the words that cover a header, its lengths too, except the value of its time."""
     at = head.find(b"time=") + 5
     if at < 5:
         return None
-    words = []
+    words: list[Guard] = []
     for first, last in ((0, at), (at + 8, len(head))):
-        if 0 < last - first < 8:
-            return None
-        places = [*range(first, last - 7, 8), last - 8] if last > first else []
-        words += [(place, int.from_bytes(head[place : place + 8], "little")) for place in places]
+        size = next((size for size in (8, 4, 2, 1) if size <= last - first), 1)
+        places = [*range(first, last - size + 1, size), last - size] if last > first else []
+        words += [(p, f"<u{size}", int.from_bytes(head[p : p + size], "little")) for p in dict.fromkeys(places)]
     return tuple(words)
 
 
