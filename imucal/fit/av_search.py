@@ -5,6 +5,7 @@ least-squares problem, which has one solution and needs no start. Correlation ti
 a grid that covers the curve and refined from its best places. The result is the same every time.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -18,7 +19,7 @@ __all__ = ["Solution", "Weight", "minimise", "non_negative", "time_grid"]
 #: Correlation times a decade in the grid.
 _PER_DECADE = 5
 #: Places of the grid from which a search is refined.
-_STARTS = 4
+_STARTS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,7 +102,8 @@ def minimise(
     count
         Number of Gauss-Markov terms.
     near
-        Correlation times to refine besides those of the grid, shape (count,).
+        Correlation times of a minimum with another weight, shape (count,): they and the best place
+        of the grid are refined then, instead of the best few.
     """
     target = weight.whiten @ avar
     fixed = weight.whiten @ columns(m, laws, np.zeros(0))
@@ -112,21 +114,18 @@ def minimise(
     varied = weight.whiten @ columns(m, "", grid)
     starts = _best_of_grid(fixed, varied, target, grid, count)
     if near is not None:
-        starts.append(near)
+        starts = [near, starts[0]]
 
-    def cost(logs: FloatArray) -> float:
-        if np.any(logs < np.log(grid[0]) - 1) or np.any(logs > np.log(grid[-1]) + 1):
-            return float("inf")
-        return non_negative(np.hstack([fixed, _whitened(weight, m, logs)]), target)[1]
+    bounds = (np.log(grid[0]) - 1, np.log(grid[-1]) + 1)
 
-    logs = min((_refined(cost, np.log(start)) for start in starts), key=cost)
-    logs = np.sort(logs)
-    variances, objective = non_negative(np.hstack([fixed, _whitened(weight, m, logs)]), target)
-    return Solution(laws=laws, times=np.exp(logs), variances=variances, objective=objective)
+    def residuals(logs: FloatArray) -> FloatArray:
+        matrix = np.hstack([fixed, weight.whiten @ columns(m, "", np.exp(logs))])
+        return np.asarray(target - matrix @ non_negative(matrix, target)[0])
 
-
-def _whitened(weight: Weight, m: IntArray, logs: FloatArray) -> FloatArray:
-    return np.asarray(weight.whiten @ columns(m, "", np.exp(logs)))
+    found = [_refined(residuals, np.log(start), bounds) for start in starts]
+    times = np.sort(np.exp(min(found, key=lambda pair: pair[1])[0]))
+    variances, objective = non_negative(np.hstack([fixed, weight.whiten @ columns(m, "", times)]), target)
+    return Solution(laws=laws, times=times, variances=variances, objective=objective)
 
 
 def non_negative(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, float]:
@@ -148,11 +147,16 @@ def _best_of_grid(
     return [grid[list(places[index])] for index in order]
 
 
-def _refined(cost: object, start: FloatArray) -> FloatArray:
-    """Return the minimum near `start`, without derivatives: the cost has kinks where a term ends."""
-    from scipy.optimize import minimize
+def _refined(
+    residuals: Callable[[FloatArray], FloatArray], start: FloatArray, bounds: tuple[float, float]
+) -> tuple[FloatArray, float]:
+    """Return the minimum near `start` and its sum of squares, by Gauss-Newton steps.
 
-    simplex = np.vstack([start, start + 0.2 * np.eye(start.size)])
-    options = {"xatol": 1e-7, "fatol": 1e-10, "initial_simplex": simplex, "maxiter": 400 * start.size}
-    found = minimize(cost, start, method="Nelder-Mead", options=options)  # type: ignore[call-overload]
-    return np.asarray(found.x, dtype=np.float64)
+    Source: Golub & Pereyra (1973), SIAM J. Numer. Anal. 10, 413: the linear parameters are
+    eliminated from the residuals.
+    """
+    from scipy.optimize import least_squares
+
+    inside = np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6)
+    found = least_squares(residuals, inside, bounds=bounds, xtol=1e-8, ftol=1e-12, gtol=1e-12)
+    return np.asarray(found.x, dtype=np.float64), 2 * float(found.cost)

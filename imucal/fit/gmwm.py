@@ -10,7 +10,7 @@ Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-ba
 composite stochastic processes", JASA 108, 1021; the full covariance: `imucal.fit.av_covariance`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,12 +18,13 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
+from imucal.fit.av_band import MISFIT, Fitted, Search, best_band, ranked
 from imucal.fit.av_estimates import curve_estimates, model_of
 from imucal.fit.av_goodness import goodness
 from imucal.fit.av_intervals import CurveSpread
 from imucal.fit.av_points import AvarPoints, avar_points
-from imucal.fit.av_search import Solution, Weight, minimise
-from imucal.fit.av_select import choose, dictionary
+from imucal.fit.av_search import Solution, Weight
+from imucal.fit.av_select import dictionary
 from imucal.fit.result import Candidate, Goodness, NoiseFit
 from imucal.noise.model import structure_text
 from imucal.noise.terms import TERMS
@@ -31,12 +32,6 @@ from imucal.recording import AxisSeries
 
 __all__ = ["fit_gmwm"]
 
-#: A misfit above so many standard deviations means that the model does not describe the curve.
-_MISFIT = 3.0
-#: A misfit of all averaging times above this makes the fit look whether the shortest are to blame.
-_FILTERED = 5.0
-#: The weight is computed anew at most so often; three are enough in practice.
-_STEPS = 8
 #: Models within so much of the best criterion are reported.
 _REPORTED = 6.0
 
@@ -86,21 +81,18 @@ def fit_gmwm(
         _require_points(series, points, structure)
     eta3 = Weight.of_deviations(_eta3_widths(points))
     if weights == "eta3":
-        kept, weight, ranking = points, eta3, _ranking(points, eta3, structure, criterion, max_gm)
-        solution = ranking[0][1]
+        ranking = ranked(points, eta3, structure, criterion, max_gm)
+        kept, fitted = points, Fitted(ranking, ranking[0][1], eta3, 0.0)
     else:
         rough = dictionary(points, eta3)
         spread = CurveSpread.of_terms(points, rough.laws, rough.times)
-        search = _Search(spread, rough, structure, criterion, max_gm)
-        kept, ranking, solution, weight = _best_band(points, search)
+        kept, fitted = best_band(points, Search(spread, rough, structure, criterion, max_gm))
     return _result(
         series,
         curve,
         points=kept,
         dropped=points.size - kept.size,
-        ranking=ranking,
-        solution=solution,
-        weight=weight,
+        fitted=fitted,
         level=level,
         criterion=criterion if structure is None else "given",
         weights=weights,
@@ -131,116 +123,19 @@ def _eta3_widths(points: AvarPoints) -> FloatArray:
     return np.asarray(width, dtype=np.float64)
 
 
-def _ranking(
-    points: AvarPoints, weight: Weight, structure: tuple[str, ...] | None, criterion: str, max_gm: int
-) -> list[tuple[float, Solution]]:
-    """Return the models in reach, the best first; the one model where it is given."""
-    if structure is None:
-        return choose(points, weight, criterion=criterion, max_gm=max_gm)
-    laws, count = _laws(structure)
-    return [(0.0, minimise(points.m, points.avar, weight, laws, count))]
-
-
-def _laws(structure: tuple[str, ...]) -> tuple[str, int]:
-    return "".join(symbol for symbol in structure if symbol != "GM"), structure.count("GM")
-
-
-@dataclass(frozen=True, slots=True)
-class _Search:
-    """Finds the models in reach, with the covariance that a rough fit gives."""
-
-    spread: CurveSpread
-    rough: Solution
-    structure: tuple[str, ...] | None
-    criterion: str
-    max_gm: int
-
-    def ranking(self, points: AvarPoints) -> tuple[list[tuple[float, Solution]], Weight, float]:
-        """Return the models of the last `points`, their weight and the least misfit."""
-        first = self.spread.points.size - points.size
-        covariance = self.spread.within(first).at(self.rough.variances)
-        weight = Weight.of_covariance(covariance)
-        ranking = _ranking(points, weight, self.structure, self.criterion, self.max_gm)
-        misfit = min(goodness(points, solution, covariance).statistic for _, solution in ranking)
-        return ranking, weight, misfit
-
-
-def _best_band(
-    points: AvarPoints, search: _Search
-) -> tuple[AvarPoints, list[tuple[float, Solution]], Solution, Weight]:
-    """Return the longest run of points, up to the last, that a model describes, and the models.
-
-    An output filter bends the curve at its first averaging times only; without those it is as good
-    as ever. All points stay where the misfit is small or leaving out points does not cure it.
-    """
-    ranking, weight, _ = search.ranking(points)
-    whole = _described(points, ranking, weight)
-    least = 6 if search.structure is None else len(search.structure) + search.structure.count("GM") + 3
-    if whole.misfit >= _FILTERED:
-        for first in range(1, points.size - least + 1):
-            kept = points.within(first)
-            ranking, weight, misfit = search.ranking(kept)
-            if misfit < _MISFIT:
-                part = _described(kept, ranking, weight)
-                return kept, part.ranking, part.solution, part.weight
-    return points, whole.ranking, whole.solution, whole.weight
-
-
-@dataclass(frozen=True, slots=True)
-class _Fitted:
-    ranking: list[tuple[float, Solution]]
-    solution: Solution
-    weight: Weight
-    misfit: float
-
-
-def _described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight: Weight) -> _Fitted:
-    """Return the first of the models that describes the curve with its own weight; else the first.
-
-    The criterion ranks all models with one weight, under which a model that lacks a small term may
-    win; with its own weight it then shows a misfit that the next one does not have.
-    """
-    fits: list[_Fitted] = []
-    for place, (delta, start) in enumerate(ranking):
-        solution, own, covariance = _converged(points, start, weight)
-        misfit = goodness(points, solution, covariance).statistic
-        rest = [(d - delta, s) for d, s in ranking[place:]]
-        fits.append(_Fitted(rest, solution, own, misfit))
-        if not misfit >= _MISFIT:
-            return fits[-1]
-    return fits[0]
-
-
-def _converged(points: AvarPoints, solution: Solution, weight: Weight) -> tuple[Solution, Weight, FloatArray]:
-    """Return the minimum with the weight of the model itself, that weight, and the covariance."""
-    spread = CurveSpread.of_terms(points, solution.laws, solution.times)
-    for _ in range(_STEPS):
-        if np.any(np.abs(np.log(solution.times / spread.times)) > 0.05):
-            spread = CurveSpread.of_terms(points, solution.laws, solution.times)
-        weight = Weight.of_covariance(spread.at(solution.variances))
-        before = solution
-        solution = minimise(
-            points.m, points.avar, weight, solution.laws, solution.times.size, near=solution.times
-        )
-        if np.allclose(solution.variances, before.variances, rtol=1e-3, atol=1e-12 * points.avar.max()):
-            break
-    return solution, weight, spread.at(solution.variances)
-
-
 def _result(
     series: AxisSeries | None,
     curve: AllanCurve,
     *,
     points: AvarPoints,
     dropped: int,
-    ranking: list[tuple[float, Solution]],
-    solution: Solution,
-    weight: Weight,
+    fitted: Fitted,
     level: float,
     criterion: str,
     weights: str,
 ) -> NoiseFit:
-    found = curve_estimates(points, solution, weight, level=level)
+    solution = fitted.solution
+    found = curve_estimates(points, solution, fitted.weight, level=level)
     fit = goodness(points, solution, found.curve_covariance)
     return NoiseFit(
         method="gmwm",
@@ -254,7 +149,7 @@ def _result(
         goodness=fit,
         curve=_with_edf(curve, points, solution, found.curve_covariance),
         used=points.used,
-        candidates=_candidates(ranking),
+        candidates=_candidates(fitted.ranking),
         criterion=criterion,
         findings=_findings(series, points, fit, dropped, _text(solution)),
         settings={"weights": weights},
@@ -309,7 +204,7 @@ def _findings(
                 "the curve was fitted from there.",
             )
         )
-    if fit.statistic >= _MISFIT:
+    if fit.statistic >= MISFIT:
         findings.append(
             Finding(
                 level="warning",

@@ -199,7 +199,7 @@ def profile(
     size: FloatArray = np.zeros(0)
     square = float(gram[0, 0])
     if fixed.size:
-        size = np.linalg.solve(fixed, gram[1:, 0])
+        size = np.asarray(np.linalg.solve(fixed, gram[1:, 0]), dtype=np.float64)
         square -= float(gram[0, 1:] @ size)
     if not system.level_is_state:
         log_det += math.log(fixed[-1, -1])

@@ -1,0 +1,173 @@
+"""Spikes and rounding: what makes the noise of a log look larger than the sensor's.
+
+A spike of any size spoils an Allan variance at every averaging time whose windows hold it, so
+robust averages per averaging time break down; cleaning the samples does not. Spikes are found
+against a baseline that follows the slow parts, and replaced by baseline plus noise.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray
+from imucal.findings import Finding
+from imucal.recording import AxisSeries
+from imucal.units import pretty
+
+__all__ = ["clean", "resolution_effect", "spikes", "step_size"]
+
+#: Samples in a block, whose median is a point of the baseline.
+_BLOCK = 100
+#: A sample this many standard deviations from the baseline may be a spike.
+_LEAST_DISTANCE = 5.0
+#: Expected number of samples of Gaussian noise that are taken for spikes, in a whole series.
+_FALSE_ALARMS = 0.01
+#: Standard deviation of Gaussian noise, over its median absolute deviation.
+_DEVIATION = 1.4826
+#: Above this share of spikes the noise itself is in doubt.
+_MANY = 0.01
+#: Rounding is reported where it adds more than this share to N².
+_NOTABLE = 0.02
+
+
+def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
+    """Return the series with its spikes replaced, and how many there were.
+
+    The very same series is returned where there are none. Noise that replaces spikes is drawn from
+    a fixed seed, so that the same log gives the same result.
+    """
+    spike, baseline, deviation = _detect(series.samples)
+    count = int(spike.sum())
+    if not count:
+        return series, ()
+    samples = series.samples.copy()
+    noise = np.random.default_rng(952).standard_normal(count)
+    samples[spike] = baseline[spike] + deviation * noise
+    return replace(series, samples=samples), (_finding(series, spike, baseline, deviation),)
+
+
+def spikes(series: AxisSeries) -> NDArray[np.bool_]:
+    """Return which samples are spikes, shape (n,).
+
+    Notes
+    -----
+    The baseline runs straight between the medians of blocks of 100 samples. A spike lies further
+    from it than 5 standard deviations (1.4826 median absolute deviations), or as far as a hundred
+    records of Gaussian noise of this length hold once. O(n).
+
+    Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
+    """
+    return _detect(series.samples)[0]
+
+
+def step_size(samples: FloatArray) -> float | None:
+    """Return the step between the values that samples take; None where they aren't on a grid.
+
+    Raises nothing: constant or empty samples have no step.
+    """
+    values = np.unique(samples[:200_000])
+    if not 2 < values.size <= samples[:200_000].size / 4:
+        return None
+    gaps = np.diff(values)
+    step = float(gaps.min())
+    # Single-precision stamps of a grid: the steps are equal to some 1e-7 of the values.
+    rounding = 4 * float(np.abs(values).max()) * 2.0**-23
+    off_grid = np.abs(gaps / step - np.round(gaps / step)) * step
+    return step if bool(np.all(off_grid <= max(rounding, 1e-6 * step))) else None
+
+
+def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
+    """Say how much of `N` is the rounding of the samples, where it matters.
+
+    Rounding to steps of LSB adds white noise of variance LSB²/12, so
+    N_sensor² = N² - LSB² tau0 / 12, as long as the noise before rounding spans half a step.
+
+    Source: Sheppard's correction; Widrow & Kollar (2008), "Quantization noise", ch. 4.
+    """
+    step = step_size(series.samples)
+    if step is None or not N > 0:
+        return ()
+    rounding = step**2 * series.tau0 / 12
+    share = rounding / N**2
+    if share < _NOTABLE:
+        return ()
+    unit = pretty(series.unit)
+    ratio = N / np.sqrt(series.tau0) / step
+    what = f"Samples come in steps of {step:.3g} {unit}, {1 / ratio:.2g} times their noise"
+    if ratio < 0.5 or share >= 1:
+        return (
+            Finding(
+                level="warning",
+                code="resolution",
+                axis=series.name,
+                text=f"{what}: N of {N:.4g} is mostly rounding, and the sensor's own can't be told.",
+                advice="Record with a smaller measuring range or more bits.",
+            ),
+        )
+    return (
+        Finding(
+            level="info",
+            code="resolution",
+            axis=series.name,
+            text=f"{what}: of N = {N:.4g}, rounding makes {100 * (1 - np.sqrt(1 - share)):.1f} %; "
+            f"without it N = {np.sqrt(N**2 - rounding):.4g}.",
+        ),
+    )
+
+
+def _detect(samples: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, float]:
+    """Return which samples are spikes, the baseline, and the standard deviation about it."""
+    from scipy.special import ndtri
+
+    if samples.size < 20:
+        return np.zeros(samples.size, dtype=bool), samples, 0.0
+    baseline = _baseline(samples)
+    distance = np.abs(samples - baseline)
+    deviation = _DEVIATION * float(np.median(distance))
+    if deviation == 0:
+        # More than half of the samples lie on the baseline: coarse steps, of which one is no spike.
+        deviation = step_size(samples) or 0.0
+    if deviation == 0:
+        return np.zeros(samples.size, dtype=bool), baseline, 0.0
+    reach = max(_LEAST_DISTANCE, -float(ndtri(_FALSE_ALARMS / (2 * samples.size))))
+    return distance > reach * deviation, baseline, deviation
+
+
+def _baseline(samples: FloatArray) -> FloatArray:
+    """Return straight lines between the medians of blocks, shape (n,)."""
+    n = samples.size
+    block = min(_BLOCK, n)
+    count = n // block
+    medians = np.median(samples[: count * block].reshape(count, block), axis=1)
+    if count == 1:
+        return np.full(n, medians[0])
+    # Interpolated block by block: a fraction of a median's rise for each place in the block.
+    fraction = (np.arange(block) + 0.5) / block
+    between = medians[:-1, np.newaxis] + fraction * np.diff(medians)[:, np.newaxis]
+    baseline = np.empty(n)
+    half = block // 2
+    baseline[:half] = medians[0]
+    baseline[half : half + between.size] = between.ravel()
+    baseline[half + between.size :] = medians[-1]
+    return baseline
+
+
+def _finding(series: AxisSeries, spike: NDArray[np.bool_], baseline: FloatArray, deviation: float) -> Finding:
+    count = int(spike.sum())
+    share = count / series.n
+    largest = float(np.abs(series.samples[spike] - baseline[spike]).max())
+    name = "spike was" if count == 1 else "spikes were"
+    text = (
+        f"{count} {name} replaced ({100 * share:.2g} % of the samples), the largest "
+        f"{largest:.3g} {pretty(series.unit)}, {largest / deviation:.0f} standard deviations."
+    )
+    if share <= _MANY:
+        return Finding(level="info", code="spikes", axis=series.name, text=text)
+    return Finding(
+        level="warning",
+        code="spikes",
+        axis=series.name,
+        text=text,
+        advice="So many are no accident: look for loose wiring, a shared bus or a moving sensor.",
+    )

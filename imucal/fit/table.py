@@ -1,0 +1,265 @@
+"""Allan deviations made by another tool: a text table of averaging times and deviations."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray, IntArray
+from imucal.errors import ReadError
+from imucal.findings import Finding
+from imucal.recording import Sensor
+from imucal.units import SAMPLE_UNITS, pretty
+
+__all__ = ["NamedCurve", "read_curve"]
+
+_TAU = re.compile(r"(tau|taus|time|t|averaging[ _]?time|cluster[ _]?time)\b", re.IGNORECASE)
+_VARIANCE = re.compile(r"avar|variance", re.IGNORECASE)
+_OTHER = re.compile(
+    r"(m|n|edf|samples|low|high|lower|upper|err\w*|model\w*|ci\w*)\b|.*_(low|high|edf)\b", re.IGNORECASE
+)
+_GYROSCOPE = re.compile(r"gyr|angular|rate|omega|^w_?[xyz]\b", re.IGNORECASE)
+_ACCELEROMETER = re.compile(r"acc|specific|^a_?[xyz]\b", re.IGNORECASE)
+_UNIT = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
+#: Averaging times within this of a multiple of the shortest are taken for multiples of it.
+_MULTIPLE = 0.02
+#: Where they are not, the curve is read on a grid so much finer than its shortest time.
+_FINE = 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NamedCurve:
+    """One column of deviations.
+
+    Attributes
+    ----------
+    name
+        Its heading, without the unit; ``column 2`` … where the table has no headings.
+    sensor
+        What was measured, as the heading or the unit says; None where neither does.
+    unit
+        Unit of the curve: SI where the unit was known, else an empty string (as in the table).
+    curve
+        The Allan variances.
+    findings
+        What had to be assumed.
+    """
+
+    name: str
+    sensor: Sensor | None
+    unit: str
+    curve: AllanCurve
+    findings: tuple[Finding, ...] = ()
+
+
+def read_curve(
+    path: str | Path,
+    *,
+    rate_hz: float | None = None,
+    n: int | None = None,
+    estimator: str = "overlapping",
+    units: Sequence[str] = (),
+) -> tuple[NamedCurve, ...]:
+    """Read a table whose first column is tau in s and whose others are Allan deviations.
+
+    Columns are separated by commas, semicolons, tabs or spaces; lines that start with ``#`` or ``%``
+    are skipped; one line of headings may stand first. Headings name the averaging time (``tau``),
+    deviations, or variances (``avar``); a unit may follow in brackets, such as ``gyro_x [deg/s]``.
+    Columns of counts, degrees of freedom and limits are passed over.
+
+    Parameters
+    ----------
+    path
+        The table.
+    rate_hz
+        Sampling rate of the samples it was made from; without it the shortest averaging time is
+        taken for the sampling period where the others are multiples of it.
+    n
+        Number of those samples.
+    estimator
+        ``overlapping`` or ``standard`` (adjacent windows).
+    units
+        One unit for all columns, or one each, where the headings hold none.
+
+    Raises
+    ------
+    ReadError
+        If the file can't be read, is no such table, or names an unknown unit.
+    """
+    path = Path(path)
+    headings, rows = _parse(path)
+    place = _tau_column(headings)
+    order = np.argsort(rows[:, place], kind="stable")
+    rows = rows[order]
+    tau = rows[:, place]
+    _require_times(path, tau)
+    m, findings = _factors(tau, rate_hz)
+    wanted = [i for i in range(rows.shape[1]) if i != place and not _OTHER.fullmatch(_bare(headings[i]))]
+    given = list(units) * len(wanted) if len(units) == 1 else [*units]
+    if given and len(given) != len(wanted):
+        msg = f"{path}: {len(given)} units for {len(wanted)} columns of deviations; give one, or one each"
+        raise ReadError(msg)
+    curves = []
+    for number, column in enumerate(wanted):
+        heading = headings[column]
+        unit = given[number] if given else _unit_of(heading)
+        sensor, factor = _meaning(path, heading, unit)
+        values = rows[:, column]
+        good = np.isfinite(values) & (values > 0)
+        if not good.any():
+            msg = f"{path}: column {heading!r} holds no positive number; expected Allan deviations"
+            raise ReadError(msg)
+        power = 1 if _VARIANCE.search(heading) else 2
+        curves.append(
+            NamedCurve(
+                name=_bare(heading),
+                sensor=sensor,
+                unit=sensor.unit if sensor and factor else "",
+                curve=_curve(
+                    tau[good], m[good], values[good] ** power * (factor or 1.0) ** 2, n=n, estimator=estimator
+                ),
+                findings=findings,
+            )
+        )
+    if not curves:
+        msg = f"{path}: no column of deviations beside {headings[place]!r}; found {', '.join(headings)}"
+        raise ReadError(msg)
+    return tuple(curves)
+
+
+def _curve(tau: FloatArray, m: IntArray, avar: FloatArray, *, n: int | None, estimator: str) -> AllanCurve:
+    """Return the curve, with eta3 degrees of freedom where the number of samples is known."""
+    known = n is not None and n >= 2 * int(m[-1])
+    terms = (n or 0) - 2 * m + 1
+    spacing = 2 * m if estimator == "overlapping" else m
+    edf = np.maximum(terms / spacing, 1.0) if known else np.full(tau.size, np.nan)
+    return AllanCurve(
+        tau=tau,
+        m=m,
+        avar=avar,
+        edf=edf,
+        n=n if known and n else 0,
+        estimator=estimator,
+        computed="given",
+        edf_method="eta3" if known else "",
+    )
+
+
+def _parse(path: Path) -> tuple[list[str], FloatArray]:
+    """Return the headings and the numbers, shape (rows, columns); missing numbers are NaN."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        msg = f"{path}: can't be read: {error.strerror or error}"
+        raise ReadError(msg) from error
+    except UnicodeDecodeError as error:
+        msg = f"{path}: is not a text table (byte {error.start} is not UTF-8); expected tau and deviations"
+        raise ReadError(msg) from error
+    lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), start=1)]
+    lines = [(i, line) for i, line in lines if line and line[0] not in "#%"]
+    if not lines:
+        msg = f"{path}: is empty; expected a table of tau and deviations"
+        raise ReadError(msg)
+    fields = [(i, _split(line)) for i, line in lines]
+    headings: list[str] = []
+    if _number(fields[0][1][0]) is None:
+        headings = fields.pop(0)[1]
+    if len(fields) < 2 or len(fields[0][1]) < 2:
+        width = len(fields[0][1]) if fields else 0
+        msg = (
+            f"{path}: has {len(fields)} rows of {width} columns; expected at least 2 rows of tau and "
+            "one or more deviations"
+        )
+        raise ReadError(msg)
+    width = len(fields[0][1])
+    headings = headings or ["tau", *(f"column {i}" for i in range(2, width + 1))]
+    rows = np.empty((len(fields), width))
+    for row, (line, cells) in zip(rows, fields, strict=True):
+        if len(cells) != width or len(headings) != width:
+            found = len(cells) if len(cells) != width else len(headings)
+            msg = (
+                f"{path}:{line}: has {width} columns beside {found} elsewhere; expected as many in each line"
+            )
+            raise ReadError(msg)
+        for i, cell in enumerate(cells):
+            number = np.nan if cell.lower() in {"", "na", "n/a", "null"} else _number(cell)
+            if number is None:
+                msg = f"{path}:{line}: column {headings[i]!r} is {cell!r}, expected a number"
+                raise ReadError(msg)
+            row[i] = number
+    return headings, rows
+
+
+def _split(line: str) -> list[str]:
+    for separator in (",", ";", "\t"):
+        if separator in line:
+            return [cell.strip().strip('"') for cell in line.rstrip(separator).split(separator)]
+    return line.split()
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _tau_column(headings: Sequence[str]) -> int:
+    """Return the index of the averaging times: the column named so, else the first."""
+    return next((i for i, heading in enumerate(headings) if _TAU.match(heading.strip())), 0)
+
+
+def _require_times(path: Path, tau: FloatArray) -> None:
+    if not np.all(np.isfinite(tau)) or tau[0] <= 0:
+        msg = f"{path}: averaging times must be positive numbers in s, got {tau[0]:g} to {tau[-1]:g}"
+        raise ReadError(msg)
+    equal = np.flatnonzero(np.diff(tau) == 0)
+    if equal.size:
+        msg = f"{path}: averaging time {tau[equal[0]]:g} s stands twice; expected each once"
+        raise ReadError(msg)
+
+
+def _factors(tau: FloatArray, rate_hz: float | None) -> tuple[IntArray, tuple[Finding, ...]]:
+    """Return the averaging factors, and what was assumed about the sampling period."""
+    tau0 = 1 / rate_hz if rate_hz else float(tau[0])
+    ratio = tau / tau0
+    factors = np.maximum(np.round(ratio), 1.0)
+    if np.all(np.abs(ratio - factors) <= _MULTIPLE * factors):
+        text = f"The sampling period is taken to be the shortest averaging time, {tau0:.6g} s."
+        note = () if rate_hz else (Finding(level="info", code="sampling-period", text=text),)
+        return factors.astype(np.int64), note
+    text = (
+        f"Averaging times are not multiples of {tau0:.6g} s, so the sampling period is not known; "
+        "the noise is taken to be continuous."
+    )
+    note = (Finding(level="info", code="sampling-period", text=text, advice="Give the sampling rate."),)
+    return np.round(tau / tau[0] * _FINE).astype(np.int64), note
+
+
+def _bare(heading: str) -> str:
+    return _UNIT.sub("", heading).strip()
+
+
+def _unit_of(heading: str) -> str:
+    match = _UNIT.search(heading)
+    return match[1].strip() if match else ""
+
+
+def _meaning(path: Path, heading: str, unit: str) -> tuple[Sensor | None, float | None]:
+    """Return the sensor and the factor that makes the unit SI; None where they are not known."""
+    named = next((s for s, pattern in _SENSORS if pattern.search(_bare(heading))), None)
+    if not unit:
+        return named, None
+    for sensor, factors in SAMPLE_UNITS.items():
+        for name, factor in factors.items():
+            if unit.replace(" ", "") in {name, pretty(name)}:
+                return sensor, factor
+    known = ", ".join(name for factors in SAMPLE_UNITS.values() for name in factors)
+    msg = f"{path}: column {heading!r} is in {unit!r}; expected one of {known}"
+    raise ReadError(msg)
+
+
+_SENSORS = ((Sensor.GYROSCOPE, _GYROSCOPE), (Sensor.ACCELEROMETER, _ACCELEROMETER))
