@@ -13,9 +13,9 @@ import numpy as np
 
 from imucal.findings import Finding
 from imucal.fit.result import Estimate, Goodness, NoiseFit
-from imucal.noise.terms import GaussMarkov
 from imucal.recording import Sensor, Source
 from imucal.report import numbers
+from imucal.report.markov import gauss_markov_term
 from imucal.report.result import AxisReport, Report
 
 __all__ = ["SCHEMA", "Json", "axis_document", "plain", "to_document"]
@@ -180,12 +180,11 @@ def _goodness(goodness: Goodness) -> dict[str, object]:
 
 
 def _terms(fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
-    markov = sorted((t for t in fit.model.terms if isinstance(t, GaussMarkov)), key=lambda term: term.T)
     found: dict[str, object] = {}
     for estimate in fit.estimates:
         entry = _term(estimate, sensor)
         if estimate.symbol == "GM":
-            entry |= _gauss_markov(estimate, markov, 1 / fit.rate_hz)
+            entry |= _gauss_markov(estimate, fit)
         found[estimate.key] = entry
     return found
 
@@ -204,11 +203,9 @@ def _term(estimate: Estimate, sensor: Sensor) -> dict[str, object]:
     }
 
 
-def _gauss_markov(estimate: Estimate, markov: list[GaussMarkov], tau0: float) -> dict[str, object]:
+def _gauss_markov(estimate: Estimate, fit: NoiseFit) -> dict[str, object]:
     """Return what a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t]."""
-    time = estimate.correlation_time
-    number = int(estimate.key[2:] or 1)
-    term = markov[number - 1] if estimate.value is not None and number <= len(markov) else None
+    time, term, tau0 = estimate.correlation_time, gauss_markov_term(fit, estimate), 1 / fit.rate_hz
     return {
         "correlation_time": time and _quantity(numbers.correlation_time(time)),
         "phi": term and plain(term.phi(tau0)),

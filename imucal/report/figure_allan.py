@@ -142,9 +142,13 @@ def _term(  # noqa: PLR0917 - drawing takes what is drawn
         mark: dict[str, Any] = {"marker": "v" if bounded else "D", "markersize": 5.5, "markerfacecolor": face}
         axes.plot([at], [height], color=stroke.light, linestyle="none", zorder=8, **mark)
         return [Label(text=text, x=np.array([at]), y=np.array([height]), colour=stroke.light)]
-    inside = np.flatnonzero((line > bottom * 1.1) & (line < top / 1.1))
+    in_view = (line > bottom * 1.1) & (line < top / 1.1) & (tau > left) & (tau < right)
+    inside = np.flatnonzero(in_view)
     if not inside.size:
-        return []
+        # Too small to matter anywhere in view; the reader still wants the number.
+        places = np.geomspace(left, right, 12)[1:-1]
+        edge = np.full(places.size, bottom * (top / bottom) ** 0.01)
+        return [Label(text=f"{text} (below)", x=places, y=edge, colour=stroke.light)]
     some = inside[:: max(1, inside.size // 12)]
     return [Label(text=text, x=tau[some], y=line[some], colour=stroke.light)]
 

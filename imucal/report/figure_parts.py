@@ -12,6 +12,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import GaussMarkov, NoiseTerm
 from imucal.recording import Sensor
 from imucal.report import numbers
+from imucal.report.markov import gauss_markov_term
 from imucal.report.palette import GRID, INK, TERMS, Stroke
 from imucal.report.result import AxisReport
 from imucal.units import pretty
@@ -119,11 +120,10 @@ def term_entries(axis: AxisReport, terms: list[Drawn]) -> list[Any]:
 def drawn_terms(axis: AxisReport) -> list[Drawn]:
     """Return the lines to draw: each term of the fit, and each bound as if it were the value."""
     found = []
-    markov = sorted((t for t in axis.fit.model.terms if isinstance(t, GaussMarkov)), key=lambda t: t.T)
     by_symbol = {term.symbol: term for term in axis.fit.model.terms}
     for estimate in axis.fit.estimates:
         if estimate.symbol == "GM":
-            term = _gauss_markov(estimate, markov)
+            term: NoiseTerm | None = gauss_markov_term(axis.fit, estimate)
         elif estimate.value is None:
             term = _bound(estimate)
         else:
@@ -146,13 +146,6 @@ def estimate_text(estimate: Estimate, sensor: Sensor) -> str:
 def density_unit(sensor: Sensor) -> str:
     """Return the unit of the root of a psd, such as ``rad/s/√Hz``."""
     return pretty(f"{sensor.unit}/sqrt(Hz)")
-
-
-def _gauss_markov(estimate: Estimate, markov: list[GaussMarkov]) -> NoiseTerm | None:
-    number = int(estimate.key[2:] or 1)
-    if estimate.value is not None and number <= len(markov):
-        return markov[number - 1]
-    return None
 
 
 def _bound(estimate: Estimate) -> NoiseTerm | None:

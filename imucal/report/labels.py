@@ -5,8 +5,9 @@ circles about its anchor and takes the one that covers the least.
 """
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -25,6 +26,8 @@ _DISTANCES = (7.0, 14.0, 24.0, 36.0, 50.0, 68.0, 90.0, 115.0, 145.0, 180.0)
 _ANGLES = np.deg2rad([45, 315, 135, 225, 90, 270, 0, 180, 22, 338, 158, 202, 67, 293, 113, 247])
 #: Free space kept about a label and inside the frame, in points.
 _PAD = 2.5
+#: What it costs to cover another label; to leave the plot costs ten times that.
+_TAKEN = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +115,14 @@ def place_labels(
     return written
 
 
+#: What a place costs, the point it belongs to, and the box of the text.
+_Place: TypeAlias = tuple[float, FloatArray, _Box]
+
+
+def _first(place: _Place) -> float:
+    return place[0]
+
+
 @dataclass(slots=True, kw_only=True)
 class _Room:
     """What is taken already, in pixels."""
@@ -130,15 +141,35 @@ class _Room:
     def best(self, anchors: FloatArray, size: tuple[float, float]) -> tuple[FloatArray, _Box]:
         """Return the anchor and the box of a text of `size` that cover the least."""
         distances = _DISTANCES if len(anchors) == 1 else _DISTANCES[:4]
-        best, lowest = (anchors[0], _Box(0, 0, 0, 0)), math.inf
-        for anchor in anchors:
-            for distance in distances:
-                for angle in _ANGLES:
-                    box = _beside(anchor, size, distance * self.scale, float(angle))
-                    cost = distance / 30
-                    if cost < lowest and (cost := cost + self._cost(anchor, box)) < lowest:
-                        best, lowest = (anchor, box), cost
+        near = (
+            (distance / 30, anchor, _beside(anchor, size, distance * self.scale, float(angle)))
+            for anchor in anchors
+            for distance in distances
+            for angle in _ANGLES
+        )
+        lowest, anchor, box = self._lowest(near)
+        if lowest >= _TAKEN:
+            # Crowded: anywhere in the plot, with a long leader.
+            lowest, anchor, box = min(
+                (lowest, anchor, box), self._lowest(self._anywhere(anchors, size)), key=_first
+            )
+        return anchor, box
+
+    def _lowest(self, places: Iterable[_Place]) -> _Place:
+        best = (math.inf, np.zeros(2), _Box(0, 0, 0, 0))
+        for cost, anchor, box in places:
+            if cost < best[0] and (total := cost + self._cost(anchor, box)) < best[0]:
+                best = (total, anchor, box)
         return best
+
+    def _anywhere(self, anchors: FloatArray, size: tuple[float, float]) -> Iterator[_Place]:
+        frame = self.frame
+        for x in np.linspace(frame.x0, frame.x1 - size[0], 12):
+            for y in np.linspace(frame.y0, frame.y1 - size[1], 24):
+                box = _Box(x, y, x + size[0], y + size[1])
+                away = np.hypot(anchors[:, 0] - x - size[0] / 2, anchors[:, 1] - y - size[1] / 2)
+                nearest = int(np.argmin(away))
+                yield float(away[nearest]) / 30 / self.scale, anchors[nearest], box
 
     def take(self, anchor: FloatArray, box: _Box) -> None:
         """Keep clear of a box and of the line that leads to it."""
@@ -148,7 +179,8 @@ class _Room:
         self.leaders.append(leader)
 
     def _cost(self, anchor: FloatArray, box: _Box) -> float:
-        cost = 1e4 * (not box.within(self.frame)) + 1e3 * sum(box.overlaps(other) for other in self.taken)
+        cost = 10 * _TAKEN * (not box.within(self.frame))
+        cost += _TAKEN * sum(box.overlaps(other) for other in self.taken)
         if cost:
             return cost
         # The anchor's own box is where the leader starts.
@@ -218,6 +250,7 @@ def _write(
         (float(place[0]), float(place[1])),
         xytext=offset,
         textcoords="offset points",
+        annotation_clip=False,
         ha="center",
         va="center",
         fontsize=fontsize,

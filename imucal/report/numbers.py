@@ -130,13 +130,15 @@ def decimals(quantity: Quantity) -> int:
     half = (quantity.high - quantity.low) / 2
     if not math.isfinite(half):
         return _places(quantity.value, 2)
-    # An interval narrower than 1e-4 of the value says more than a reader needs.
-    floor = 1e-4 * abs(quantity.value)
-    if half <= floor:
+    if half == 0:
         return _places(quantity.value, 4)
-    lead = half / 10 ** math.floor(math.log10(half))
-    digits = 2 if lead < 3.55 or lead >= 9.5 else 1
-    return max(_places(half, digits), _places(quantity.value, 2))
+    # An interval narrower than 1e-4 of the value says more than a reader needs.
+    if half <= 1e-4 * abs(quantity.value):
+        return _places(quantity.value, 5)
+    exponent = math.floor(math.log10(half))
+    # From 355 on one digit; 950 and more round up to 1000, which leaves two.
+    places = -exponent + (half / 10.0**exponent < 3.55)
+    return max(places, _places(quantity.value, 2))
 
 
 def power_of_ten(quantity: Quantity) -> int:

@@ -148,8 +148,9 @@ def downstream_section(report: Report) -> Markup:
         [
             element(
                 "p",
-                "Values in SI, each from the worst of the sensor's axes; ≤ marks an upper bound where the "
-                f"data do not show the term. {rates}. The export command writes these files, formula included.",
+                "Values in SI, each from the worst of the sensor's axes; ≤ marks an upper bound where "
+                f"the data do not show the term. {rates}. The export command writes these files, with "
+                "the formulas in comments.",
             ),
             table("Values for filters and simulators", [row(*head)], body, class_="wide"),
             _two_floors(report),

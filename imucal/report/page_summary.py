@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 from imucal.findings import Finding
 from imucal.fit.result import Estimate
-from imucal.noise.terms import GaussMarkov
 from imucal.recording import Sensor
 from imucal.report import numbers
+from imucal.report.markov import gauss_markov_term
 from imucal.report.markup import Markup, element, join, row, table
 from imucal.report.numbers import Quantity
 from imucal.report.palette import TERMS
@@ -138,11 +138,11 @@ def _time(estimate: Estimate) -> tuple[tuple[Quantity, Quantity], str] | None:
 
 def _state(axis: AxisReport, key: str) -> str:
     """Return phi and q of a Gauss-Markov term for a filter at the sampling rate."""
-    markov = sorted((t for t in axis.fit.model.terms if isinstance(t, GaussMarkov)), key=lambda t: t.T)
-    number = int(key[2:] or 1)
-    if number > len(markov) or all(e.key != key for e in axis.fit.estimates):
+    estimate = next((e for e in axis.fit.estimates if e.key == key), None)
+    term = None if estimate is None else gauss_markov_term(axis.fit, estimate)
+    if term is None:
         return "–"
-    term, tau0 = markov[number - 1], 1 / axis.fit.rate_hz
+    tau0 = 1 / axis.fit.rate_hz
     return f"{term.phi(tau0):.9g}, {term.q(tau0):.4g} {pretty(axis.unit)}"
 
 

@@ -117,7 +117,8 @@ def _method_paragraphs(axis: AxisReport) -> list[Markup]:
             "p",
             f"The model was fitted by {_METHODS.get(fit.method, fit.method)}; "
             f"{_CRITERIA.get(fit.criterion, fit.criterion)}. Every term is exact for the sampled "
-            f"process, at the shortest times too. Each coefficient has a {level} interval. Where the data do not show a term, its upper bound stands instead: the value "
+            f"process, at the shortest times too. Each coefficient has a {level} interval. "
+            "Where the data do not show a term, its upper bound stands instead: the value "
             f"is below it with {level} confidence, and may be zero.",
         ),
         element(

@@ -13,7 +13,7 @@ from imucal.allan.spectrum import Spectrum
 from imucal.findings import Finding
 from imucal.fit.result import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import GaussMarkov
+from imucal.noise.terms import GaussMarkov, NoiseTerm
 from imucal.recording import Axis, Gap, Sensor, Source
 from imucal.report.result import AxisReport, Overview, Report
 
@@ -241,7 +241,7 @@ def _estimates(model: NoiseModel, bounds: dict[str, float], error: float) -> tup
     width = 1.96 * error
     several = sum(isinstance(term, GaussMarkov) for term in model.terms) > 1
     found, count = [], 0
-    for term in model.terms:
+    for term in _by_correlation_time(model):
         key, time = term.symbol, None
         if isinstance(term, GaussMarkov):
             count += 1
@@ -267,10 +267,15 @@ def _estimates(model: NoiseModel, bounds: dict[str, float], error: float) -> tup
     return tuple(sorted(found, key=lambda e: order.index(e.key)))
 
 
+def _by_correlation_time(model: NoiseModel) -> list[NoiseTerm]:
+    """Return the terms, the Gauss-Markov ones by rising T, as a fit names them."""
+    return sorted(model.terms, key=lambda term: term.T if isinstance(term, GaussMarkov) else 0.0)
+
+
 def _covariance(model: NoiseModel, error: float) -> tuple[tuple[str, ...], np.ndarray]:
     names: list[str] = []
     values: list[float] = []
-    for term in model.terms:
+    for term in _by_correlation_time(model):
         if isinstance(term, GaussMarkov):
             key = f"GM{sum(name.endswith('.T') for name in names) + 1}"
             names += [f"{key}.sigma", f"{key}.T"]

@@ -1,0 +1,139 @@
+"""Values are rounded as their interval allows, and a bound never falls below itself."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imucal.fit.result import Estimate
+from imucal.recording import Sensor
+from imucal.report import numbers
+from imucal.report.numbers import Quantity, compact, with_interval, with_uncertainty
+from tests.report.synthetic import consumer_report
+
+
+def _quantity(value: float | None, low: float, high: float, unit: str = "deg/h") -> Quantity:
+    return Quantity(value=value, low=low, high=high, unit=unit)
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"),
+    [
+        # The three cases of the Particle Data Group's rule (Review 2022, sec. 5.3).
+        (0.827, 0.119, "0.83 ± 0.12 deg/h"),
+        (8.27, 0.367, "8.3 ± 0.4 deg/h"),
+        (0.8273, 0.0099, "0.827 ± 0.010 deg/h"),
+        (12.1, 0.36, "12.1 ± 0.4 deg/h"),
+        (12.1, 0.35, "12.10 ± 0.35 deg/h"),
+        (90.0, 20.0, "90 ± 20 deg/h"),
+        (1500.0, 320.0, "1500 ± 320 deg/h"),
+        (1234567.0, 20000.0, "(1.235 ± 0.020) ×10⁶ deg/h"),
+        (1.2e-4, 3e-6, "(1.200 ± 0.030) ×10⁻⁴ deg/h"),
+        (-2.0e-7, 1e-8, "(-2.00 ± 0.10) ×10⁻⁷ deg/h"),
+    ],
+)
+def test_uncertainty_decides_the_digits(value: float, half: float, text: str) -> None:
+    """Two digits of an uncertainty below 355, else one; at least two digits of the value."""
+    assert with_uncertainty(_quantity(value, value - half, value + half)) == text
+
+
+@pytest.mark.parametrize(
+    ("quantity", "text"),
+    [
+        (_quantity(12.1, 11.4, 13.9), "12.1 [11.4, 13.9] deg/h"),
+        (_quantity(None, 0, 0.1149, "deg/h/sqrt(h)"), "< 0.12 deg/h/√h"),
+        (_quantity(None, 0, 0.12), "< 0.12 deg/h"),
+        (_quantity(None, 0, 4.1e-7, "rad/s/sqrt(s)"), "< 4.1 ×10⁻⁷ rad/s/√s"),
+        (_quantity(None, 0, 9.91), "< 10.0 deg/h"),
+        (_quantity(None, 0, math.inf), "unknown deg/h"),
+        (_quantity(3.2, 1.1, math.inf), "3.2 [1.1, ?] deg/h"),
+        (_quantity(3.587, 3.587, 3.587), "3.587 deg/h"),
+        (_quantity(0.066, 0.066, 0.066, "m/s^2"), "0.06600 m/s²"),
+    ],
+)
+def test_lopsided_bounded_and_unknown_are_said_as_such(quantity: Quantity, text: str) -> None:
+    """Where ± would mislead, the limits stand; a bound is rounded up, never down."""
+    assert with_uncertainty(quantity) == text
+
+
+@given(high=st.floats(1e-12, 1e12))
+def test_a_printed_bound_is_never_below_the_bound(high: float) -> None:
+    """And no more than 10 % above it."""
+    text, interval = compact(_quantity(None, 0.0, high))
+    printed = float(text.removeprefix("< "))
+    assert interval == ""
+    # 1e-11 for what the decimal fraction itself is off.
+    assert high * (1 - 1e-11) <= printed <= high * 1.1
+
+
+@given(
+    value=st.floats(1e-9, 1e9),
+    below=st.floats(1e-4, 0.9),
+    above=st.floats(1e-4, 5.0),
+)
+def test_rounding_keeps_what_the_interval_tells(value: float, below: float, above: float) -> None:
+    """What is printed tells the value apart as well as its interval does."""
+    quantity = _quantity(value, value * (1 - below), value * (1 + above))
+    exponent = numbers.power_of_ten(quantity)
+    text, interval = compact(quantity, exponent=exponent)
+    half = (quantity.high - quantity.low) / 2
+    assert abs(float(text) * 10.0**exponent - value) <= max(half / 3, 1e-4 * value)
+    low, high = interval.strip("[]").split(", ")
+    assert float(low) <= float(text) <= float(high)
+
+
+def test_powers_of_ten_of_a_row_are_shared() -> None:
+    """A row of a table has one exponent, a multiple of three, of its largest number."""
+    row = [_quantity(1.1e-6, 1e-6, 1.2e-6), _quantity(None, 0, 4e-7), _quantity(3e-9, 2e-9, 4e-9)]
+    assert numbers.engineering_exponent(row) == -6
+    assert compact(row[0], exponent=-6) == ("1.10", "[1.00, 1.20]")
+    assert compact(row[2], exponent=-6) == ("0.0030", "[0.0020, 0.0040]")
+    assert numbers.engineering_exponent([_quantity(0.4, 0.3, 0.5)]) == 0
+    assert numbers.engineering_exponent([_quantity(None, 0, math.inf)]) == 0
+
+
+def test_data_sheet_units_are_those_of_the_field() -> None:
+    """1e-4 rad/s/√Hz is 0.34377 deg/√h; 9.80665e-3 m/s² is 1 mg; less than 0.1 mg is said in µg."""
+    noise = Estimate(key="N", symbol="N", status="estimated", value=1e-4, low=9e-5, high=1.1e-4)
+    assert numbers.datasheet(noise, Sensor.GYROSCOPE).value == pytest.approx(0.343775, rel=1e-5)
+    assert numbers.si(noise, Sensor.GYROSCOPE).unit == "rad/s/sqrt(Hz)"
+    floor = Estimate(key="B", symbol="B", status="estimated", value=9.80665e-3, low=9e-3, high=1.1e-2)
+    sheet = numbers.datasheet(floor, Sensor.ACCELEROMETER)
+    assert sheet.unit == "mg"
+    assert sheet.value == pytest.approx(1.0)
+    assert numbers.comfortable(sheet) is sheet
+    small = numbers.comfortable(sheet.scaled(0.05, "mg"))
+    assert small.unit == "ug"
+    assert small.value == pytest.approx(50.0)
+    assert with_interval(small).endswith("µg")
+
+
+def test_minimum_carries_the_interval_of_its_point() -> None:
+    """It lies inside, and both units say the same."""
+    for axis in consumer_report().axes:
+        plain, sheet = numbers.minimum(axis)
+        assert plain.value is not None
+        assert plain.low < plain.value < plain.high
+        assert sheet.low / plain.low == pytest.approx(sheet.high / plain.high)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (10920, "3.03 h"),
+        (360, "0.100 h"),
+        (10, "10 s (0.00278 h)"),
+        (1e6, "278 h"),
+        (0, "0 h"),
+    ],
+)
+def test_durations_are_in_hours(seconds: float, text: str) -> None:
+    """Recordings at rest last for hours; a short one says its seconds too."""
+    assert numbers.hours(seconds) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(2621.44, "2620 s"), (0.005, "0.005 s"), (41.3, "41.3 s")])
+def test_times_have_three_digits_and_no_exponent(value: float, text: str) -> None:
+    """2.62e+03 s is not how people say it."""
+    assert numbers.seconds(value) == text

@@ -1,0 +1,315 @@
+"""The report folder: complete or untouched, whatever goes wrong on the way."""
+
+import errno
+import json
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import textwrap
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from imucal.errors import WriteError
+from imucal.report import json_file, writer
+from imucal.report.writer import write_report
+from tests.report.synthetic import consumer_report, small_report
+
+_FILES = ["gyro_x.json", "report.json"]
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """Return a report folder of an earlier version, with a stale picture and a note of the user's."""
+    out = tmp_path / "out"
+    write_report(replace(small_report(), version="0.0.1"), out, formats=(), html=False)
+    (out / "accel_z.png").write_bytes(b"stale")
+    (out / "notes.txt").write_text("bench 3", encoding="utf-8")
+    return out
+
+
+@pytest.fixture
+def weak_user() -> Iterator[Path]:
+    """Yield a folder that may not be written to; as root, give up root's rights for the test."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o555)
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield folder
+    finally:
+        if root:
+            os.seteuid(0)
+        shutil.rmtree(folder)
+
+
+def test_the_folder_holds_what_the_design_says(tmp_path: Path) -> None:
+    """One JSON and one picture an axis, one overview a sensor, the page; report.json comes first."""
+    report = consumer_report()
+    report = replace(report, axes=report.axes[2:4])
+    files = write_report(report, tmp_path / "deep" / "out")
+    assert [path.name for path in files] == [
+        "report.json",
+        "report.html",
+        "gyro_z.json",
+        "gyro_z.png",
+        "accel_x.json",
+        "accel_x.png",
+        "gyro.png",
+        "accel.png",
+    ]
+    assert sorted(path.name for path in files) == _names(tmp_path / "deep" / "out")
+    assert all(path.stat().st_size > 1000 for path in files)
+    assert _names(tmp_path / "deep") == ["out"]
+    assert json_file.load(tmp_path / "deep" / "out").axes[0].name == "gyro_z"
+    assert json.loads(files[2].read_bytes())["name"] == "gyro_z"
+
+
+@pytest.mark.parametrize(("form", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")])
+def test_pictures_come_in_every_format(tmp_path: Path, form: str, start: bytes) -> None:
+    """SVG and PDF on request; each file is of its kind."""
+    files = write_report(small_report(), tmp_path / "out", formats=(form,), html=False)
+    assert [path.name for path in files] == ["report.json", "gyro_x.json", f"gyro_x.{form}", f"gyro.{form}"]
+    assert all(path.read_bytes().startswith(start) for path in files[2:])
+
+
+def test_the_same_report_gives_the_same_bytes(tmp_path: Path) -> None:
+    """No date, no random name: two runs can be compared with diff."""
+    one = write_report(small_report(), tmp_path / "one")
+    other = write_report(small_report(), tmp_path / "other")
+    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
+
+
+def test_files_have_the_rights_of_the_umask(tmp_path: Path) -> None:
+    """A scratch folder is private; a report is not."""
+    out = write_report(small_report(), tmp_path / "out", formats=(), html=False)[0].parent
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    assert out.stat().st_mode == plain.stat().st_mode
+
+
+def test_an_old_report_is_replaced_and_other_files_are_kept(old: Path) -> None:
+    """Stale pictures go, notes stay."""
+    write_report(small_report(), old, formats=(), html=False)
+    assert _names(old) == ["gyro_x.json", "notes.txt", "report.json"]
+    assert json_file.load(old).version == "0.1.0"
+
+
+def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
+    """Such as a mounted volume, whose parent can't be written to."""
+    write_report(small_report(), tmp_path, formats=(), html=False)
+    assert _names(tmp_path) == _FILES
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (
+            ["thesis.tex"],
+            "{out}: holds thesis.tex but no report of imucal's; nothing was changed; choose another folder",
+        ),
+        (
+            ["a", "b", "c", "d"],
+            "{out}: holds a, b, c, … but no report of imucal's; nothing was changed; choose another folder",
+        ),
+        (
+            ["gyro_x.png"],
+            "{out}: holds gyro_x.png but no report of imucal's; nothing was changed; choose another folder",
+        ),
+        (
+            ["report.json"],
+            "{out}: holds report.json but no report of imucal's; nothing was changed; choose another folder",
+        ),
+    ],
+)
+def test_a_foreign_folder_is_left_alone(tmp_path: Path, names: list[str], message: str) -> None:
+    """Even where its files have names like ours: only a report.json of ours makes a folder ours."""
+    for name in names:
+        (tmp_path / name).write_text('{"schema": "other"}', encoding="utf-8")
+    with pytest.raises(WriteError) as caught:
+        write_report(small_report(), tmp_path, formats=(), html=False)
+    assert str(caught.value) == message.format(out=tmp_path)
+    assert _names(tmp_path) == sorted(names)
+
+
+def test_a_file_in_the_place_of_the_folder_is_left_alone(tmp_path: Path) -> None:
+    """The message says what to do."""
+    out = tmp_path / "out"
+    out.write_text("mine", encoding="utf-8")
+    with pytest.raises(WriteError) as caught:
+        write_report(small_report(), out)
+    assert str(caught.value) == (
+        f"{out}: is a file, expected a folder or nothing; move it away or choose another folder"
+    )
+    assert out.read_text(encoding="utf-8") == "mine"
+
+
+def test_a_folder_in_the_place_of_a_file_is_left_alone(old: Path) -> None:
+    """Nothing is replaced before the obstacle is found."""
+    (old / "gyro_x.png").mkdir()
+    before = _contents(old)
+    with pytest.raises(WriteError, match=re.escape(f"{old / 'gyro_x.png'}: is a folder, expected a file")):
+        write_report(small_report(), old, html=False)
+    assert _contents(old) == before
+
+
+def test_an_unknown_format_is_a_mistake_of_the_caller(tmp_path: Path) -> None:
+    """Before anything is written."""
+    with pytest.raises(ValueError, match="format 'gif' is not one of png, svg, pdf"):
+        write_report(small_report(), tmp_path / "out", formats=("gif",))
+    assert _names(tmp_path) == []
+
+
+def test_a_read_only_place_is_a_message(weak_user: Path) -> None:
+    """Exit code 5, advice, nothing left behind."""
+    with pytest.raises(WriteError) as caught:
+        write_report(small_report(), weak_user / "out", formats=(), html=False)
+    assert str(caught.value) == (
+        f"{weak_user / 'out'}: the report can't be written: Permission denied; nothing was changed; "
+        "choose a folder you may write to"
+    )
+    assert caught.value.exit_code == 5
+    assert _names(weak_user) == []
+
+
+@pytest.mark.parametrize("failing", range(2))
+def test_a_full_disk_changes_nothing(old: Path, monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
+    """Whichever file no longer fits, the old report stands as it was."""
+    before = _contents(old)
+    calls = iter(range(100))
+
+    def fsync(_: int) -> None:
+        if next(calls) == failing:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(WriteError) as caught:
+        write_report(small_report(), old, formats=(), html=False)
+    assert str(caught.value) == (
+        f"{old}: the report can't be written: No space left on device; nothing was changed; free some space"
+    )
+    assert _contents(old) == before
+
+
+def test_a_write_that_stops_half_way_changes_nothing(old: Path) -> None:
+    """The kernel itself cuts the file at a limit: what was written of it is gone again."""
+    before = _contents(old)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        with pytest.raises(WriteError, match="File too large; nothing was changed; choose another folder"):
+            write_report(small_report(), old, formats=(), html=False)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert _contents(old) == before
+
+
+@pytest.mark.parametrize("existing", [False, True])
+def test_ctrl_c_changes_nothing(old: Path, monkeypatch: pytest.MonkeyPatch, *, existing: bool) -> None:
+    """It comes through as KeyboardInterrupt, and leaves no scratch folder."""
+    out = old if existing else old.parent / "new"
+    before = _contents(old.parent)
+
+    def interrupted(*_: object) -> bytes:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writer, "_axis_json", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_report(small_report(), out, formats=(), html=False)
+    assert _contents(old.parent) == before
+
+
+@pytest.mark.parametrize("moved", [0, 1, 2])
+def test_killed_between_files_leaves_only_whole_files(old: Path, moved: int) -> None:
+    """No handler runs on SIGKILL: every file is the old or the new one, and the next run succeeds."""
+    before = _contents(old)
+    _run_and_die(old, moved)
+    for name in _FILES:
+        content = (old / name).read_bytes()
+        version = json.loads(content)["version"]
+        assert version == "0.1.0" or content == before[old.name + "/" + name]
+    assert [p.name for p in old.iterdir() if p.name.startswith(".imucal-")]
+    _age_scratch(old)
+    write_report(small_report(), old, formats=(), html=False)
+    assert _names(old) == ["gyro_x.json", "notes.txt", "report.json"]
+
+
+def test_killed_before_the_first_report_leaves_no_folder(tmp_path: Path) -> None:
+    """A new folder appears in one step, so that half a report can't be taken for a whole one."""
+    out = tmp_path / "out"
+    _run_and_die(out, 0)
+    assert not out.exists()
+    _age_scratch(tmp_path)
+    write_report(small_report(), out, formats=(), html=False)
+    assert _names(tmp_path) == ["out"]
+
+
+def test_a_scratch_folder_in_use_is_left_alone(tmp_path: Path) -> None:
+    """Two runs at the same time don't remove each other's files."""
+    scratch = tmp_path / ".imucal-0123.tmp"
+    scratch.mkdir()
+    write_report(small_report(), tmp_path / "out", formats=(), html=False)
+    assert scratch.is_dir()
+
+
+def test_a_move_that_fails_says_what_is_there(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Past the point of no return the message no longer says that nothing changed."""
+    move = Path.replace
+
+    def failing(self: Path, target: Path) -> Path:
+        if self.name == "gyro_x.json":
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return move(self, target)
+
+    monkeypatch.setattr(Path, "replace", failing)
+    with pytest.raises(WriteError) as caught:
+        write_report(small_report(), old, formats=(), html=False)
+    assert str(caught.value) == (
+        f"{old}: only 1 of 2 files were replaced: Input/output error; each file is whole, but old and new "
+        "ones stand together; write the report again"
+    )
+
+
+def _run_and_die(out: Path, moved: int) -> None:
+    """Write a report in another process that kills itself after so many files were moved."""
+    code = f"""
+        import os, signal
+        from pathlib import Path
+        from imucal.report.writer import write_report
+        from tests.report.synthetic import small_report
+        move, count = Path.replace, iter(range(100))
+        def dying(self, *target):
+            if next(count) == {moved}:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return move(self, *target)
+        Path.replace = dying
+        Path.unlink = Path.rename = dying
+        write_report(small_report(), Path({str(out)!r}), formats=(), html=False)
+    """
+    root = Path(__file__).resolve().parents[2]
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], cwd=root, check=False)  # noqa: S603 - our own code
+    assert done.returncode == -signal.SIGKILL
+
+
+def _age_scratch(folder: Path) -> None:
+    for path in folder.glob(".imucal-*.tmp"):
+        os.utime(path, (0, 0))
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    base = folder.parent
+    return {str(p.relative_to(base)): p.read_bytes() for p in folder.rglob("*") if p.is_file()} | {
+        str(p.relative_to(base)): b"" for p in folder.rglob("*") if p.is_dir()
+    }
