@@ -42,6 +42,9 @@ _CROSSOVER = 256
 #: The kurtosis of a difference of two independent values is half of each one's.
 _HALVED = 2.0
 
+#: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
+_UNIFORM = -1.2
+
 #: Elements of a work array.
 _BLOCK = 32768
 
@@ -190,7 +193,7 @@ def excess_kurtosis(samples: FloatArray) -> float:
 
 def _less_for_heavy_tails(edf: FloatArray, question: _Question) -> FloatArray:
     """Widen for tails heavier than a Gaussian's: Var gains kappa/n where windows are not too few."""
-    kappa = max(_HALVED * excess_kurtosis(question.samples), -2.0)
+    kappa = max(_HALVED * excess_kurtosis(question.samples), _UNIFORM)
     n, order = question.samples.size, question.estimator.order
     independent = n - order * question.m + 1.0
     corrected = edf / (1 + kappa * edf / (2 * np.maximum(independent, 1)))

@@ -11,14 +11,14 @@ __all__ = ["exact_avar", "naive", "naive_moav"]
 
 
 def naive_moav(samples: FloatArray, m: int) -> float:
-    """Half the mean square of the differences of neighbouring window means, every start point."""
+    """Return half the mean square of the differences of neighbouring window means, every start point."""
     means = [samples[i : i + m].mean() for i in range(samples.size - m + 1)]
     differences = [after - before for before, after in zip(means, means[m:], strict=False)]
     return float(np.mean(np.square(differences)) / 2)
 
 
 def exact_avar(samples: NDArray[np.int64], m: int) -> float:
-    """The overlapping Allan variance of whole numbers, integrated without any rounding.
+    """Return the overlapping Allan variance of whole numbers, integrated without any rounding.
 
     The differences are exact integers below 2^53; their squares are rounded once, and summed exactly.
     """
@@ -26,11 +26,11 @@ def exact_avar(samples: NDArray[np.int64], m: int) -> float:
     steps = angle[2 * m :] - 2 * angle[m:-m] + angle[: -2 * m]
     assert np.abs(steps).max() < 2**53
     squares = np.square(steps.astype(np.float64))
-    return math.fsum(squares.tolist()) / (2 * m * m * steps.size)
+    return float(math.fsum(squares.tolist()) / (2 * m * m * int(steps.size)))
 
 
 def naive(samples: FloatArray, m: int, estimator: str) -> float:
-    """NIST SP 1065, eqs. 7, 10, 15 and 22, with x the sum of the samples and tau0 = 1."""
+    """Return the sums of NIST SP 1065, eqs. 7, 10, 15 and 22, with x the sum of the samples and tau0 = 1."""
     x = np.concatenate([[0.0], np.cumsum(samples - samples.mean())])
     count = x.size
     match estimator:

@@ -1,0 +1,63 @@
+"""DCT-II ordinates and their bins."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.allan.dct import bin_power, dct_bins, dct_ordinates, fast_length
+from imucal.errors import DataError
+
+
+@pytest.mark.parametrize("n", [2, 3, 129, 130, 5000, 100_003])
+def test_bins_hold_every_ordinate_once(n: int) -> None:
+    """Bins follow each other from 1 to n-1; their frequency is the mean of their ordinates'."""
+    bins = dct_bins(n)
+    assert bins.first[0] == 1
+    npt.assert_array_equal(bins.first[1:], bins.first[:-1] + bins.count[:-1])
+    assert bins.first[-1] + bins.count[-1] == n
+    ordinate = np.pi * np.arange(1, n) / n
+    npt.assert_allclose(bins.omega, np.add.reduceat(ordinate, bins.first - 1) / bins.count)
+    assert bins.size == bins.first.size
+
+
+def test_bins_widen_steadily() -> None:
+    """The first 128 stand alone; above, 48 cover an octave."""
+    bins = dct_bins(1_000_000)
+    npt.assert_array_equal(bins.first[:129], np.arange(1, 130))
+    octave = (bins.first >= 10_000) & (bins.first < 20_000)
+    assert abs(int(octave.sum()) - 48) <= 1
+
+
+def test_ordinates_are_the_definition() -> None:
+    """X_k = sqrt(2/n) sum y_t cos(pi k (t + 1/2) / n); the mean does not matter."""
+    rng = np.random.default_rng(0)
+    samples = rng.standard_normal(50) + 1e6
+    t, k = np.arange(50), np.arange(1, 50)
+    expected = np.sqrt(2 / 50) * np.cos(np.pi * np.outer(k, t + 0.5) / 50) @ (samples - 1e6)
+    npt.assert_allclose(dct_ordinates(samples), expected, atol=1e-9)
+
+
+def test_power_is_the_variance() -> None:
+    """Parseval: the bins hold n times the variance of the samples."""
+    samples = np.random.default_rng(1).standard_normal(3001)
+    power = bin_power(dct_ordinates(samples), dct_bins(3001))
+    assert power.sum() == pytest.approx(3001 * samples.var(), rel=1e-12)
+
+
+def test_refuses_what_has_no_spectrum() -> None:
+    """Too few samples, samples that are not finite, sizes that do not match."""
+    with pytest.raises(DataError, match="the spectrum needs at least 2 samples, got 1"):
+        dct_ordinates(np.ones(1))
+    with pytest.raises(DataError, match="needs finite samples; got NaN or infinity"):
+        dct_ordinates(np.array([1.0, np.nan, 2.0]))
+    with pytest.raises(ValueError, match=r"ordinates must have shape \(9,\), got \(5,\)"):
+        bin_power(np.ones(5), dct_bins(10))
+    with pytest.raises(ValueError, match="need n >= 2"):
+        dct_bins(1)
+
+
+def test_fast_lengths_are_smooth_and_near() -> None:
+    """Only 2, 3, 5, 7 and 11 divide them, and little is left out."""
+    assert [fast_length(n) for n in (1, 2, 13, 97, 1000)] == [1, 2, 12, 96, 1000]
+    for n in (1_000_003, 9_999_991):
+        assert 0.998 * n < fast_length(n) <= n

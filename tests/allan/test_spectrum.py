@@ -1,0 +1,64 @@
+"""The log-binned psd."""
+
+import numpy as np
+import pytest
+
+from imucal.allan import spectrum
+from imucal.errors import DataError
+from imucal.noise import NoiseModel
+from imucal.recording import AxisSeries
+
+
+def _series(samples: np.ndarray[tuple[int], np.dtype[np.float64]], rate_hz: float = 200.0) -> AxisSeries:
+    return AxisSeries.from_samples(samples, rate_hz=rate_hz)
+
+
+def test_white_noise_reads_its_coefficient() -> None:
+    """N² in U²/Hz, two-sided, at every frequency: the bins scatter by their counts."""
+    model = NoiseModel.parse("N=2e-3")
+    samples = model.simulate(200_000, rate_hz=200.0, rng=np.random.default_rng(0))
+    psd = spectrum(_series(samples))
+    score = (psd.psd / (2e-3) ** 2 - 1) * np.sqrt(psd.count / 2)
+    wide = psd.count > 100
+    # Four standard errors: some sixty bins.
+    assert np.all(np.abs(score[wide]) < 4)
+    assert psd.count.sum() == 199_999
+    assert psd.frequency[0] == pytest.approx(0.5 / 1000)
+    assert psd.frequency[-1] < 100.0
+
+
+def test_power_adds_up_to_the_variance() -> None:
+    """The two-sided psd times its width, summed over both sides, is the variance."""
+    samples = np.random.default_rng(1).standard_normal(10_000)
+    psd = spectrum(_series(samples, 50.0))
+    assert float(psd.psd @ psd.count) * 50.0 / 10_000 == pytest.approx(samples.var(), rel=1e-9)
+
+
+def test_a_random_walk_does_not_leak() -> None:
+    """Drift makes raw periodograms of a random walk twice too high; the DCT's are right."""
+    model, rng = NoiseModel.parse("K=1"), np.random.default_rng(2)
+    ratios = []
+    for _ in range(40):
+        psd = spectrum(_series(model.simulate(4096, rate_hz=1.0, rng=rng), 1.0), per_octave=96)
+        ratio = psd.psd / model.psd(psd.frequency, rate_hz=1.0)
+        ratios.append(np.average(ratio, weights=psd.count))
+    # Four standard errors of a mean of 40 * 4095 squared normal values.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (40 * 4095)))
+
+
+def test_gaps_join_the_runs_bin_by_bin() -> None:
+    """Each run counts with its own ordinates; no sample is invented."""
+    samples = np.random.default_rng(3).standard_normal(30_000)
+    keep = np.ones(30_000, dtype=bool)
+    keep[5000:6000] = keep[20_000] = False
+    samples[100] = np.nan
+    psd = spectrum(_series(samples).keeping(keep))
+    assert psd.count.sum() == 30_000 - 1000 - 1 - 1 - 4
+    assert np.average(psd.psd, weights=psd.count) == pytest.approx(1 / 200, rel=0.03)
+
+
+def test_refuses_a_series_without_neighbours() -> None:
+    """The message says what was found and what is needed."""
+    with pytest.raises(DataError) as caught:
+        spectrum(_series(np.array([1.0, np.nan, 2.0])))
+    assert str(caught.value) == "gyro_x: a spectrum needs at least 2 neighbouring samples, got 2 samples"
