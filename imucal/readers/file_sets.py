@@ -7,6 +7,7 @@ import re
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePath
 from typing import BinaryIO, cast
 
@@ -66,10 +67,7 @@ def read_set(path: Path, options: ReadOptions) -> Recording:
     """
     if path.is_dir():
         entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
-        members = [
-            _Member(name=entry.name, open=lambda entry=entry: open_text(entry))
-            for entry in entries  # type: ignore[misc]
-        ]
+        members = [_Member(name=entry.name, open=partial(open_text, entry)) for entry in entries]
         return _read_members(str(path), members, options)
     try:
         with zipfile.ZipFile(path) as archive:

@@ -1,0 +1,239 @@
+"""Parquet, NPZ, NPY and MAT files as lists of named columns."""
+
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.errors import ReadError
+
+__all__ = ["Column", "TableFile", "open_table"]
+
+#: Columns of a matrix beyond which it is no matrix of samples.
+_WIDEST = 64
+
+#: Names of a single number that is the sampling rate, in Hz.
+_RATES = frozenset(
+    {"fs", "freq", "rate", "rate_hz", "samplerate", "sample_rate", "sampling_rate", "frequency"}
+)
+
+#: NaveGo's names of an IMU structure: specific force, turn rate. Source: NaveGo, imu structure.
+_NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """A named column.
+
+    Attributes
+    ----------
+    name, unit
+        As the rules for names take them.
+    size
+        Rows.
+    load
+        Reads its values, shape (size,).
+    head
+        The first values.
+    has_gaps
+        Whether some cells are empty.
+    """
+
+    name: str
+    size: int
+    load: Callable[[], NDArray[Any]] = field(repr=False)
+    head: NDArray[Any] = field(repr=False)
+    unit: str | None = None
+    has_gaps: bool = False
+
+    def values(self) -> NDArray[Any]:
+        """Return all values."""
+        return self.load()
+
+    def cells(self, rows: int) -> list[str]:
+        """Return the first values as the cells of a text table; an empty one for NaN."""
+        values = self.head[:rows]
+        if values.dtype.kind == "M":
+            return [str(value) for value in values.astype("datetime64[ns]").astype(np.int64).tolist()]
+        return ["" if value is None or value != value else str(value) for value in values.tolist()]  # noqa: PLR0124 - NaN
+
+    def is_text(self, text: str) -> NDArray[np.bool_]:
+        """Return which cells hold a text."""
+        return np.array([str(value) == text for value in self.values()], dtype=np.bool_)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableFile:
+    """The columns of a file, its format, and the sampling rate where it states one."""
+
+    format: str
+    columns: tuple[Column, ...]
+    rate_hz: float | None = None
+
+
+def open_table(path: Path) -> TableFile:
+    """Return the columns of a file.
+
+    Raises
+    ------
+    ReadError
+        If it can't be read, or is none of the formats.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError as error:
+        msg = f"{path}: can't be opened: {error.strerror or error}"
+        raise ReadError(msg) from error
+    kind, reader = _reader(path, head)
+    try:
+        columns, rate = reader(path)
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        msg = f"{path}: not a readable {kind} file: {error}"
+        raise ReadError(msg) from error
+    except Exception as error:
+        # polars and scipy have error classes of their own; anything else is a bug and goes on.
+        if type(error).__module__.partition(".")[0] not in {"polars", "scipy"}:
+            raise
+        msg = f"{path}: not a readable {kind} file: {error}"
+        raise ReadError(msg) from error
+    return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate)
+
+
+_Reader = Callable[[Path], tuple[list[Column], float | None]]
+
+
+def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
+    if head.startswith(b"PAR1"):
+        return "Parquet", _parquet
+    if head.startswith(b"\x93NUMPY"):
+        return "NPY", _npy
+    if head.startswith(b"PK"):
+        return "NPZ", _npz
+    if head.startswith(b"\x89HDF\r\n\x1a\n") or head[:10] == b"MATLAB 7.3":
+        msg = (
+            f"{path}: a MATLAB 7.3 or HDF5 file; expected MAT up to version 7; "
+            "save it in MATLAB with save(..., '-v7'), or export a CSV"
+        )
+        raise ReadError(msg)
+    if head.startswith(b"MATLAB 5.0") or path.suffix.lower() == ".mat":
+        return "MAT", _mat
+    msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, NPZ, NPY or MAT"
+    raise ReadError(msg)
+
+
+def _parquet(path: Path) -> tuple[list[Column], float | None]:
+    import polars as pl
+
+    # A foreign encoding of a column is polars' business; only the columns read are decoded.
+    scan = pl.scan_parquet(path)
+    schema = scan.collect_schema()
+    rows = scan.select(pl.len()).collect()["len"].to_list()[0]
+    head = scan.head(400).collect()
+    columns: list[Column] = []
+    for name, dtype in schema.items():
+        if isinstance(dtype, pl.Struct):
+            fields = [(f"{name}.{part.name}", pl.col(name).struct.field(part.name)) for part in dtype.fields]
+        elif isinstance(dtype, pl.List | pl.Array):
+            width = int(head[name].list.len().max() or 0) if isinstance(dtype, pl.List) else dtype.size
+            getter = pl.col(name).list if isinstance(dtype, pl.List) else pl.col(name).arr
+            fields = [(f"{name}[{i}]", getter.get(i, null_on_oob=True)) for i in range(min(width, _WIDEST))]
+        else:
+            fields = [(str(name), pl.col(name))]
+        for label, expression in fields:
+            first = head.select(expression.alias("v"))["v"]
+            columns.append(
+                Column(
+                    name=label,
+                    size=rows,
+                    head=first.to_numpy(),
+                    load=lambda e=expression: scan.select(e.alias("v")).collect()["v"].to_numpy(),  # type: ignore[misc]
+                    unit="ns" if isinstance(first.dtype, pl.Datetime) else None,
+                    has_gaps=first.null_count() > 0,
+                )
+            )
+    return columns, None
+
+
+def _npy(path: Path) -> tuple[list[Column], float | None]:
+    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    return list(_of_array("", array)), None
+
+
+def _npz(path: Path) -> tuple[list[Column], float | None]:
+    with np.load(path, allow_pickle=False) as archive:
+        return _of_arrays({name: archive[name] for name in archive.files})
+
+
+def _mat(path: Path) -> tuple[list[Column], float | None]:
+    import scipy.io
+
+    content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _flatten(name, value, arrays)
+    return _of_arrays(arrays)
+
+
+def _flatten(name: str, value: Any, arrays: dict[str, NDArray[Any]], depth: int = 0) -> None:  # noqa: ANN401
+    """Collect the arrays of MATLAB structures under names with points."""
+    array = np.asarray(value)
+    if array.dtype.names is not None and depth < 8:
+        for part in array.dtype.names:
+            inner = array[part]
+            _flatten(
+                f"{name}.{part}",
+                inner.item() if inner.dtype == object and inner.size == 1 else inner,
+                arrays,
+                depth + 1,
+            )
+    elif array.dtype.kind in "biufM" and array.ndim <= 2:
+        arrays[name] = array
+
+
+def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> tuple[list[Column], float | None]:
+    rate = None
+    columns: list[Column] = []
+    for name, array in arrays.items():
+        last = name.rpartition(".")[2].lower()
+        if array.size == 1 and array.dtype.kind in "iuf":
+            value = float(array.reshape(-1)[0])
+            if last in _RATES and np.isfinite(value) and value > 0:
+                rate = value
+            continue
+        if last in _NAVEGO:
+            label, unit = _NAVEGO[last]
+            columns.extend(_of_array(f"{name}.{label}", array, unit=unit))
+        else:
+            columns.extend(_of_array(name, array))
+    return columns, rate
+
+
+def _of_array(name: str, array: NDArray[Any], *, unit: str | None = None) -> Iterable[Column]:
+    """Return the columns of an array: of a record, of a matrix, or itself."""
+    if array.dtype.names is not None:
+        return [_plain(f"{name}.{part}".lstrip("."), array[part].reshape(-1)) for part in array.dtype.names]
+    if array.ndim == 1:
+        return [_plain(name, array, unit)]
+    if array.ndim != 2:
+        return []
+    if array.shape[0] < array.shape[1] and array.shape[0] <= _WIDEST:
+        array = array.T
+    if array.shape[1] > _WIDEST:
+        return []
+    if array.shape[1] == 1:
+        return [_plain(name, array[:, 0], unit)]
+    labels = [f"{name}[{i}]" if name else "" for i in range(array.shape[1])]
+    return [_plain(label, array[:, i], unit) for i, label in enumerate(labels)]
+
+
+def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> Column:
+    unit = "ns" if array.dtype.kind == "M" else unit
+    gaps = array.dtype.kind == "f" and bool(np.isnan(array[:400]).any())
+    return Column(name=name, size=array.size, load=lambda: array, head=array[:400], unit=unit, has_gaps=gaps)
