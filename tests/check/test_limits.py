@@ -144,7 +144,7 @@ def test_a_baseline_is_sought_beside_the_file(tmp_path: Path) -> None:
 
 def test_the_examples_of_the_page_are_toml() -> None:
     """Every TOML block of the page on CI is a limits file."""
-    page = (EXAMPLE.parent / "ci-example.md").read_text(encoding="utf-8")
+    page = (EXAMPLE.parent / "use-in-ci.md").read_text(encoding="utf-8")
     blocks = [block.split("```")[0] for block in page.split("```toml\n")[1:]]
     assert len(blocks) == 2
     for block in blocks:

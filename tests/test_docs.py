@@ -1,0 +1,181 @@
+"""The documentation: its code runs, its links lead somewhere, and it names what the program names."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucal.units import SAMPLE_UNITS
+from tests.code_blocks import code_blocks, run_block
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+PACKAGE = ROOT / "imucal"
+
+#: Blocks in these languages are run; text, sh, yaml and the like only show something.
+RUN = {"python", "console", "toml"}
+_LINK = re.compile(r"\]\(([^)\s]+)\)")
+_CODE = re.compile(r"^\| (`[^|]*`) \|", re.MULTILINE)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Make a folder with the sample logs, a `log.mcap`, and a table without a header, `plain.csv`."""
+    shutil.copytree(ROOT / "sample_logs", tmp_path / "sample_logs")
+    shutil.copy(ROOT / "sample_logs" / "consumer_mems.mcap", tmp_path / "log.mcap")
+    rng = np.random.default_rng(1)
+    n = 4000
+    gravity = np.array([0, 0, 0, 0, 0, 9.81])
+    noise = rng.standard_normal((n, 6)) * [1e-3, 1e-3, 1e-3, 2e-2, 2e-2, 2e-2]
+    table = np.column_stack([np.arange(n) / 100.0, gravity + noise])
+    np.savetxt(tmp_path / "plain.csv", table, delimiter=",", fmt="%.7g")
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_the_code_of_a_page_runs_from_top_to_bottom(page: Path, folder: Path) -> None:
+    """In order, in one folder: a reader who follows a page gets through it."""
+    if page.name == "use-in-ci.md":
+        _write_reports(folder)
+    for language, text in code_blocks(page):
+        if language in RUN:
+            run_block(language, text, folder)
+
+
+def _write_reports(folder: Path) -> None:
+    """Write the two reports that the page on CI speaks of."""
+    for name, seed in (("golden", 1), ("still", 2)):
+        model = '"N=1e-4 + K=3e-6" --accel "N=1e-3 + K=2e-5" --rate 50 --duration 12min'
+        run_block("console", f"imucal simulate {model} --seed {seed} -o {name}.mcap", folder)
+        run_block("console", f"imucal fit {name}.mcap -o {name}-imucal --no-html -q", folder)
+
+
+def test_every_block_says_its_language() -> None:
+    """So that none is left out of the run by accident."""
+    known = RUN | {"sh", "text", "yaml", "json", "ini", "xml", "cpp"}
+    for page in PAGES:
+        for language, text in code_blocks(page):
+            assert language in known, f"{page.name}: {text[:60]}"
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ids=lambda p: p.stem)
+def test_links_between_files_lead_somewhere(page: Path) -> None:
+    """Files exist, and headings that are pointed at too."""
+    for target in _LINK.findall(page.read_text(encoding="utf-8")):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = page if not path else page.parent / path
+        assert file.exists(), f"{page.name}: {target} leads nowhere"
+        if anchor:
+            assert anchor in _anchors(file), f"{page.name}: {target} names no heading"
+
+
+def _anchors(page: Path) -> Iterator[str]:
+    for heading in re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE):
+        yield re.sub(r"\s+", "-", re.sub(r"[^\w\s-]", "", heading.lower()).strip())
+
+
+def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
+    """MkDocs, strict: every page in the navigation, every link known; and nothing from the network."""
+    pytest.importorskip("mkdocs", reason="mkdocs is part of the dev requirements only")
+    site = tmp_path / "site"
+    built = subprocess.run(  # noqa: S603 - our own pages
+        [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", site],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    for page in site.rglob("*.html"):
+        loaded = re.findall(r'<(?:script|link|img)\b[^>]*\b(?:src|href)="(https?:[^"]*)"', page.read_text())
+        assert loaded == [], f"{page.name} loads from the network"
+
+
+def test_every_finding_is_described() -> None:
+    """The codes in the source are those of the page, no more and no less."""
+    written = {
+        code
+        for file in PACKAGE.rglob("*.py")
+        for code in re.findall(r'\bcode="([a-z-]+)"', file.read_text(encoding="utf-8"))
+    }
+    for name in ("screen/stuck.py", "readers/losses.py"):
+        written |= _loose_codes(name)
+    described = {
+        code
+        for cell in _CODE.findall((DOCS / "findings.md").read_text(encoding="utf-8"))
+        for code in re.findall(r"`([a-z-]+)`", cell)
+    }
+    assert described == written
+
+
+def _loose_codes(name: str) -> set[str]:
+    """Return the codes that a module hands to a function of its own."""
+    text = (PACKAGE / name).read_text(encoding="utf-8")
+    damage = re.search(r"frozenset\(\{(.*?)\}\)", text, re.DOTALL)
+    listed = re.findall(r'"([a-z-]+)"', damage[1]) if damage else []
+    return set(re.findall(r'_error\(\s*"([a-z-]+)"', text)) | set(listed)
+
+
+def test_every_key_of_the_schema_is_described() -> None:
+    """A reader of report.json finds each key on the page."""
+    schema = json.loads((PACKAGE / "report" / "schema" / "report-1.schema.json").read_text(encoding="utf-8"))
+    page = (DOCS / "json.md").read_text(encoding="utf-8")
+    keys = {key for part in (schema, *schema["$defs"].values()) for key in part.get("properties", {})}
+    keys |= set(schema["$defs"]["goodness"]["properties"]["lines"]["items"]["properties"])
+    missing = sorted(key for key in keys if f"`{key}`" not in page and f'"{key}"' not in page)
+    assert missing == []
+
+
+def test_every_export_is_in_the_table() -> None:
+    """One row a format, under the name that --to takes."""
+    from imucal.report.exports import TARGETS
+
+    page = (DOCS / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
+    rows = set(re.findall(r"^\|[^|]*\| `([a-z][a-z0-9-]+)` \|", page, re.MULTILINE))
+    assert rows == set(TARGETS)
+
+
+def test_every_exit_code_is_in_the_table() -> None:
+    """Those of the errors, and those of the command line itself."""
+    from imucal import errors
+
+    page = (DOCS / "exit-codes.md").read_text(encoding="utf-8")
+    rows = {int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)}
+    own = {getattr(errors, name).exit_code for name in errors.__all__}
+    assert own | {0, 2, 70, 130, 141} == rows
+
+
+@pytest.mark.parametrize(
+    ("number", "unit"),
+    [
+        ("2.909·10⁻⁴ rad/s/√Hz", np.radians(1) / 60),
+        ("1.745·10⁻² rad/s/√Hz", np.radians(1)),
+        ("4.848·10⁻⁶ rad/s", np.radians(1) / 3600),
+        ("1.667·10⁻² m/s²/√Hz", 1 / 60),
+        ("9.807·10⁻⁶ m/s²/√Hz", 9.80665e-6),
+        ("9.807·10⁻³ m/s²", 9.80665e-3),
+    ],
+)
+def test_the_conversions_are_right(number: str, unit: float) -> None:
+    """The table of data-sheet units, to its four digits."""
+    page = (DOCS / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
+    assert number in page
+    digits, power = re.match(r"([\d.]+)·10⁻(.)", number).groups()  # type: ignore[union-attr]
+    assert float(digits) * 10.0 ** -"⁰¹²³⁴⁵⁶⁷⁸⁹".index(power) == pytest.approx(unit, rel=5e-4)
+
+
+def test_units_that_the_pages_name_are_known() -> None:
+    """What --gyro-unit and --accel-unit are given on the pages."""
+    known = {unit for units in SAMPLE_UNITS.values() for unit in units}
+    for page in PAGES:
+        named = re.findall(r"--(?:gyro|accel)-unit (\S+)", page.read_text(encoding="utf-8"))
+        assert {unit.strip("`.,:") for unit in named} - {""} <= known, page.name
