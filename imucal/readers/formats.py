@@ -83,7 +83,7 @@ def detect(path: Path) -> Format:
     if str(path) == STDIN:
         return text
     if path.is_dir():
-        return _named("ROS 2 bag")
+        return text if _holds_tables(path) else _named("ROS 2 bag")
     head = _first_bytes(path)
     for entry in FORMATS:
         if head.startswith(entry.magic) and entry.magic:
@@ -106,6 +106,13 @@ def detect(path: Path) -> Format:
 def load(entry: Format) -> Reader:
     """Import the module of a format."""
     return cast("Reader", importlib.import_module(entry.module))
+
+
+def _holds_tables(folder: Path) -> bool:
+    """Return whether a folder is an app's set of text tables, and not a bag."""
+    names = [entry.name.lower() for entry in folder.iterdir()]
+    bag = any(name == "metadata.yaml" or ".db3" in name or ".mcap" in name for name in names)
+    return not bag and any(name.endswith(FORMATS[-1].suffixes) for name in names)
 
 
 def _named(name: str) -> Format:
