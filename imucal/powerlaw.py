@@ -4,6 +4,10 @@ Everything of second order about a stationary-increment process follows from V(n
 (generalised) variance of the sum of n consecutive samples:
 
     avar(m) = (4 V(m) - V(2m)) / (2 m^2)
+    V(n) = n^2 r(0) - sum over k < n of (n - k) D(k)
+
+with D(k) the mean square difference of samples k apart and r(0) the variance, which cancels in
+avar and is taken as 0 where there is none.
 
 They stand below `allan` and `noise`, because both the intervals of a curve and the terms of a
 model are made of them. Per-sample units: sampling period 1, angular frequency in rad/sample.
@@ -57,6 +61,20 @@ class PowerLaw(Enum):
                 return np.where(n == 0, 0.0, -sums / (2 * np.pi))
             case PowerLaw.WALK:
                 return -(n**3 - n) / 6.0
+
+    def structure(self, k: FloatArray) -> FloatArray:
+        """Return D(k), the mean square difference of samples k apart; D is even, D(0) = 0."""
+        k = np.abs(np.asarray(k, dtype=np.float64))
+        match self:
+            case PowerLaw.QUANTIZATION:
+                return np.where(k == 0, 0.0, np.where(k == 1, 6.0, 4.0))
+            case PowerLaw.WHITE:
+                return np.where(k == 0, 0.0, 2.0)
+            case PowerLaw.FLICKER:
+                flicker: FloatArray = 4 / np.pi * odd_harmonic(k)
+                return flicker
+            case PowerLaw.WALK:
+                return k
 
     def avar(self, m: FloatArray) -> FloatArray:
         """Return the exact Allan variance at averaging factors `m`, shape (k,)."""

@@ -21,7 +21,7 @@ from imucal.noise.terms import (
 __all__ = ["NoiseModel", "parse_structure", "structure_text"]
 
 _SIMPLE = {c.symbol: c for c in (Quantization, AngleRandomWalk, BiasInstability, RateRandomWalk, RateRamp)}
-_TERM = re.compile(r"\s*(?:(?P<count>\d+)\s*\*\s*)?(?P<symbol>[A-Z]+)\s*")
+_TERM = re.compile(r"\s*(?:(?P<count>[1-9]\d*)\s*\*\s*)?(?P<symbol>[A-Z]+)\s*")
 _VALUED = re.compile(r"\s*(?P<symbol>[A-Z]+)\s*=\s*(?P<value>[^\s()]+)\s*")
 _GAUSS_MARKOV = re.compile(
     r"\s*GM\s*\(\s*sigma\s*=\s*(?P<sigma>[^\s,]+)\s*,\s*T\s*=\s*(?P<T>[^\s)]+)\s*\)\s*"
@@ -72,6 +72,22 @@ class NoiseModel:
         total = np.zeros(f.shape)
         for term in self.terms:
             total += term.psd(f, 1 / rate_hz)
+        return total
+
+    def structure(self, k: FloatArray, *, rate_hz: float) -> FloatArray:
+        """Return the mean square difference of samples `k` apart, shape (j,), in U²."""
+        k = np.asarray(k, dtype=np.float64)
+        total = np.zeros(k.shape)
+        for term in self.terms:
+            total += term.structure(k, 1 / rate_hz)
+        return total
+
+    def sum_variance(self, n: FloatArray, *, rate_hz: float) -> FloatArray:
+        """Return V(n), the generalised variance of the sum of `n` samples, shape (j,), in U²."""
+        n = np.asarray(n, dtype=np.float64)
+        total = np.zeros(n.shape)
+        for term in self.terms:
+            total += term.sum_variance(n, 1 / rate_hz)
         return total
 
     def simulate(self, n: int, *, rate_hz: float, rng: np.random.Generator) -> FloatArray:

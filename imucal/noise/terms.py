@@ -13,7 +13,8 @@ from typing import ClassVar
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.powerlaw import PowerLaw, odd_harmonic
+from imucal.noise.formulas import draw_flicker, gauss_markov_avar, gauss_markov_sum
+from imucal.powerlaw import PowerLaw
 
 __all__ = [
     "TERMS",
@@ -53,6 +54,17 @@ class NoiseTerm(ABC):
         """Return the two-sided psd of the sampled process at `f` in Hz, shape (k,), in U²/Hz."""
 
     @abstractmethod
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
+        """Return D(k), the mean square difference of samples `k` apart, shape (j,), in U²."""
+
+    @abstractmethod
+    def sum_variance(self, n: FloatArray, tau0: float) -> FloatArray:
+        """Return V(n), the generalised variance of the sum of `n` samples, shape (j,), in U².
+
+        See `imucal.powerlaw`: avar(m) = (4 V(m) - V(2m)) / (2 m²).
+        """
+
+    @abstractmethod
     def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
         """Return `n` samples, shape (n,), in U."""
 
@@ -86,6 +98,12 @@ class PowerLawTerm(NoiseTerm):
 
     def avar(self, m: FloatArray, tau0: float) -> FloatArray:
         return self.variance(tau0) * self.law.avar(m)
+
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
+        return self.variance(tau0) * self.law.structure(k)
+
+    def sum_variance(self, n: FloatArray, tau0: float) -> FloatArray:
+        return self.variance(tau0) * self.law.sum_variance(n)
 
     def psd(self, f: FloatArray, tau0: float) -> FloatArray:
         return self.variance(tau0) * tau0 * self.law.psd(2 * np.pi * np.asarray(f) * tau0)
@@ -150,7 +168,7 @@ class BiasInstability(PowerLawTerm):
         return 1.0
 
     def _unit(self, n: int, rng: np.random.Generator) -> FloatArray:
-        return _unit_flicker(n, rng)
+        return draw_flicker(n, rng)
 
 
 class RateRandomWalk(PowerLawTerm):
@@ -191,6 +209,13 @@ class RateRamp(NoiseTerm):
     def avar(self, m: FloatArray, tau0: float) -> FloatArray:
         tau = np.asarray(m, dtype=np.float64) * tau0
         return (self.value * tau) ** 2 / 2
+
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
+        return (self.value * tau0 * np.asarray(k, dtype=np.float64)) ** 2
+
+    def sum_variance(self, n: FloatArray, tau0: float) -> FloatArray:
+        n = np.asarray(n, dtype=np.float64)
+        return -((self.value * tau0) ** 2) * (n**4 - n**2) / 12
 
     def psd(self, f: FloatArray, tau0: float) -> FloatArray:  # noqa: ARG002 - deterministic
         return np.zeros_like(np.asarray(f, dtype=np.float64))
@@ -234,7 +259,15 @@ class GaussMarkov(NoiseTerm):
         return float(self.sigma * np.sqrt(-np.expm1(-2 * tau0 / self.T)))
 
     def avar(self, m: FloatArray, tau0: float) -> FloatArray:
-        return self.sigma**2 * _unit_gauss_markov_avar(np.asarray(m, np.float64), tau0 / self.T)
+        return self.sigma**2 * gauss_markov_avar(np.asarray(m, np.float64), tau0 / self.T)
+
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
+        lags = np.abs(np.asarray(k, dtype=np.float64))
+        shape: FloatArray = -2 * np.expm1(-lags * tau0 / self.T)
+        return self.sigma**2 * shape
+
+    def sum_variance(self, n: FloatArray, tau0: float) -> FloatArray:
+        return self.sigma**2 * gauss_markov_sum(np.abs(np.asarray(n, np.float64)), tau0 / self.T)
 
     def psd(self, f: FloatArray, tau0: float) -> FloatArray:
         a = tau0 / self.T
@@ -266,42 +299,3 @@ def _require_non_negative(symbol: str, value: float) -> None:
     if not (np.isfinite(value) and value >= 0):
         msg = f"{symbol} must be finite and not negative, got {value}"
         raise ValueError(msg)
-
-
-def _unit_gauss_markov_avar(m: FloatArray, a: float) -> FloatArray:
-    """Return the Allan variance of a unit-variance AR1 with phi = exp(-a).
-
-    The closed form loses all digits as a -> 0, where the series in a takes over; together they
-    are right to about 1e-11 (tested against the sum of autocovariances).
-    """
-    phi, one_minus_phi = np.exp(-a), -np.expm1(-a)
-    d = -np.expm1(-a * m)
-    closed = (m * -np.expm1(-2 * a) - phi * d * (2 + d)) / (m * one_minus_phi) ** 2
-    p1 = (2 * m**2 + 1) / (6 * m)
-    p2 = m**2 / 2
-    p3 = (21 * m**4 - 5 * m**2 - 1) / (30 * m)
-    p4 = m**4 - m**2 / 2
-    series = 2 * (a * p1 - a**2 * p2 / 2 + a**3 * p3 / 6 - a**4 * p4 / 24)
-    return np.where(a * m >= 5e-3, closed, series)
-
-
-def _unit_flicker(n: int, rng: np.random.Generator) -> FloatArray:
-    """Return flicker with the exact structure function (4/pi) O_k, by circulant embedding.
-
-    The first differences are stationary; their circulant autocovariance has a non-negative
-    spectrum, so the draw is exact. Source: Davies & Harte (1987).
-    """
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    if n == 0:
-        return np.zeros(0)
-    size = next_fast_len(2 * n, real=True)
-    half = size // 2
-    structure = 4 / np.pi * odd_harmonic(np.arange(half + 2, dtype=np.float64))
-    covariance = np.empty(half + 1)
-    covariance[0] = structure[1]
-    covariance[1:] = 0.5 * (structure[2:] + structure[:-2]) - structure[1:-1]
-    circulant = np.concatenate([covariance, covariance[1 : size - half][::-1]])
-    spectrum = np.sqrt(np.maximum(rfft(circulant).real, 0.0))
-    steps = irfft(rfft(rng.standard_normal(size)) * spectrum, size)[:n]
-    return np.cumsum(steps)
