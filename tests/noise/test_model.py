@@ -1,0 +1,108 @@
+"""NoiseModel: sums, text, refusals."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imucal.noise import GaussMarkov, NoiseModel, RateRamp, parse_structure, structure_text
+
+TEXT = "N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)"
+
+
+def test_the_example_is_understood() -> None:
+    """Terms in the order they stand, values as written."""
+    model = NoiseModel.parse(TEXT)
+    assert str(model) == "N + B + K + GM"
+    assert [term.coefficient for term in model.terms] == [1e-3, 2e-5, 3e-6, 1e-4]
+    assert NoiseModel.parse(model.text()) == model
+
+
+def test_signs_and_exponents_are_not_plus_signs() -> None:
+    """``1e+3`` is one number; a drift may be negative; blanks do not matter."""
+    model = NoiseModel.parse("N=1E+3+R=-2.5e-06 +GM( sigma = 1e+1 ,T=5e+2 )+GM(sigma=1,T=2)")
+    assert str(model) == "N + R + 2*GM"
+    assert model.terms[1] == RateRamp(value=-2.5e-6)
+    assert model.terms[2] == GaussMarkov(sigma=10.0, T=500.0)
+
+
+positive = st.floats(1e-300, 1e300)
+
+
+@given(n=positive, k=positive, r=st.floats(-1e300, 1e300), sigma=positive, t=positive)
+def test_every_value_reads_back_exactly(n: float, k: float, r: float, sigma: float, t: float) -> None:
+    """The text holds all digits."""
+    model = NoiseModel.parse(f"N={n!r} + K={k!r} + R={r!r} + GM(sigma={sigma!r}, T={t!r})")
+    assert NoiseModel.parse(model.text()) == model
+
+
+def test_everything_adds_up() -> None:
+    """Independent terms: avar, psd, D and V are the sums of the terms'."""
+    model = NoiseModel.parse(TEXT + " + R=1e-6 + Q=1e-7")
+    m = np.array([1.0, 8.0, 300.0])
+    for name in ("avar", "structure", "sum_variance", "psd"):
+        total = sum(getattr(term, name)(m, 1 / 200.0) for term in model.terms)
+        npt.assert_allclose(getattr(model, name)(m, rate_hz=200.0), total, rtol=1e-13)
+
+
+def test_no_terms_are_silence() -> None:
+    """The empty sum is zero."""
+    model = NoiseModel(terms=())
+    assert str(model) == ""
+    npt.assert_array_equal(model.avar(np.array([1.0]), rate_hz=1.0), 0.0)
+    npt.assert_array_equal(model.simulate(3, rate_hz=1.0, rng=np.random.default_rng(0)), np.zeros(3))
+
+
+def test_samples_follow_the_seed() -> None:
+    """One seed, one series."""
+    model = NoiseModel.parse(TEXT)
+    first = model.simulate(50, rate_hz=10.0, rng=np.random.default_rng(9))
+    npt.assert_array_equal(first, model.simulate(50, rate_hz=10.0, rng=np.random.default_rng(9)))
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "model term '' is not understood"),
+        ("N", "model term 'N' is not understood"),
+        ("n=1", "model term 'n=1' is not understood"),
+        ("X=1", "model term 'X=1' is not understood"),
+        ("N=1 +", "model term '' is not understood"),
+        ("GM=1", "model term 'GM=1' is not understood"),
+        ("GM(sigma=1)", r"model term 'GM\(sigma=1\)' is not understood"),
+        ("N=one", "'one' is not a number"),
+        ("GM(sigma=a, T=2)", "'a' is not a number"),
+    ],
+)
+def test_refuses_what_is_not_a_sum_of_valued_terms(text: str, found: str) -> None:
+    """The message names the part and shows what a model looks like."""
+    with pytest.raises(ValueError, match=found + "; write a sum such as 'N=1e-3"):
+        NoiseModel.parse(text)
+
+
+@pytest.mark.parametrize("text", ["N=1 + N=2", "K=1 + N=1 + K=1"])
+def test_refuses_a_repeated_term(text: str) -> None:
+    """Two of a kind are one; only correlation times tell Gauss-Markov terms apart."""
+    with pytest.raises(ValueError, match="stands more than once; only GM may"):
+        NoiseModel.parse(text)
+
+
+def test_structures_are_sorted_and_counted() -> None:
+    """By rising slope; several GM as a count."""
+    assert parse_structure("K + N + B") == ("N", "B", "K")
+    assert parse_structure("GM+2*GM + N") == ("N", "GM", "GM", "GM")
+    assert structure_text(parse_structure(" N+GM +GM")) == "N + 2*GM"
+
+
+@pytest.mark.parametrize("text", ["", "N + ", "N + Z", "auto", "N=1", "0*GM", "-1*GM", "GM*2"])
+def test_refuses_an_unknown_structure(text: str) -> None:
+    """The message lists the terms and an example."""
+    with pytest.raises(ValueError, match=r"is not one of Q, N, B, GM, K, R; write 'N \+ B \+ K'"):
+        parse_structure(text)
+
+
+def test_refuses_a_repeated_structure() -> None:
+    """2*N is N."""
+    with pytest.raises(ValueError, match="N stands more than once; only GM may"):
+        parse_structure("2*N")

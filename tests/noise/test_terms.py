@@ -1,0 +1,264 @@
+"""One contract for every term: definitions, sums, integrals, simulation, text."""
+
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.allan.estimators import ESTIMATORS
+from imucal.allan.variance import variances
+from imucal.arrays import FloatArray
+from imucal.noise import (
+    TERMS,
+    AngleRandomWalk,
+    BiasInstability,
+    GaussMarkov,
+    NoiseModel,
+    NoiseTerm,
+    Quantization,
+    RateRamp,
+    RateRandomWalk,
+)
+from imucal.noise.formulas import gauss_markov_avar, gauss_markov_sum
+
+TAU0 = 0.005
+MEMBERS: list[NoiseTerm] = [
+    Quantization(value=2e-5),
+    AngleRandomWalk(value=1e-3),
+    BiasInstability(value=3e-4),
+    GaussMarkov(sigma=2e-4, T=0.7),
+    GaussMarkov(sigma=2e-4, T=3600.0),
+    RateRandomWalk(value=4e-5),
+    RateRamp(value=-6e-6),
+]
+STOCHASTIC = [term for term in MEMBERS if not isinstance(term, RateRamp)]
+
+
+def ids(term: NoiseTerm) -> str:
+    return term.text()
+
+
+def test_the_table_names_every_class_once() -> None:
+    """Symbols in the order of a rising slope."""
+    assert list(TERMS) == ["Q", "N", "B", "GM", "K", "R"]
+    assert {type(member) for member in MEMBERS} == set(TERMS.values())
+
+
+@pytest.mark.parametrize("term", MEMBERS, ids=ids)
+def test_the_text_reads_back(term: NoiseTerm) -> None:
+    """`parse` returns an equal term."""
+    assert NoiseModel.parse(term.text()).terms == (term,)
+    assert TERMS[term.symbol] is type(term)
+    assert len(term.names) == len(term.units) == 2
+
+
+@pytest.mark.parametrize("term", MEMBERS, ids=ids)
+def test_avar_follows_from_the_sum_variance(term: NoiseTerm) -> None:
+    """avar(m) = (4 V(m) - V(2m)) / (2 m²)."""
+    m = np.array([1.0, 2.0, 3.0, 20.0, 150.0])
+    V = term.sum_variance
+    expected = (4 * V(m, TAU0) - V(2 * m, TAU0)) / (2 * m**2)
+    # V of a slow Gauss-Markov process is n² sigma² but for a few parts in a million.
+    npt.assert_allclose(term.avar(m, TAU0), expected, rtol=2e-8)
+
+
+@pytest.mark.parametrize("term", MEMBERS, ids=ids)
+def test_avar_follows_from_the_structure_function(term: NoiseTerm) -> None:
+    """Lemma 4.2, free of any variance: (sum (2m-k) D - 4 sum (m-k) D) / (2 m²)."""
+    for m in (1, 2, 5, 60):
+        k = np.arange(1.0, 2 * m)
+        D = term.structure(k, TAU0)
+        weight = (2 * m - k) - 4 * np.maximum(m - k, 0)
+        assert float(weight @ D) / (2 * m**2) == pytest.approx(
+            term.avar(np.array([float(m)]), TAU0)[0], rel=1e-9
+        )
+
+
+@pytest.mark.parametrize("term", STOCHASTIC, ids=ids)
+@pytest.mark.parametrize("m", [1, 3, 25])
+def test_avar_is_the_integral_of_the_psd(term: NoiseTerm, m: int) -> None:
+    """Lemma 4.1: over both sides, the psd in U²/Hz times the response of the Allan variance."""
+    # Frequencies are closer together where the psd of a slow process is steep.
+    edges = np.concatenate([[0.0], np.geomspace(1e-9, 0.5 / TAU0, 200_001)])
+    f = (edges[1:] + edges[:-1]) / 2
+    response = 2 * np.sin(np.pi * f * m * TAU0) ** 4 / (m * np.sin(np.pi * f * TAU0)) ** 2
+    got = 2 * float(np.sum(response * term.psd(f, TAU0) * np.diff(edges)))
+    assert got == pytest.approx(term.avar(np.array([float(m)]), TAU0)[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("term", STOCHASTIC, ids=ids)
+def test_simulated_samples_have_the_avar(term: NoiseTerm) -> None:
+    """The mean of 60 series is within four standard errors at short and long averages."""
+    rng, m = np.random.default_rng(3), np.array([1, 4, 64, 500])
+    drawn = np.array(
+        [variances(term.simulate(4000, TAU0, rng), m, ESTIMATORS["overlapping"]) for _ in range(60)]
+    )
+    error = drawn.std(axis=0) / np.sqrt(60)
+    assert np.all(np.abs(drawn.mean(axis=0) - term.avar(m.astype(np.float64), TAU0)) < 4 * error)
+
+
+@pytest.mark.parametrize("term", STOCHASTIC, ids=ids)
+def test_simulated_samples_have_the_structure_function(term: NoiseTerm) -> None:
+    """Mean square differences over 300 short series, at several lags."""
+    rng = np.random.default_rng(4)
+    drawn = np.array([term.simulate(300, TAU0, rng) for _ in range(300)])
+    for k in (1, 2, 7, 40):
+        squares = np.mean((drawn[:, k:] - drawn[:, :-k]) ** 2, axis=1)
+        expected = term.structure(np.array([float(k)]), TAU0)[0]
+        assert abs(squares.mean() - expected) < 4 * squares.std() / np.sqrt(300)
+
+
+@pytest.mark.parametrize("term", STOCHASTIC, ids=ids)
+def test_simulation_follows_its_generator(term: NoiseTerm) -> None:
+    """The same seed gives the same samples; no samples give none."""
+    first = term.simulate(100, TAU0, np.random.default_rng(1))
+    npt.assert_array_equal(first, term.simulate(100, TAU0, np.random.default_rng(1)))
+    assert term.simulate(0, TAU0, np.random.default_rng(1)).shape == (0,)
+    assert term.simulate(1, TAU0, np.random.default_rng(1)).shape == (1,)
+
+
+def test_a_ramp_is_a_ramp() -> None:
+    """R t, whatever the seed; its Allan variance R² tau² / 2 and no spectrum."""
+    ramp = RateRamp(value=-6e-6)
+    npt.assert_allclose(ramp.simulate(4, 0.5, np.random.default_rng(0)), -6e-6 * np.arange(4) / 2)
+    npt.assert_allclose(ramp.avar(np.array([10.0]), 0.5), (6e-6 * 5) ** 2 / 2)
+    npt.assert_array_equal(ramp.psd(np.array([0.0, 1.0]), 0.5), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("term", "tau", "expected"),
+    [
+        (AngleRandomWalk(value=1e-3), 1.0, 1e-3),
+        (RateRandomWalk(value=4e-5), 3.0, 4e-5),
+        (Quantization(value=2e-5), 2.0, 3**0.5 * 1e-5),
+        (BiasInstability(value=3e-4), 500.0, 0.6643 * 3e-4),
+        (RateRamp(value=6e-6), 2**0.5, 6e-6),
+    ],
+    ids=lambda value: getattr(value, "symbol", None),
+)
+def test_coefficients_read_where_ieee_952_reads_them(term: NoiseTerm, tau: float, expected: float) -> None:
+    """IEEE Std 952-1997, Annex C: N at 1 s, K at 3 s, B at 0.664 B; for many samples a second."""
+    m = np.array([np.round(tau / 1e-4)])
+    assert np.sqrt(term.avar(m, 1e-4)[0]) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("term", STOCHASTIC, ids=ids)
+def test_the_continuous_limit_is_that_of_ieee_952(term: NoiseTerm) -> None:
+    """At low frequency, with w = 2 pi f: N², K²/w², B²/w, tau0 Q² w², 2 sigma² T/(1 + (w T)²)."""
+    f = np.array([0.01, 0.1])
+    w = 2 * np.pi * f
+    match term:
+        case GaussMarkov():
+            expected = 2 * term.sigma**2 * term.T / (1 + (w * term.T) ** 2)
+        case _:
+            slope = {"Q": 1e-4 * w**2, "N": np.ones(2), "B": 1 / w, "K": 1 / w**2}[term.symbol]
+            expected = term.coefficient**2 * slope
+    npt.assert_allclose(term.psd(f, 1e-4), expected, rtol=1e-4)
+
+
+def _exact_gauss_markov(m: int, phi: Fraction) -> Fraction:
+    """Sum over autocovariances, in whole fractions."""
+    total = sum((2 * m - k - 4 * max(m - k, 0)) * 2 * (1 - phi**k) for k in range(1, 2 * m))
+    return Fraction(total) / (2 * m * m)
+
+
+@pytest.mark.parametrize("a", [1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize("m", [1, 2, 5, 40])
+def test_gauss_markov_is_stable_as_phi_tends_to_one(a: float, m: int) -> None:
+    """Relative error below 1e-11 from correlation times of one sample to 1e10."""
+    # phi = 1 - x is exact as a fraction; -log1p(-x) is its a, rounded once.
+    x = Fraction(a)
+    exact = float(_exact_gauss_markov(m, 1 - x)) if a < 1 else None
+    got = gauss_markov_avar(np.array([float(m)]), -float(np.log1p(-a)) if a < 1 else a)[0]
+    if exact is None:
+        phi = np.exp(-a)
+        k = np.arange(1.0, 2 * m)
+        exact = float((2 * m - k - 4 * np.maximum(m - k, 0)) @ (2 * (1 - phi**k))) / (2 * m * m)
+    assert got == pytest.approx(exact, rel=1e-11)
+
+
+def test_the_textbook_form_is_not_stable() -> None:
+    """At phi = 1 - 1e-6 and m = 1 the value is 1 - phi; the textbook form gives 22.6 times half."""
+    a = -np.log1p(-1e-6)
+    assert gauss_markov_avar(np.array([1.0]), a)[0] == pytest.approx(1e-6, rel=1e-11)
+
+
+@pytest.mark.parametrize("a", [2.0, 1e-2, 1e-5, 1e-9])
+def test_the_sum_variance_of_gauss_markov_is_its_double_sum(a: float) -> None:
+    """V(n) = sum of exp(-a |i - j|), in closed form and in series."""
+    for n in (1, 2, 30):
+        i = np.arange(n)
+        expected = np.exp(-a * np.abs(i[:, None] - i)).sum()
+        assert gauss_markov_sum(np.array([float(n)]), a)[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_slow_gauss_markov_is_a_random_walk() -> None:
+    """For T much longer than tau, sigma² (2/T) drives a random walk of K² = 2 sigma² / T."""
+    slow, walk = GaussMarkov(sigma=1.0, T=1e9), RateRandomWalk(value=(2 / 1e9) ** 0.5)
+    m = np.array([1.0, 10.0, 1000.0])
+    npt.assert_allclose(slow.avar(m, 1.0), walk.avar(m, 1.0), rtol=1e-5)
+
+
+def test_a_fast_gauss_markov_is_white_noise() -> None:
+    """For T much shorter than tau0, samples are independent."""
+    fast = GaussMarkov(sigma=2.0, T=1e-3)
+    npt.assert_allclose(fast.avar(np.array([1.0, 7.0]), 1.0), [4.0, 4 / 7])
+    assert fast.phi(1.0) == 0.0
+    assert fast.q(1.0) == pytest.approx(2.0)
+
+
+def test_a_moving_average_has_its_published_avar() -> None:
+    """MA(1): sigma² (m (1 + theta)² - 3 theta) / m², as a sum of quantization and white noise.
+
+    With theta < 0, y = e[t] + theta e[t-1] has the acvf of -theta differences and (1 + theta)² white.
+    """
+    theta = -0.4
+    model = NoiseModel(terms=(Quantization(value=(-theta) ** 0.5), AngleRandomWalk(value=abs(1 + theta))))
+    m = np.array([1.0, 2.0, 9.0, 100.0])
+    expected = (m * (1 + theta) ** 2 - 3 * theta) / m**2
+    npt.assert_allclose(model.avar(m, rate_hz=1.0), expected, rtol=1e-12)
+    f = np.array([0.01, 0.2, 0.49])
+    psd = 1 + theta**2 + 2 * theta * np.cos(2 * np.pi * f)
+    npt.assert_allclose(model.psd(f, rate_hz=1.0), psd, rtol=1e-12)
+
+
+def _avar_of_psd(psd: Callable[[FloatArray], FloatArray], m: int) -> float:
+    """Integrate over log f with the response of continuous time, from 1e-7 to 1e5 / m."""
+    x = np.linspace(np.log2(1e-8), np.log2(1e6), 2_800_001)
+    f = np.exp2(x)
+    response = 2 * np.sin(np.pi * f * m) ** 4 / (np.pi * f * m) ** 2
+    return float(np.sum(response * psd(f) * f) * np.log(2) * (x[1] - x[0]))
+
+
+def test_two_spectra_may_share_one_allan_variance() -> None:
+    """Greenhall (1998): 1/f and (1/f)(1 + 0.8 cos(a ln f + b)) can have one and the same curve.
+
+    At the roots s = i a of the response's Mellin transform, 2^(2 - s) = 4 … the ripple integrates to
+    nothing at every tau: here a = 2 pi / ln 2, one ripple an octave. Only the spectrum tells them apart.
+    """
+    plain = np.array([_avar_of_psd(lambda f: 1 / f, m) for m in (1, 2, 3, 5, 10)])
+    rippled = np.array(
+        [_avar_of_psd(lambda f: (1 + 0.8 * np.cos(2 * np.pi * np.log2(f))) / f, m) for m in (1, 2, 3, 5, 10)]
+    )
+    npt.assert_allclose(plain, 2 * np.log(2), rtol=1e-5)
+    npt.assert_allclose(rippled, plain, rtol=1e-5)
+
+
+@pytest.mark.parametrize("value", [-1e-3, float("nan"), float("inf")])
+@pytest.mark.parametrize("kind", [Quantization, AngleRandomWalk, BiasInstability, RateRandomWalk])
+def test_refuses_an_impossible_coefficient(kind: type[AngleRandomWalk], value: float) -> None:
+    """A deviation is finite and not negative."""
+    with pytest.raises(ValueError, match=f"{kind.symbol} must be finite and not negative, got {value}"):
+        kind(value=value)
+
+
+def test_refuses_an_impossible_gauss_markov_and_ramp() -> None:
+    """Sigma is not negative, T positive, R finite."""
+    with pytest.raises(ValueError, match="GM sigma must be finite and not negative, got -1"):
+        GaussMarkov(sigma=-1.0, T=1.0)
+    with pytest.raises(ValueError, match="GM T must be positive and finite, got 0"):
+        GaussMarkov(sigma=1.0, T=0.0)
+    with pytest.raises(ValueError, match="R must be finite, got inf"):
+        RateRamp(value=float("inf"))
