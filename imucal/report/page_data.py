@@ -49,10 +49,12 @@ def standing_out(overview: Overview, std: float) -> FloatArray:
     deviation, or of an eighth of `std` where that is larger.
     """
     found = np.zeros(overview.time_s.size, dtype=bool)
+    if found.size < _NEIGHBOURS:
+        return overview.time_s[found]
     for extreme in (overview.low, overview.high):
         away = np.abs(extreme - _running_median(extreme))
         known = away[np.isfinite(away)]
-        if known.size >= _NEIGHBOURS:
+        if known.size:
             spread = max(1.4826 * float(np.median(known)), std / 8)
             found |= np.nan_to_num(away) > _STANDS_OUT * spread
     return overview.time_s[found]
@@ -60,7 +62,7 @@ def standing_out(overview: Overview, std: float) -> FloatArray:
 
 def _running_median(values: FloatArray) -> FloatArray:
     half = _NEIGHBOURS // 2
-    padded = np.pad(values, half, mode="reflect") if values.size > half else np.pad(values, half, mode="edge")
+    padded = np.pad(values, half, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS)
     filled = np.where(np.isfinite(windows), windows, np.inf)
     middle = np.sort(filled, axis=1)

@@ -234,7 +234,9 @@ def _check_texts(figure: Figure) -> None:
 
 def _overlap(one: Bbox, other: Bbox) -> bool:
     # One pixel of tolerance: extents are rounded up to whole pixels.
-    return one.x0 + 1 < other.x1 and other.x0 + 1 < one.x1 and one.y0 + 1 < other.y1 and other.y0 + 1 < one.y1
+    beside = one.x0 + 1 >= other.x1 or other.x0 + 1 >= one.x1
+    above = one.y0 + 1 >= other.y1 or other.y0 + 1 >= one.y1
+    return not bool(beside or above)
 
 
 def _extent(text: Text, renderer: object) -> Bbox:
@@ -258,7 +260,7 @@ def _texts(figure: Figure) -> list[Text]:
                     hidden |= {id(tick.label1), id(tick.label2)}
                 if not tick.label2.get_visible():
                     hidden.add(id(tick.label2))
-    found = [artist for artist in figure.findobj(Text) if isinstance(artist, Text)]
+    found: list[Text] = figure.findobj(Text)
     return [t for t in found if t.get_visible() and t.get_text().strip() and id(t) not in hidden]
 
 

@@ -200,8 +200,10 @@
       at = Math.min(Math.max(at + step, 0), points.length - 1);
       const { curveNumber, pointNumber } = points[at];
       window.Plotly.Fx.hover(plot, [{ curveNumber, pointNumber }]);
-      const shown = [...plot.querySelectorAll(".hoverlayer text")].map((node) => [...node.querySelectorAll("tspan.line")].map((l) => l.textContent).join(", ") || node.textContent);
-      document.getElementById("announcement").textContent = shown.join("; ");
+      const { customdata, hovertemplate } = plot.data[curveNumber];
+      document.getElementById("announcement").textContent = hovertemplate
+        .replace(/%\{customdata\[(\d)\]\}/g, (_, k) => customdata[pointNumber][k])
+        .replace(/<br>/g, ", ").replace(/<extra>.*|<[^>]*>/g, "");
       event.preventDefault();
     });
     plot.addEventListener("blur", () => { if (drawn.has(plot)) window.Plotly.Fx.unhover(plot); at = -1; });

@@ -1,0 +1,84 @@
+"""The table on the terminal: 80 columns, every number with its interval, right when piped."""
+
+from dataclasses import replace
+
+import pytest
+
+from imucal.cli._table import summary_table
+from imucal.report.result import Report
+from tests.report.synthetic import consumer_report, small_report
+
+
+def test_both_sensors_stand_side_by_side() -> None:
+    """Word for word, in data-sheet units."""
+    report = consumer_report()
+    report = replace(report, axes=report.axes[:2] + report.axes[3:5])
+    assert summary_table(report, datasheet=True, encoding="utf-8").splitlines() == [
+        "GYROSCOPE                                ACCELEROMETER",
+        "200 Hz, 2160000 samples, 3.03 h          200 Hz, 2160000 samples, 3.00 h",
+        "",
+        "                                         Q  quantization noise  1e-6 m/s",
+        "                                         x  2.00  [1.92, 2.08]",
+        "",
+        "N  angle random walk  deg/√h             N  velocity random walk  m/s/√h",
+        "x  0.4125  [0.4109, 0.4141]              x  0.06600  [0.06574, 0.06626]",
+        "y  0.4469  [0.4452, 0.4487]              y  0.07800  [0.07770, 0.07831]",
+        "",
+        "B  bias instability  deg/h               B  bias instability  mg",
+        "x  4.95  [4.76, 5.14]                    x  0.0296  [0.0285, 0.0307]",
+        "y  4.33  [4.17, 4.50]                    y  0.0255  [0.0245, 0.0265]",
+        "",
+        "K  rate random walk  deg/h/√h            K  accel. random walk  1e-3 m/s²/√h",
+        "x  13.6   [11.8, 15.7]                   x  0.54    [0.47, 0.62]",
+        "y  < 5.1                                 y  < 0.30",
+        "",
+        "minimum of the curve  deg/h              minimum of the curve  mg",
+        "x  3.6  [2.8, 5.0]  at 328 s             x  0.019  [0.010, 0.110]  at 2620 s",
+        "y  1.8  [1.1, 4.4]  at 1310 s            y  0.017  [0.009, 0.100]  at 2620 s",
+        "",
+        "[low, high]: 95 % interval; < high: not shown by the data, upper bound",
+    ]
+
+
+@pytest.mark.parametrize("make", [consumer_report, small_report])
+@pytest.mark.parametrize("datasheet", [False, True])
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii", "latin-1", "cp1252", "nonsense"])
+def test_it_fits_80_columns_and_the_encoding(make: object, *, datasheet: bool, encoding: str) -> None:
+    """Whatever the terminal can print; signs that it can't are written out."""
+    report = make()  # type: ignore[operator]
+    text = summary_table(report, datasheet=datasheet, encoding=encoding)
+    assert max(len(line) for line in text.splitlines()) <= 80
+    assert all(line == line.rstrip() for line in text.splitlines())
+    assert "\x1b" not in text
+    if encoding != "utf-8":
+        text.encode("ascii")
+        assert "sqrt(" in text
+
+
+def test_si_units_share_a_power_of_ten() -> None:
+    """The unit line names it once for the three axes."""
+    lines = summary_table(consumer_report(), datasheet=False, encoding="utf-8").splitlines()
+    place = next(i for i, line in enumerate(lines) if line.startswith("N  angle random walk"))
+    assert lines[place].startswith("N  angle random walk  1e-6 rad/s/√Hz")
+    assert lines[place + 1].startswith("x  120.0  [119.5, 120.5]")
+
+
+def test_gauss_markov_terms_have_their_correlation_time() -> None:
+    """Only the axes that have such a term are listed."""
+    text = summary_table(consumer_report(), datasheet=True, encoding="utf-8")
+    assert (
+        "GM1  Gauss-Markov  deg/h\nz  8.3  [7.7, 8.9]\n\nGM1  correlation time  s\nz  90  [73, 111]" in text
+    )
+
+
+def test_axes_with_different_clocks_are_told_apart() -> None:
+    """A missing axis, another rate: the heading says which is which."""
+    report = consumer_report()
+    slow = replace(report.axes[1], rate_hz=100.0)
+    report = Report(source=report.source, axes=(report.axes[0], slow), settings={}, version="1", findings=())
+    lines = summary_table(report, datasheet=True).splitlines()
+    assert lines[:3] == [
+        "GYROSCOPE",
+        "x: 200 Hz, 2160000 samples, 3.03 h",
+        "y: 100 Hz, 2160000 samples, 3.03 h",
+    ]

@@ -1,0 +1,368 @@
+"""The page: sound HTML that reads well without scripts, and alive in a real browser."""
+
+import base64
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lxml import html
+
+from imucal.allan.spectrum import Spectrum
+from imucal.recording import Gap
+from imucal.report.html_page import render_page
+from imucal.report.markup import Markup, element
+from imucal.report.page_data import page_data, standing_out
+from imucal.report.result import Overview, Report
+from tests.report.browser import Browser
+from tests.report.synthetic import consumer_report, small_report
+
+_CSS = Path(__file__).resolve().parents[2] / "imucal" / "report" / "page" / "page.css"
+
+
+@pytest.fixture(scope="module")
+def page() -> html.HtmlElement:
+    """Return the parsed page of a report with everything in it."""
+    return html.document_fromstring(render_page(consumer_report()))
+
+
+def test_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
+    """Every address stands within the page, and its policy forbids any other."""
+    links = [link for _, _, link, _ in page.iterlinks()]
+    assert all(link.startswith(("#", "data:")) for link in links)
+    policy = page.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")[0]
+    assert policy.startswith("default-src 'none'")
+
+
+def test_page_size_is_that_of_the_script() -> None:
+    """Two megabytes are plotly, deflated; the data of six axes take less than a tenth of that."""
+    report = consumer_report()
+    assert len(page_data(report)) < 200_000
+    assert len(render_page(report)) < 2_500_000
+
+
+def test_structure_is_sane_for_screen_readers(page: html.HtmlElement) -> None:
+    """A language, one h1, headings in order, named sections, captions, scopes, labels, unique ids."""
+    assert page.get("lang") == "en"
+    levels = [int(node.tag[1]) for node in page.xpath("//h1|//h2|//h3|//h4")]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    ids = page.xpath("//@id")
+    assert len(set(ids)) == len(ids)
+    for attribute in ("aria-labelledby", "aria-describedby"):
+        assert set(page.xpath(f"//@{attribute}")) <= set(ids)
+    assert {link.removeprefix("#") for link in page.xpath("//nav//a/@href")} <= set(ids)
+    assert page.xpath("count(//table)") == page.xpath("count(//table[caption[normalize-space()]])")
+    assert not page.xpath("//th[not(@scope)]")
+    assert not page.xpath("//input[not(ancestor::label)]")
+    assert not page.xpath("//fieldset[not(legend)]")
+    assert page.xpath("//main")
+    assert page.xpath("//a[@class='skip']")[0].get("href") == "#summary"
+    assert set(page.xpath("//@tabindex")) == {"0"}
+    assert not page.xpath("//div[contains(@class, 'plot')][not(@aria-labelledby)]")
+
+
+def test_tables_hold_both_conventions_and_the_bounds(page: html.HtmlElement) -> None:
+    """N of gyro x is 1.2e-4 rad/s/√Hz and 0.4125 deg/√h; a term that is not shown is a bound."""
+    table = page.xpath("//table[@class='summary']")[0]
+    row = table.xpath(".//tr[th/b='N']")[0]
+    assert row.xpath("td[1]/span[@class='sheet']")[0].text_content() == "0.4125[0.4109, 0.4141]"
+    assert row.xpath("td[1]/span[@class='si']")[0].text_content() == "120.0[119.5, 120.5]"
+    assert "deg/√h" in row.xpath("th")[0].text_content()
+    assert "10−6 rad/s/√Hz" in row.xpath("th")[0].text_content()
+    bound = table.xpath(".//tr[th/b='K']/td[2]/span[@class='sheet']")[0].text_content()
+    assert bound == "< 5.1not shown; upper bound"
+
+
+def test_findings_are_in_words(page: html.HtmlElement) -> None:
+    """The sentence, the axis, the advice, and the part worth keeping; warnings before notes."""
+    section = page.get_element_by_id("findings")
+    text = " ".join(section.text_content().split())
+    assert "Warnings (2)" in text
+    assert "warm-up accel_z The mean drifts by 0.021 m/s² in the first 14 minutes." in text
+    assert "Part worth keeping: 840 s to 10800 s." in text
+    assert text.index("Warnings") < text.index("Notes")
+
+
+def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:
+    """The formulas of the consumers, worked out at 200 Hz for the worst axis."""
+    rows = {
+        row.xpath("th")[0].text_content(): [cell.text_content() for cell in row.xpath("td")]
+        for row in page.get_element_by_id("downstream").xpath(".//table[1]/tbody/tr")
+    }
+    # N is worst on gyro y, 1.3e-4; K on gyro x, 1.1e-6.
+    assert rows["N"][1].startswith("0.00013 rad/s/√Hz, y")
+    assert rows["K"][1].startswith("1.1e-06 rad/s/√s, x")
+    assert float(rows["N √f"][1].split()[0]) == pytest.approx(1.3e-4 * 200**0.5, rel=1e-3)
+    assert float(rows["N √(2f)"][1].split()[0]) == pytest.approx(1.3e-4 * 400**0.5, rel=1e-3)
+    assert float(rows["N² f"][1].split()[0]) == pytest.approx(1.3e-4**2 * 200, rel=1e-3)
+    assert float(rows["K √f"][1].split()[0]) == pytest.approx(1.1e-6 * 200**0.5, rel=1e-3)
+    assert float(rows["N / √0.01 s"][1].split()[0]) == pytest.approx(1.3e-4 / 0.1, rel=1e-3)
+    assert rows["N"][0].startswith("continuous")
+    assert rows["N² f"][0].startswith("discrete")
+
+
+def test_worst_of_bounds_is_marked() -> None:
+    """Where the worst number is only a bound, it says so."""
+    page = html.document_fromstring(render_page(small_report()))
+    cells = page.get_element_by_id("downstream").xpath(".//table[1]/tbody/tr[th='K']/td/text()")
+    assert cells[1] == "≤ 0.0002 "
+
+
+def test_names_of_the_log_can_do_no_harm() -> None:
+    """A path is text: neither a tag nor the end of a script."""
+    report = small_report()
+    evil = "</script><img src=x onerror=alert(1)>&$title.csv"
+    report = replace(report, source=replace(report.source, path=evil))
+    page = html.document_fromstring(render_page(report))
+    assert not page.xpath("//img")
+    assert page.xpath("//h1")[0].text_content() == evil.rsplit("/", 1)[-1]
+    assert element("b", "<i>", Markup("<u>"), title='"x"') == '<b title="&quot;x&quot;">&lt;i&gt;<u></b>'
+
+
+def test_page_is_the_same_for_the_same_report() -> None:
+    """No date and no random name."""
+    assert render_page(small_report()) == render_page(small_report())
+
+
+def test_data_is_json_without_the_end_of_a_script() -> None:
+    """And every gap is there, those too near to tell apart as one."""
+    axis = consumer_report().axes[0]
+    gaps = tuple(Gap(start_s=s, missing=10, duration_s=0.05) for s in (100.0, 101.0, 9000.0))
+    report = replace(consumer_report(), axes=(replace(axis, gaps=gaps),))
+    text = page_data(report)
+    assert "<" not in text
+    assert json.loads(text)["axes"]["gyro_x"]["raw"]["gaps"] == [[100.0, 101.05], [9000.0, 9000.05]]
+
+
+def test_spikes_stand_out_and_drift_does_not() -> None:
+    """A stretch whose extreme is far from its neighbours' is marked; a slow drift is not."""
+    rng = np.random.default_rng(5)
+    time = np.arange(1000.0)
+    drift = 5 * np.sin(time / 200)
+    low, high = drift - 4 + 0.2 * rng.standard_normal(1000), drift + 4 + 0.2 * rng.standard_normal(1000)
+    calm = Overview(time_s=time, low=low, high=high)
+    assert standing_out(calm, 1.0).size == 0
+    high[400] += 12
+    low[700:703] -= 9
+    high[500:520] = low[500:520] = np.nan
+    spiky = Overview(time_s=time, low=low, high=high)
+    assert standing_out(spiky, 1.0).tolist() == [400.0, 700.0, 701.0, 702.0]
+    short = Overview(time_s=time[:5], low=low[:5], high=high[:5])
+    assert standing_out(short, 1.0).size == 0
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_texts_have_contrast(theme: str) -> None:
+    """WCAG 2.2, AA: 4.5 for text on its ground, in both themes."""
+    css = _CSS.read_text(encoding="utf-8")
+    blocks = re.findall(r"\{([^{}]*--paper[^{}]*)\}", css)
+    values = dict(re.findall(r"--([\w-]+):\s*(#\w{6})", blocks[0 if theme == "light" else 1]))
+    for text, ground in [
+        ("ink", "paper"),
+        ("second", "paper"),
+        ("accent", "paper"),
+        ("second", "warning-soft"),
+        ("second", "error-soft"),
+        ("second", "info-soft"),
+        ("warning", "paper"),
+    ]:
+        assert _contrast(values[text], values[ground]) >= 4.5, (text, ground)
+
+
+def test_an_axis_without_spectrum_and_signal_has_a_page() -> None:
+    """A curve made by another tool has no samples behind it."""
+    assert "Gyroscope x" in render_page(_bare())
+
+
+def _bare() -> Report:
+    report = small_report()
+    empty = np.zeros(0)
+    axis = replace(
+        report.axes[0],
+        spectrum=Spectrum(frequency=empty, psd=empty, count=empty),
+        overview=Overview(time_s=empty, low=empty, high=empty),
+    )
+    return replace(report, axes=(axis,))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Yield one browser for the tests of this file."""
+    with Browser() as session:
+        yield session
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the address of a page that lies in a folder, as users open it."""
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    path.write_text(render_page(consumer_report()), encoding="utf-8")
+    return path.as_uri()
+
+
+def _load(browser: Browser, address: str) -> None:
+    browser.open(address)
+    browser.wait("return document.documentElement.dataset.ready")
+
+
+def _show(browser: Browser, plot: str) -> None:
+    browser.run("document.getElementById(arguments[0]).scrollIntoView({block: 'center'})", plot)
+    browser.wait(f"return document.querySelector('#{plot} .main-svg') !== null")
+
+
+def test_every_plot_is_drawn_without_an_error_or_a_request(browser: Browser, address: str) -> None:
+    """18 plots; the console stays empty; the only thing asked for is the page itself."""
+    _load(browser, address)
+    plots = browser.run("return [...document.querySelectorAll('.plot')].map((p) => p.id)")
+    assert len(plots) == 18
+    for plot in plots:
+        _show(browser, plot)
+    assert (
+        browser.run("return document.querySelectorAll('.plot .errorbars, .plot .scatterlayer path').length")
+        > 50
+    )
+    assert browser.run("return document.getElementById('no-plots').hidden")
+    assert [entry["message"] for entry in browser.logs("browser")] == []
+    asked = browser.requests()
+    assert asked[0] == address
+    assert all(url.startswith(("data:", "blob:")) for url in asked[1:])
+
+
+def test_hover_says_tau_deviation_interval_and_model(browser: Browser, address: str) -> None:
+    """With the mouse on a point, as a user would."""
+    _load(browser, address)
+    _show(browser, "gyro_x-allan")
+    place = """
+        const plot = document.getElementById('gyro_x-allan');
+        const points = plot.querySelectorAll('.scatterlayer .trace .points path');
+        const box = points[5].getBoundingClientRect();
+        return [box.x + box.width / 2, box.y + box.height / 2];
+    """
+    browser.point_at(*browser.run(place))
+    text = browser.wait(
+        "return [...document.querySelectorAll('#gyro_x-allan .hoverlayer tspan')]"
+        ".map((t) => t.textContent).join('|')"
+    )
+    # Points: the used ones come first; the sixth of them is m = 64 at 200 Hz.
+    assert "τ = 0.3200 s" in text
+    assert "deg/h" in text
+    assert re.search(r"95 %: [\d.]+ to [\d.]+", text)
+    assert re.search(r"model: [\d.]+", text)
+
+
+def test_arrow_keys_step_through_the_points(browser: Browser, address: str) -> None:
+    """And what is shown is announced to a screen reader."""
+    _load(browser, address)
+    for plot, expected in [("gyro_y-allan", "τ = 0.01000 s"), ("gyro_y-psd", "Hz"), ("gyro_y-raw", "deg/h")]:
+        _show(browser, plot)
+        browser.run("document.getElementById(arguments[0]).focus()", plot)
+        browser.press("right")
+        browser.press("right")
+        text = browser.wait("return document.getElementById('announcement').textContent")
+        assert expected in text
+        assert browser.wait(f"return document.querySelector('#{plot} .hoverlayer text') !== null")
+        browser.run("document.getElementById('announcement').textContent = ''")
+
+
+def test_units_are_switched_in_tables_and_plots(browser: Browser, address: str) -> None:
+    """Data-sheet units first; SI on request."""
+    _load(browser, address)
+    _show(browser, "gyro_x-allan")
+    cell = "return document.querySelector('.summary tbody td').innerText"
+    title = "return document.querySelector('#gyro_x-allan .ytitle').textContent"
+    assert browser.run(cell).startswith("0.4125")
+    assert "deg/h" in browser.run(title)
+    browser.run("document.querySelector('input[value=si]').click()")
+    assert browser.run(cell).startswith("120.0")
+    assert "rad/s" in browser.wait(title)
+
+
+def test_dark_and_light_follow_the_system_and_the_switch(browser: Browser, address: str) -> None:
+    """The paper and the plots change together."""
+    _load(browser, address)
+    _show(browser, "gyro_x-allan")
+    paper = "return getComputedStyle(document.body).backgroundColor"
+    ink = "return document.querySelector('#gyro_x-allan .xtitle').style.fill"
+    assert browser.run(paper) == "rgb(255, 255, 255)"
+    light = browser.run(ink)
+    browser.devtools(
+        "Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}]
+    )
+    assert browser.run(paper) == "rgb(18, 23, 29)"
+    browser.wait(f"{ink} !== {json.dumps(light)}")
+    browser.run("document.querySelector('input[value=light]').click()")
+    assert browser.run(paper) == "rgb(255, 255, 255)"
+    browser.devtools("Emulation.setEmulatedMedia", features=[])
+
+
+def test_narrow_screens_scroll_only_downwards(browser: Browser, address: str) -> None:
+    """On a telephone tables scroll by themselves, the page does not sideways."""
+    _load(browser, address)
+    browser.devtools(
+        "Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=1, mobile=False
+    )
+    _show(browser, "accel_z-raw")
+    assert browser.run("return innerWidth") == 390
+    assert browser.run("return document.documentElement.scrollWidth <= innerWidth")
+    browser.devtools("Emulation.clearDeviceMetricsOverride")
+
+
+def test_print_shows_every_plot_on_paper(browser: Browser, address: str) -> None:
+    """All are drawn, light, as wide as the paper, though the screen is dark and they were out of sight."""
+    _load(browser, address)
+    browser.run("document.querySelector('input[value=dark]').click()")
+    answer = browser.devtools("Page.printToPDF", preferCSSPageSize=True)
+    pdf = base64.b64decode(answer["data"])
+    pages = len(re.findall(rb"/Type\s*/Page\b", pdf))
+    # Six axes have a page each; summary, uses, terms and method take two to six more.
+    assert 8 <= pages <= 14
+    browser.run("dispatchEvent(new Event('beforeprint'))")
+    widths = browser.run("return [...document.querySelectorAll('.plot .main-svg')].map((s) => s.clientWidth)")
+    # 186 mm at 96 px an inch.
+    assert max(widths) <= 186 / 25.4 * 96 + 1
+    assert browser.run(
+        "return [...document.querySelectorAll('.plot')].every((p) => p.querySelector('.main-svg'))"
+    )
+    assert browser.run("return getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    browser.run("dispatchEvent(new Event('afterprint'))")
+    assert browser.run("return getComputedStyle(document.body).backgroundColor") == "rgb(18, 23, 29)"
+
+
+def test_nothing_that_takes_the_focus_is_without_a_name(browser: Browser, address: str) -> None:
+    """In Chromium's accessibility tree, as a screen reader gets it."""
+    _load(browser, address)
+    tree = browser.devtools("Accessibility.getFullAXTree")["nodes"]
+    focusable = [n for n in tree if any(p["name"] == "focusable" for p in n.get("properties", []))]
+    nameless = [
+        node["role"]["value"]
+        for node in focusable
+        if not node.get("ignored") and not node.get("name", {}).get("value")
+    ]
+    assert len(focusable) > 30
+    assert set(nameless) <= {"RootWebArea"}
+
+
+def test_a_page_without_samples_shows_what_it_has(browser: Browser, tmp_path: Path) -> None:
+    """A curve made by another tool: no spectrum, no signal, no error in the console."""
+    path = tmp_path / "report.html"
+    path.write_text(render_page(_bare()), encoding="utf-8")
+    _load(browser, path.as_uri())
+    for plot in ("gyro_x-allan", "gyro_x-psd", "gyro_x-raw"):
+        _show(browser, plot)
+    assert [entry["message"] for entry in browser.logs("browser")] == []
+
+
+def _contrast(one: str, other: str) -> float:
+    def luminance(colour: str) -> float:
+        rgb = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    light, dark = sorted([luminance(one), luminance(other)], reverse=True)
+    return (light + 0.05) / (dark + 0.05)
