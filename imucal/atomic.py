@@ -11,19 +11,31 @@ from imucal.errors import WriteError
 
 __all__ = ["replacing"]
 
+#: How much of an existing file is searched for the words that make it ours, in bytes.
+_START = 4096
+
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, *, ours: str | None = None) -> Iterator[Path]:
     """Yield a scratch path to write to; on success what was written there takes the place of `path`.
 
     The scratch path has the same name in a folder beside the target, which is removed whatever
     happens, Ctrl-C included; an existing file stays as it was until the new one is complete.
 
+    Parameters
+    ----------
+    path
+        The file.
+    ours
+        Words near the start of every file of this kind: an existing file without them is somebody's
+        own and is not replaced. None replaces any file.
+
     Raises
     ------
     WriteError
-        If the file can't be written.
+        If the file can't be written, or what is in its place is not to be replaced.
     """
+    _refuse_foreign(path, ours)
     try:
         folder = Path(mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     except OSError as error:
@@ -42,3 +54,23 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             shutil.rmtree(folder)
+
+
+def _refuse_foreign(path: Path, ours: str | None) -> None:
+    """Raise where something stands that must stay: a device, or a file of somebody else."""
+    if not path.exists() or path.is_dir():
+        return
+    if not path.is_file():
+        msg = f"{path}: is not a regular file; choose another place"
+        raise WriteError(msg)
+    if ours is None:
+        return
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(_START)
+    except OSError as error:
+        msg = f"{path}: can't be read before it is replaced: {error.strerror or error}; choose another place"
+        raise WriteError(msg) from error
+    if ours.encode() not in start:
+        msg = f"{path}: exists and was not written by imucal; move it away, or choose another place"
+        raise WriteError(msg)

@@ -40,3 +40,27 @@ def test_a_missing_folder_is_a_write_error(tmp_path: Path) -> None:
     with pytest.raises(WriteError) as caught, replacing(target):
         pass
     assert str(caught.value) == f"{target}: can't be written: No such file or directory; choose another place"
+
+
+def test_somebody_elses_file_is_not_replaced(tmp_path: Path) -> None:
+    """One of our own is."""
+    target = tmp_path / "imu.yaml"
+    target.write_text("# tuned by hand\n", encoding="utf-8")
+    with pytest.raises(WriteError) as caught, replacing(target, ours="written by imucal"):
+        pass
+    expected = f"{target}: exists and was not written by imucal; move it away, or choose another place"
+    assert str(caught.value) == expected
+    target.write_text("# written by imucal 0.1\n", encoding="utf-8")
+    with replacing(target, ours="written by imucal") as scratch:
+        scratch.write_text("new", encoding="utf-8")
+    assert target.read_text(encoding="utf-8") == "new"
+
+
+def test_a_device_is_not_replaced() -> None:
+    """Moving a file onto it would remove it."""
+    with (
+        pytest.raises(WriteError, match="/dev/null: is not a regular file; choose another place"),
+        replacing(Path("/dev/null")),
+    ):
+        pass
+    assert not Path("/dev/null").is_file()

@@ -95,7 +95,7 @@ def command(
     if junit is not None:
         from imucal.atomic import replacing
 
-        with replacing(junit) as scratch:
+        with replacing(junit, ours="imucal check") as scratch:
             scratch.write_text(junit_xml(result), encoding="utf-8")
         say(str(junit), quiet=request.quiet)
     if as_json:

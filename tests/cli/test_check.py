@@ -77,6 +77,7 @@ def test_junit_is_written_whole(tmp_path: Path) -> None:
     code, _, err = _check(tmp_path, FAILS, "--junit", "out.xml")
     assert (code, err) == (1, "out.xml\n")
     assert ET.parse(tmp_path / "out.xml").getroot().get("failures") == "2"  # noqa: S314 - our own file
+    assert _check(tmp_path, PASSES, "--junit", "out.xml")[0] == 0  # our own is replaced
     code, out, err = _check(tmp_path, FAILS, "--junit", "no/out.xml")
     assert (code, out) == (5, "")
     assert "no/out.xml: can't be written: No such file or directory" in err

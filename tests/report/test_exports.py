@@ -148,6 +148,17 @@ def test_a_refusal_writes_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_file_tuned_by_hand_stays(tmp_path: Path) -> None:
+    """One that imucal wrote is replaced."""
+    for target in TARGETS.values():
+        (path,) = export(consumer_report(), target.name, tmp_path)
+        assert export(consumer_report(), target.name, path) == (path,)
+        path.write_text("tuned by hand")
+        with pytest.raises(WriteError, match="exists and was not written by imucal; move it away"):
+            export(consumer_report(), target.name, tmp_path)
+        assert path.read_text() == "tuned by hand"
+
+
 def test_a_file_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     """A missing folder is named, and nothing is left behind."""
     with pytest.raises(WriteError, match=r"imu\.yaml: can't be written: No such file or directory"):

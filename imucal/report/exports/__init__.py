@@ -62,6 +62,10 @@ TARGETS: dict[str, Target] = {
 }
 
 
+#: Words in the comment of every file.
+_OURS = "written by imucal "
+
+
 def find_target(name: str) -> Target:
     """Return a format by its name or an alias, whatever its case and hyphens.
 
@@ -147,7 +151,7 @@ def export(
     DataError
         As `render`; nothing is written then.
     WriteError
-        If a file can't be written.
+        If a file can't be written, or one of the same name wasn't written by imucal.
     ValueError
         If the format or an option is unknown.
     """
@@ -169,7 +173,7 @@ def export(
     files = []
     for each, text in texts.items():
         place = path / each.file_name if path.is_dir() else path
-        with replacing(place) as scratch:
+        with replacing(place, ours=_OURS) as scratch:
             scratch.write_text(text, encoding="utf-8", newline="\n")
         files.append(place)
     return tuple(files)
