@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import click
 
 from imucal.cli._options import LogRequest, log_options, say
+from imucal.errors import ReadError
 from imucal.report.result import Report
 
 __all__ = ["REPORT", "load_report", "report_or_log"]
@@ -50,9 +51,12 @@ def load_report(request: LogRequest) -> Report:
 
 
 def read_report(path: Path) -> Report:
-    """Load a report by its file or folder."""
+    """Load a report by its file or folder; a log is refused, with what to do."""
     from imucal.report.json_file import load
 
+    if path.is_file() and path.suffix != ".json":
+        msg = f"{path}: not a report.json or its folder; run 'imucal fit {path}' first"
+        raise ReadError(msg)
     return load(path)
 
 

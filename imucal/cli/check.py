@@ -52,7 +52,7 @@ file, 3 the report or log can't be read, 4 the data can't be analysed."""
 )
 @click.option(
     "--baseline",
-    type=click.Path(exists=True, path_type=Path),
+    type=click.Path(path_type=Path),
     metavar="REPORT",
     help=f"Older report ({REPORT}); alone it allows 20 % more N, B and K.",
 )

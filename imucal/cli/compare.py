@@ -16,7 +16,7 @@ __all__ = ["command", "to_document"]
 
 SCHEMA = "imucal/compare/1"
 
-_report = click.Path(exists=True, path_type=Path)
+_report = click.Path(path_type=Path)
 
 
 @click.command(

@@ -184,7 +184,8 @@ def _folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        msg = f"{path}: can't be made a folder: {error.strerror or error}; choose another place"
+        reason = "it is a file" if path.is_file() else error.strerror or error
+        msg = f"{path}: can't be made a folder: {reason}; choose another place"
         raise WriteError(msg) from error
     return path
 

@@ -68,3 +68,8 @@ def test_what_cannot_be_compared_is_one_message(tmp_path: Path) -> None:
     assert "have no axis in common: the first has gyro_x" in done.stderr
     (tmp_path / "c.json").write_text("[]")
     assert run("compare", "a", "c.json", cwd=tmp_path).returncode == 3
+    assert run("compare", "a", "missing", cwd=tmp_path).returncode == 3
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n")
+    done = run("compare", "a.mcap", "a", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "a.mcap: not a report.json or its folder; run 'imucal fit a.mcap' first" in done.stderr
