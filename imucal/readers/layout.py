@@ -24,6 +24,9 @@ _LINES = 400
 #: Cells beyond this many don't make a delimiter more likely.
 _WIDE = 50
 
+#: A delimiter is a candidate where it gives this share of the best one's cells.
+_CLOSE = 0.5
+
 _RATE = re.compile(
     r"(?:update|sampl\w*|output|data)[\s_]*(?:rate|freq\w*)[^0-9\n]{0,12}(?P<rate>\d+(?:\.\d+)?)\s*(?P<kilo>k?)hz\b"
     r"|(?:^|[\s#\"])(?:fs|sampl\w*[\s_]*(?:rate|freq\w*)|update[\s_]*rate|rate_hz|frequency)(?:\s*[(\[]hz[)\]])?"
@@ -112,8 +115,10 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
         splits = [split for delimiter in _DELIMITERS if (split := _split(lines, delimiter))]
     if not splits:
         return None
-    best = max(splits, key=lambda split: split.score)
-    return _finish(lines, best)
+    splits.sort(key=lambda split: -split.score)
+    layouts = [_finish(lines, split) for split in splits if split.score >= _CLOSE * splits[0].score]
+    # Blanks within dates and names make more cells than there are names.
+    return next((layout for layout in layouts if layout.headers), layouts[0])
 
 
 def _named_delimiter(lines: Sequence[str]) -> str | None:
@@ -150,7 +155,9 @@ def _split(lines: Sequence[str], delimiter: str) -> _Split | None:
         return None
     widths = Counter(len(rows[i]) for i in likely)
     width = max(widths, key=lambda cells: (widths[cells] * min(cells, _WIDE), cells))
-    fitting = tuple(i for i in likely if len(rows[i]) == width)
+    # A table of several topics has rows with a few cells filled.
+    sparse = {i for i, row in enumerate(rows) if len(row) == width and 0 < filled[i] == numbers[i]}
+    fitting = tuple(sorted({i for i in likely if len(rows[i]) == width} | sparse))
     start = _start(fitting, len(lines))
     fitting = tuple(i for i in fitting if i >= start)
     return _Split(delimiter, decimal, rows, width, start, fitting)

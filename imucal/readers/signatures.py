@@ -52,8 +52,8 @@ SIGNATURES: tuple[Signature, ...] = (
     # Kalibr's bagextractor and OpenVINS.
     Signature(name="Kalibr", headers=(r"omega_x", r"alpha_x"), **_SI),
     # sensor_msgs/Imu: REP 103 and the message's own comments.
-    Signature(name="ROS", headers=(r".*angular_velocity[./_]?x.*",), **_SI),
-    Signature(name="ROS", headers=(r".*linear_acceleration[./_]?x.*",), **_SI),
+    Signature(name="ROS", headers=(r".*angular_velocity[./_ ]?x.*",), **_SI),
+    Signature(name="ROS", headers=(r".*linear_acceleration[./_ ]?x.*",), **_SI),
     # Xsens DOT User Manual XD0502P: SampleTimeFine counts microseconds, Gyr is in deg/s.
     Signature(
         name="Xsens DOT",

@@ -140,7 +140,9 @@ def _parquet(path: Path) -> tuple[list[Column], float | None]:
         if isinstance(dtype, pl.Struct):
             fields = [(f"{name}.{part.name}", pl.col(name).struct.field(part.name)) for part in dtype.fields]
         elif isinstance(dtype, pl.List | pl.Array):
-            width = int(head[name].list.len().max() or 0) if isinstance(dtype, pl.List) else dtype.size
+            width = (
+                max(head[name].list.len().to_list(), default=0) if isinstance(dtype, pl.List) else dtype.size
+            )
             getter = pl.col(name).list if isinstance(dtype, pl.List) else pl.col(name).arr
             fields = [(f"{name}[{i}]", getter.get(i, null_on_oob=True)) for i in range(min(width, _WIDEST))]
         else:

@@ -26,7 +26,7 @@ _OWNERS = {
     Sensor.GYROSCOPE: ("gyr", "angular"),
     Sensor.ACCELEROMETER: ("acc",),
 }
-_OTHER_OWNERS = ("mag", "motion", "baro", "gps", "host", "image", "cam", "device motion")
+_OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
 
 _SECONDS = frozenset(("sec", "secs", "second", "seconds", "s"))
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds", "nanos", "ns"))
