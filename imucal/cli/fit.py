@@ -114,6 +114,7 @@ written, 130 interrupted."""
 @click.option("--no-html", is_flag=True, help="Write no HTML page.")
 @click.option("--no-report", is_flag=True, help="Write no files at all.")
 @click.option("--json", "as_json", is_flag=True, help="Print report.json on standard output.")
+@click.option("--curve", is_flag=True, help="LOG is a table of tau and Allan deviations, without headings.")
 def command(
     *,
     request: LogRequest,
@@ -132,6 +133,7 @@ def command(
     no_html: bool,
     no_report: bool,
     as_json: bool,
+    curve: bool,
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
@@ -140,6 +142,21 @@ def command(
     standard output holds the noise terms of each axis with their intervals; the report folder
     holds report.json, report.html and the pictures.
     """
+    from imucal.cli._curve_fit import fit_curves, is_curve_table
+
+    if curve or (len(request.logs) == 1 and is_curve_table(Path(request.logs[0]))):
+        fit_curves(
+            Path(request.logs[0]),
+            rate_hz=request.rate,
+            model=model,
+            method=method,
+            level=level,
+            criterion=ic,
+            weights=weights,
+            as_json=as_json,
+            quiet=request.quiet,
+        )
+        return
     from imucal.cli._table import summary_table
     from imucal.pipeline import Settings, characterize
     from imucal.report.json_file import to_document

@@ -1,0 +1,110 @@
+"""Fitting a table of Allan deviations that another tool made: no samples, so no report folder."""
+
+import json
+from pathlib import Path
+
+import click
+
+from imucal.cli._options import say
+from imucal.fit import fit
+from imucal.fit.result import Estimate, NoiseFit
+from imucal.fit.table import NamedCurve, read_curve
+from imucal.noise.terms import TERMS
+from imucal.recording import Sensor
+
+__all__ = ["fit_curves", "is_curve_table"]
+
+
+def is_curve_table(path: Path) -> bool:
+    """Say whether a file's heading names an averaging time, as a table of deviations does."""
+    if not path.is_file() or path.suffix.lower() not in {".csv", ".txt", ".dat", ".tsv"}:
+        return False
+    with path.open("rb") as stream:
+        head = stream.read(4096).decode("utf-8-sig", "replace")
+    lines = [line.strip() for line in head.splitlines() if line.strip() and line.strip()[0] not in "%#"]
+    heading = lines[0].lower().replace('"', "") if lines else ""
+    cells = heading.replace(";", ",").replace("\t", ",").split(",")
+    return any(
+        cell.split("[")[0].split("(")[0].strip() in {"tau", "taus", "averaging time"} for cell in cells
+    )
+
+
+def fit_curves(
+    path: Path,
+    *,
+    rate_hz: float | None,
+    model: str,
+    method: str,
+    level: float,
+    criterion: str,
+    weights: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Fit every column of a table and print the terms; `mle` needs samples, so gmwm takes its place."""
+    if method == "mle":
+        say("A table holds no samples: fitting the curve by gmwm instead of mle.", quiet=quiet)
+        method = "gmwm"
+    results = []
+    for named in read_curve(path, rate_hz=rate_hz):
+        result = fit(
+            named.curve, model=model, method=method, level=level, criterion=criterion, weights=weights
+        )
+        results.append((named, result))
+        for finding in (*named.findings, *result.findings):
+            say(
+                f"{finding.level} [{finding.code}] {named.name}: {finding.text} {finding.advice}".rstrip(),
+                quiet=quiet,
+            )
+    if as_json:
+        click.echo(json.dumps([_document(named, result) for named, result in results], indent=1))
+    else:
+        click.echo("\n\n".join(_table(named, result) for named, result in results))
+
+
+def _unit(named: NamedCurve, symbol: str) -> str:
+    """Return the SI unit of a coefficient, or nothing where the table doesn't say what it holds."""
+    if not named.unit or named.sensor is None:
+        return ""
+    gyroscope, accelerometer = TERMS[symbol].units
+    return gyroscope if named.sensor is Sensor.GYROSCOPE else accelerometer
+
+
+def _table(named: NamedCurve, result: NoiseFit) -> str:
+    unit = f", {named.unit}" if named.unit else ", unit of the table"
+    lines = [f"{named.name}{unit}: {result.model} ({result.method}, {100 * result.level:g} % intervals)"]
+    for estimate in result.estimates:
+        unit = _unit(named, estimate.symbol)
+        if estimate.value is None:
+            text = f"< {estimate.high:.3g}"
+        else:
+            text = f"{estimate.value:.4g}  [{estimate.low:.4g}, {estimate.high:.4g}]"
+        lines.append(f"  {estimate.key:<4}{text}  {unit}".rstrip())
+        if estimate.correlation_time:
+            time = estimate.correlation_time
+            lines.append(f"      T = {time.value:.4g}  [{time.low:.4g}, {time.high:.4g}]  s")
+    return "\n".join(lines)
+
+
+def _document(named: NamedCurve, result: NoiseFit) -> dict[str, object]:
+    return {
+        "name": named.name,
+        "unit": named.unit or None,
+        "method": result.method,
+        "model": str(result.model),
+        "level": result.level,
+        "terms": {estimate.key: _term(named, estimate) for estimate in result.estimates},
+    }
+
+
+def _term(named: NamedCurve, estimate: Estimate) -> dict[str, object]:
+    time = estimate.correlation_time
+    extra = {} if time is None else {"T_s": {"value": time.value, "low": time.low, "high": time.high}}
+    return {
+        "status": estimate.status,
+        "value": estimate.value,
+        "low": estimate.low,
+        "high": estimate.high,
+        "unit": _unit(named, estimate.symbol) or None,
+        **extra,
+    }
