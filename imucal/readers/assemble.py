@@ -79,10 +79,13 @@ def _contents(containers: Sequence[Container], topic: Topic, options: ReadOption
     sensors: tuple[Sensor, ...] = ()
     note = topic.reason
     if topic.carrier is not None and topic.count != 0:
-        alive = _live(containers, topic, options)
+        try:
+            alive = _live(containers, topic, options)
+        except ReadError as error:
+            alive, note = frozenset(), str(error)
         sensors = tuple(sensor for sensor in topic.carrier.sensors if sensor in alive)
         silent = [sensor for sensor in topic.carrier.sensors if sensor not in alive]
-        note = " and ".join(silent) + " constant: no data" if silent else ""
+        note = note or (" and ".join(silent) + " constant: no data" if silent else "")
         note = note or ("read only where it is named" if topic.carrier.plain else "")
     return TopicContents(
         name=topic.name,

@@ -89,7 +89,15 @@ def clock_from_stamps(
         stamps = stamps[order]
         log_ns = log_ns[order] if log_ns is not None else None
     stamps, source = _usable(stamps, source, log_ns, notes)
-    period = _period(stamps, source, log_ns if source != LOG_TIME else None, rate_hz)
+    period = estimate_period(stamps)
+    if period is None and log_ns is not None and source != LOG_TIME:
+        notes.append(_log_time_note(f"The stamps ({source}) do not advance"))
+        stamps, source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
+        period = estimate_period(stamps)
+    if period is None and rate_hz is None:
+        less = "one sample" if stamps.size == 1 else f"{stamps.size} samples whose stamps do not advance"
+        msg = f"{less} ({source}); expected stamps that give a rate, or the rate itself"
+        raise DataError(msg)
     if period is None:
         clock = Clock.even(stamps.size, float(rate_hz or 1.0))
         return ClockReading(clock=clock, order=order, findings=tuple(notes))
@@ -105,9 +113,7 @@ def _usable(
     if (zeros > _ZEROS * stamps.size or constant) and log_ns is not None:
         what = "are all the same" if constant and not zeros else f"{zeros} of {stamps.size} are zero"
         what = "are all zero" if zeros == stamps.size else what
-        text = f"The stamps ({source}) {what}; the time at which messages were recorded is used instead."
-        advice = "Log time carries the delays of the computer; let the driver stamp the messages."
-        notes.append(Finding(level="warning", code="log-time-used", text=text, advice=advice))
+        notes.append(_log_time_note(f"The stamps ({source}) {what}"))
         return np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
     if 0 < zeros <= _ZEROS * stamps.size:
         good = np.flatnonzero(stamps)
@@ -118,17 +124,6 @@ def _usable(
         text = f"{zeros} of {stamps.size} stamps are zero; those samples are placed between their neighbours."
         notes.append(Finding(level="info", code="zero-stamps", text=text))
     return stamps, source
-
-
-def _period(stamps: IntArray, source: str, log_ns: IntArray | None, rate_hz: float | None) -> Period | None:
-    """Return the sampling period; None where only the given rate is known."""
-    period = estimate_period(stamps)
-    if period is not None or rate_hz is not None:
-        return period
-    less = "one sample" if stamps.size == 1 else f"{stamps.size} samples whose stamps do not advance"
-    hint = "" if log_ns is None else ", nor does the log time help"
-    msg = f"{less} ({source}){hint}; expected stamps that give a rate, or the rate itself"
-    raise DataError(msg)
 
 
 def _read(
@@ -237,6 +232,12 @@ def _segments(
         offset += stop - start + lost.get(place, 0)
         start = stop
     return tuple(segments)
+
+
+def _log_time_note(why: str) -> Finding:
+    text = f"{why}; the time at which messages were recorded is used instead."
+    advice = "Log time carries the delays of the computer; let the driver stamp the messages."
+    return Finding(level="warning", code="log-time-used", text=text, advice=advice)
 
 
 def _repeated_note(count: int, n: int) -> Finding:

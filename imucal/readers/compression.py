@@ -175,7 +175,11 @@ def _unpack_bz2(data: memoryview, size: int, scratch: Scratch) -> memoryview:
     del scratch
     try:
         machine = bz2.BZ2Decompressor()
-        raw = machine.decompress(data, max_length=size)
+        # One byte more than is wanted: the checksum is only looked at when the end is reached.
+        raw = machine.decompress(data, max_length=size + 1)
+        if not machine.eof:
+            msg = "a bz2 chunk is longer than it claims, or cut"
+            raise DamagedError("damaged", msg)
     except (OSError, ValueError, EOFError) as error:
         msg = f"a bz2 chunk is damaged: {error}"
         raise DamagedError("damaged", msg) from error

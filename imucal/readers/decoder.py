@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.readers.batch import Batch, Guard
+from imucal.readers.batch import Batch, Guard, Loss
 from imucal.readers.definitions import Field
 from imucal.readers.files import DamagedError
 from imucal.readers.messages import Carrier, Stamp, Vector
 from imucal.readers.store import Columns
 from imucal.readers.walker import Bytes, Found, Layout, Place, Position, Walker, gather
 
-__all__ = ["BinaryDecoder"]
+__all__ = ["BinaryDecoder", "Shape"]
 
 #: Encapsulation, as a big-endian number -> layout. Source: OMG DDS-XTypes 1.3, table 60; DDSI-RTPS 10.2.
 _ENCAPSULATIONS = {
@@ -24,8 +24,17 @@ _ENCAPSULATIONS = {
     0x0007: Layout(order="<", align=4),
 }
 _ROS1 = Layout(order="<", align=1)
+_CDR = _ENCAPSULATIONS[0x0001]
 #: Longest head of a message that is gathered at once, in bytes.
 _HEAD = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """The fields of a message type, and which of them to take."""
+
+    fields: tuple[Field, ...]
+    carrier: Carrier
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,14 +63,62 @@ class _Template:
 
 
 class BinaryDecoder:
-    """Decodes the ROS 1 or CDR messages of one channel."""
+    """Decodes the ROS 1 or CDR messages of one channel.
 
-    def __init__(self, fields: Sequence[Field], carrier: Carrier, *, ros1: bool, exact: bool = False) -> None:
-        self.carrier = carrier
+    Parameters
+    ----------
+    shapes
+        Definitions to try on the first messages: the log's own, and the standard one of its type. The
+        first whose size fits is taken; where none fits, the first.
+    exact
+        Whether messages must have exactly the size of their definition, which is then only assumed.
+    """
+
+    def __init__(self, shapes: Sequence[Shape], *, ros1: bool, exact: bool = False) -> None:
         self.ros1 = ros1
-        self.walker = Walker(fields, carrier.wanted)
-        self._whole = Walker(fields, [fields[-1].path]) if exact else None
+        self.notes: list[Loss] = []
+        self._shapes = tuple(shapes)
+        self._exact = exact
+        self._settled = False
+        self._use(self._shapes[0])
+
+    def _use(self, shape: Shape) -> None:
+        self.carrier = shape.carrier
+        self.walker = Walker(shape.fields, shape.carrier.wanted)
+        self._whole = Walker(shape.fields, [shape.fields[-1].path]) if self._exact else None
         self._template: _Template | None = None
+
+    def settle(self, batch: Batch) -> None:
+        """Choose the definition by the size of the first messages; called once, before all others.
+
+        A damaged definition shifts every field: its messages then have another size.
+        """
+        if self._settled:
+            return
+        self._settled = True
+        few = batch.checked()
+        few = few.part(np.arange(min(few.n, 16)))
+        if few.n and len(self._shapes) > 1 and not self._fits(self._shapes[0], few):
+            for shape in self._shapes[1:]:
+                if self._fits(shape, few):
+                    self._use(shape)
+                    text = "the definition in the log does not fit its messages; the standard one was used"
+                    self.notes.append(Loss(code="definition", text=text))
+
+    def _fits(self, shape: Shape, batch: Batch) -> bool:
+        """Say whether messages have the size of a definition; CDR may be padded to four bytes."""
+        if shape.fields[-1].kind == "other":
+            return True
+        body, layout = batch.payload(), _ROS1
+        try:
+            if not self.ros1:
+                codes = gather(batch.buffer, body, 2).view(">u2")
+                layout, body = _ENCAPSULATIONS.get(int(codes[0]), _CDR), body + 4
+            end = Walker(shape.fields, [shape.fields[-1].path]).walk(batch.buffer, body, layout).end
+        except DamagedError:
+            return False
+        spare = batch.sizes - np.int64(0 if self.ros1 else 4) - end
+        return bool(np.all((spare >= 0) & (spare < (2 if self.ros1 else 4))))
 
     def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
         """Decode records that all repeat the shape of the first one seen; False if they don't."""

@@ -28,7 +28,12 @@ _MAX_LOSSES = 1000
 
 
 class Decoder(Protocol):
-    """Turns the messages of one channel into numbers."""
+    """Turns the messages of one channel into numbers; `notes` is what was found in doing so."""
+
+    notes: list[Loss]
+
+    def settle(self, batch: Batch) -> None:
+        """Look at the first messages, once."""
 
     def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
         """Decode messages that are all alike; False if they are not."""
@@ -139,6 +144,8 @@ class _Run:
             scratch = Scratch()
             for job in self.jobs:
                 self._work(job, scratch)
+        for stream, decoding in zip(self.streams, self.decodings, strict=True):
+            decoding.losses += [note for decoder in stream.decoders.values() for note in decoder.notes]
         for decoding, spans, extra in zip(self.decodings, self.filled, self.extra, strict=True):
             drop_rows(decoding.columns, _merged(spans))
             for more in extra:
@@ -185,6 +192,12 @@ class _Run:
     def _decode(self, place: int, decoder: Decoder, batch: Batch, room: tuple[int, int]) -> None:
         columns = self.decodings[place].columns
         first, most = room
+        try:
+            with self.lock:
+                decoder.settle(batch)
+        except DamagedError as error:
+            self._lose(place, Loss(code=error.code, text=str(error), messages=batch.n))
+            return
         if batch.n <= most and decoder.fast(batch, columns, first):
             self._filled(place, columns, first, batch.n)
             return

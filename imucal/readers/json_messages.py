@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from imucal.readers.batch import Batch
+from imucal.readers.batch import Batch, Loss
 from imucal.readers.files import DamagedError
 from imucal.readers.messages import Carrier, Stamp, Vector
 from imucal.readers.store import Columns
@@ -34,6 +34,10 @@ class JsonDecoder:
 
     def __init__(self, carrier: Carrier) -> None:
         self._carrier = carrier
+        self.notes: list[Loss] = []
+
+    def settle(self, batch: Batch) -> None:
+        """JSON says what it is."""
 
     def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
         """There is no fast way."""

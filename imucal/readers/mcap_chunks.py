@@ -234,5 +234,7 @@ def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
 
 def _field(heads: np.ndarray, at: int, dtype: str) -> IntArray:  # type: ignore[type-arg]
     """Return a field of gathered heads, shape (n,), as int64."""
+    if not heads.size:
+        return np.zeros(0, dtype=np.int64)
     view: IntArray = np.ndarray(heads.shape, dtype, buffer=heads, offset=at, strides=heads.strides)
     return view.astype(np.int64)

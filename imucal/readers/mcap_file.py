@@ -45,6 +45,13 @@ class McapFile:
         self.path = path
         self._file = LogFile(path)
         self.size = self._file.size
+        try:
+            self._prepare()
+        except BaseException:
+            self.close()
+            raise
+
+    def _prepare(self) -> None:
         self._book = self._open()
         self.findings = self._book.findings
         self.start_ns, self.end_ns = self._book.start_ns, self._book.end_ns
@@ -52,7 +59,7 @@ class McapFile:
         self.compression = ", ".join(kinds) or "none"
         unknown = [kind for kind in kinds if kind not in KINDS]
         if unknown:
-            msg = f"{path}: chunks are compressed by {unknown[0]!r}; expected none, lz4 or zstd"
+            msg = f"{self.path}: chunks are compressed by {unknown[0]!r}; expected none, lz4 or zstd"
             raise ReadError(msg)
         self.channels = self._channels()
 

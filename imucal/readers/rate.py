@@ -52,6 +52,8 @@ def estimate_period(stamps: IntArray) -> Period | None:
         return None
     quantum = resolution(steps)
     short, wide = _slope(blocks, 1), _plateau(blocks)
+    if not wide > 0:
+        return None
     unit = float(np.median(positive[positive <= 1.5 * np.percentile(positive, 10)]))
     if unit < 0.97 * wide and _skips(steps, unit) and not _only_late(blocks, steps, wide, unit, quantum):
         near = positive[np.abs(positive / unit - 1) < 0.25]

@@ -1,5 +1,6 @@
 """A ROS 1 bag opened: its connections and chunks, from the index section or from a scan."""
 
+import contextlib
 import struct
 from pathlib import Path
 from typing import cast
@@ -12,6 +13,7 @@ from imucal.readers.container import Channel, Task
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from imucal.readers.ros1_chunks import BagChunk, BagChunkTask, unpack, walk
 from imucal.readers.ros1_records import MAGIC, U32, Connection, connection, header, number
+from imucal.readers.walker import Bytes
 
 __all__ = ["BagFile"]
 
@@ -34,8 +36,12 @@ class BagFile:
         self.findings: list[Finding] = []
         self._connections: dict[int, Connection] = {}
         self._chunks: list[BagChunk] = []
-        self._open()
-        self.compression = self._compression()
+        try:
+            self._open()
+            self.compression = self._compression()
+        except BaseException:
+            self.close()
+            raise
         self.channels = self._channels()
         firsts = [chunk.first_ns for chunk in self._chunks if chunk.first_ns]
         lasts = [chunk.last_ns for chunk in self._chunks if chunk.last_ns]
@@ -167,10 +173,15 @@ class BagFile:
             if opcode == records.CHUNK:
                 self._add_chunk(at, after - at, cut=False)
             elif opcode == records.CONNECTION:
-                found = connection(head, self._file.read(at + end + 4, data))
-                self._connections.setdefault(found.id, found)
+                self._add_connection(head, self._file.read(at + end + 4, data))
             at = after
         return at
+
+    def _add_connection(self, head: dict[bytes, bytes], data: Bytes) -> None:
+        """Take a connection record; a damaged one is as good as none."""
+        with contextlib.suppress(DamagedError):
+            found = connection(head, data)
+            self._connections.setdefault(found.id, found)
 
     def _add_chunk(self, at: int, size: int, *, cut: bool) -> None:
         """Count the messages of a chunk, and learn the connections defined in it."""
@@ -180,8 +191,7 @@ class BagFile:
             raw, _ = unpack(memoryview(self._file.read(at, size)), Scratch(), cut=cut)
             for _, opcode, head, data in walk(raw):
                 if opcode == records.CONNECTION:
-                    found = connection(head, data)
-                    self._connections.setdefault(found.id, found)
+                    self._add_connection(head, data)
                 elif opcode == records.MESSAGE:
                     key, time = number(head, b"conn", 4), _time(head.get(b"time", b""))
                     chunk.counts[key] = chunk.counts.get(key, 0) + 1

@@ -44,7 +44,14 @@ def open_files(path: Path, progress: Progress | None = None) -> list[Container]:
     """Open the files of a bag: those of a folder, or one."""
     folder = open_folder(path) if path.is_dir() else Folder(files=(path,))
     counts = folder.counts if len(folder.files) == 1 else None
-    containers = [_open(file, folder, counts, progress) for file in folder.files]
+    containers: list[Container] = []
+    try:
+        for file in folder.files:
+            containers.append(_open(file, folder, counts, progress))  # noqa: PERF401 - closed if one fails
+    except BaseException:
+        for container in containers:
+            container.close()
+        raise
     if folder.missing:
         names = ", ".join(folder.missing[:5])
         text = f"{len(folder.missing)} files of the bag are missing: {names}; their time is a gap."

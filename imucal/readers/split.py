@@ -10,6 +10,7 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.assemble import read_logs
 from imucal.readers.container import Container
+from imucal.readers.csv_log import read_many
 from imucal.readers.formats import detect, load
 from imucal.readers.mcap_file import McapFile
 from imucal.readers.options import ReadOptions
@@ -39,9 +40,17 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     formats = [detect(path) for path in ordered]
     if all(entry.name in {"mcap", "ROS 1 bag", "ROS 2 bag"} for entry in formats):
         containers: list[Container] = []
-        for path, entry in zip(ordered, formats, strict=True):
-            containers += _open(path, entry.name)
+        try:
+            for path, entry in zip(ordered, formats, strict=True):
+                containers += _open(path, entry.name)
+        except BaseException:
+            for container in containers:
+                container.close()
+            raise
         recording = read_logs(containers, ordered[0], options)
+    elif all(entry.name == "text" for entry in formats) and (found := read_many(ordered, options)):
+        # A gyroscope's file and an accelerometer's, perhaps with one of their times.
+        recording = found
     else:
         recording = _joined([load(f).read(p, options) for p, f in zip(ordered, formats, strict=True)])
     path = ", ".join(str(path) for path in ordered)

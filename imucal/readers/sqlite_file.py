@@ -1,19 +1,22 @@
 """A ROS 2 bag's SQLite file opened: its topics, and its messages in ranges of rows."""
 
 import sqlite3
+import threading
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Any, cast
-from urllib.parse import quote
 
 import numpy as np
 
+from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.batch import Batch
 from imucal.readers.container import Channel, Task
-from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.sqlite_connect import connect, connect_to_start
+from imucal.readers.sqlite_pages import Fetch, PageTask, find_leaves, page_size, scan_leaves
 
 __all__ = ["SqliteFile", "SqliteTask", "batch_of_blobs"]
 
@@ -35,67 +38,144 @@ class SqliteFile:
     """
 
     format = "rosbag2-sqlite3"
-    parallel = False
     compression = "none"
+    parallel = True
 
     def __init__(self, path: Path, counts: Mapping[str, int] | None = None) -> None:
         self.path = path
-        self.size = path.stat().st_size
+        self._file = LogFile(path)
+        self.size = self._file.size
         self.findings: list[Finding] = []
+        self._base: sqlite3.Connection | None = None
+        self._lock = threading.Lock()
+        self._cut = False
         try:
-            self._base = _connect(path, self.findings)
-            self.first_id, self.last_id = self._ids()
-            self.start_ns, self.end_ns = self._span()
-            self.channels = self._channels(counts)
-        except (sqlite3.Error, OverflowError) as error:
+            self._open(counts)
+        except (sqlite3.Error, OverflowError, TypeError, ValueError, DamagedError) as error:
+            self.close()
             msg = (
                 f"{path}: the SQLite database can't be read: {error}; expected a ROS 2 bag, "
                 "try to recover it with `sqlite3 FILE .recover`"
             )
             raise ReadError(msg) from error
 
+    def _open(self, counts: Mapping[str, int] | None) -> None:
+        try:
+            self._base = connect(self.path, self.findings)
+            self.first_id, self.last_id = self._ids()
+            self.start_ns, self.end_ns = self._span()
+            self.channels = self._channels(counts)
+        except sqlite3.DatabaseError as error:
+            if self._base is not None:
+                self._base.close()
+            self._cut = True
+            self._base = connect_to_start(self._file)
+            self.first_id, self.last_id = 1, 0
+            self.start_ns = self.end_ns = None
+            self.channels = self._channels({})
+            text = f"SQLite can't read the database ({error}); its pages were scanned for whole messages."
+            code = "truncated" if self._is_cut() else "damaged"
+            self.findings.append(Finding(level="warning", code=code, text=text))
+
+    def _is_cut(self) -> bool:
+        """Say whether the file has fewer pages than its first one says."""
+        head = self._file.read(0, 100)
+        return int.from_bytes(head[28:32], "big") * page_size(self._file)[0] > self.size
+
     def close(self) -> None:
         """Close the database."""
-        self._base.close()
+        self._file.close()
+        if self._base is not None:
+            self._base.close()
 
     def tasks(self, keys: frozenset[int]) -> list[Task]:
-        """Return ranges of rows."""
+        """Return groups of pages; ranges of rows where only SQLite can read them."""
         known = {channel.key for channel in self.channels if channel.count != 0}
         wanted = sorted(keys & known)
-        rows = self.last_id - self.first_id + 1
-        if not wanted or rows <= 0:
+        if not wanted or (not self._cut and self.last_id < self.first_id):
             return []
-        # Rows are at least a few bytes: a range of ids beyond that is damage or sparse.
-        step = (
-            max(_RANGE, rows // max(self.size // (32 * _RANGE), 1) + 1) if rows > self.size // 32 else _RANGE
-        )
+        if not self._cut and self._needs_sqlite():
+            return [cast("Task", SqliteTask(self._database, wanted, rows, size)) for rows, size in self._ranges()]
+        groups, fetch = self._pages()
+        return [cast("Task", PageTask(self._file, pages, wanted, most, fetch)) for pages, most in groups]
+
+    @property
+    def _database(self) -> sqlite3.Connection:
+        if self._base is None:
+            msg = f"{self.path}: the database is closed"
+            raise ValueError(msg)
+        return self._base
+
+    def _needs_sqlite(self) -> bool:
+        """Say whether the pages of the file alone don't hold the messages, or hold them in another order."""
+        wal = self.path.with_name(self.path.name + "-wal")
+        columns = [row[1] for row in self._database.execute("pragma table_info(messages)")]
+        needs = (wal.exists() and wal.stat().st_size > 0) or columns != ["id", "topic_id", "timestamp", "data"]
+        # SQLite takes a lock that several threads would wait for.
+        self.parallel = not needs
+        return needs
+
+    def _pages(self) -> tuple[list[tuple[IntArray, int]], Fetch | None]:
+        """Return the leaf pages of the messages, by their tree, or all there are where it is damaged."""
+        try:
+            if not self._cut:
+                query = "select rootpage from sqlite_master where type = 'table' and name = 'messages'"
+                root = int(self._database.execute(query).fetchone()[0])
+                leaves = find_leaves(self._file, root, self.first_id, self.last_id)
+                return list(leaves.groups()), self._fetch
+        except DamagedError as error:
+            text = f"The database is damaged: {error}; its pages were scanned for whole messages."
+            self.findings.append(Finding(level="warning", code=error.code, text=text))
+        return scan_leaves(self._file), None
+
+    def _fetch(self, rows: list[int]) -> list[tuple[int, int, bytes]]:
+        """Return rows that reach over several pages."""
+        query = "select topic_id, timestamp, data from messages where id = ?"
+        found = []
+        with self._lock:
+            for row in rows:
+                try:
+                    values = self._database.execute(query, (row,)).fetchone()
+                except (sqlite3.Error, OverflowError) as error:
+                    msg = f"the SQLite database is damaged: {error}"
+                    raise DamagedError("damaged", msg) from error
+                if values is not None and isinstance(values[2], bytes):
+                    found.append((int(values[0]), int(values[1]), values[2]))
+        return found
+
+    def _ranges(self) -> list[tuple[tuple[int, int], int]]:
+        """Return ranges of rows, and the bytes of each."""
+        rows = self.last_id - self.first_id + 1
+        # Rows have a few bytes at least: ids that are further apart are damaged, or sparse.
+        step = _RANGE if rows <= self.size // 32 else rows // max(self.size // (32 * _RANGE), 1) + 1
         size = max(self.size // max(rows // step, 1), 1)
-        return [
-            cast("Task", SqliteTask(self._base, wanted, (first, min(first + step - 1, self.last_id)), size))
-            for first in range(self.first_id, self.last_id + 1, step)
-        ]
+        firsts = range(self.first_id, self.last_id + 1, step)
+        return [((first, min(first + step - 1, self.last_id)), size) for first in firsts]
 
     def sample(self) -> bytes:
         """Return the start of the first message's payload, which tells whether it is compressed."""
         try:
-            row = self._base.execute("select substr(data, 1, 4) from messages limit 1").fetchone()
+            row = self._database.execute("select substr(data, 1, 4) from messages limit 1").fetchone()
         except sqlite3.Error:
             return b""
         return bytes(row[0]) if row and isinstance(row[0], bytes) else b""
 
     def _ids(self) -> tuple[int, int]:
-        row = self._base.execute("select min(id), max(id) from messages").fetchone()
+        row = self._database.execute("select min(id), max(id) from messages").fetchone()
         return (int(row[0]), int(row[1])) if row and row[0] is not None else (1, 0)
 
     def _span(self) -> tuple[int | None, int | None]:
         # Two statements: each takes one step in the index of times, together they would scan the table.
-        first = self._base.execute("select min(timestamp) from messages").fetchone()[0]
-        last = self._base.execute("select max(timestamp) from messages").fetchone()[0]
+        first = self._database.execute("select min(timestamp) from messages").fetchone()[0]
+        last = self._database.execute("select max(timestamp) from messages").fetchone()[0]
         return first, last
 
     def _channels(self, counts: Mapping[str, int] | None) -> list[Channel]:
         definitions = self._definitions()
-        topics = self._base.execute("select id, name, type, serialization_format from topics").fetchall()
+        query = "select id, name, type, serialization_format from topics"
+        rows = self._database.execute(query).fetchall()
+        # A damaged page gives rows of other types.
+        topics = [row for row in rows if [type(value) for value in row] == [int, str, str, str]]
         by_key = self._count(counts, topics)
         return [
             Channel(
@@ -114,6 +194,8 @@ class SqliteFile:
 
     def _count(self, counts: Mapping[str, int] | None, topics: list[Any]) -> dict[int, int] | None:
         """Return messages of each topic; None where only reading all would tell."""
+        if self._cut:
+            return None
         if counts is not None and all(name in counts for _, name, _, _ in topics):
             return {key: counts[name] for key, name, _, _ in topics}
         rows = self.last_id - self.first_id + 1
@@ -122,7 +204,7 @@ class SqliteFile:
         if rows > _COUNTED:
             return None
         found = dict(
-            self._base.execute("select topic_id, count(*) from messages group by topic_id").fetchall()
+            self._database.execute("select topic_id, count(*) from messages group by topic_id").fetchall()
         )
         return {key: found.get(key, 0) for key, _, _, _ in topics}
 
@@ -130,7 +212,8 @@ class SqliteFile:
         """Return type -> kind and text of its definition; bags older than ROS 2 Iron hold none."""
         query = "select topic_type, encoding, encoded_message_definition from message_definitions"
         try:
-            return {kind: (encoding, text) for kind, encoding, text in self._base.execute(query)}
+            rows = self._database.execute(query).fetchall()
+            return {row[0]: row[1:] for row in rows if all(isinstance(value, str) for value in row)}
         except sqlite3.OperationalError:
             return {}
 
@@ -157,7 +240,7 @@ class SqliteTask:
     def _fetch(self, key: int) -> Batch:
         # No `order by`: it would go through the index of times instead of the table.
         query = "select timestamp, data from messages where id between ? and ? and topic_id = ?"
-        cursor = self._base.execute(query, (*self._rows, key))
+        cursor = self._database.execute(query, (*self._rows, key))
         times: list[int] = []
         blobs: list[bytes] = []
         while rows := cursor.fetchmany(_FETCH):
@@ -180,21 +263,3 @@ def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:
         sizes=int(sizes[0]) if same else sizes,
         log_ns=np.array(times, dtype=np.int64),
     )
-
-
-def _connect(path: Path, findings: list[Finding]) -> sqlite3.Connection:
-    """Open a database for reading; its write-ahead log is read too where it lies beside it."""
-    uri = "file:" + quote(str(path.absolute()))
-    base = sqlite3.connect(uri + "?mode=ro", uri=True, check_same_thread=False)
-    try:
-        base.execute("select count(*) from sqlite_master").fetchone()
-    except sqlite3.OperationalError:
-        base.close()
-        base = sqlite3.connect(uri + "?mode=ro&immutable=1", uri=True, check_same_thread=False)
-        base.execute("select count(*) from sqlite_master").fetchone()
-        wal = path.with_name(path.name + "-wal")
-        if wal.exists() and wal.stat().st_size:
-            text = f"{wal.name} can't be read here, so messages that are only in it are left out."
-            advice = "Copy the bag to a folder that can be written to."
-            findings.append(Finding(level="warning", code="wal-ignored", text=text, advice=advice))
-    return base

@@ -41,6 +41,9 @@ _MAGIC: dict[bytes, str] = {
     b"\x04\x22\x4d\x18": "lz4",
 }
 
+#: Bytes that no text holds; zeros are what a crash leaves in one.
+_CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
+
 _MARKS: tuple[tuple[bytes, str], ...] = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF16_LE, "utf-16-le"),
@@ -160,9 +163,11 @@ class TextSource:
                     return "utf-16-le"
                 if even > 10 * odd:
                     return "utf-16-be"
-            if zeros > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]:
-                msg = f"{self.name}: binary data, not text; expected a table of numbers, or another format"
-                raise ReadError(msg)
+        controls = len(head) - len(head.translate(None, _CONTROLS))
+        hollow = zeros > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]
+        if controls > 0.01 * len(head) or hollow:
+            msg = f"{self.name}: binary data, not text; expected a table of numbers, or another format"
+            raise ReadError(msg)
         try:
             codecs.getincrementaldecoder("utf-8")().decode(head)
         except UnicodeDecodeError:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from imucal.errors import ReadError
 from imucal.readers.container import Channel, Container
-from imucal.readers.decoder import BinaryDecoder
+from imucal.readers.decoder import BinaryDecoder, Shape
 from imucal.readers.definitions import DefinitionError, Field, built_in, flatten, plain_type
 from imucal.readers.engine import Decoder, Stream
 from imucal.readers.json_messages import JSON_CARRIER, JsonDecoder
@@ -93,12 +93,19 @@ def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> 
         if channel.encoding == "json":
             decoders[number, channel.key] = JsonDecoder(carrier)
             continue
-        fields, exact = _fields(channel, options)
-        own = _only(_carrier(channel, fields, topic.name, sensors), sensors)
-        carrier = own
-        decoders[number, channel.key] = BinaryDecoder(
-            fields, own, ros1=channel.encoding == "ros1", exact=exact
-        )
+        try:
+            fields, exact = _fields(channel, options)
+        except DefinitionError as error:
+            msg = f"topic {topic.name} of type {channel.type} can't be decoded: {error}"
+            raise ReadError(msg) from error
+        shapes = [_shape(channel, fields, topic.name, sensors)]
+        carrier = shapes[0].carrier
+        ros1 = channel.encoding == "ros1"
+        standard = built_in(channel.type, ros1=ros1)
+        if standard is not None:
+            fields = flatten(channel.type, standard, ros1=ros1)
+            shapes.append(_shape(channel, fields, topic.name, sensors))
+        decoders[number, channel.key] = BinaryDecoder(shapes, ros1=ros1, exact=exact)
     return Stream(carrier=carrier, decoders=decoders)
 
 
@@ -126,12 +133,12 @@ def _topic(name: str, channels: list[tuple[int, Channel]], options: ReadOptions)
     return Topic(name=name, type=channel.type, channels=tuple(channels), carrier=carrier, reason=reason)
 
 
-def _carrier(channel: Channel, fields: Sequence[Field], topic: str, sensors: Sequence[Sensor]) -> Carrier:
+def _shape(channel: Channel, fields: tuple[Field, ...], topic: str, sensors: Sequence[Sensor]) -> Shape:
     carrier = find_carrier(channel.type, fields, topic, sensors[0] if len(sensors) == 1 else None)
     if carrier is None:
         msg = f"topic {topic}: the files define {channel.type} differently"
         raise ReadError(msg)
-    return carrier
+    return Shape(fields, _only(carrier, sensors))
 
 
 def _said(name: str, options: ReadOptions) -> Sensor | None:
