@@ -33,37 +33,37 @@ def choose_regressors(
     """Return names of the regressors beside the ramp that the data ask for, and say so."""
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
+    exponentials = [f"exp:{part * length!r}" for part in _PARTS.tolist()]
+    names = ("R", *exponentials)
+    if all(block.temperature is not None and np.any(block.temperature) for block in blocks):
+        names += ("temperature",)
+    ordinates = bin_blocks(low, 1.0, names)
+    ordinates = ordinates.take(ordinates.size > 0)
     chosen: tuple[str, ...] = ()
     findings: list[Finding] = []
-    if all(block.temperature is not None and np.any(block.temperature) for block in blocks):
-        gain = _gain(low, (), ["temperature"])[0]
-        if gain > np.log(length) + _MARGIN:
-            chosen += ("temperature",)
+    if "temperature" in names:
+        alone, heated = _objectives(ordinates, [(), ("temperature",)])
+        if 2 * (alone - heated) > np.log(length) + _MARGIN:
+            chosen = ("temperature",)
             findings.append(_temperature_finding(axis))
-    names = [f"exp:{part * length!r}" for part in _PARTS.tolist()]
-    gains = _gain(low, chosen, names)
-    best = int(np.argmax(gains))
-    if gains[best] > 2 * np.log(length) + _MARGIN:
-        chosen += (names[best],)
+    alone, *warm = _objectives(ordinates, [chosen, *((*chosen, name) for name in exponentials)])
+    best = int(np.argmin(warm))
+    if 2 * (alone - warm[best]) > 2 * np.log(length) + _MARGIN:
+        chosen += (exponentials[best],)
         findings.append(_warm_up_finding(axis, float(_PARTS[best]) * length * tau0))
     return chosen, tuple(findings)
 
 
-def _gain(low: list[Block], chosen: tuple[str, ...], names: list[str]) -> list[float]:
-    """Return twice the log-likelihood that each regressor gains beside those chosen."""
-    base = _objective(bin_blocks(low, 1.0, ("R", *chosen)), chosen)
-    return [
-        2 * (base - _objective(bin_blocks(low, 1.0, ("R", *chosen, name)), (*chosen, name))) for name in names
-    ]
-
-
-def _objective(ordinates: Ordinates, common: tuple[str, ...]) -> float:
-    seen = ordinates.take(ordinates.size > 0)
-    candidates = candidates_of([_STRUCTURE], seen.names, common=common)
-    starts = find_starts(seen, candidates, keep=(1, 2, 2))
-    rows = np.zeros(starts.candidate.size, dtype=np.int64)
-    found = maximize(seen, candidates.take(rows), starts.theta, tolerance=1e-2, iterations=40)
-    return float(found.objective.min())
+def _objectives(ordinates: Ordinates, sets: list[tuple[str, ...]]) -> list[float]:
+    """Return the least -log L of a rich structure with each set of regressors beside the ramp."""
+    shown = [(*_STRUCTURE, *names) for names in sets]
+    candidates = candidates_of(shown, ordinates.names)
+    starts = find_starts(ordinates, candidates, keep=(1, 2, 2))
+    owner = starts.candidate
+    found = maximize(ordinates, candidates.take(owner), starts.theta, tolerance=1e-2, iterations=40)
+    best = np.full(len(sets), np.inf)
+    np.minimum.at(best, owner, found.objective)
+    return best.tolist()
 
 
 def _temperature_finding(axis: str) -> Finding:

@@ -25,6 +25,8 @@ _GRID = 16
 _ROUNDS = 50
 #: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.
 _ROWS = 96
+#: Keeps logarithms and squares of inverses finite.
+_TINY = 1e-140
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,7 +108,7 @@ def _mixtures(
     use[:, :4] = laws
     for row, combo in enumerate(combos):
         use[row, [4 + place for place in combo]] = 1.0
-    level = np.maximum(ordinates.power, 1e-300) / ordinates.size
+    level = np.maximum(ordinates.power, _TINY) / ordinates.size
     weights = use * np.quantile(level / dictionary, 0.2, axis=1) / use.sum(axis=1, keepdims=True)
     objective = np.empty(len(combos))
     for first in range(0, len(combos), _ROWS):
@@ -114,7 +116,7 @@ def _mixtures(
         weights[part], objective[part] = _mix(ordinates, dictionary, weights[part])
     room = candidates.room_markov
     theta = np.zeros((len(combos), candidates.width))
-    logs = np.log(weights + 1e-300)
+    logs = np.log(weights + _TINY)
     theta[:, :4] = logs[:, :4]
     for row, combo in enumerate(combos):
         for column, place in enumerate(combo):
@@ -128,11 +130,11 @@ def _mix(ordinates: Ordinates, dictionary: FloatArray, weights: FloatArray) -> t
     plenty = np.ascontiguousarray((dictionary * ordinates.size).T)
     transposed = np.ascontiguousarray(dictionary.T)
     for _ in range(_ROUNDS):
-        inverse = 1 / (weights @ dictionary + 1e-300)
+        inverse = 1 / (weights @ dictionary + _TINY)
         push = inverse @ plenty
         inverse *= inverse
         inverse *= ordinates.power
         weights = weights * np.sqrt((inverse @ transposed) / push)
-    spectrum = weights @ dictionary + 1e-300
+    spectrum = weights @ dictionary + _TINY
     objective = 0.5 * (np.log(spectrum) * ordinates.size + ordinates.power / spectrum).sum(axis=1)
     return weights, objective

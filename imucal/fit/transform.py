@@ -11,6 +11,9 @@ from imucal.fit.ordinates import LAWS, Ordinates
 
 __all__ = ["bin_blocks", "ordinates_of"]
 
+#: Square of the relative rounding error of a transform.
+_ROUNDING = 1e-28
+
 
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
     """Return the binned ordinates of all blocks; the regressors `names` are common to them."""
@@ -44,6 +47,8 @@ def _bin(block: Block, names: tuple[str, ...]) -> dict[str, FloatArray]:
     count = bins.count.astype(np.float64)
     size = count if kept is None else np.add.reduceat(kept.astype(np.float64), bins.first - 1)
     square = block.ordinates**2
+    # The transform's own rounding: no bin of exactly no power, not even of a straight line.
+    square += _ROUNDING * float(square.mean())
     power = total(square if block.variance is None else square + block.variance)
     vectors = [block.regressor(name) for name in names]
     cross = np.array([total(block.ordinates * v) for v in vectors]).reshape(len(names), bins.size)
