@@ -367,5 +367,6 @@ def test_the_state_space_has_the_fits_allan_curve() -> None:
 
 def test_the_page_has_every_format() -> None:
     """Its table has a row for each, and none more."""
-    page = (Path(__file__).parents[2] / "docs" / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
-    assert re.findall(r"^\|[^|]+\| `([a-z][\w-]+)` \|", page, re.MULTILINE) == list(TARGETS)
+    page = Path(__file__).parents[2] / "docs" / "which-number-goes-in-my-config.md"
+    rows = re.findall(r"^\|[^|]+\| `([a-z][\w-]+)` \|", page.read_text(encoding="utf-8"), re.MULTILINE)
+    assert rows == list(TARGETS)
