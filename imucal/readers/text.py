@@ -98,6 +98,10 @@ class TextSource:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
         self._raw.close()
 
     def blocks(self) -> Iterator[bytes]:
@@ -156,13 +160,11 @@ class TextSource:
             if head.startswith(mark):
                 return encoding
         zeros = head.count(0)
-        if zeros:
-            if zeros > 0.3 * len(head):
-                even, odd = head[0::2].count(0), head[1::2].count(0)
-                if odd > 10 * even:
-                    return "utf-16-le"
-                if even > 10 * odd:
-                    return "utf-16-be"
+        even, odd = head[0::2].count(0), head[1::2].count(0)
+        if zeros > 0.3 * len(head) and odd > 10 * even:
+            return "utf-16-le"
+        if zeros > 0.3 * len(head) and even > 10 * odd:
+            return "utf-16-be"
         controls = len(head) - len(head.translate(None, _CONTROLS))
         hollow = zeros > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]
         if controls > 0.01 * len(head) or hollow:
@@ -245,13 +247,22 @@ def open_text(path: Path, *, progress: Progress | None = None) -> TextSource:
         except OSError as error:
             msg = f"{path}: can't be opened: {error.strerror or error}"
             raise ReadError(msg) from error
-        source = TextSource(str(path), raw, size=size, progress=progress)
+        source = _opened(str(path), raw, size, progress)
     if not any(line.strip() for line in source.head):
         found = "is empty" if source.whole else "has no line end in its first 256 KiB"
         found = f"{found} ({source.findings[0].text})" if source.findings else found
+        source.close()
         msg = f"{source.name}: the text {found}; expected a table of numbers"
         raise ReadError(msg)
     return source
+
+
+def _opened(name: str, raw: BinaryIO, size: int, progress: Progress | None) -> TextSource:
+    try:
+        return TextSource(name, raw, size=size, progress=progress)
+    except BaseException:
+        raw.close()
+        raise
 
 
 def _read_fully(raw: BinaryIO, size: int) -> bytes:

@@ -10,7 +10,7 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.units import G0
 
-__all__ = ["N", "RATE", "STYLES", "Style", "Truth", "lines", "truth", "write"]
+__all__ = ["RATE", "STYLES", "N", "Style", "Truth", "lines", "truth", "write"]
 
 #: Samples and rate of the truth.
 N, RATE = 400, 100.0
@@ -39,8 +39,8 @@ class Truth:
 def truth(seed: int = 5) -> Truth:
     """Return the truth: noise of a cheap sensor, gravity on z."""
     rng = np.random.default_rng(seed)
-    gyro = rng.normal(scale=2e-3, size=(N, 3)) + [0.01, -0.02, 0.005]
-    accel = rng.normal(scale=2e-2, size=(N, 3)) + [0.1, -0.2, G0]
+    gyro = rng.normal(scale=2e-3, size=(N, 3)) + np.array([0.01, -0.02, 0.005])
+    accel = rng.normal(scale=2e-2, size=(N, 3)) + np.array([0.1, -0.2, G0])
     return Truth(gyro=gyro, accel=accel, ns=[i * 10_000_000 for i in range(N)])
 
 
@@ -360,7 +360,7 @@ def _zip(members: dict[str, str]) -> bytes:
 
 
 def sensorlog(t: Truth) -> str:
-    """The iPhone's sensors have clocks of their own: the accelerometer's runs 3 ms behind."""
+    """Write the clocks that the iPhone's sensors have of their own: one runs 3 ms behind."""
     header = (
         "loggingTime(txt),loggingSample(N),accelerometerTimestamp_sinceReboot(s),"
         "accelerometerAccelerationX(G),accelerometerAccelerationY(G),accelerometerAccelerationZ(G),"
@@ -574,7 +574,8 @@ def metawear(t: Truth) -> str:
 
 
 def spaces(t: Truth) -> str:
-    header = "Time (s), Xaccel (m/s^2), Yaccel (m/s^2), Zaccel (m/s^2), Xgyro (rad/s), Ygyro (rad/s), Zgyro (rad/s)"
+    axes = [f"{a}accel (m/s^2)" for a in "XYZ"] + [f"{a}gyro (rad/s)" for a in "XYZ"]
+    header = ", ".join(["Time (s)", *axes])
     return lines(header, seconds(t), *xyz(t.accel), *xyz(t.gyro), mark=", ")
 
 
@@ -606,7 +607,7 @@ def time_of_day(t: Truth) -> str:
     return lines(header, clock, *xyz(t.gyro), *xyz(t.g))
 
 
-DEG = {"gyro_unit": "deg/s"}
+DEG: dict[str, object] = {"gyro_unit": "deg/s"}
 
 STYLES: tuple[Style, ...] = (
     Style(name="EuRoC", build=euroc, layout="EuRoC", tolerance=0),
