@@ -37,8 +37,13 @@ def draw_allan(axes: "Axes", axis: AxisReport) -> list[Any]:
     """Draw one axis's curve, model and terms; return the entries of the legend."""
     curve, rate = axis.fit.curve, axis.fit.rate_hz
     shown, terms, m = shown_points(curve), drawn_terms(axis), _dense(curve)
-    _set_limits(axes, axis, shown, terms)
-    style_axes(axes, x="averaging time τ (s)", y=f"Allan deviation ({pretty(axis.unit)})")
+    style_axes(
+        axes,
+        x="averaging time τ (s)",
+        y=f"Allan deviation ({pretty(axis.unit)})",
+        x_limits=limits(curve.tau[shown], below=1.6, above=1.9),
+        y_limits=_y_limits(curve.adev[shown], terms),
+    )
     entries = _points(axes, axis, shown)
     total = np.sqrt(axis.fit.model.avar(m, rate_hz=rate))
     if axis.fit.model.terms:
@@ -72,9 +77,13 @@ def draw_allan_overview(axes: "Axes", reports: list[AxisReport]) -> None:
         axes.plot(m / axis.fit.rate_hz, total, **line)
         values.append(adev)
         times.append(tau)
-    style_axes(axes, x="averaging time τ (s)", y=f"Allan deviation ({pretty(reports[0].unit)})")
-    axes.set_xlim(*limits(np.concatenate(times), below=1.6, above=1.9))
-    axes.set_ylim(*limits(np.concatenate(values), below=2.0, above=2.0))
+    style_axes(
+        axes,
+        x="averaging time τ (s)",
+        y=f"Allan deviation ({pretty(reports[0].unit)})",
+        x_limits=limits(np.concatenate(times), below=1.6, above=1.9),
+        y_limits=limits(np.concatenate(values), below=2.0, above=2.0),
+    )
 
 
 def shown_points(curve: AllanCurve) -> IntArray:
@@ -89,15 +98,14 @@ def _dense(curve: AllanCurve) -> FloatArray:
     return np.unique(np.geomspace(float(curve.m.min()), float(curve.m.max()), 200).round())
 
 
-def _set_limits(axes: "Axes", axis: AxisReport, shown: IntArray, terms: list[Drawn]) -> None:
-    tau, adev = axis.fit.curve.tau[shown], axis.fit.curve.adev[shown]
+def _y_limits(adev: FloatArray, terms: list[Drawn]) -> tuple[float, float]:
+    """Return limits that hold the curve, and the read-offs not too far below it."""
     bottom, top = limits(adev, below=2.2, above=2.2)
     deepest = bottom * 2.2 / _DEEPEST
     for drawn in terms:
         if deepest < drawn.height < bottom * 1.3:
             bottom = min(bottom, drawn.height / 1.6)
-    axes.set_xlim(*limits(tau, below=1.6, above=1.9))
-    axes.set_ylim(bottom, top)
+    return bottom, top
 
 
 def _points(axes: "Axes", axis: AxisReport, shown: IntArray) -> list[Any]:

@@ -12,8 +12,9 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import GaussMarkov, NoiseTerm
 from imucal.recording import Sensor
 from imucal.report import numbers
+from imucal.report.log_ticks import draw_ticks
 from imucal.report.markov import gauss_markov_term
-from imucal.report.palette import GRID, INK, TERMS, Stroke
+from imucal.report.palette import FRAME, INK, TERMS, Stroke
 from imucal.report.result import AxisReport
 from imucal.units import pretty
 
@@ -25,7 +26,6 @@ __all__ = [
     "LABEL_SIZE",
     "LEGEND_SIZE",
     "SMALL_SIZE",
-    "TICK_SIZE",
     "TITLE_SIZE",
     "Drawn",
     "dashes",
@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 #: Text sizes in points, for a figure 10 inches wide.
-TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, TICK_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 9.0, 8.5
+TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 8.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,19 +65,21 @@ def new_figure(width: float, height: float, dpi: float) -> "Figure":
     return figure
 
 
-def style_axes(axes: "Axes", *, x: str, y: str) -> None:
-    """Make both scales logarithmic, with quiet grid lines and named units."""
+def style_axes(
+    axes: "Axes", *, x: str, y: str, x_limits: tuple[float, float], y_limits: tuple[float, float]
+) -> None:
+    """Make both scales logarithmic, with named units, quiet grid lines and final limits."""
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.set_xlim(*x_limits)
+    axes.set_ylim(*y_limits)
     axes.set_axisbelow(True)
-    axes.grid(visible=True, which="major", color=GRID, linewidth=0.8)
-    axes.tick_params(which="both", labelsize=TICK_SIZE, colors=INK, direction="out")
-    axes.tick_params(which="minor", length=2)
-    for name, spine in axes.spines.items():
-        spine.set_visible(name in {"left", "bottom"})
-        spine.set_color("#9aa5b1")
+    for spine, visible in (("left", True), ("bottom", True), ("top", False), ("right", False)):
+        axes.spines[spine].set_visible(visible)
+        axes.spines[spine].set_color(FRAME)
     axes.set_xlabel(x, fontsize=LABEL_SIZE, color=INK, labelpad=3)
     axes.set_ylabel(y, fontsize=LABEL_SIZE, color=INK, labelpad=3)
+    draw_ticks(axes)
 
 
 def limits(values: FloatArray, *, below: float, above: float) -> tuple[float, float]:

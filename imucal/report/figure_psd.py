@@ -31,12 +31,16 @@ _NAMED_LINES = 3
 def draw_psd(axes: "Axes", axis: AxisReport) -> list[Any]:
     """Draw one axis's spectrum, model and terms; return the entries of the legend."""
     frequency, root = axis.spectrum.frequency, np.sqrt(axis.spectrum.psd)
-    style_axes(axes, x="frequency (Hz)", y=f"√PSD, two-sided ({density_unit(axis.sensor)})")
+    style_axes(
+        axes,
+        x="frequency (Hz)",
+        y=f"√PSD, two-sided ({density_unit(axis.sensor)})",
+        x_limits=limits(frequency, below=1.3, above=1.3),
+        y_limits=limits(root, below=2.0, above=2.2),
+    )
     if not frequency.size:
         axes.text(0.5, 0.5, "no samples, no spectrum", transform=axes.transAxes, ha="center", color=INK)
         return []
-    axes.set_xlim(*limits(frequency, below=1.3, above=1.3))
-    axes.set_ylim(*limits(root, below=2.0, above=2.2))
     axes.plot(frequency, root, color=DATA.light, linewidth=1.0, zorder=4)
     grid = np.geomspace(frequency[0], frequency[-1], 200)
     for drawn in drawn_terms(axis):
@@ -62,9 +66,13 @@ def draw_psd_overview(axes: "Axes", reports: list[AxisReport]) -> None:
         axes.plot(frequency, model, color=stroke.light, linewidth=1.6, **dashes(stroke))
         values.append(root)
         places.append(frequency)
-    style_axes(axes, x="frequency (Hz)", y=f"√PSD, two-sided ({density_unit(reports[0].sensor)})")
-    axes.set_xlim(*limits(np.concatenate(places), below=1.3, above=1.3))
-    axes.set_ylim(*limits(np.concatenate(values), below=2.0, above=2.2))
+    style_axes(
+        axes,
+        x="frequency (Hz)",
+        y=f"√PSD, two-sided ({density_unit(reports[0].sensor)})",
+        x_limits=limits(np.concatenate(places), below=1.3, above=1.3),
+        y_limits=limits(np.concatenate(values), below=2.0, above=2.2),
+    )
 
 
 def _term(axes: "Axes", axis: AxisReport, drawn: Drawn, grid: FloatArray) -> None:

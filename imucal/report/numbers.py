@@ -154,8 +154,9 @@ def engineering_exponent(quantities: Iterable[Quantity]) -> int:
     sizes = [q.size for q in quantities if math.isfinite(q.size) and q.size > 0]
     if not sizes:
         return 0
-    exponent = math.floor(math.log10(max(sizes)))
-    return 0 if -2 <= exponent <= 4 else 3 * (exponent // 3)
+    size = math.log10(max(sizes))
+    # Half a decade of grace: 0.54e-3 reads better than 540e-6, and 120e-6 better than 0.12e-3.
+    return 0 if -2 <= size < 5 else 3 * math.floor((size + 0.5) / 3)
 
 
 def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:

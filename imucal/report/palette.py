@@ -6,7 +6,7 @@ white (contrast above 4.5); every colour comes with its own line style or marker
 
 from dataclasses import dataclass
 
-__all__ = ["AXES", "DATA", "FADED", "GRID", "INK", "LEFT_OUT", "MODEL", "TERMS", "UNUSED", "Stroke"]
+__all__ = ["AXES", "DATA", "FADED", "FRAME", "GRID", "INK", "LEFT_OUT", "MODEL", "TERMS", "UNUSED", "Stroke"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,8 @@ UNUSED = "#b4bcc5"
 #: Spectral lines.
 LEFT_OUT = "#b00020"
 GRID = "#e3e7ec"
+#: Spines and ticks.
+FRAME = "#9aa5b1"
 
 #: Symbol of a term -> its stroke.
 TERMS: dict[str, Stroke] = {

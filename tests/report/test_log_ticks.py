@@ -1,0 +1,52 @@
+"""Ticks of logarithmic axes, whatever the limits."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imucal.report.log_ticks import tick_label, tick_places
+
+
+@pytest.mark.parametrize(
+    ("value", "label"),
+    [
+        (1.0, "1"),
+        (0.01, "0.01"),
+        (1000.0, "1000"),
+        (1e4, "10⁴"),
+        (1e-3, "10⁻³"),
+        (2e-5, "2×10⁻⁵"),
+        (0.5, "0.5"),
+        (1e-12, "10⁻¹²"),
+    ],
+)
+def test_labels_read_as_people_write_them(value: float, label: str) -> None:
+    """Plain from 0.01 to 1000, as a power of ten beyond."""
+    assert tick_label(value) == label
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "major"),
+    [
+        (3e-3, 5e3, [0.01, 0.1, 1, 10, 100, 1000]),
+        (0.8, 30, [1, 2, 5, 10, 20]),
+        (2.1, 4.9, [3, 4]),
+        (0.31, 0.36, [0.31, 0.36]),
+        (1e-9, 1e9, [1e-9, 1e-6, 1e-3, 1, 1e3, 1e6, 1e9]),
+    ],
+)
+def test_ticks_are_few_and_round(low: float, high: float, major: list[float]) -> None:
+    """Decades, every third of them where there are many; 1, 2, 5 where there are few."""
+    assert tick_places(low, high)[0] == pytest.approx(major)
+
+
+@given(low=st.floats(1e-15, 1e12), factor=st.floats(1.05, 1e20))
+def test_ticks_lie_inside_and_rise(low: float, factor: float) -> None:
+    """At least two labels and at most ten; no two of them alike."""
+    high = low * factor
+    major, minor = tick_places(low, high)
+    assert 2 <= len(major) <= 10
+    assert major == sorted(set(major))
+    # 1e-9 for the rounding of 10**e.
+    assert all(low * (1 - 1e-9) <= place <= high * (1 + 1e-9) for place in (*major, *minor))
+    assert len({tick_label(place) for place in major}) == len(major)
