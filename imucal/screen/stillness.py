@@ -15,7 +15,7 @@ __all__ = ["disturbed", "usual_variance", "without_spikes"]
 #: How often an axis at rest may have one disturbed window, by chance.
 _FALSE_ALARM = 1e-4
 #: Real noise breathes with the temperature: a variance or a jump must pass the limit by this much.
-_MARGIN = 1.7
+_MARGIN = 1.25
 #: A spike stands out by this many robust deviations and is at most two samples long.
 _SPIKE = 5 * 1.4826
 #: Spikes in more than this part of a window are no spikes.

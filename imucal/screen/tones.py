@@ -127,28 +127,25 @@ def check_tones(profile: Profile) -> tuple[Finding, ...]:
     found = tones(density) if density is not None else ()
     if density is None or not found:
         return ()
-    described = []
+    named = []
     for tone in found[:_NAMED]:
         cause = likely_cause(
             tone.frequency_hz, rate_hz=series.rate_hz, resolution_hz=1.5 * density.spacing_hz
         )
-        described.append(f"{tone.frequency_hz:.4g} Hz, {amount(tone.amplitude, series.sensor)} ({cause})")
-    more = f"; and {len(found) - _NAMED} weaker" if len(found) > _NAMED else ""
+        height = amount(tone.amplitude, series.sensor)
+        named.append(f"{height} at {tone.frequency_hz:.4g} Hz, perhaps {cause}")
+    if len(found) > _NAMED:
+        named.append(f"and {len(found) - _NAMED} weaker")
     visible = found[0].hump > _VISIBLE
-    effect = "they bend the Allan curve" if len(found) > 1 else "it bends the Allan curve"
+    many = len(found) > 1
+    count = f"{len(found)} tones" if many else "a tone"
+    effect = f", which {'bend' if many else 'bends'} the Allan curve" if visible else ""
     return (
         Finding(
             level="warning" if visible else "info",
             code="tone",
-            text=f"{series.name} holds {_count(len(found))}{': ' + effect if visible else ''}: "
-            + "; ".join(described)
-            + more
-            + ".",
+            text=f"{series.name} holds {count}{effect}: {'; '.join(named)}.",
             advice="Remove the source and record again; the fit leaves lines out." if visible else "",
             axis=series.name,
         ),
     )
-
-
-def _count(count: int) -> str:
-    return "a tone" if count == 1 else f"{count} tones"

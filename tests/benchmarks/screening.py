@@ -19,7 +19,7 @@ def main() -> None:
     total: Counter[str] = Counter()
     for kind in KINDS:
         counts: Counter[str] = Counter()
-        for seed in range(logs):
+        for seed in range(10_000, 10_000 + logs):
             found = screen(recording(*still(n, seed, kind), temperature=unrelated_temperature(n, seed)))
             counts.update({f"{f.code}{'' if f.level != 'info' else ' (info)'}" for f in found})
         total += counts

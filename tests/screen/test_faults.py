@@ -208,8 +208,8 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (copied, "error", "duplicate-axes", None,
      "gyro_x and gyro_z hold the same samples with the sign turned (correlation -1.000)."),
     (humming, "warning", "tone", "gyro_z",
-     ("gyro_z holds a tone: it bends the Allan curve: 31.25 Hz, 0.00102 rad/s (0.0585 deg/s) "
-     "(a fan or motor at 1875 rpm, or a folded higher tone).")),
+     ("gyro_z holds a tone, which bends the Allan curve: 0.00102 rad/s (0.0585 deg/s) at 31.25 Hz, "
+     "perhaps a fan or motor at 1875 rpm, or a folded higher tone.")),
     (repeated, "warning", "held-samples", "gyro",
      ("50.0% of the gyroscope samples repeat the one before on all axes: the log holds 100 samples a second, "
      "about 50 of them new.")),
