@@ -27,13 +27,13 @@ it is about::
 
 import difflib
 import math
-import re
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
+from imucal.check.codes import FINDING_CODES
 from imucal.check.limits import GRAVE, Baseline, FindingRules, Limit, Limits, Undecided
 from imucal.check.units import (
     LOG_QUANTITIES,
@@ -52,7 +52,6 @@ _AXIS_NAMES = {f"{sensor.short}_{axis}": sensor for sensor in Sensor for axis in
 _SENSORS = tuple(sensor.value for sensor in Sensor)
 _SECTIONS = ("log", *_SENSORS, *_AXIS_NAMES)
 _TOP = (*_SECTIONS, "findings", "baseline", "undecided")
-_CODE = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
 def read_limits(path: Path) -> Limits:
@@ -201,8 +200,10 @@ class _File:
     def _codes(self, place: str, value: object) -> frozenset[str]:
         codes = self._texts(place, value)
         for code in codes:
-            if not _CODE.fullmatch(code):
-                self._refuse(place, _found(code), "expected the code of a finding, such as gaps")
+            if code not in FINDING_CODES:
+                near = difflib.get_close_matches(code, FINDING_CODES, n=1, cutoff=0.5)
+                hint = f"did you mean {near[0]!r}?" if near else "expected the code of a finding"
+                self._refuse(place, f"unknown code {code!r}", hint)
         return frozenset(codes)
 
     def _texts(self, place: str, value: object) -> list[str]:

@@ -1,12 +1,14 @@
 """The limits file: what it may say, and what is said when it says something else."""
 
 import math
+import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from imucal.check import Limits, parse_limits, read_limits
+from imucal.check.codes import FINDING_CODES
 from imucal.check.units import SAMPLE_QUANTITIES, TERM_QUANTITIES, plain_unit, quantity_units
 from imucal.errors import LimitsError
 from imucal.noise import TERMS
@@ -103,7 +105,11 @@ def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, qua
             '[findings]\nlevel = "grave"',
             "l.toml: findings.level: 'grave', expected info, warning, error or none",
         ),
-        ('[findings]\nforbid = ["Big Gaps"]', "l.toml: findings.forbid: 'Big Gaps', expected the code of a"),
+        (
+            '[findings]\nforbid = ["motoin"]',
+            "l.toml: findings.forbid: unknown code 'motoin'; did you mean 'motion'?",
+        ),
+        ('[findings]\nallow = ["?"]', "l.toml: findings.allow: unknown code '?', expected the code of a"),
         (
             '[findings]\nforbid = ["gaps"]\nallow = ["gaps"]',
             "l.toml: findings: gaps both forbidden and allowed",
@@ -140,6 +146,13 @@ def test_a_baseline_is_sought_beside_the_file(tmp_path: Path) -> None:
     assert baseline.max_decrease == 0.5
     assert baseline.max_increase is None  # only what is asked
     assert parse_limits("[baseline]").baseline is not None
+
+
+def test_the_codes_are_those_of_the_page_on_findings() -> None:
+    """A new finding is added to the page, which is held to the source, and to the list."""
+    page = (EXAMPLE.parent / "findings.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\| (`[^|]*`) \|", page, re.MULTILINE)
+    assert {code for cell in cells for code in re.findall(r"`([a-z-]+)`", cell)} == FINDING_CODES
 
 
 def test_the_examples_of_the_page_are_toml() -> None:
