@@ -24,7 +24,7 @@ _MOST_DROPPED = 8
 #: The weight is computed anew at most so often; three are enough in practice.
 _STEPS = 5
 #: At most so many models are tried for one that describes the curve.
-_CANDIDATES = 4
+_CANDIDATES = 6
 
 
 def ranked(
