@@ -1,6 +1,7 @@
 """The table that a run prints: both sensors side by side, every number with its interval."""
 
 import sys
+import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
@@ -100,7 +101,7 @@ def _heading(axes: list[AxisReport]) -> _Block:
         text = f"{axis.rate_hz:.6g} Hz, {axis.samples} samples, {numbers.hours(axis.duration_s)}"
         clocks.setdefault(text, []).append(axis.axis)
     for text, names in clocks.items():
-        lines.append(text if len(clocks) == 1 else f"{','.join(names)}: {text}")
+        lines += textwrap.wrap(text if len(clocks) == 1 else f"{','.join(names)}: {text}", _COLUMN)
     return lines
 
 

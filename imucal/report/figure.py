@@ -28,7 +28,7 @@ _WIDTH = 10.0
 _PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
 _DPI = 160
 #: Left edge and width of the two plots, in parts of the figure.
-_LEFT, _RIGHT = (0.077, 0.505), (0.672, 0.314)
+_LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 
 
 def axis_figure(report: Report, axis: AxisReport) -> "Figure":
