@@ -9,6 +9,7 @@ from imucal.check.units import LOG_QUANTITIES
 from imucal.check.verdict import CheckResult, Row, judge
 from imucal.errors import LimitsError
 from imucal.recording import Sensor
+from imucal.report.json_file import load
 from imucal.report.result import AxisReport, Report
 
 __all__ = ["check"]
@@ -24,7 +25,7 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
     limits
         What is allowed; `read_limits` reads them from a file.
     baseline
-        An older report to compare with, for limits with a baseline.
+        An older report to compare with, for limits with a baseline; None loads the one they name.
 
     Returns
     -------
@@ -34,7 +35,9 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
     Raises
     ------
     LimitsError
-        If the limits ask for a baseline and none is given.
+        If the limits ask for a baseline, and neither they nor the caller name one.
+    ReadError
+        If the baseline that the limits name can't be read.
     """
     rows = [
         *_axes_there(report, limits),
@@ -42,10 +45,7 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
         *_findings(report, limits),
     ]
     if limits.baseline is not None:
-        if baseline is None:
-            msg = "the limits have a baseline, but no older report was given; name one in the limits file"
-            raise LimitsError(msg)
-        rows += _baseline(report, baseline, limits.baseline)
+        rows += _baseline(report, baseline or _older(limits.baseline), limits.baseline)
     return CheckResult(
         source=report.source.path,
         level=report.axes[0].fit.level if report.axes else 0.95,
@@ -53,6 +53,13 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
         undecided_fails=limits.undecided == "fail",
         version=report.version,
     )
+
+
+def _older(rules: Baseline) -> Report:
+    if rules.report is None:
+        msg = "the limits have a baseline, but no older report was given; name one in the limits file"
+        raise LimitsError(msg)
+    return load(rules.report)
 
 
 def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:

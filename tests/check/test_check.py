@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,10 @@ import pytest
 from imucal.check import CheckResult, Measured, check, parse_limits
 from imucal.check.measure import measure, relative
 from imucal.check.verdict import judge
-from imucal.errors import LimitsError
+from imucal.errors import LimitsError, ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
+from imucal.report.json_file import dumps, to_document
 from imucal.report.result import AxisReport, Report
 from tests.report.synthetic import axis_report, consumer_report, small_report
 
@@ -224,6 +226,16 @@ def test_a_baseline_limits_the_change_of_each_term() -> None:
 
 def _gyro(text: str) -> AxisReport:
     return axis_report(Sensor.GYROSCOPE, "x", f"{text} + B=2e-5 + K=1e-6")
+
+
+def test_the_baseline_that_the_limits_name_is_loaded(tmp_path: Path) -> None:
+    """From the folder of the limits file; one that isn't there is a read error."""
+    limits = parse_limits('[baseline]\nreport = "golden/report.json"', folder=tmp_path)
+    with pytest.raises(ReadError, match=r"golden/report\.json: no such file"):
+        check(consumer_report(), limits)
+    (tmp_path / "golden").mkdir()
+    (tmp_path / "golden" / "report.json").write_text(dumps(to_document(consumer_report())))
+    assert check(consumer_report(), limits).passed
 
 
 def test_a_baseline_that_the_report_does_not_match() -> None:
