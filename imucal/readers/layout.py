@@ -30,7 +30,7 @@ _CLOSE = 0.5
 _RATE = re.compile(
     r"(?:update|sampl\w*|output|data)[\s_]*(?:rate|freq\w*)[^0-9\n]{0,12}(?P<rate>\d+(?:\.\d+)?)\s*(?P<kilo>k?)hz\b"
     r"|(?:^|[\s#\"])(?:fs|sampl\w*[\s_]*(?:rate|freq\w*)|update[\s_]*rate|rate_hz|frequency)(?:\s*[(\[]hz[)\]])?"
-    r"\s*[\"]?\s*[,;:=\t]\s*[\"]?(?P<plain>\d+(?:\.\d+)?)\b",
+    r"\s*[\"]?\s*[,;:=\t]\s*[\"]?(?P<plain>\d+(?:\.\d+)?)\s*(?P<kilos>(?:khz)?)",
     re.IGNORECASE | re.MULTILINE,
 )
 
@@ -191,7 +191,7 @@ def _finish(lines: Sequence[str], split: _Split) -> Layout:
     match = _RATE.search("\n".join(lines[: split.start]))
     rate = None
     if match:
-        rate = float(match["rate"] or match["plain"]) * (1000 if match["kilo"] else 1)
+        rate = float(match["rate"] or match["plain"]) * (1000 if match["kilo"] or match["kilos"] else 1)
     rows = tuple(tuple(split.rows[i]) for i in split.fitting)
     quoted = any('"' in lines[i] for i in split.fitting)
     return Layout(

@@ -282,8 +282,12 @@ def _with_time(table: _Table, triad: Triad, options: ReadOptions) -> SensorPlan:
             )
             raise ChoiceError(msg)
         return SensorPlan(triad=triad, time=stamps[1])
-    both = table.signature is not None and table.signature.name == "ROS" and len(stamps) > 1
-    return SensorPlan(triad=triad, time=times[0] if times else None, log_time=stamps[1] if both else None)
+    if table.signature is not None and table.signature.name == "ROS" and len(stamps) > 1:
+        # Stamps that stand still are still the first choice: the clock says so and takes the log time.
+        header = next((time for time in stamps if "stamp" in time.name.lower()), stamps[0])
+        log = next(time for time in stamps if time is not header)
+        return SensorPlan(triad=triad, time=header, log_time=log)
+    return SensorPlan(triad=triad, time=times[0] if times else None)
 
 
 def _refuse_instances(table: _Table, gyro: Triad | None, accel: Triad | None) -> None:

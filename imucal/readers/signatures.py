@@ -52,6 +52,12 @@ SIGNATURES: tuple[Signature, ...] = (
     # Kalibr's bagextractor and OpenVINS.
     Signature(name="Kalibr", headers=(r"omega_x", r"alpha_x"), **_SI),
     # sensor_msgs/Imu: REP 103 and the message's own comments.
+    Signature(
+        name="ROS",
+        headers=(r"field\.header\.stamp", r"field\..*(angular_velocity|linear_acceleration)\.x"),
+        **_SI,
+        time_ns=(("field.header.stamp", 1),),
+    ),
     Signature(name="ROS", headers=(r".*angular_velocity[./_ ]?x.*",), **_SI),
     Signature(name="ROS", headers=(r".*linear_acceleration[./_ ]?x.*",), **_SI),
     # Xsens DOT User Manual XD0502P: SampleTimeFine counts microseconds, Gyr is in deg/s.

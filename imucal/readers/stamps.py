@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray
 from imucal.units import TIME_UNITS_NS
 
-__all__ = ["infer_time_unit", "is_text_stamp", "parse_text_stamps", "to_ns", "unwrapped"]
+__all__ = ["date_stamps", "infer_time_unit", "is_text_stamp", "parse_text_stamps", "to_ns", "unwrapped"]
 
 #: ns of a text that is no time.
 _NO_STAMP = int(np.iinfo(np.int64).min)
@@ -70,6 +70,15 @@ def _days_since_1970(year: str, month: str, day: str) -> int:
         return int(np.datetime64(f"{year}-{int(month):02d}-{int(day):02d}", "D").astype(np.int64))
     except ValueError:
         return _NO_STAMP
+
+
+def date_stamps(parts: Sequence[NDArray[np.int64] | FloatArray]) -> IntArray:
+    """Return times as ns since 1970 from year, month, day, hour, minute, second and perhaps nanosecond."""
+    year, month, day, hour, minute = (np.asarray(part, dtype=np.int64) for part in parts[:5])
+    months = ((year - 1970) * 12 + month - 1).astype("datetime64[M]")
+    days = months.astype("datetime64[D]").astype(np.int64) + day - 1
+    whole = ((days * 24 + hour) * 60 + minute) * 60 * _SECOND + to_ns(parts[5], _SECOND)
+    return np.asarray(whole + (to_ns(parts[6], 1) if len(parts) > 6 else 0), dtype=np.int64)
 
 
 def midnight_rolled(stamps_ns: IntArray) -> IntArray:

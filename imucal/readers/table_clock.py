@@ -13,7 +13,7 @@ from imucal.findings import Finding
 from imucal.readers.clock import ClockReading, clock_from_stamps
 from imucal.readers.plan import SensorPlan
 from imucal.readers.scales import Work
-from imucal.readers.stamps import infer_time_unit, midnight_rolled, to_ns, unwrapped, week_rolled
+from imucal.readers.stamps import date_stamps, infer_time_unit, midnight_rolled, to_ns, unwrapped, week_rolled
 from imucal.readers.timing import TimeChoice
 from imucal.recording import Clock, Sensor
 from imucal.units import TIME_UNITS_NS
@@ -122,6 +122,8 @@ def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Se
         return midnight_rolled(cast("IntArray", columns[0]))
     if time.kind == "pair":
         return to_ns(columns[0], TIME_UNITS_NS["s"]) + to_ns(columns[1], 1)
+    if time.kind == "date":
+        return date_stamps(columns)
     if time.kind == "week":
         ns = _ns_per_count(work, time, columns[1], sensor)
         tow = to_ns(columns[1], ns)

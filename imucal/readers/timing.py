@@ -16,7 +16,7 @@ from imucal.units import TIME_UNITS_NS, parse_time_unit
 
 __all__ = ["TimeChoice", "choose_times", "time_of_place", "time_of_places"]
 
-TimeKind: TypeAlias = Literal["stamp", "pair", "week", "text", "counter"]
+TimeKind: TypeAlias = Literal["stamp", "pair", "week", "date", "text", "counter"]
 
 #: First cells of a column, by place.
 Cells: TypeAlias = Callable[[int], Sequence[str]]
@@ -30,6 +30,18 @@ _OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
 
 _SECONDS = frozenset(("sec", "secs", "second", "seconds", "s"))
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds", "nanos", "ns"))
+
+#: Words of the columns of a date, in order; nanoseconds need not be there.
+_DATE_PARTS = (
+    frozenset(("year", "yyyy")),
+    frozenset(("month",)),
+    frozenset(("day",)),
+    frozenset(("hour", "hours")),
+    frozenset(("minute", "minutes", "min")),
+    frozenset(("second", "seconds", "sec")),
+    frozenset(("nano", "nanos", "nanosecond", "nanoseconds", "nsec", "ns")),
+)
+_DATE_NEEDED = 6
 
 #: Word of a name -> how much it is to be preferred; the largest counts.
 _PREFERENCE = {
@@ -70,6 +82,7 @@ class TimeChoice:
     ----------
     kind
         ``stamp`` one column; ``pair`` seconds and nanoseconds; ``week`` GPS week and time of week;
+        ``date`` year, month, day, hour, minute, second and perhaps nanosecond;
         ``text`` dates or times of day; ``counter`` a sample counter.
     places
         Of its columns.
@@ -246,8 +259,7 @@ def _joins(columns: Sequence[Column], cells: Cells) -> list[tuple[float, TimeCho
             )
             moving = len(set(cells(fraction.place))) > 1
             found.append((92.0 if moving else 4.0, choice))
-    found.extend(_weeks(columns))
-    return found
+    return found + _weeks(columns) + _dates(columns, cells)
 
 
 def _weeks(columns: Sequence[Column]) -> list[tuple[float, TimeChoice]]:
@@ -265,6 +277,21 @@ def _weeks(columns: Sequence[Column]) -> list[tuple[float, TimeChoice]]:
         ns_source="from the column header" if ns else "",
     )
     return [(60.0, choice)]
+
+
+def _dates(columns: Sequence[Column], cells: Cells) -> list[tuple[float, TimeChoice]]:
+    """Return the time that columns of year, month, day, hour, minute and second give together."""
+    parts: list[Column] = []
+    for names in _DATE_PARTS:
+        column = next((c for c in columns if names.intersection(c.words) and c not in parts), None)
+        if column is None or not all(is_number(cell) for cell in cells(column.place) if cell):
+            break
+        parts.append(column)
+    if len(parts) < _DATE_NEEDED:
+        return []
+    name = "+".join(part.header for part in parts)
+    places = tuple(part.place for part in parts)
+    return [(58.0, TimeChoice(kind="date", places=places, name=name, ns=1, ns_source="date and time"))]
 
 
 def _counters(columns: Sequence[Column], cells: Cells) -> list[TimeChoice]:
