@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import TypeAlias
 
 from imucal.findings import Finding
 from imucal.fit.result import Estimate
@@ -16,6 +17,8 @@ from imucal.units import pretty
 
 __all__ = ["both_units", "findings_section", "summary_section"]
 
+#: Level, code, advice and the part worth keeping: what findings have in common.
+_Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
 _LEVELS = ("error", "warning", "info")
 _HEADINGS = {"error": "Errors", "warning": "Warnings", "info": "Notes"}
 
@@ -31,22 +34,16 @@ def summary_section(report: Report) -> Markup:
 
 
 def findings_section(report: Report) -> Markup:
-    """Return every finding in words, the grave ones first; axes that share a sentence stand together."""
-    grouped: dict[Finding, list[str]] = {}
+    """Return every finding in words, the grave ones first; those with the same advice stand together."""
+    grouped: dict[_Kind, dict[str, list[str]]] = {}
     for axis, finding in _all_findings(report):
-        key = Finding(
-            level=finding.level,
-            code=finding.code,
-            text=finding.text,
-            advice=finding.advice,
-            keep_s=finding.keep_s,
-        )
-        grouped.setdefault(key, []).append(axis)
+        kind = (finding.level, finding.code, finding.advice, finding.keep_s)
+        grouped.setdefault(kind, {}).setdefault(finding.text, []).append(axis)
     if not grouped:
         return element("p", "Nothing to remark: no gap, no movement, no line, no doubt about the fit.")
     parts = []
     for level in _LEVELS:
-        items = [_finding(f, names) for f, names in grouped.items() if f.level == level]
+        items = [_finding(kind, texts) for kind, texts in grouped.items() if kind[0] == level]
         if items:
             parts.append(element("h3", f"{_HEADINGS[level]} ({len(items)})"))
             parts.append(element("ul", *items, class_=f"findings {level}"))
@@ -66,24 +63,28 @@ def _all_findings(report: Report) -> list[tuple[str, Finding]]:
     return found
 
 
-def _finding(finding: Finding, axes: list[str]) -> Markup:
-    names = " ".join(dict.fromkeys(name for name in axes if name))
-    keep = None
-    if finding.keep_s is not None:
-        start, end = finding.keep_s
-        keep = element("span", f"Part worth keeping: {start:.0f} s to {end:.0f} s.", class_="keep")
-    return element(
-        "li",
-        element("code", finding.code),
-        element("strong", f" {names}") if names else None,
-        f" {_sentence(finding.text)} ",
-        element("em", f"{_sentence(finding.advice)} ") if finding.advice else None,
-        keep,
-    )
+def _finding(kind: _Kind, texts: dict[str, list[str]]) -> Markup:
+    _, code, advice, keep = kind
+    sentences = [
+        join([element("strong", f"{_names(axes)} ") if _names(axes) else None, _sentence(text), " "])
+        for text, axes in texts.items()
+    ]
+    body = sentences[0] if len(sentences) == 1 else element("ul", *(element("li", s) for s in sentences))
+    part = None
+    if keep is not None:
+        part = element("span", f"Part worth keeping: {keep[0]:.0f} s to {keep[1]:.0f} s.", class_="keep")
+    hint = element("em", f"{_sentence(advice)} ") if advice else None
+    return element("li", element("code", code), " ", body, hint, part)
+
+
+def _names(axes: list[str]) -> str:
+    return " ".join(dict.fromkeys(axis for axis in axes if axis))
 
 
 def _sentence(text: str) -> str:
-    text = pretty(text[:1].upper() + text[1:])
+    """Return it with a capital, unless it starts with a name, and with a full stop."""
+    first = text.split(" ", 1)[0]
+    text = pretty(text if "_" in first else text[:1].upper() + text[1:])
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
@@ -154,7 +155,8 @@ def _misfit(axis: AxisReport) -> str:
     score = axis.fit.goodness.statistic
     if math.isnan(score):
         return "unknown"
-    return f"{score:.1f} ({'the model does not fit' if score > 3 else 'the model fits'})"
+    text = f"{score + 0.0:.1f}".replace("-0.0", "0.0").replace("-", "−")
+    return f"{text} ({'the model does not fit' if score > 3 else 'the model fits'})"
 
 
 def _text_row(key: str, axes: list[AxisReport], text: Callable[[AxisReport], str], note: str = "") -> Markup:

@@ -89,6 +89,24 @@ def test_findings_are_in_words(page: html.HtmlElement) -> None:
     assert text.index("Warnings") < text.index("Notes")
 
 
+def test_findings_with_the_same_advice_stand_together() -> None:
+    """Six axes with one trouble are one item; a sentence that starts with a name keeps it."""
+    report = consumer_report()
+    finding = replace(report.axes[0].findings[0], code="odd", axis=None, advice="look at it")
+    axes = [
+        replace(axis, findings=(replace(finding, text=f"{axis.name} is odd" if i else "all is odd"),))
+        for i, axis in enumerate(report.axes[:3])
+    ]
+    page = html.document_fromstring(render_page(replace(report, axes=tuple(axes), findings=())))
+    items = page.get_element_by_id("findings").xpath("./ul/li")
+    assert [" ".join(item.text_content().split()) for item in items] == [
+        "odd gyro_x All is odd. gyro_y gyro_y is odd. gyro_z gyro_z is odd. Look at it."
+    ]
+    calm = replace(report, axes=tuple(replace(axis, findings=()) for axis in report.axes[:2]), findings=())
+    text = html.document_fromstring(render_page(calm)).get_element_by_id("findings").text_content()
+    assert "Nothing to remark" in text
+
+
 def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:
     """The formulas of the consumers, worked out at 200 Hz for the worst axis."""
     rows = {
