@@ -206,7 +206,8 @@ def gappy_degrees_of_freedom(
     """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
 
     There is no spectrum of a series with gaps to go by: ``hybrid`` and ``model`` take the generic
-    model nearest to the curve, with as many differences as there are windows or pairs to fill them.
+    model nearest to the curve, with as many differences as there are windows, less for what was taken
+    out of their mean square.
 
     Raises
     ------
@@ -224,7 +225,6 @@ def gappy_degrees_of_freedom(
     m = values.m.astype(np.float64)
     model = fit_curve(m, values.avar, np.maximum(values.terms / m, 1.0))
     edf = _of_model(model, question, np.ones(m.size, dtype=bool))
-    white = GenericModel(variances=(*model.variances[:2], 0.0, 0.0))
-    edf = 2 / (2 / edf + (white.avar(m) / model.avar(m)) ** 2 * values.extra)
+    edf /= values.inflation**2
     corrected: FloatArray = np.maximum(_less_for_heavy_tails(edf, question), 1.0)
     return corrected

@@ -28,8 +28,8 @@ class AllanCurve:
     estimator
         ``overlapping`` (MOAV), ``standard`` (non-overlapping), ``modified``, ``hadamard``.
     computed
-        How: ``exact``, ``cascade`` (strided, out of core), ``pairs`` or ``windows`` (gaps),
-        ``given`` (a table made by another tool).
+        How: ``exact``, ``cascade`` (strided, out of core), ``windows`` or ``runs`` (gaps), ``given``
+        (a table made by another tool).
     edf_method
         ``hybrid``, ``model``, ``greenhall``, ``eta3``; empty where unknown.
     """

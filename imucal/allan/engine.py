@@ -9,14 +9,7 @@ from imucal.allan.averaging import averaging_factors
 from imucal.allan.confidence import degrees_of_freedom, gappy_degrees_of_freedom
 from imucal.allan.curve import AllanCurve
 from imucal.allan.estimators import Estimator, estimator_named
-from imucal.allan.gaps import (
-    GappyVariances,
-    gap_method,
-    longest_run,
-    pair_variances,
-    run_variances,
-    window_variances,
-)
+from imucal.allan.gaps import longest_run, run_variances, window_variances
 from imucal.allan.variance import variances
 from imucal.arrays import IntArray
 from imucal.errors import DataError
@@ -63,10 +56,7 @@ def allan_curve(
     """
     chosen = _Choice(taus=taus, estimator=estimator_named(estimator), edf=edf)
     series = series.finite()
-    how = gap_method(series.clock)
-    if how == "exact":
-        return _exact(series, chosen)
-    return _gappy(series, chosen, how if estimator == "overlapping" else "runs")
+    return _gappy(series, chosen) if series.clock.missing else _exact(series, chosen)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,16 +82,14 @@ def _exact(series: AxisSeries, chosen: _Choice) -> AllanCurve:
     )
 
 
-def _gappy(series: AxisSeries, chosen: _Choice, how: str) -> AllanCurve:
-    span = longest_run(series.clock) if how == "runs" else series.clock.grid_size
-    m = _factors(series, chosen, span)
-    values: GappyVariances
-    if how == "runs":
-        values = run_variances(series, m, chosen.estimator)
-    elif how == "windows":
-        values = window_variances(series, m)
+def _gappy(series: AxisSeries, chosen: _Choice) -> AllanCurve:
+    if chosen.estimator.name == "overlapping":
+        how = "windows"
+        values = window_variances(series, _factors(series, chosen, series.clock.grid_size))
     else:
-        values = pair_variances(series, m)
+        how = "runs"
+        m = _factors(series, chosen, longest_run(series.clock))
+        values = run_variances(series, m, chosen.estimator)
     if not values.m.size:
         msg = (
             f"{series.name}: too many samples are missing for an Allan variance: {series.n} of "

@@ -1,48 +1,38 @@
 """Variances of a series with missing samples; nothing is ever interpolated.
 
 windows
-    The means of two neighbouring windows, each at least half filled. For few losses, or losses in
-    bursts: where windows without a loss abound, the partly filled ones hardly count.
-pairs
-    From the mean square D(k) of y[t+k] - y[t] over all pairs of samples that are there:
-    avar(m) = (Φ(2m) - 4 Φ(m)) / (2 m²), Φ(n) = Σ_{k<n} (n - k) D(k). Unbiased whatever is missing,
-    as nothing but pairs is averaged; for scattered losses, which leave no window whole.
+    For ``overlapping``: the means of two neighbouring windows of what is there, each at least half
+    filled, less what the losses add. A mean of C of m samples scatters more than one of all m, by
+    (1/C - 1/m) S² for losses at random, S² the variance inside windows: with 10 % lost, white noise
+    would read 11 % too high. Where losses come in bursts, S² weighs the covariance inside windows
+    with the correlation of the pattern of losses.
 runs
-    Complete differences inside unbroken runs; for the estimators other than ``overlapping``.
+    For the other estimators: complete differences inside unbroken runs.
 
-Source: Mondal & Percival (2010), "Wavelet variance analysis for gappy time series", Ann. Inst.
-Stat. Math. 62, sec. 2 (pairs).
+Source: the finite-population correction, Cochran (1977), Sampling Techniques, ch. 2. The estimator
+from all pairs of samples (Mondal & Percival, 2010, Ann. Inst. Stat. Math. 62) is unbiased as well,
+but where white noise rules at long averaging times it scatters up to four times as much.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.allan.dct import bin_power, dct_bins, dct_ordinates, fast_length
-from imucal.allan.estimators import ESTIMATORS, Estimator
-from imucal.allan.response import power_response
+from imucal.allan.estimators import Estimator
 from imucal.allan.variance import square_sums, sum_of_squares
 from imucal.arrays import FloatArray, IntArray
 from imucal.recording import AxisSeries, Clock
 
-__all__ = [
-    "GappyVariances",
-    "gap_method",
-    "longest_run",
-    "pair_variances",
-    "run_variances",
-    "window_variances",
-]
-
-#: With a smaller share missing, partly filled windows bias nothing that could be seen.
-_FEW = 1e-3
-
-#: Up to so many gaps count as bursts: a run then is 1 % of the log on average.
-_BURSTS = 100
+__all__ = ["GappyVariances", "longest_run", "run_variances", "window_variances"]
 
 #: Elements of a work array.
 _BLOCK = 32768
+
+#: The pattern of losses is followed for so many mean gaps, and at most so many samples.
+_MEAN_GAPS, _LONGEST = 4, 256
+
+#: Places of the grid that one FFT takes when the pattern is correlated.
+_CHUNK = 1 << 17
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,83 +47,39 @@ class GappyVariances:
         Variances, all positive, shape (k,), in U².
     terms
         Number of differences behind each, shape (k,).
-    extra
-        What the losses add to the relative variance of each where the noise is white, shape (k,).
+    inflation
+        Mean square before what the losses add was taken out, over `avar`, shape (k,).
     """
 
     m: IntArray
     avar: FloatArray
     terms: FloatArray
-    extra: FloatArray
-
-
-def gap_method(clock: Clock) -> str:
-    """Return ``exact``, ``windows`` or ``pairs``: what the overlapping estimator needs here."""
-    if not clock.missing:
-        return "exact"
-    few = clock.missing < _FEW * clock.grid_size
-    return "windows" if few or len(clock.gaps) <= _BURSTS else "pairs"
+    inflation: FloatArray
 
 
 def longest_run(clock: Clock) -> int:
     """Return the number of samples of the longest unbroken run."""
-    return max((end - start for start, end in _runs(clock)), default=0)
+    return max((stop - start for start, stop in _runs(clock)), default=0)
 
 
 def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
-    """Return overlapping variances from windows that are at least half filled.
+    """Return overlapping variances from windows that are half filled.
 
-    Cost some 2 ns per place of the grid and factor; memory two full-length arrays.
+    Where less than half of all samples are there, half of their share is asked of a window. A value
+    that is not positive after the losses' part is taken out is left out. Cost some 4 ns per place of
+    the grid and factor; memory three full-length arrays.
     """
-    integral, filled = _gridded(series)
-    sums, counts = np.zeros(m.size), np.zeros(m.size)
+    integrals = _integrals(series)
+    pattern = _pattern(series)
+    share = min(0.5, series.n / series.clock.grid_size / 2)
+    raw, added, counts = np.zeros((3, m.size))
     for i, factor in enumerate(m.tolist()):
-        sums[i], counts[i] = _window_sum(integral, filled, factor)
-    return _positive(m, sums / (2 * np.maximum(counts, 1)), counts)
-
-
-def pair_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
-    """Return overlapping variances from all pairs of samples, by the FFT.
-
-    O(n log n) for all factors together; memory some ten full-length arrays. A value that comes out
-    negative, as it may at long averaging times, is left out.
-    """
-    structure, pairs = _structure_function(series, 2 * int(m.max()))
-    known = np.flatnonzero(pairs[1:] < 0.5)
-    reach = int(known[0]) if known.size else pairs.size - 1
-    m = m[2 * m - 1 <= reach]
-    # A constant part c of D gives c/(2m) exactly; without it the sums keep their digits.
-    level = float(structure[1])
-    first = np.cumsum(structure[1:] - level)
-    weighted = np.concatenate([[0.0, 0.0], np.cumsum(first)])
-    factor = m.astype(np.float64)
-    avar = (weighted[2 * m] - 4 * weighted[m]) / (2 * factor**2) + level / (2 * factor)
-    terms = series.clock.grid_size - 2 * factor + 1
-    return _positive(m, avar, terms, _pair_extra(series, m))
-
-
-def _pair_extra(series: AxisSeries, m: IntArray) -> FloatArray:
-    """Return what scattered losses add to the relative variance of `pair_variances` of white noise.
-
-    A value is a quadratic form Σ a_k D(k) with the transform A(w) = 1/m - H(w), H the response of
-    the Allan variance. With a share q there, the products of pairs are fewer by q², and the weight
-    of each squared sample varies with its neighbours' losses: its variance is that of the pattern
-    of losses seen through A.
-    """
-    n = series.clock.grid_size
-    there = np.zeros(n)
-    there[series.clock.grid()] = 1.0
-    share = series.n / n
-    used = fast_length(n)
-    bins = dct_bins(used)
-    power = bin_power(dct_ordinates(there[:used]), bins) * n / used
-    extra = np.empty(m.size)
-    for i, factor in enumerate(m.tolist()):
-        response, squared = power_response(bins, factor, ESTIMATORS["overlapping"])
-        weights = power @ (1 / factor**2 - 2 * response / factor + squared) / (n * share**2) ** 2
-        fewer = 4 * factor / (3 * n) * (1 / share**2 - 1)
-        extra[i] = fewer + 2 * factor**2 * share * weights
-    return extra
+        found = _windows(integrals, factor, max(share * factor, 1.0))
+        counts[i] = found.count
+        if found.count:
+            raw[i] = found.squares / found.count / 2
+            added[i] = found.lost / found.count / 2 * pattern.variance(found.inside, factor)
+    return _positive(m, raw - added, counts, raw)
 
 
 def run_variances(series: AxisSeries, m: IntArray, estimator: Estimator) -> GappyVariances:
@@ -145,15 +91,16 @@ def run_variances(series: AxisSeries, m: IntArray, estimator: Estimator) -> Gapp
             sums[fits] += square_sums(series.samples[start:stop], m[fits], estimator)
             counts[fits] += [estimator.terms(stop - start, mi) for mi in m[fits].tolist()]
     scale = np.array([estimator.scale(mi) for mi in m.tolist()])
-    return _positive(m, sums / scale / np.maximum(counts, 1), counts)
+    avar = sums / scale / np.maximum(counts, 1)
+    return _positive(m, avar, counts, avar)
 
 
-def _positive(
-    m: IntArray, avar: FloatArray, terms: FloatArray, extra: FloatArray | None = None
-) -> GappyVariances:
-    keep: NDArray[np.bool_] = (terms >= 1) & (avar > 0)
-    more = np.zeros(m.size) if extra is None else extra
-    return GappyVariances(m=m[keep], avar=avar[keep], terms=terms[keep], extra=more[keep])
+def _positive(m: IntArray, avar: FloatArray, terms: FloatArray, raw: FloatArray) -> GappyVariances:
+    """Leave out what has no difference or came out negative; a constant series is zero throughout."""
+    keep = (terms >= 1) & ((avar > 0) | (raw == 0))
+    m, avar, terms, raw = m[keep], avar[keep], terms[keep], raw[keep]
+    inflation = np.divide(raw, avar, out=np.ones(m.size), where=avar > 0)
+    return GappyVariances(m=m, avar=avar, terms=terms, inflation=np.maximum(inflation, 1.0))
 
 
 def _runs(clock: Clock) -> list[tuple[int, int]]:
@@ -169,55 +116,119 @@ def _runs(clock: Clock) -> list[tuple[int, int]]:
     return runs
 
 
-def _gridded(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
-    """Return the integral of the samples and of their number on the even grid; shape (grid + 1,)."""
-    integral = np.zeros(series.clock.grid_size + 1)
-    filled = np.zeros(series.clock.grid_size + 1)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Integrals:
+    """Running sums on the even grid, each of shape (grid + 1,): of samples, squares and counts."""
+
+    values: FloatArray
+    squares: FloatArray
+    filled: FloatArray
+
+
+def _integrals(series: AxisSeries) -> _Integrals:
+    size = series.clock.grid_size + 1
     place = series.clock.grid() + 1
-    integral[place] = series.samples - series.samples.mean()
-    filled[place] = 1.0
-    np.cumsum(integral, out=integral)
-    np.cumsum(filled, out=filled)
-    return integral, filled
+    centred = series.samples - series.samples.mean()
+    sums = []
+    for amounts in (centred, np.square(centred), 1.0):
+        total = np.zeros(size)
+        total[place] = amounts
+        sums.append(np.cumsum(total, out=total))
+    return _Integrals(values=sums[0], squares=sums[1], filled=sums[2])
 
 
-def _window_sum(integral: FloatArray, filled: FloatArray, m: int) -> tuple[float, float]:
-    """Return the sum of squared differences of neighbouring window means, and their number."""
-    count = integral.size - 2 * m
-    total, number = 0.0, 0.0
-    for start in range(0, count, _BLOCK):
-        stop = min(start + _BLOCK, count)
-        first, enough = _mean(integral, filled, m, start, stop)
-        second, also = _mean(integral, filled, m, start + m, stop + m)
+@dataclass(slots=True)
+class _Found:
+    """What the windows of one factor hold.
+
+    The sum of squared differences, their number, the sum of 1/C - 1/m over both windows of each, and
+    the pooled variance inside windows as its sum of squares and its degrees of freedom.
+    """
+
+    squares: float = 0.0
+    count: float = 0.0
+    lost: float = 0.0
+    scatter: float = 0.0
+    freedom: float = 0.0
+
+    @property
+    def inside(self) -> float:
+        """Mean variance inside windows, in U²."""
+        return self.scatter / self.freedom if self.freedom > 0 else 0.0
+
+
+def _windows(integrals: _Integrals, m: int, fewest: float) -> _Found:
+    """Go through all pairs of neighbouring windows of `m` places with at least `fewest` filled."""
+    found = _Found()
+    total = integrals.values.size - 2 * m
+    for start in range(0, total, _BLOCK):
+        stop = min(start + _BLOCK, total)
+        first, first_size = _mean(integrals, m, start, stop, found)
+        second, second_size = _mean(integrals, m, start + m, stop + m, found)
+        both = (first_size >= fewest) & (second_size >= fewest)
         second -= first
-        second *= enough & also
-        total += sum_of_squares(second)
-        number += float(np.count_nonzero(enough & also))
-    return total, number
+        second *= both
+        found.squares += sum_of_squares(second)
+        found.count += float(np.count_nonzero(both))
+        lost = 1 / np.maximum(first_size, 1.0) + 1 / np.maximum(second_size, 1.0) - 2 / m
+        found.lost += float(lost.sum(where=both))
+    return found
 
 
 def _mean(
-    integral: FloatArray, filled: FloatArray, m: int, start: int, stop: int
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the means of the windows that start at `start` … `stop`, and which are half filled."""
-    mean = integral[start + m : stop + m] - integral[start:stop]
+    integrals: _Integrals, m: int, start: int, stop: int, found: _Found
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean and number of samples of the windows from `start` to `stop`; count their scatter."""
+    values, squares, filled = integrals.values, integrals.squares, integrals.filled
+    total = values[start + m : stop + m] - values[start:stop]
     size: FloatArray = filled[start + m : stop + m] - filled[start:stop]
-    enough: NDArray[np.bool_] = size >= m / 2
-    mean /= np.maximum(size, 1.0)
-    return mean, enough
+    mean: FloatArray = total / np.maximum(size, 1.0)
+    scatter = squares[start + m : stop + m] - squares[start:stop]
+    found.scatter += float(scatter.sum()) - float((total * mean).sum())
+    found.freedom += float(np.maximum(size - 1.0, 0.0).sum())
+    return mean, size
 
 
-def _structure_function(series: AxisSeries, lags: int) -> tuple[FloatArray, FloatArray]:
-    """Return D(k), the mean square difference of samples k apart, and their number; shape (lags + 1,)."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Pattern:
+    """How losses cluster: their autocorrelation, and D(k) of the samples, each from lag 0; (j,)."""
+
+    correlation: FloatArray
+    structure: FloatArray
+
+    def variance(self, inside: float, m: int) -> float:
+        """Return S²: the covariance inside windows of m, weighted by the correlation of losses."""
+        reach = min(self.correlation.size, m)
+        lag = np.arange(reach)
+        weight = np.where(lag > 0, 2.0, 1.0) * (1 - lag / m) * self.correlation[:reach]
+        return float(weight @ (inside - self.structure[:reach] / 2))
+
+
+def _pattern(series: AxisSeries) -> _Pattern:
+    """Correlate what is there, chunk by chunk, by the FFT."""
     from scipy.fft import irfft, next_fast_len, rfft
 
-    size = next_fast_len(series.clock.grid_size + lags, real=True)
-    here, value = np.zeros((2, size))
-    place = series.clock.grid()
-    here[place] = 1.0
-    value[place] = series.samples - series.samples.mean()
-    presence, plain, squared = rfft(here), rfft(value), rfft(value**2)
-    pairs: FloatArray = np.rint(irfft(np.abs(presence) ** 2, size)[: lags + 1])
-    # w[t] w[t+k] (y[t+k] - y[t])², summed over t, is even in k: the real part holds both squares.
-    total: FloatArray = irfft(2 * (presence * squared.conj()).real - 2 * np.abs(plain) ** 2, size)[: lags + 1]
-    return total / np.maximum(pairs, 1.0), pairs
+    clock = series.clock
+    mean_gap = clock.missing / max(len(clock.gaps), 1)
+    lags = int(min(max(_MEAN_GAPS * np.ceil(mean_gap), 1), _LONGEST, clock.grid_size))
+    place = clock.grid()
+    centred = series.samples - series.samples.mean()
+    pairs, squares, possible = np.zeros((3, lags))
+    for start in range(0, clock.grid_size, _CHUNK):
+        size = min(_CHUNK, clock.grid_size - start)
+        low, high = np.searchsorted(place, [start, start + size])
+        length = next_fast_len(size + lags, real=True)
+        here, value = np.zeros((2, length))
+        here[place[low:high] - start] = 1.0
+        value[place[low:high] - start] = centred[low:high]
+        there, plain, squared = rfft(here), rfft(value), rfft(value**2)
+        pairs += irfft(np.abs(there) ** 2, length)[:lags]
+        # The sum of w[t] w[t+k] (y[t+k] - y[t])² is even in k: the real part holds both squares.
+        cross = 2 * (there * squared.conj()).real - 2 * np.abs(plain) ** 2
+        squares += irfft(cross, length)[:lags]
+        possible += np.maximum(size - np.arange(lags), 0)
+    share = series.n / clock.grid_size
+    covariance = pairs / np.maximum(possible, 1.0) - share**2
+    structure = squares / np.maximum(pairs, 0.5)
+    structure[0] = 0.0
+    return _Pattern(correlation=covariance / max(covariance[0], 1e-300), structure=structure)

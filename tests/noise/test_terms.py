@@ -233,10 +233,10 @@ def _avar_of_psd(psd: Callable[[FloatArray], FloatArray], m: int) -> float:
 
 
 def test_two_spectra_may_share_one_allan_variance() -> None:
-    """Greenhall (1998): 1/f and (1/f)(1 + 0.8 cos(a ln f + b)) can have one and the same curve.
+    """Greenhall (1998): 1/f and (1/f)(1 + 0.8 cos(2 pi log2 f)) have one and the same curve.
 
-    At the roots s = i a of the response's Mellin transform, 2^(2 - s) = 4 … the ripple integrates to
-    nothing at every tau: here a = 2 pi / ln 2, one ripple an octave. Only the spectrum tells them apart.
+    The Mellin transform of sin⁴ has the factor 1 - 4 * 2^s, which vanishes at s = -2 + 2 pi i / ln 2:
+    one ripple an octave integrates to nothing at every tau. Only the spectrum tells the two apart.
     """
     plain = np.array([_avar_of_psd(lambda f: 1 / f, m) for m in (1, 2, 3, 5, 10)])
     rippled = np.array(

@@ -1,0 +1,132 @@
+"""`allan_curve`: from an axis to its curve."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.allan import AllanCurve, allan_curve
+from imucal.allan.estimators import ESTIMATORS
+from imucal.errors import DataError
+from imucal.recording import AxisSeries, Clock, Segment, Sensor
+from tests.allan.witness import naive_moav
+
+SAMPLES = np.random.default_rng(0).standard_normal(1000) + 9.8
+SERIES = AxisSeries.from_samples(SAMPLES, rate_hz=200.0, sensor="accelerometer", axis="z")
+
+
+def test_the_default_curve() -> None:
+    """Octaves up to n/4, exact, hybrid degrees of freedom that stay above 2."""
+    curve = allan_curve(SERIES)
+    npt.assert_array_equal(curve.m, [1, 2, 4, 8, 16, 32, 64, 128])
+    npt.assert_allclose(curve.tau, curve.m / 200.0)
+    npt.assert_allclose(curve.avar, [naive_moav(SAMPLES, k) for k in curve.m.tolist()], rtol=1e-11)
+    assert (curve.n, curve.estimator, curve.computed, curve.edf_method) == (
+        1000,
+        "overlapping",
+        "exact",
+        "hybrid",
+    )
+    assert np.all(curve.edf > 2)
+    low, high = curve.confidence_interval()
+    assert np.all((low > 0) & (low < curve.adev) & (curve.adev < high))
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("edf", ["hybrid", "model", "greenhall", "eta3"])
+@pytest.mark.parametrize("taus", ["octave", "decade:5", "all", [0.005, 0.1]])
+def test_every_combination_gives_a_curve(estimator: str, edf: str, taus: str | list[float]) -> None:
+    """Rising tau, positive values, finite degrees of freedom."""
+    series = AxisSeries.from_samples(SAMPLES[:200], rate_hz=200.0)
+    curve = allan_curve(series, taus=taus, estimator=estimator, edf=edf)
+    assert isinstance(curve, AllanCurve)
+    assert np.all(curve.avar > 0)
+    assert np.all(curve.edf >= 1)
+    assert (curve.estimator, curve.edf_method) == (estimator, edf)
+    assert curve.m[-1] <= ESTIMATORS[estimator].largest(200)
+
+
+def test_on_request_values_go_to_one_degree_of_freedom() -> None:
+    """``all`` and a list reach m = n/2, where a single difference is left."""
+    everything = allan_curve(SERIES, taus="all")
+    assert everything.m[-1] == 500
+    assert everything.edf[-1] == pytest.approx(1.0)
+    assert allan_curve(SERIES, taus=[2.5]).m.tolist() == [500]
+
+
+def test_samples_that_are_not_finite_count_as_missing() -> None:
+    """The curve with NaN is the curve without those samples, and holds no NaN."""
+    spoiled = SAMPLES.copy()
+    spoiled[[10, 11, 700]] = [np.nan, np.inf, -np.inf]
+    keep = np.ones(1000, dtype=bool)
+    keep[[10, 11, 700]] = False
+    curve = allan_curve(AxisSeries.from_samples(spoiled, rate_hz=200.0))
+    expected = allan_curve(SERIES.keeping(keep))
+    npt.assert_array_equal(curve.avar, expected.avar)
+    assert curve.computed == "windows"
+    assert curve.edf_method == "model"
+    assert curve.n == 997
+    assert np.all(np.isfinite(curve.edf))
+
+
+def test_segments_that_touch_are_no_gap() -> None:
+    """A clock may be cut where nothing is missing."""
+    segments = (Segment(start=0, stop=400, offset=0), Segment(start=400, stop=1000, offset=400))
+    clock = Clock(source="test", rate_hz=200.0, segments=segments)
+    series = AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=SAMPLES, clock=clock)
+    curve = allan_curve(series)
+    assert curve.computed == "exact"
+    npt.assert_array_equal(curve.avar, allan_curve(SERIES).avar)
+
+
+@pytest.mark.parametrize(
+    ("n", "estimator", "needed"),
+    [
+        (0, "overlapping", 2),
+        (1, "overlapping", 2),
+        (1, "standard", 2),
+        (1, "modified", 2),
+        (2, "hadamard", 3),
+    ],
+)
+def test_refuses_too_few_samples(n: int, estimator: str, needed: int) -> None:
+    """The message says what was found and what is needed."""
+    with pytest.raises(DataError) as caught:
+        allan_curve(AxisSeries.from_samples(SAMPLES[:n], rate_hz=1.0), estimator=estimator)
+    assert str(caught.value) == (
+        f"gyro_x: {n} neighbouring samples are too few for the {estimator} estimator; "
+        f"at least {needed} are needed"
+    )
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 8, 9, 16])
+def test_the_shortest_series_have_a_curve(n: int) -> None:
+    """Two samples give one value of one degree of freedom."""
+    curve = allan_curve(AxisSeries.from_samples(SAMPLES[:n], rate_hz=1.0))
+    assert curve.m[0] == 1
+    npt.assert_allclose(curve.avar, [naive_moav(SAMPLES[:n], k) for k in curve.m.tolist()], rtol=1e-9)
+
+
+def test_only_what_is_not_finite_is_nothing() -> None:
+    """All NaN: zero samples, one message."""
+    with pytest.raises(DataError, match="0 neighbouring samples are too few"):
+        allan_curve(AxisSeries.from_samples(np.full(10, np.nan), rate_hz=1.0))
+
+
+def test_refuses_unknown_options() -> None:
+    """Caller's mistakes, with what is known."""
+    with pytest.raises(ValueError, match="estimator 'total' is not known"):
+        allan_curve(SERIES, estimator="total")
+    with pytest.raises(ValueError, match="edf method 'none' is not known"):
+        allan_curve(SERIES, edf="none")
+    with pytest.raises(ValueError, match="averaging times 'log' are not understood"):
+        allan_curve(SERIES, taus="log")
+    keep = np.arange(1000) != 500
+    with pytest.raises(ValueError, match="edf method 'none' is not known"):
+        allan_curve(SERIES.keeping(keep), edf="none")
+
+
+def test_the_input_is_left_as_it_was() -> None:
+    """Nothing is written to the caller's samples."""
+    before = SAMPLES.copy()
+    allan_curve(SERIES, taus="all", estimator="modified")
+    npt.assert_array_equal(SAMPLES, before)
