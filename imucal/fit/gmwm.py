@@ -187,7 +187,7 @@ def _findings(
         findings.append(
             Finding(
                 level="info",
-                code="record-length",
+                code="record-length-unknown",
                 axis=axis,
                 text=f"How long the record was is not known; intervals take it to be {2 * last:.4g} s, "
                 "the least that gives the longest averaging time.",

@@ -99,7 +99,7 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
         return (
             Finding(
                 level="warning",
-                code="resolution",
+                code="rounding",
                 axis=series.name,
                 text=f"{what}: N of {N:.4g} is mostly rounding, and the sensor's own can't be told.",
                 advice="Record with a smaller measuring range or more bits.",
@@ -108,7 +108,7 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
     return (
         Finding(
             level="info",
-            code="resolution",
+            code="rounding",
             axis=series.name,
             text=f"{what}: of N = {N:.4g}, rounding makes {100 * (1 - np.sqrt(1 - share)):.1f} %; "
             f"without it N = {np.sqrt(N**2 - rounding):.4g}.",
@@ -131,7 +131,13 @@ def _detect(samples: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, float]:
     if deviation == 0:
         return np.zeros(samples.size, dtype=bool), baseline, 0.0
     reach = max(_LEAST_DISTANCE, -float(ndtri(_FALSE_ALARMS / (2 * samples.size))))
-    return distance > reach * deviation, baseline, deviation
+    spike = distance > reach * deviation
+    if spike.any():
+        # Coarse steps put the median deviation on a step; the others' root mean square is not.
+        spread = float(np.sqrt(np.mean(np.square(distance[~spike]))))
+        deviation = max(deviation, spread)
+        spike = distance > reach * deviation
+    return spike, baseline, deviation
 
 
 def _baseline(samples: FloatArray) -> FloatArray:

@@ -1,0 +1,201 @@
+"""``imucal plan``: how long to record for a wanted precision."""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import click
+
+from imucal.cli._options import Duration, quiet_option, say
+from imucal.cli._report_input import is_report, read_report
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import TERMS
+from imucal.plan import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
+from imucal.recording import Sensor
+from imucal.units import DatasheetUnit, datasheet_unit
+
+__all__ = ["Fraction", "command", "to_document"]
+
+SCHEMA = "imucal/plan/1"
+
+
+class Fraction(click.ParamType[float]):
+    """A positive fraction: 0.1 or 10%."""
+
+    name = "fraction"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if isinstance(value, int | float):
+            return float(value)
+        text = str(value).strip()
+        number = text.removesuffix("%").strip()
+        try:
+            fraction = float(number) / (100 if text.endswith("%") else 1)
+        except ValueError:
+            fraction = math.nan
+        if not 0 < fraction < math.inf:
+            self.fail(f"{text!r} is not a precision; write such as 10% or 0.1", param, ctx)
+        return fraction
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  imucal plan "N=1e-4 + B=2e-5 + K=1e-6" --rate 200
+  imucal plan log-imucal --precision 5% --level 0.95
+  imucal plan log-imucal --duration 3h --json -q
+
+\b
+Exit codes: 0 done, 2 usage, 3 the report can't be read."""
+)
+@click.argument("source", metavar="MODEL_OR_REPORT")
+@click.option(
+    "--rate",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="HZ",
+    help="Sampling rate; needed with a model, a report has its own.",
+)
+@click.option(
+    "--precision",
+    type=Fraction(),
+    default="10%",
+    show_default=True,
+    metavar="FRACTION",
+    help="Wanted half-width of each term's interval, of its value.",
+)
+@click.option(
+    "--level",
+    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    metavar="P",
+    help="Confidence level of that interval.  [default: one standard deviation, 0.683]",
+)
+@click.option(
+    "--duration", type=Duration(), metavar="TIME", help="Also say what a record so long tells, such as 3h."
+)
+@click.option("--datasheet/--si", default=True, show_default=True, help="Units of a report's table.")
+@click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON (SI).")
+@quiet_option
+def command(
+    *,
+    source: str,
+    rate: float | None,
+    precision: float,
+    level: float | None,
+    duration: float | None,
+    datasheet: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Say how long to record for a wanted precision of each noise term.
+
+    MODEL_OR_REPORT is a model in SI units, such as "N=1e-4 + B=2e-5 + K=1e-6", or a report.json or its
+    folder. Times are from the least error that any method can have (the Cramér-Rao bound); a term
+    that a report only bounds is taken at its bound.
+    """
+    result = plan(
+        _model(source, rate) or read_report(Path(source)),
+        rate_hz=rate,
+        precision=precision,
+        level=level or ONE_DEVIATION,
+        duration_s=duration,
+    )
+    if as_json:
+        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+    else:
+        click.echo(_table(result, datasheet=datasheet))
+    if any(need.bounded for axis in result.axes for need in axis.needs):
+        say("< value: not seen; the time is for a term as large as its bound", quiet=quiet)
+
+
+def to_document(result: Plan) -> dict[str, object]:
+    """Return a plan as JSON values, SI; null where no record is long enough."""
+    return {
+        "schema": SCHEMA,
+        "precision": result.precision,
+        "level": result.level,
+        "needed_s": _finite(result.needed_s),
+        "axes": [
+            {
+                "axis": axis.axis or None,
+                "model": axis.model,
+                "rate_hz": axis.rate_hz,
+                "duration_s": axis.duration_s,
+                "terms": [
+                    {
+                        "name": need.name,
+                        "value": need.value,
+                        "bounded": need.bounded,
+                        "needed_s": _finite(need.needed_s),
+                        "reached": _finite(need.reached),
+                    }
+                    for need in axis.needs
+                ],
+            }
+            for axis in result.axes
+        ],
+    }
+
+
+def _model(source: str, rate: float | None) -> NoiseModel | None:
+    """Return the model of a text that is one, or None for a path."""
+    path = Path(source)
+    if is_report(path) or path.exists():
+        return None
+    try:
+        model = NoiseModel.parse(source)
+    except ValueError as error:
+        if "=" not in source:
+            msg = f"{source!r} is neither a report (no such file or folder) nor a model: {error}"
+            raise click.BadParameter(msg, param_hint="MODEL_OR_REPORT") from error
+        raise click.BadParameter(str(error), param_hint="MODEL_OR_REPORT") from error
+    if rate is None:
+        msg = "a model has no sampling rate of its own; give one, such as --rate 200"
+        raise click.UsageError(msg)
+    return model
+
+
+def _table(result: Plan, *, datasheet: bool) -> str:
+    percent = f"{100 * result.precision:.3g} %"
+    spread = "1 sd" if result.level == ONE_DEVIATION else f"{100 * result.level:.4g} %"
+    durations = {axis.duration_s for axis in result.axes}
+    lines = [f"Record length for ±{percent} ({spread}) of each term"]
+    for axis in result.axes:
+        title = f"{axis.axis or axis.model}  at {axis.rate_hz:.6g} Hz"
+        if axis.duration_s is not None:
+            title += f", {describe_time(axis.duration_s)}"
+        lines += ["", title, f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}"]
+        if durations != {None}:
+            lines[-1] += f"{'this tells':>15}"
+        lines += [_line(axis, need, datasheet=datasheet) for need in axis.needs]
+    text = "\n".join(lines)
+    try:
+        text.encode(sys.stdout.encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        text = text.replace("±", "+-")
+    return text
+
+
+def _line(axis: AxisPlan, need: Need, *, datasheet: bool) -> str:
+    unit = _unit(axis.sensor, need, datasheet=datasheet)
+    value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
+    line = f"  {need.name:<10}{value:>12}  {unit.name:<18}{describe_time(need.needed_s):>19}"
+    if need.reached is None:
+        return line
+    reached = f"±{100 * need.reached:.2g} %" if need.reached < 1 else "nothing"
+    return f"{line}{reached:>15}"
+
+
+def _unit(sensor: Sensor | None, need: Need, *, datasheet: bool) -> DatasheetUnit:
+    if need.name.endswith(".T"):
+        return DatasheetUnit("s", 1.0)
+    if sensor is None:
+        return DatasheetUnit("SI", 1.0)
+    if datasheet:
+        return datasheet_unit(need.symbol, sensor)
+    return DatasheetUnit(TERMS[need.symbol].units[sensor is Sensor.ACCELEROMETER], 1.0)
+
+
+def _finite(value: float | None) -> float | None:
+    """JSON knows neither infinity nor NaN."""
+    return value if value is not None and math.isfinite(value) else None
