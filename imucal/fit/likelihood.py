@@ -30,6 +30,9 @@ __all__ = ["Candidates", "Evaluation", "evaluate"]
 
 BoolArray = NDArray[np.bool_]
 
+#: Added to the diagonal of the regressors' correlation.
+_RIDGE = 1e-10
+
 #: Places in a band, lam / top, where a response must be positive whatever the bins are.
 _BETWEEN = np.linspace(0.4, 1.0, 25)
 
@@ -237,7 +240,8 @@ def _regress(
     gram[~np.isfinite(gram).all(axis=(1, 2))] = np.eye(number)
     size = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
     both = size[:, :, None] * size[:, None, :]
-    inverse = np.linalg.inv(gram / both) / both
+    # The ridge is far below any error; it only keeps regressors that are alike from being singular.
+    inverse = np.linalg.inv(gram / both + _RIDGE * np.eye(number)) / both
     covariance[rows] = np.where(use[:, :, None] & use[:, None, :], inverse, 0.0)
     solution = np.matmul(inverse, cross[:, :, None])[:, :, 0]
     if ramp is not None:

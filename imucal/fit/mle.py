@@ -25,7 +25,7 @@ from imucal.fit.transform import bin_blocks
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
-__all__ = ["fit_mle"]
+__all__ = ["View", "fit_mle", "spectral_view"]
 
 #: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
 #: shorter is the sensor's output filter.
@@ -39,7 +39,7 @@ _NAMED = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _View:
+class View:
     """What part of the spectrum is fitted, and with what beside the noise."""
 
     blocks: Blocks
@@ -84,7 +84,7 @@ def fit_mle(
     DataError
         If there are too few samples, or they are all equal.
     """
-    view = _view(series, structure, max_gm, temperature)
+    view = spectral_view(series, structure, max_gm, temperature)
     shortest = _SHORTEST if structure is None else _SHORTEST_GIVEN
     band = view.band
     choice = choose(
@@ -144,15 +144,15 @@ def fit_mle(
     )
 
 
-def _view(
+def spectral_view(
     series: AxisSeries, structure: Structure | None, max_gm: int, temperature: FloatArray | None
-) -> _View:
+) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
     common, findings = choose_regressors(blocks.blocks, axis=series.name, tau0=series.tau0)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common)
-    return _View(
+    return View(
         blocks=blocks,
         band=band,
         ordinates=whole.below(band.fraction),

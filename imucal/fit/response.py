@@ -67,12 +67,16 @@ def filter_finding(
         )
     elif band.order[0]:
         change = 10 * float(np.log10(_power(ordinates, fitted, np.array([band.fraction]))[0]))
+        why = "a resonance or a vibration" if change > 0 else "an output filter"
         text = (
-            f"The sensor's output is not flat ({change:+.1f} dB at {top:.4g} Hz); "
-            f"the response is fitted with the noise up to {top:.4g} Hz."
+            f"The spectrum is not flat where its noise is white ({change:+.1f} dB at {top:.4g} Hz: {why}); "
+            f"a response is fitted with the noise up to {top:.4g} Hz."
         )
     else:
-        text = f"The output filter above {top:.4g} Hz is left out: the fit uses what is below."
+        text = (
+            f"Above {top:.4g} Hz an output filter, or a vibration, shapes the spectrum; "
+            "the fit uses what is below."
+        )
     return (
         Finding(
             level="info",

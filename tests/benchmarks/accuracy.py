@@ -24,9 +24,10 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fit.information import covariance
 from imucal.fit.likelihood import evaluate
-from imucal.fit.mle import fit_mle
+from imucal.fit.mle import fit_mle, spectral_view
 from imucal.fit.ordinates import LAWS
 from imucal.fit.result import NoiseFit
+from imucal.fit.selection import choose
 from imucal.fit.structures import candidates_of, parameter_columns
 from imucal.fit.transform import ordinates_of
 from imucal.noise.model import NoiseModel, parse_structure
@@ -178,6 +179,27 @@ def fitted(samples: FloatArray, model: str | None, criterion: str = "bic", max_g
     )
 
 
+def _maximum(samples: FloatArray, model: str, key: str) -> float:
+    """Return where the likelihood of a bounded term is greatest: its estimate before it is dropped."""
+    structure = parse_structure(model)
+    view = spectral_view(AxisSeries.from_samples(samples, rate_hz=1.0), structure, 2, None)
+    choice = choose(
+        view.ordinates,
+        [structure],
+        criterion="bic",
+        poles=view.band.poles,
+        zeros=view.band.zeros,
+        response=view.band.response,
+        common=view.common,
+    )
+    if key == "R":
+        return float(abs(choice.maximum.beta[0, 0])) * view.blocks.scale
+    column = dict(parameter_columns(structure, choice.candidates.room_markov))[
+        f"{key}.sigma" if key.startswith("GM") else key
+    ]
+    return float(np.exp(choice.maximum.theta[0, column] / 2)) * view.blocks.scale
+
+
 def cell(samples: Iterator[FloatArray], model: NoiseModel, n: int, *, choose: bool) -> Cell:
     """Fit the true structure to each of some series, and let the fit choose one if asked."""
     values = truth_of(model)
@@ -196,7 +218,8 @@ def cell(samples: Iterator[FloatArray], model: NoiseModel, n: int, *, choose: bo
                 error.append(np.nan if time is None else time.value / truth - 1)
                 hit.append(time is not None and time.low <= truth <= time.high)
             else:
-                error.append((estimate.value or 0.0) / truth - 1)
+                value = estimate.value
+                error.append((_maximum(series, str(model), key) if value is None else value) / truth - 1)
                 hit.append(estimate.low <= truth <= estimate.high)
         errors.append(error)
         hits.append(hit)
