@@ -137,8 +137,8 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     decisions = [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
     for choice, decoding in zip(choices, decodings, strict=True):
         findings += loss_findings(decoding.losses)
-        _refuse_empty(path, choice, decoding)
-        some, heat, notes, decided = _series(path, choice, decoding.columns, options, len(choices) > 1)
+        _refuse_empty(path, choice, decoding, findings)
+        some, heat, notes, decided = _series(path, choice, decoding.columns, options, alone=len(choices) == 1)
         series += some
         temperature = temperature or heat
         findings += notes
@@ -159,11 +159,12 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     )
 
 
-def _refuse_empty(path: Path, choice: Choice, decoding: Decoding) -> None:
+def _refuse_empty(path: Path, choice: Choice, decoding: Decoding, findings: list[Finding]) -> None:
     if decoding.columns.n:
         return
-    why = f": {decoding.losses[0].text}" if decoding.losses else ""
-    msg = f"{path}: no message of topic {choice.topic.name} could be read{why}"
+    reasons = [loss.text for loss in decoding.losses] or [finding.text for finding in findings]
+    why = reasons[0] if reasons else "the log holds none"
+    msg = f"{path}: no message of topic {choice.topic.name} could be read: {why}"
     raise ReadError(msg)
 
 
@@ -175,12 +176,12 @@ def _refuse_damage(path: Path, findings: list[Finding], options: ReadOptions) ->
 
 
 def _series(
-    path: Path, choice: Choice, columns: Columns, options: ReadOptions, several: bool
+    path: Path, choice: Choice, columns: Columns, options: ReadOptions, *, alone: bool
 ) -> tuple[list[AxisSeries], Temperature | None, list[Finding], list[tuple[str, str]]]:
     """Return the axes of one topic."""
     findings = in_time_order(columns)
     reading = _clock(path, choice, columns, options)
-    label = choice.sensors[0].short if several and len(choice.sensors) == 1 else None
+    label = choice.sensors[0].short if not alone and len(choice.sensors) == 1 else None
     findings += [replace(finding, axis=label) for finding in reading.findings]
     if reading.clock.source == HEADER:
         findings += compare_clocks(columns.stamps, columns.log)
@@ -248,7 +249,8 @@ def _factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float, 
             raise ChoiceError(msg)
         return SAMPLE_UNITS[sensor][unit], f"{unit}, given"
     standard = topic.carrier is not None and topic.carrier.standard
-    return 1.0, f"{sensor.unit}, " + ("from the message type" if standard else "assumed for this message type")
+    how = "from the message type" if standard else "assumed for this message type"
+    return 1.0, f"{sensor.unit}, {how}"
 
 
 def _temperature(columns: Columns, reading: ClockReading) -> Temperature | None:

@@ -56,7 +56,7 @@ class Batch:
     log_ns: IntArray
     log_at: int | None = None
     guards: tuple[Guard, ...] = ()
-    check: "Callable[[], Batch] | None" = None
+    check: Callable[[], "Batch"] | None = None
     loss: Loss | None = None
 
     @property

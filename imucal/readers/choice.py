@@ -52,7 +52,7 @@ def choose(
         return [_whole(fitting[0], "the only topic with IMU samples")]
     if fitting:
         return _among(path, fitting, live)
-    _refuse(path, topics, carriers)
+    return _refuse(path, topics, carriers)
 
 
 def table(topics: Sequence[Topic]) -> str:
@@ -121,9 +121,7 @@ def _find(path: Path, topics: Sequence[Topic], name: str) -> Topic:
     return next((topic for topic in same if topic.carrier is not None), same[0])
 
 
-def _among(
-    path: Path, fitting: Sequence[Topic], live: Callable[[Topic], frozenset[Sensor]]
-) -> list[Choice]:
+def _among(path: Path, fitting: Sequence[Topic], live: Callable[[Topic], frozenset[Sensor]]) -> list[Choice]:
     """Choose where several topics fit only if their data leave one way."""
     alive = {topic.name: live(topic) for topic in fitting}
     useful = [topic for topic in fitting if alive[topic.name]]

@@ -5,6 +5,7 @@ The rate comes from `imucal.readers.rate`, each sample's place on the even grid 
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ LOG_TIME = "log time"
 _ZEROS = 0.01
 #: A jump forward longer than this, in ns, is the clock being set, not a gap. One day.
 _DAY = 86_400 * 10**9
+#: Share of missing samples up to which gaps are not worth a warning.
+_FEW = 1e-3
 #: More resets of a clock than one in so many samples: the stamps are noise.
 _RESETS = 20
 
@@ -116,17 +119,25 @@ def _usable(
         notes.append(_log_time_note(f"The stamps ({source}) {what}"))
         return np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
     if 0 < zeros <= _ZEROS * stamps.size:
-        good = np.flatnonzero(stamps)
-        bad = np.flatnonzero(stamps == 0)
-        first = stamps[good[0]]
-        stamps = stamps.copy()
-        stamps[bad] = first + np.round(np.interp(bad, good, stamps[good] - first)).astype(np.int64)
+        stamps = _filled(stamps)
         text = f"{zeros} of {stamps.size} stamps are zero; those samples are placed between their neighbours."
         notes.append(Finding(level="info", code="zero-stamps", text=text))
     return stamps, source
 
 
-def _read(
+def _filled(stamps: IntArray) -> IntArray:
+    """Put zero stamps between their neighbours; before the first and after the last, go on evenly."""
+    good, bad = np.flatnonzero(stamps), np.flatnonzero(stamps == 0)
+    since = stamps[good] - stamps[good[0]]
+    step = float(since[-1]) / max(int(good[-1] - good[0]), 1)
+    places = np.interp(bad, good, since)
+    places += np.minimum(bad - good[0], 0) * step + np.maximum(bad - good[-1], 0) * step
+    filled = stamps.copy()
+    filled[bad] = stamps[good[0]] + np.round(places).astype(np.int64)
+    return filled
+
+
+def _read(  # noqa: PLR0917 - all that is known of the samples
     stamps: IntArray,
     source: str,
     log_ns: IntArray | None,
@@ -143,10 +154,10 @@ def _read(
         raise DataError(msg)
     edges = [0, *resets.tolist(), stamps.size]
     breaks = NO_BREAKS
-    for _ in range(1 if steps.even else 2):
+    # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
+    for longest in (10,) if steps.even else (10, 1000):
         breaks = breaks if steps.even else _all_breaks(stamps, edges, period)
-        starts = np.unique(np.concatenate([[0], breaks.at, breaks.doubled, resets]))
-        tau, jitter = fit_period(stamps, starts, period.tau_ns)
+        tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
         if not 0.5 < tau / period.tau_ns < 2:
             tau = period.tau_ns
         period = replace(period, tau_ns=tau)
@@ -178,7 +189,7 @@ def _read(
 def _all_breaks(stamps: IntArray, edges: list[int], period: Period) -> Breaks:
     """Find breaks in each stretch between two settings of the clock."""
     parts = []
-    for first, last in zip(edges, edges[1:], strict=False):
+    for first, last in pairwise(edges):
         part = find_breaks(stamps[first:last], period)
         parts.append(replace(part, at=part.at + first, doubled=part.doubled + first))
     return Breaks(
@@ -200,14 +211,14 @@ def _believable(
     def by_log(at: int) -> int:
         if log_ns is None:
             return 1
-        return max(int(round(float(log_ns[at] - log_ns[at - 1]) / tau)) - 1, 1)
+        return max(round((int(log_ns[at]) - int(log_ns[at - 1])) / tau) - 1, 1)
 
     missing = breaks.missing.copy()
     jumps = {at: by_log(at) for at in resets.tolist()}
     typical = 10 * tau * stamps.size
     for place in np.flatnonzero(missing >= 10).tolist():
         at = int(breaks.at[place])
-        step = float(stamps[at] - stamps[at - 1])
+        step = int(stamps[at]) - int(stamps[at - 1])
         if log_ns is not None:
             wrong = by_log(at) < missing[place] / 2 and step > 1e9
         else:
@@ -270,14 +281,10 @@ def _notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding
         text = f"{same} of {n} samples carry the stamp of the one before; {fate}."
         notes.append(Finding(level="warning", code="duplicate-stamps", text=text))
     elif breaks.doubled.size:
-        text = (
-            f"{breaks.doubled.size} of {n} samples are one too many for the clock and are dropped."
-        )
+        text = f"{breaks.doubled.size} of {n} samples are one too many for the clock and are dropped."
         notes.append(Finding(level="warning", code="extra-samples", text=text))
     if back:
-        text = (
-            f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
-        )
+        text = f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
         notes.append(Finding(level="info", code="stamps-out-of-order", text=text))
     return notes
 
@@ -286,10 +293,10 @@ def _jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
     """Return a finding for the settings of the clock, with the largest."""
     if not jumps:
         return []
-    steps = {at: float(stamps[at] - stamps[at - 1]) / 1e9 for at in jumps}
+    steps = {at: (int(stamps[at]) - int(stamps[at - 1])) / 1e9 for at in jumps}
     largest = max(steps, key=lambda at: abs(steps[at]))
     text = (
-        f"The clock was set {len(jumps)} time{'s' if len(jumps) > 1 else ''}, at most by {steps[largest]:+.6g} s "
+        f"The clock was set {_times(len(jumps))}, at most by {steps[largest]:+.6g} s "
         f"at sample {largest}; samples before and after are kept apart."
     )
     return [Finding(level="warning", code="clock-jump", text=text)]
@@ -303,8 +310,15 @@ def _gap_notes(clock: Clock) -> list[Finding]:
     longest = max(gaps, key=lambda gap: gap.missing)
     share = clock.missing / clock.grid_size
     text = (
-        f"{clock.missing} samples ({share:.2g} of all) are missing in {len(gaps)} gap{'s' if len(gaps) > 1 else ''}; "
+        f"{clock.missing} samples ({share:.2g} of all) are missing in {_gaps(len(gaps))}; "
         f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
     )
-    level = "warning" if share > 1e-3 else "info"
-    return [Finding(level="warning" if level == "warning" else "info", code="gaps", text=text)]
+    return [Finding(level="warning" if share > _FEW else "info", code="gaps", text=text)]
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _gaps(count: int) -> str:
+    return "one gap" if count == 1 else f"{count} gaps"

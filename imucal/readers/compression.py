@@ -44,31 +44,31 @@ def decompress(kind: str, data: memoryview, size: int, scratch: Scratch) -> memo
     if kind in {"", "none"}:
         if len(data) != size:
             msg = f"a chunk of {len(data)} bytes claims {size}"
-            raise DamagedError("damaged", msg)
+            raise DamagedError(msg)
         return data
     if size > max(_SMALL, _MAX_RATIO * len(data)):
         msg = f"a chunk of {len(data)} bytes claims to hold {size}"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     unpack = _UNPACK.get(kind)
     if unpack is None:
         msg = f"compression {kind!r} is unknown; expected one of zstd, lz4, bz2"
-        raise DamagedError("compression", msg)
+        raise DamagedError(msg, code="compression")
     raw = unpack(data, size, scratch)
     if len(raw) != size:
         msg = f"a chunk holds {len(raw)} bytes instead of the {size} it claims"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     return raw
 
 
 def decompress_prefix(kind: str, data: memoryview, size: int) -> bytes:
     """Return as much as a cut chunk still gives: the bytes before the cut."""
     size = min(size, max(_SMALL, _MAX_RATIO * len(data)))
+    import zstandard
+
     try:
         if kind in {"", "none"}:
             return bytes(data[:size])
         if kind == "zstd":
-            import zstandard
-
             parts = zstandard.ZstdDecompressor().read_to_iter(bytes(data))
             return _gather(parts, size)
         if kind == "lz4":
@@ -77,7 +77,7 @@ def decompress_prefix(kind: str, data: memoryview, size: int) -> bytes:
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(bytes(data), max_length=size))
         if kind == "bz2":
             return bz2.BZ2Decompressor().decompress(data, max_length=size)
-    except (ValueError, OSError, EOFError, RuntimeError, *_zstd_errors()):
+    except (ValueError, OSError, EOFError, RuntimeError, zstandard.ZstdError):
         return b""
     return b""
 
@@ -86,7 +86,7 @@ def check_crc(raw: memoryview, expected: int) -> None:
     """Compare a CRC-32; 0 means that none was stored."""
     if expected and zlib.crc32(raw) != expected:
         msg = "a chunk's checksum does not match its content"
-        raise DamagedError("crc", msg)
+        raise DamagedError(msg, code="crc")
 
 
 def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]) -> None:
@@ -106,13 +106,7 @@ def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]
                 progress(file.tell())
         except zstandard.ZstdError as error:
             msg = f"the zstd stream is damaged: {error}"
-            raise DamagedError("damaged", msg) from error
-
-
-def _zstd_errors() -> tuple[type[Exception], ...]:
-    import zstandard
-
-    return (zstandard.ZstdError,)
+            raise DamagedError(msg) from error
 
 
 def _gather(parts: object, size: int) -> bytes:
@@ -137,11 +131,11 @@ def _unpack_zstd(data: memoryview, size: int, scratch: Scratch) -> memoryview:
         stated = zstandard.frame_content_size(data)
         if stated not in {-1, size}:
             msg = f"a zstd frame states {stated} bytes, its chunk {size}"
-            raise DamagedError("damaged", msg)
+            raise DamagedError(msg)
         raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
     except (zstandard.ZstdError, MemoryError) as error:
         msg = f"a zstd chunk is damaged: {error}"
-        raise DamagedError("damaged", msg) from error
+        raise DamagedError(msg) from error
     del scratch
     return memoryview(raw)
 
@@ -154,7 +148,7 @@ def _unpack_lz4(data: memoryview, size: int, scratch: Scratch) -> memoryview:
         stated = lz4.frame.get_frame_info(data[:32]).get("content_size", 0)
         if stated > size:
             msg = f"an lz4 frame states {stated} bytes, its chunk {size}"
-            raise DamagedError("damaged", msg)
+            raise DamagedError(msg)
         raw, used = lz4.frame.decompress(data, return_bytes_read=True)
         if used == len(data):
             return memoryview(raw)
@@ -167,7 +161,7 @@ def _unpack_lz4(data: memoryview, size: int, scratch: Scratch) -> memoryview:
             parts.append(raw)
     except (RuntimeError, ValueError, EOFError, MemoryError) as error:
         msg = f"an lz4 chunk is damaged: {error}"
-        raise DamagedError("damaged", msg) from error
+        raise DamagedError(msg) from error
     return memoryview(b"".join(parts))
 
 
@@ -179,10 +173,10 @@ def _unpack_bz2(data: memoryview, size: int, scratch: Scratch) -> memoryview:
         raw = machine.decompress(data, max_length=size + 1)
         if not machine.eof:
             msg = "a bz2 chunk is longer than it claims, or cut"
-            raise DamagedError("damaged", msg)
+            raise DamagedError(msg)
     except (OSError, ValueError, EOFError) as error:
         msg = f"a bz2 chunk is damaged: {error}"
-        raise DamagedError("damaged", msg) from error
+        raise DamagedError(msg) from error
     return memoryview(raw)
 
 

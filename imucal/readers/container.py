@@ -1,6 +1,6 @@
 """What every container of messages offers: channels, and tasks that load chunks of them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -71,7 +71,7 @@ class Container(Protocol):
     format: str
     compression: str
     size: int
-    channels: Sequence[Channel]
+    channels: list[Channel]
     findings: list[Finding]
     #: First and last time of any message, in ns; None where unknown.
     start_ns: int | None

@@ -188,7 +188,7 @@ class BinaryDecoder:
         """Walk the messages of each encapsulation on their own."""
         if int(np.min(batch.sizes)) < 4:
             msg = "a message is too short for CDR"
-            raise DamagedError("damaged", msg)
+            raise DamagedError(msg)
         payload = batch.payload()
         codes = gather(batch.buffer, payload, 2).view(">u2")
         kinds = np.unique(codes)
@@ -196,7 +196,7 @@ class BinaryDecoder:
             layout = _ENCAPSULATIONS.get(kind)
             if layout is None:
                 msg = f"encapsulation 0x{kind:04x} is not supported; expected plain CDR or XCDR2"
-                raise DamagedError("encapsulation", msg)
+                raise DamagedError(msg, code="encapsulation")
             if kinds.size == 1:
                 self._walk(batch, payload + 4, layout, columns, slice(first, first + batch.n))
             else:
@@ -216,15 +216,15 @@ class BinaryDecoder:
         skipped = 0 if self.ros1 else 4
         if bool(np.any(found.end > batch.sizes - np.int64(skipped))):
             msg = "a message is shorter than its type"
-            raise DamagedError("damaged", msg)
+            raise DamagedError(msg)
         if self._whole is not None:
             end = self._whole.walk(batch.buffer, body, layout).end
             if bool(np.any(np.abs(end + skipped - batch.sizes) > 3)):
                 msg = "messages do not have the size of the built-in definition of their type"
-                raise DamagedError("definition", msg)
+                raise DamagedError(msg, code="definition")
 
 
-def _write(
+def _write(  # noqa: PLR0917 - what lies where, and where it goes
     buffer: Bytes,
     starts: IntArray,
     places: dict[str, Place],
@@ -244,7 +244,7 @@ def _write(
         columns.temperature[to] = _column(buffer, starts, place)
 
 
-def _write_vector(
+def _write_vector(  # noqa: PLR0917 - as `_write`
     buffer: Bytes,
     starts: IntArray,
     places: dict[str, Place],

@@ -208,7 +208,7 @@ class _Flattener:
 
     def _resolve(self, owner: str, kind: str) -> str:
         name = plain_type(kind)
-        candidates = [name] if "/" in name else [f"{owner.split('/')[0]}/{name}", f"std_msgs/{name}"]
+        candidates = [name] if "/" in name else [f"{owner.partition('/')[0]}/{name}", f"std_msgs/{name}"]
         candidates += [known for known in self.defined if known.endswith("/" + name)]
         for candidate in candidates:
             if candidate in self.defined:
@@ -233,7 +233,7 @@ def _split(name: str, text: str) -> dict[str, list[_Line]]:
 
 def _line(raw: str) -> _Line | None:
     """Return the parts of a line; None for blanks, comments and constants."""
-    line = raw.split("#")[0].strip()
+    line = raw.partition("#")[0].strip()
     if not line:
         return None
     match = _FIELD.match(line)

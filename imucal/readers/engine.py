@@ -219,7 +219,7 @@ class _Run:
         with self.lock:
             self.extra[place].append(more)
 
-    def _slow(
+    def _slow(  # noqa: PLR0917 - what lies where, and where it goes
         self,
         place: int,
         decoder: Decoder,
@@ -242,7 +242,8 @@ class _Run:
             chosen = np.arange(batch.n)
             self._slow(place, decoder, batch.part(chosen[:half]), columns, first, spans)
             self._slow(place, decoder, batch.part(chosen[half:]), columns, first + half, spans)
-            self.hopeless = self.hopeless or (batch.n > 64 and len(self.filled[place]) == before and not spans)
+            nothing = len(self.filled[place]) == before and not spans
+            self.hopeless |= batch.n > 64 and nothing
             return
         if spans is not None:
             spans.append((first, first + batch.n))
@@ -270,5 +271,3 @@ def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
         else:
             merged.append((start, stop))
     return merged
-
-

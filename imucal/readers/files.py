@@ -14,7 +14,7 @@ __all__ = ["DamagedError", "LogFile", "Scratch"]
 class DamagedError(Exception):
     """A part of a log can't be decoded; `code` is the finding it leads to. Never leaves the readers."""
 
-    def __init__(self, code: str, text: str) -> None:
+    def __init__(self, text: str, *, code: str = "damaged") -> None:
         super().__init__(text)
         self.code = code
 
@@ -58,20 +58,20 @@ class LogFile:
         """
         if position < 0 or position + len(view) > self.size:
             msg = f"bytes {position} to {position + len(view)} lie beyond the end of the file"
-            raise DamagedError("truncated", msg)
+            raise DamagedError(msg, code="truncated")
         done = 0
         while done < len(view):
             count = self._read_some(position + done, view[done:])
             if not count:
                 msg = f"the file ended at byte {position + done} while it was read"
-                raise DamagedError("truncated", msg)
+                raise DamagedError(msg, code="truncated")
             done += count
 
     def read(self, position: int, size: int) -> bytearray:
         """Return `size` bytes from `position` on; raises DamagedError if the file ends before."""
         if size < 0 or position + size > self.size:
             msg = f"{size} bytes at byte {position} lie beyond the end of the file"
-            raise DamagedError("truncated", msg)
+            raise DamagedError(msg, code="truncated")
         data = bytearray(size)
         self.into(position, memoryview(data))
         return data

@@ -56,13 +56,11 @@ class JsonDecoder:
                 message = json.loads(bytes(view[start:end]))
                 stamps[row] = _stamp(message)
                 values[row] = [
-                    number
-                    for vector in self._carrier.vectors
-                    for number in _vector(message, vector.paths[0])
+                    number for vector in self._carrier.vectors for number in _vector(message, vector.paths[0])
                 ]
             except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
                 msg = f"a JSON message has no IMU sample: {type(error).__name__} {error}"
-                raise DamagedError("damaged", msg) from error
+                raise DamagedError(msg) from error
         part = slice(first, first + batch.n)
         columns.log[part] = batch.log_ns
         columns.stamps[part] = stamps

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.readers import mcap_records as records
@@ -164,7 +165,7 @@ def index_count(file: LogFile, key: int, position: int) -> int:
     whole = position + 9 + length <= file.size
     if opcode != records.MESSAGE_INDEX or channel != key or size + 6 != length or size % 16 or not whole:
         msg = "a message index is damaged"
-        raise DamagedError("index", msg)
+        raise DamagedError(msg, code="index")
     return size // 16
 
 
@@ -177,7 +178,7 @@ def unpack(record: memoryview, scratch: Scratch, *, cut: bool = False) -> memory
     opcode, length = HEAD.unpack_from(record, 0)
     if opcode != records.CHUNK or length + 9 != len(record) or len(data) != head.stored:
         msg = "a chunk's head is damaged"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     raw = decompress(head.compression, data, head.size, scratch)
     check_crc(raw, head.crc)
     return raw
@@ -232,7 +233,7 @@ def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
     )
 
 
-def _field(heads: np.ndarray, at: int, dtype: str) -> IntArray:  # type: ignore[type-arg]
+def _field(heads: NDArray[np.void], at: int, dtype: str) -> IntArray:
     """Return a field of gathered heads, shape (n,), as int64."""
     if not heads.size:
         return np.zeros(0, dtype=np.int64)

@@ -80,9 +80,6 @@ class McapFile:
     def _open(self) -> Bookkeeping:
         """Read the summary; scan the file where there is none, or it is damaged."""
         try:
-            if self._file.size < len(MAGIC) + _FOOTER_SIZE or self._file.read(0, 8) != MAGIC:
-                msg = "the file does not start as an MCAP file"
-                raise DamagedError("damaged", msg)
             return self._summary()
         except DamagedError as error:
             return scan(self._file, Bookkeeping(), error)
@@ -96,22 +93,25 @@ class McapFile:
             If it is missing, damaged, or does not index all messages.
         """
         size = self._file.size
+        if size < len(MAGIC) + _FOOTER_SIZE or self._file.read(0, len(MAGIC)) != MAGIC:
+            msg = "the file does not start and end as an MCAP file"
+            raise DamagedError(msg)
         tail = self._file.read(size - _FOOTER_SIZE, _FOOTER_SIZE)
         if tail[-8:] != MAGIC:
             msg = "the end of the file is missing"
-            raise DamagedError("truncated", msg)
+            raise DamagedError(msg, code="truncated")
         opcode, length = HEAD.unpack_from(tail, 0)
         start = int.from_bytes(tail[9:17], "little")
         crc = int.from_bytes(tail[25:29], "little")
         if opcode != records.FOOTER or length != 20:
             msg = "the footer is damaged"
-            raise DamagedError("damaged", msg)
+            raise DamagedError(msg)
         if not start:
             msg = "the file has no index"
-            raise DamagedError("unindexed", msg)
+            raise DamagedError(msg, code="unindexed")
         if not len(MAGIC) <= start <= size - _FOOTER_SIZE or size - start > _MAX_SUMMARY:
             msg = "the footer points beyond the file"
-            raise DamagedError("damaged", msg)
+            raise DamagedError(msg)
         summary = self._file.read(start, size - _FOOTER_SIZE - start)
         _check_summary(summary, tail, crc)
         return self._parse(summary)
@@ -125,7 +125,7 @@ class McapFile:
             body = view[at + 9 : at + 9 + length]
             if len(body) != length:
                 msg = "the index is cut"
-                raise DamagedError("damaged", msg)
+                raise DamagedError(msg)
             if opcode == records.SCHEMA:
                 parsed = records.schema(body)
                 book.schemas[parsed.id] = parsed
@@ -144,12 +144,12 @@ class McapFile:
         """Refuse an index that leaves out what the statistics count, or points nowhere."""
         if len(book.chunks) < chunks or (total and not book.chunks) or not book.channels:
             msg = "the index leaves out chunks"
-            raise DamagedError("unindexed", msg)
+            raise DamagedError(msg, code="unindexed")
         for chunk in book.chunks:
             end = chunk.start + chunk.length + chunk.index_length
             if chunk.start < len(MAGIC) or end > self._file.size:
                 msg = "the index points beyond the file"
-                raise DamagedError("damaged", msg)
+                raise DamagedError(msg)
         if not book.counts:
             for chunk in book.chunks:
                 for key, position in chunk.indexes.items():
@@ -188,7 +188,9 @@ class McapFile:
         spans = {}
         for key, chunk in first.items():
             try:
-                times = [time for c in (chunk, last[key]) for time in ChunkTask.times(self._file, c, key)]
+                times = [
+                    time for c in (chunk, last[key]) for time in ChunkTask.times(self._file, c, key).tolist()
+                ]
             except DamagedError:
                 continue
             if times:
@@ -205,4 +207,4 @@ def _check_summary(summary: bytearray, tail: bytearray, crc: int) -> None:
 
     if crc and zlib.crc32(tail[:25], zlib.crc32(summary)) != crc:
         msg = "the index's checksum does not match"
-        raise DamagedError("crc", msg)
+        raise DamagedError(msg, code="crc")

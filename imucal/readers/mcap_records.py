@@ -28,6 +28,22 @@ _INDEX = struct.Struct("<QQQQI")
 _PAIR = struct.Struct("<HQ")
 
 
+_NAMES = {
+    SCHEMA: "schema",
+    CHANNEL: "channel",
+    CHUNK: "chunk",
+    CHUNK_INDEX: "chunk index",
+    STATISTICS: "statistics",
+}
+
+
+class _BrokenRecordError(DamagedError):
+    """A record is shorter than its fields."""
+
+    def __init__(self, opcode: int) -> None:
+        super().__init__(f"a {_NAMES[opcode]} record is damaged")
+
+
 @dataclass(frozen=True, slots=True)
 class Schema:
     """A message definition."""
@@ -80,7 +96,7 @@ def schema(body: Bytes) -> Schema:
         encoding, at = _text(body, at)
         text, _ = _text(body, at)
     except struct.error as error:
-        raise _broken("schema") from error
+        raise _BrokenRecordError(SCHEMA) from error
     return Schema(number, name, encoding, text)
 
 
@@ -91,7 +107,7 @@ def channel(body: Bytes) -> ChannelRecord:
         topic, at = _text(body, 4)
         encoding, _ = _text(body, at)
     except struct.error as error:
-        raise _broken("channel") from error
+        raise _BrokenRecordError(CHANNEL) from error
     return ChannelRecord(number, of_schema, topic, encoding)
 
 
@@ -102,7 +118,7 @@ def chunk_head(record: Bytes) -> ChunkHead:
         compression = bytes(record[41 : 41 + name]).decode("ascii", "replace")
         stored = _U64.unpack_from(record, 41 + name)[0]
     except struct.error as error:
-        raise _broken("chunk") from error
+        raise _BrokenRecordError(CHUNK) from error
     return ChunkHead(size=size, crc=crc, compression=compression, data=49 + name, stored=stored)
 
 
@@ -111,12 +127,12 @@ def chunk_index(body: Bytes) -> ChunkIndex:
     try:
         first, last, start, length, size = _INDEX.unpack_from(body, 0)
         if size % 10 or 36 + size + 8 > len(body):
-            raise _broken("chunk index")
+            raise _BrokenRecordError(CHUNK_INDEX)
         indexes = dict(_PAIR.iter_unpack(body[36 : 36 + size]))
         index_length = _U64.unpack_from(body, 36 + size)[0]
         compression, _ = _text(body, 44 + size)
     except struct.error as error:
-        raise _broken("chunk index") from error
+        raise _BrokenRecordError(CHUNK_INDEX) from error
     return ChunkIndex(
         start=start,
         length=length,
@@ -136,10 +152,10 @@ def statistics(body: Bytes) -> tuple[int, int, int, int, dict[int, int]]:
         first, last = _U64.unpack_from(body, 26)[0], _U64.unpack_from(body, 34)[0]
         size = _U32.unpack_from(body, 42)[0]
         if size % 10 or 46 + size > len(body):
-            raise _broken("statistics")
+            raise _BrokenRecordError(STATISTICS)
         counts = dict(_PAIR.iter_unpack(body[46 : 46 + size]))
     except struct.error as error:
-        raise _broken("statistics") from error
+        raise _BrokenRecordError(STATISTICS) from error
     return messages, chunks, first, last, counts
 
 
@@ -147,9 +163,5 @@ def _text(body: Bytes, at: int) -> tuple[str, int]:
     size = _U32.unpack_from(body, at)[0]
     end = at + 4 + size
     if end > len(body):
-        raise _broken("text")
+        raise _BrokenRecordError(SCHEMA)
     return bytes(body[at + 4 : end]).decode("utf-8", "replace"), end
-
-
-def _broken(what: str) -> DamagedError:
-    return DamagedError("damaged", f"a {what} record is damaged")

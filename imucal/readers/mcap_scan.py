@@ -78,6 +78,7 @@ def _scan_records(file: LogFile, window: _Window, book: "Bookkeeping") -> int:
                 _salvage(file, at, book)
             return at
         if opcode == records.DATA_END:
+            _define_from_summary(file, window, book, after)
             return file.size
         try:
             _visit(file, window, book, (opcode, at, length))
@@ -85,6 +86,19 @@ def _scan_records(file: LogFile, window: _Window, book: "Bookkeeping") -> int:
             return at
         at = after
     return at
+
+
+def _define_from_summary(file: LogFile, window: _Window, book: "Bookkeeping", at: int) -> None:
+    """Take definitions that the summary repeats, though its checksum is wrong."""
+    while at + 9 <= file.size:
+        opcode, length = HEAD.unpack_from(window.take(at, 9), 0)
+        if at + 9 + length > file.size or opcode not in {records.SCHEMA, records.CHANNEL}:
+            return
+        try:
+            _define(book, opcode, window.take(at + 9, length))
+        except DamagedError:
+            return
+        at += 9 + length
 
 
 def _visit(file: LogFile, window: _Window, book: "Bookkeeping", record: tuple[int, int, int]) -> None:

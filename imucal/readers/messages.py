@@ -123,9 +123,7 @@ def find_carrier(name: str, fields: Sequence[Field], topic: str, sensor: Sensor 
         return None
     standard = all(path.split(".")[-2:-1] in (["angular_velocity"], ["linear_acceleration"])
                    for vector in vectors for path in vector.paths)  # fmt: skip
-    return Carrier(
-        stamp=_stamp(fields), vectors=vectors, temperature=_temperature(fields), standard=standard
-    )
+    return Carrier(stamp=_stamp(fields), vectors=vectors, temperature=_temperature(fields), standard=standard)
 
 
 def sensor_of_topic(topic: str) -> Sensor | None:
@@ -171,8 +169,9 @@ def _px4(name: str, fields: Sequence[Field]) -> Carrier | None:
             stamp=stamp, vectors=(Vector(sensor=single, paths=("x", "y", "z")),), temperature=temperature
         )
     if {"gyro_rad", "accelerometer_m_s2"} <= by_path.keys():
-        both = (Vector(sensor=_GYRO, paths=("gyro_rad",)), Vector(sensor=_ACCEL, paths=("accelerometer_m_s2",)))
-        return Carrier(stamp=Stamp(sec="timestamp"), vectors=both)
+        both = ((_GYRO, "gyro_rad"), (_ACCEL, "accelerometer_m_s2"))
+        vectors = tuple(Vector(sensor=sensor, paths=(path,)) for sensor, path in both)
+        return Carrier(stamp=Stamp(sec="timestamp"), vectors=vectors)
     return None
 
 
@@ -236,7 +235,5 @@ def _stamp(fields: Sequence[Field]) -> Stamp | None:
 
 def _temperature(fields: Sequence[Field]) -> str:
     """Return the path of a temperature, or empty."""
-    return next(
-        (f.path for f in fields if f.code in {"f4", "f8"} and f.kind == "number" and _TEMPERATURE.search(f.path)),
-        "",
-    )
+    numbers = (field for field in fields if field.kind == "number" and field.code in {"f4", "f8"})
+    return next((field.path for field in numbers if _TEMPERATURE.search(field.path)), "")

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.readers.rate import Period
@@ -118,19 +117,26 @@ NO_BREAKS = Breaks(
 )
 
 
-def fit_period(stamps: IntArray, starts: IntArray, tau: float) -> tuple[float, float]:
+def fit_period(
+    stamps: IntArray, tau: float, breaks: Breaks, resets: IntArray, *, longest: int
+) -> tuple[float, float]:
     """Return the least-squares period and the standard deviation about it, in ns.
 
     Parameters
     ----------
     stamps
         Shape (n,), in ns.
-    starts
-        First sample of each unbroken run, shape (s,). Each run (and each block of a long one) has a level
-        of its own, so that what is missing between runs does not matter.
     tau
         A first estimate, in ns.
+    breaks, resets
+        Where samples are missing or doubled, and where the clock was set.
+    longest
+        Gaps up to this many samples are believed to have exactly the size found; each run between longer
+        ones (and each block of a long run) has a level of its own.
     """
+    exact = breaks.missing <= longest
+    starts = np.unique(np.concatenate([breaks.at[~exact], breaks.doubled, resets]))
+    at, missing = breaks.at[exact], breaks.missing[exact]
     moment = weight = square = 0.0
     count = 0
     for first in range(0, stamps.size, _BLOCK):
@@ -139,11 +145,16 @@ def fit_period(stamps: IntArray, starts: IntArray, tau: float) -> tuple[float, f
         edges = np.unique(np.concatenate([[0], starts[lo:hi] - first]))
         sizes = np.diff(np.append(edges, block.size))
         place = np.arange(block.size, dtype=np.float64)
+        lo, hi = np.searchsorted(at, [first, first + block.size])
+        if hi > lo:
+            skipped = np.zeros(block.size)
+            skipped[at[lo:hi] - first] = missing[lo:hi]
+            place += np.cumsum(skipped)
         late = (block - block[0]).astype(np.float64)
         late -= tau * place
         _center(place, edges, sizes)
         _center(late, edges, sizes)
-        _drop_outliers(place, late)
+        _drop_outliers(place, late, edges, sizes)
         moment += _dot(place, late)
         weight += _dot(place, place)
         square += _dot(late, late)
@@ -159,11 +170,15 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return float(np.einsum("i,i", a, b))
 
 
-def _drop_outliers(place: FloatArray, late: FloatArray) -> None:
+def _drop_outliers(place: FloatArray, late: FloatArray, edges: IntArray, sizes: IntArray) -> None:
     """Give stamps that are far off no weight, in place: a broken stamp is not late, it is wrong."""
-    limit = 20 * float(np.percentile(np.abs(late[:: max(late.size // 1000, 1)]), 90)) + 1
-    if max(float(late.max()), -float(late.min())) > limit:
-        far = np.abs(late) > limit
+    some = late[:: max(late.size // 1000, 1)]
+    middle = float(np.median(some))
+    limit = 20 * float(np.percentile(np.abs(some - middle), 90)) + 1
+    if max(float(late.max()) - middle, middle - float(late.min())) > limit:
+        far = np.abs(late - middle) > limit
+        late[far] = middle
+        _center(late, edges, sizes)
         place[far] = late[far] = 0.0
 
 
@@ -245,6 +260,6 @@ def _lowest_after(x: FloatArray, at: IntArray, reach: IntArray) -> FloatArray:
         if width < low.size:
             np.minimum(low[:-width], low[width:].copy(), out=low[:-width])
         width *= 2
-        chosen: NDArray[np.bool_] = level == power
+        chosen = level == power
         result[chosen] = low[at[chosen]]
     return result

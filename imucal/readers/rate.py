@@ -5,7 +5,9 @@ s(1) too short and s(W) right for W beyond a burst; missing samples make s(1) ri
 two are told apart by conservation: where bursts only delay samples, t[k] - k tau0 stays bounded.
 """
 
+import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -91,9 +93,9 @@ def _plateau(blocks: list[IntArray]) -> float:
     widths = [w for w in (16, 32, 64, 128, 256, 512, 1024, 2048) if w <= longest // 3]
     if not widths:
         block = max(blocks, key=len)
-        return float(block[-1] - block[0]) / (block.size - 1)
+        return (int(block[-1]) - int(block[0])) / (block.size - 1)
     slopes = [_slope(blocks, width) for width in widths]
-    changes = [abs(b / a - 1) if a > 0 else np.inf for a, b in zip(slopes, slopes[1:], strict=False)]
+    changes = [abs(b / a - 1) if a > 0 else np.inf for a, b in pairwise(slopes)]
     for place, change in enumerate(changes):
         if change <= _SAME:
             return slopes[place + 1]
@@ -140,5 +142,5 @@ def _conserved(blocks: list[IntArray], tau: float) -> bool:
 
 def _jitter(steps: IntArray | FloatArray, tau: float) -> float:
     """Return the standard deviation of one stamp in samples, from the median absolute deviation of steps."""
-    deviation = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) / np.sqrt(2)
-    return deviation / tau
+    deviation = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+    return deviation / math.sqrt(2) / tau

@@ -97,7 +97,7 @@ def unpack(region: memoryview, scratch: Scratch, *, cut: bool = False) -> tuple[
     head, end = header(region, 0)
     if head.get(b"op") != bytes([records.CHUNK]) or end + 4 > len(region):
         msg = "a chunk's head is damaged"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     kind = head.get(b"compression", b"none").decode("ascii", "replace")
     size = number(head, b"size", 4)
     stored = U32.unpack_from(region, end)[0]
@@ -106,7 +106,7 @@ def unpack(region: memoryview, scratch: Scratch, *, cut: bool = False) -> tuple[
         return memoryview(decompress_prefix(kind, data, size)), end + 4 + stored
     if len(data) != stored:
         msg = "a chunk is cut"
-        raise DamagedError("truncated", msg)
+        raise DamagedError(msg, code="truncated")
     return decompress(kind, data, size, scratch), end + 4 + stored
 
 
@@ -173,7 +173,8 @@ def _guards(head: bytes) -> tuple[Guard, ...] | None:
     for first, last in ((0, at), (at + 8, len(head))):
         size = next((size for size in (8, 4, 2, 1) if size <= last - first), 1)
         places = [*range(first, last - size + 1, size), last - size] if last > first else []
-        words += [(p, f"<u{size}", int.from_bytes(head[p : p + size], "little")) for p in dict.fromkeys(places)]
+        numbers = [int.from_bytes(head[place : place + size], "little") for place in places]
+        words += [(place, f"<u{size}", number) for place, number in zip(places, numbers, strict=True)]
     return tuple(words)
 
 
@@ -204,7 +205,7 @@ def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
             break
         at = end + 4 + size
     msg = "an index points to another record"
-    raise DamagedError("index", msg)
+    raise DamagedError(msg, code="index")
 
 
 def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:

@@ -65,7 +65,7 @@ class BagFile:
         except (DamagedError, struct.error) as error:
             self._connections.clear()
             self._chunks.clear()
-            reason = error if isinstance(error, DamagedError) else DamagedError("damaged", "it is damaged")
+            reason = error if isinstance(error, DamagedError) else DamagedError("it is damaged")
             self._scan(reason)
 
     def _index(self) -> None:
@@ -84,10 +84,10 @@ class BagFile:
         start = number(head, b"index_pos", 8)
         if not start:
             msg = "the bag was not closed and has no index"
-            raise DamagedError("unindexed", msg)
+            raise DamagedError(msg, code="unindexed")
         if not len(MAGIC) <= start <= self.size or self.size - start > _MAX_INDEX:
             msg = "the index lies beyond the end of the file"
-            raise DamagedError("truncated", msg)
+            raise DamagedError(msg, code="truncated")
         section = memoryview(self._file.read(start, self.size - start))
         at = 0
         while at < len(section):
@@ -95,7 +95,7 @@ class BagFile:
         chunks, connections = number(head, b"chunk_count", 4), number(head, b"conn_count", 4)
         if len(self._chunks) < chunks or len(self._connections) < connections:
             msg = "the index is cut"
-            raise DamagedError("truncated", msg)
+            raise DamagedError(msg, code="truncated")
         self._set_ends(start)
 
     def _index_record(self, section: memoryview, at: int) -> int:
@@ -105,7 +105,7 @@ class BagFile:
         data = section[end + 4 : end + 4 + size]
         if len(data) != size:
             msg = "the index is cut"
-            raise DamagedError("truncated", msg)
+            raise DamagedError(msg, code="truncated")
         opcode = number(head, b"op", 1)
         if opcode == records.CONNECTION:
             found = connection(head, data)
@@ -113,7 +113,7 @@ class BagFile:
         elif opcode == records.CHUNK_INFO:
             if size % 8:
                 msg = "a chunk's entry in the index is damaged"
-                raise DamagedError("damaged", msg)
+                raise DamagedError(msg)
             self._chunks.append(
                 BagChunk(
                     start=number(head, b"chunk_pos", 8),
@@ -123,7 +123,8 @@ class BagFile:
                     last_ns=_time(head.get(b"end_time", b"")),
                 )
             )
-        return end + 4 + size
+        after: int = end + 4 + size
+        return after
 
     def _set_ends(self, index: int) -> None:
         """Let each chunk reach to the next one, the last to the index section."""
@@ -133,7 +134,7 @@ class BagFile:
             chunk.size = ends[chunk.start] - chunk.start
             if chunk.size <= 0 or chunk.start < len(MAGIC):
                 msg = "the index points beyond the file"
-                raise DamagedError("damaged", msg)
+                raise DamagedError(msg)
 
     # Without an index
 

@@ -85,4 +85,5 @@ def connection(found: dict[bytes, bytes], data: Bytes) -> Connection:
 
 
 def _broken() -> DamagedError:
-    return DamagedError("damaged", "a record header is damaged")
+    msg = "a record header is damaged"
+    return DamagedError(msg)

@@ -53,8 +53,8 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
         recording = found
     else:
         recording = _joined([load(f).read(p, options) for p, f in zip(ordered, formats, strict=True)])
-    path = ", ".join(str(path) for path in ordered)
-    return replace(recording, source=replace(recording.source, path=path))
+    names = ", ".join(str(path) for path in ordered)
+    return replace(recording, source=replace(recording.source, path=names))
 
 
 def _open(path: Path, name: str) -> list[Container]:

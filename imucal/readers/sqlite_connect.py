@@ -1,4 +1,4 @@
-"""Connections to a SQLite file that is only read: with its write-ahead log, without, or to its start alone."""
+"""Connections to a SQLite file that is only read: with its write-ahead log, without, or its start."""
 
 import sqlite3
 import tempfile

@@ -16,12 +16,14 @@ from imucal.readers.batch import Batch
 from imucal.readers.container import Channel, Task
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from imucal.readers.sqlite_connect import connect, connect_to_start
-from imucal.readers.sqlite_pages import Fetch, PageTask, find_leaves, page_size, scan_leaves
+from imucal.readers.sqlite_pages import Fetch, Leaves, PageTask, find_leaves, page_size, scan_leaves
 
 __all__ = ["SqliteFile", "SqliteTask", "batch_of_blobs"]
 
 #: Rows of one task.
 _RANGE = 1 << 14
+#: Columns of `messages`, in the order that the pages are read in.
+_COLUMNS = ["id", "topic_id", "timestamp", "data"]
 #: Rows fetched at once; more is slower.
 _FETCH = 1024
 #: Rows up to which messages are counted one by one when the bag doesn't say how many there are.
@@ -95,7 +97,8 @@ class SqliteFile:
         if not wanted or (not self._cut and self.last_id < self.first_id):
             return []
         if not self._cut and self._needs_sqlite():
-            return [cast("Task", SqliteTask(self._database, wanted, rows, size)) for rows, size in self._ranges()]
+            tasks = [SqliteTask(self._database, wanted, rows, size) for rows, size in self._ranges()]
+            return [cast("Task", task) for task in tasks]
         groups, fetch = self._pages()
         return [cast("Task", PageTask(self._file, pages, wanted, most, fetch)) for pages, most in groups]
 
@@ -110,7 +113,7 @@ class SqliteFile:
         """Say whether the pages of the file alone don't hold the messages, or hold them in another order."""
         wal = self.path.with_name(self.path.name + "-wal")
         columns = [row[1] for row in self._database.execute("pragma table_info(messages)")]
-        needs = (wal.exists() and wal.stat().st_size > 0) or columns != ["id", "topic_id", "timestamp", "data"]
+        needs = (wal.exists() and wal.stat().st_size > 0) or columns != _COLUMNS
         # SQLite takes a lock that several threads would wait for.
         self.parallel = not needs
         return needs
@@ -119,14 +122,20 @@ class SqliteFile:
         """Return the leaf pages of the messages, by their tree, or all there are where it is damaged."""
         try:
             if not self._cut:
-                query = "select rootpage from sqlite_master where type = 'table' and name = 'messages'"
-                root = int(self._database.execute(query).fetchone()[0])
-                leaves = find_leaves(self._file, root, self.first_id, self.last_id)
-                return list(leaves.groups()), self._fetch
+                return list(self._leaves().groups()), self._fetch
         except DamagedError as error:
             text = f"The database is damaged: {error}; its pages were scanned for whole messages."
             self.findings.append(Finding(level="warning", code=error.code, text=text))
         return scan_leaves(self._file), None
+
+    def _leaves(self) -> Leaves:
+        query = "select rootpage from sqlite_master where type = 'table' and name = 'messages'"
+        root = int(self._database.execute(query).fetchone()[0])
+        leaves = find_leaves(self._file, root, self.first_id, self.last_id)
+        if int(leaves.pages.max()) * page_size(self._file)[0] > self.size:
+            msg = "pages beyond the end of the file are missing"
+            raise DamagedError(msg, code="truncated")
+        return leaves
 
     def _fetch(self, rows: list[int]) -> list[tuple[int, int, bytes]]:
         """Return rows that reach over several pages."""
@@ -138,7 +147,7 @@ class SqliteFile:
                     values = self._database.execute(query, (row,)).fetchone()
                 except (sqlite3.Error, OverflowError) as error:
                     msg = f"the SQLite database is damaged: {error}"
-                    raise DamagedError("damaged", msg) from error
+                    raise DamagedError(msg) from error
                 if values is not None and isinstance(values[2], bytes):
                     found.append((int(values[0]), int(values[1]), values[2]))
         return found
@@ -235,7 +244,7 @@ class SqliteTask:
                 yield key, self._fetch(key)
             except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
                 msg = f"the SQLite database is damaged: {error}"
-                raise DamagedError("damaged", msg) from error
+                raise DamagedError(msg) from error
 
     def _fetch(self, key: int) -> Batch:
         # No `order by`: it would go through the index of times instead of the table.

@@ -66,7 +66,7 @@ def page_size(file: LogFile) -> tuple[int, int]:
     size = 65536 if size == 1 else size
     if size < 512 or size & (size - 1):
         msg = "the page size is damaged"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     return size, size - head[20]
 
 
@@ -91,7 +91,7 @@ def find_leaves(file: LogFile, root: int, first_id: int, last_id: int) -> Leaves
         if pages[-1].size * size > file.size:
             break
     msg = "the tree of pages is damaged"
-    raise DamagedError("damaged", msg)
+    raise DamagedError(msg)
 
 
 def scan_leaves(file: LogFile) -> list[tuple[IntArray, int]]:
@@ -307,7 +307,7 @@ def _integers(data: NDArray[np.uint8], at: IntArray, kinds: IntArray) -> IntArra
 def _kind(file: LogFile, page: int, size: int) -> int:
     if page < 1:
         msg = "a page number is damaged"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     return file.read((page - 1) * size + (100 if page == 1 else 0), 1)[0]
 
 
@@ -315,17 +315,17 @@ def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray
     """Return the children of an interior page, and the largest row of each."""
     if page <= 1:
         msg = "a page number is damaged"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     data = np.frombuffer(file.read((page - 1) * size, size), dtype=np.uint8)
     count = int(data[3]) << 8 | int(data[4])
     if data[0] != _INTERIOR or 12 + 2 * count > size:
         msg = "an interior page is damaged"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     words = data[12 : 12 + 2 * count].astype(np.int64).reshape(-1, 2)
     cells = (words[:, 0] << 8) | words[:, 1]
     if count and int(cells.max()) > size - 5:
         msg = "an interior page is damaged"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     children = np.append(_u32(data, cells), int.from_bytes(data[8:12].tobytes(), "big"))
     keys, _ = _varint(data, cells + 4)
     return children, np.append(keys, bound)

@@ -157,8 +157,15 @@ def _fields(channel: Channel, options: ReadOptions) -> tuple[tuple[Field, ...], 
         If the type has no definition, or one that can't be read.
     """
     ros1 = channel.encoding == "ros1"
+    standard = built_in(channel.type, ros1=ros1)
     if channel.definition and channel.definition_kind in {"ros2msg", "ros1msg"}:
-        return flatten(channel.type, channel.definition, ros1=ros1), False
+        try:
+            return flatten(channel.type, channel.definition, ros1=ros1), False
+        except DefinitionError:
+            # A damaged definition of a well-known type loses nothing: messages must have its size.
+            if standard is None:
+                raise
+            return flatten(channel.type, standard, ros1=ros1), True
     if options.message_definition is not None:
         try:
             text = options.message_definition.read_text(encoding="utf-8")
@@ -166,12 +173,11 @@ def _fields(channel: Channel, options: ReadOptions) -> tuple[tuple[Field, ...], 
             msg = f"{options.message_definition}: can't be read: {error}"
             raise DefinitionError(msg) from error
         return flatten(channel.type, text, ros1=ros1), True
-    text = built_in(channel.type, ros1=ros1) or ""
-    if not text:
+    if standard is None:
         kind = f" but of kind {channel.definition_kind!r}" if channel.definition_kind else ""
         msg = f"the log holds no definition of {channel.type}{kind}; give its .msg file"
         raise DefinitionError(msg)
-    return flatten(channel.type, text, ros1=ros1), True
+    return flatten(channel.type, standard, ros1=ros1), True
 
 
 def _looks_like_imu(channel: Channel) -> bool:

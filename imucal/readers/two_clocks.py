@@ -25,8 +25,9 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
     if abs(median) > 86_400:
         text = f"Stamps and log time count from different times: {median:.6g} s apart."
     findings = [Finding(level="info", code="delay", text=text)]
-    own, other = float(some[-1] - some[0]) / 1e9, float(recorded[-1] - recorded[0]) / 1e9
+    own, other = (int(some[-1]) - int(some[0])) / 1e9, (int(recorded[-1]) - int(recorded[0])) / 1e9
     if min(own, other) > _SHORTEST and abs(own / other - 1) > _DRIFT:
-        text = f"The stamps span {own:.6g} s, the log time {other:.6g} s: the clocks differ by {own / other - 1:+.2%}."
+        ratio = f"{own / other - 1:+.2%}"
+        text = f"The stamps span {own:.6g} s, the log time {other:.6g} s: the clocks differ by {ratio}."
         findings.append(Finding(level="warning", code="clocks-differ", text=text))
     return findings

@@ -72,7 +72,7 @@ def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
     count = len(buffer) - width + 1
     if at.size and (count <= 0 or int(at.min()) < 0 or int(at.max()) >= count):
         msg = "a message reaches beyond its chunk"
-        raise DamagedError("damaged", msg)
+        raise DamagedError(msg)
     view: NDArray[np.void] = np.ndarray((max(count, 0),), f"V{width}", buffer=buffer, strides=(1,))
     return view[at]
 
@@ -107,7 +107,7 @@ class Walker:
         return found
 
     @staticmethod
-    def _skip(
+    def _skip(  # noqa: PLR0917 - all that a step of the walk knows
         buffer: Bytes, starts: IntArray, at: Position, entry: Field, layout: Layout, found: Found
     ) -> Position:
         """Return the position after a string or a sequence."""
@@ -117,7 +117,7 @@ class Walker:
         length: IntArray | int = first if bool((words == first).all()) else words
         if int(np.max(length)) * max(entry.size * entry.count, 1) > len(buffer):
             msg = f"{entry.path} claims {int(np.max(length))} elements, more than its chunk holds"
-            raise DamagedError("damaged", msg)
+            raise DamagedError(msg)
         found.lengths.append((at, length))
         at = at + 4
         if entry.kind == "string":

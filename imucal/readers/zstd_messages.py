@@ -63,9 +63,9 @@ def _unpacked(batch: Batch) -> Batch:
             frame = view[start:end]
             if zstandard.frame_content_size(frame) > _MAX_MESSAGE:
                 msg = "a compressed message claims an impossible size"
-                raise DamagedError("damaged", msg)
+                raise DamagedError(msg)
             blobs.append(machine.decompress(frame, max_output_size=_MAX_MESSAGE))
     except (zstandard.ZstdError, MemoryError) as error:
         msg = f"a compressed message is damaged: {error}"
-        raise DamagedError("damaged", msg) from error
+        raise DamagedError(msg) from error
     return batch_of_blobs(blobs, batch.log_ns.tolist())

@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -31,7 +32,7 @@ def truth(n: int) -> tuple[IntArray, FloatArray]:
     """Return stamps in ns, shape (n,), and samples, shape (n, 6), as a 16-bit sensor gives them."""
     rng = np.random.default_rng(20240607)
     stamps = START + np.arange(n, dtype=np.int64) * (10**9 // RATE) + rng.normal(0, 20e3, n).astype(np.int64)
-    samples = rng.normal(0, 0.01, (n, 6)) + [0.003, -0.002, 0.001, 0.02, -0.05, 9.81]
+    samples = rng.normal(0, 0.01, (n, 6)) + np.array([0.003, -0.002, 0.001, 0.02, -0.05, 9.81])
     steps = np.deg2rad(250) / 32768, 4 * 9.80665 / 32768
     samples[:, :3] = np.rint(samples[:, :3] / steps[0]) * steps[0]
     samples[:, 3:] = np.rint(samples[:, 3:] / steps[1]) * steps[1]
@@ -53,13 +54,18 @@ def payloads(n: int, *, ros1: bool) -> Iterator[tuple[int, bytes]]:
         }
     )
     stamps, samples = truth(n)
+    rng = np.random.default_rng(5)
+    variances = ((4, 1e-4), (16, 2.5e-6), (28, 2.9e-4))
+    angles = np.cumsum(rng.normal(0, 1e-5, (n, 3)), axis=0)
     for first in range(0, n, 100_000):
         part = slice(first, min(first + 100_000, n))
         data = np.zeros(part.stop - first, dtype=kind)
         data[head[0]] = np.arange(first, part.stop) if ros1 else 0x0100
         data["sec"], data["nsec"] = stamps[part] // 10**9, stamps[part] % 10**9
         data["len"], data["frame"] = (8, b"imu_link") if ros1 else (9, b"imu_link")
-        data["d"][:, 3] = 1.0
+        data["d"][:, :3], data["d"][:, 3] = angles[part] / 2, np.sqrt(1 - (angles[part] ** 2).sum(1) / 4)
+        for place, variance in variances:
+            data["d"][:, place : place + 9 : 4] = variance
         data["d"][:, 13:16], data["d"][:, 25:28] = samples[part, :3], samples[part, 3:]
         size, raw = kind.itemsize, data.tobytes()
         for row in range(part.stop - first):
@@ -98,7 +104,7 @@ def _write_mcap(path: Path, compression: str, n: int) -> None:
             writer.add_message(imu, log, data, log, row)
             if row % 4 == 0:
                 writer.add_message(other, log + 1, noise, log + 1, row)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _write_bag(path: Path, compression: str, n: int) -> None:
@@ -160,7 +166,7 @@ def read_rosbags(path: Path, n: int) -> None:
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         wanted = [c for c in reader.connections if c.topic == TOPIC]
         for connection, _, raw in reader.messages(connections=wanted):
-            m = reader.deserialize(raw, connection.msgtype)
+            m: Any = reader.deserialize(raw, connection.msgtype)
             w, a, s = m.angular_velocity, m.linear_acceleration, m.header.stamp
             rows.append((s.sec * 10**9 + s.nanosec, w.x, w.y, w.z, a.x, a.y, a.z))
             if len(rows) == n:
@@ -213,12 +219,13 @@ def _decompress_mcap(path: Path) -> None:
 
 def _decompress_bag(path: Path) -> None:
     from imucal.readers.files import LogFile, Scratch
-    from imucal.readers.ros1_chunks import unpack
+    from imucal.readers.ros1_chunks import BagChunkTask, unpack
     from imucal.readers.ros1_file import BagFile
 
     bag, scratch = BagFile(path), Scratch()
     with LogFile(path) as file:
-        for chunk in bag.tasks(frozenset(channel.key for channel in bag.channels)):
+        for task in bag.tasks(frozenset(channel.key for channel in bag.channels)):
+            chunk = cast("BagChunkTask", task)
             region = scratch.buffer("chunk", chunk.size)
             file.into(chunk.position, region)
             unpack(region, scratch)
@@ -320,7 +327,7 @@ def _report(name: str, folder: Path, given: argparse.Namespace) -> None:
     if name.startswith("mcap"):
         runs.append(("mcap", small, given.peers))
     best = {
-        reader: min((measure(reader, log, n) for _ in range(given.repeat if log is path else 1)))
+        reader: min(measure(reader, log, n) for _ in range(given.repeat if log is path else 1))
         for reader, log, n in runs
     }
     own = best["imucal"]

@@ -1,0 +1,124 @@
+"""Damaged logs: whatever happens to a file, reading it ends in samples that were in it, or in a message."""
+
+import functools
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from imucal.errors import ImucalError
+from imucal.readers import describe, read
+from imucal.recording import Recording
+from tests.readers.logs import CONTAINERS, Samples, samples
+
+#: Cases of each format; with eight formats, more than 2000.
+CASES = 260
+#: Longest run of bytes that one change touches.
+LONGEST = 64
+#: A message may hold this many changed bytes at least: a change of `LONGEST` bytes touches two messages.
+TOUCHED = 2 + LONGEST // 300
+#: No case may take longer, in s; the usual one takes 10 ms.
+PATIENCE = 20.0
+
+FORMATS = ("mcap-zstd", "mcap-lz4", "mcap-none", "mcap-ros1", "bag-none", "bag-lz4", "bag-bz2", "db3")
+#: Samples that a change may forge where nothing guards them: those whose bytes it touches, and in an lz4
+#: block without a checksum all that refer back to them. No reader can tell; rosbags gives the same.
+STRANGE = {"bag-none": TOUCHED, "db3": TOUCHED, "bag-lz4": 60}
+NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+Result = TypeVar("Result")
+
+
+def flip(data: bytearray, rng: np.random.Generator) -> None:
+    """Change single bits."""
+    for _ in range(int(rng.integers(1, 4))):
+        data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+
+
+def cut(data: bytearray, rng: np.random.Generator) -> None:
+    """Cut the end."""
+    del data[int(rng.integers(len(data))) :]
+
+
+def zero(data: bytearray, rng: np.random.Generator) -> None:
+    """Fill a run with zeros."""
+    at, size = int(rng.integers(len(data))), int(rng.integers(1, LONGEST))
+    data[at : at + size] = bytes(min(size, len(data) - at))
+
+
+def splice(data: bytearray, rng: np.random.Generator) -> None:
+    """Copy a run of the file over another place, or take it out."""
+    at, other, size = (int(rng.integers(len(data))) for _ in range(3))
+    size = size % LONGEST + 1
+    if rng.random() < 0.5:
+        data[at : at + size] = data[other : other + size][: len(data) - at]
+    else:
+        del data[at : at + size]
+
+
+CHANGES: tuple[Callable[[bytearray, np.random.Generator], None], ...] = (flip, cut, zero, splice)
+
+
+@functools.cache
+def truth() -> Samples:
+    """Return the samples of all logs."""
+    return samples(60)
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, bytes]]:
+    """Name of the file and bytes of a log of each format."""
+    logs = {}
+    for name in FORMATS:
+        path = CONTAINERS[name](tmp_path_factory.mktemp(name), truth())
+        file = next(path.glob("*.db3")) if path.is_dir() else path
+        logs[name] = (file.name, file.read_bytes())
+    return logs
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+@pytest.mark.parametrize("name", FORMATS)
+def test_survives(
+    name: str,
+    change: Callable[[bytearray, np.random.Generator], None],
+    originals: dict[str, tuple[str, bytes]],
+    tmp_path: Path,
+) -> None:
+    """No exception but imucal's own, no hang, and no sample that the log does not hold."""
+    file, original = originals[name]
+    rng = np.random.default_rng([FORMATS.index(name), CHANGES.index(change)])
+    known = [frozenset(column) for column in truth().all.T.tolist()]
+    for case in range(CASES // len(CHANGES)):
+        data = bytearray(original)
+        change(data, rng)
+        path = tmp_path / f"{case}-{file}"
+        path.write_bytes(data)
+        start = time.perf_counter()
+        recording, message = _outcome(read, path)
+        assert recording is not None or message.startswith(str(path))
+        if recording is not None:
+            assert _strange(recording, known) <= STRANGE.get(name, 0), f"case {case}"
+            assert max(series.n for series in recording.series) <= truth().stamps.size + TOUCHED
+        contents, message = _outcome(describe, path)
+        assert contents is not None or message.startswith(str(path))
+        assert time.perf_counter() - start < PATIENCE
+        path.unlink()
+
+
+def _outcome(action: Callable[[Path], Result], path: Path) -> tuple[Result | None, str]:
+    """Return a result, or the message of imucal's own error; any other exception fails the test."""
+    try:
+        return action(path), ""
+    except ImucalError as error:
+        return None, str(error)
+
+
+def _strange(recording: Recording, known: list[frozenset[float]]) -> int:
+    """Return how many samples of an axis were never written, at most."""
+    columns = dict(zip(NAMES, known, strict=True))
+    return max(
+        sum(value not in columns[series.name] for value in series.samples.tolist())
+        for series in recording.series
+    )
