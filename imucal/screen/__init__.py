@@ -11,7 +11,7 @@ from imucal.screen.profile import Profile, profile
 from imucal.screen.quantisation import check_lsb
 from imucal.screen.rolloff import check_roll_off
 from imucal.screen.steps import check_steps
-from imucal.screen.stuck import check_no_data, check_repeats, check_saturated, check_stuck
+from imucal.screen.stuck import check_no_data, check_not_finite, check_repeats, check_saturated, check_stuck
 from imucal.screen.temperature import check_temperature
 from imucal.screen.tones import check_tones
 from imucal.screen.tremor import check_tremor
@@ -33,7 +33,7 @@ _LOG_CHECKS: tuple[LogCheck, ...] = (
 #: Was the IMU at rest; the first that says no is enough.
 _REST_CHECKS: tuple[LogCheck, ...] = (check_tremor, check_turned, check_motion)
 #: Checks of one axis that holds data.
-_AXIS_CHECKS: tuple[AxisCheck, ...] = (check_stuck, check_saturated, check_lsb)
+_AXIS_CHECKS: tuple[AxisCheck, ...] = (check_not_finite, check_stuck, check_saturated, check_lsb)
 #: Checks of the noise of one axis, which mean something only at rest.
 _NOISE_CHECKS: tuple[AxisCheck, ...] = (check_steps, check_warm_up, check_tones, check_roll_off)
 
@@ -41,7 +41,7 @@ _NOISE_CHECKS: tuple[AxisCheck, ...] = (check_steps, check_warm_up, check_tones,
 def screen(recording: Recording) -> tuple[Finding, ...]:
     """Return what speaks against trusting a recording, worst first; empty for a good one.
 
-    Codes: ``no-data``, ``stuck``, ``saturated``, ``held-samples``, ``coarse-lsb``,
+    Codes: ``no-data``, ``not-finite``, ``stuck``, ``saturated``, ``held-samples``, ``coarse-lsb``,
     ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``, ``no-gravity``, ``motion``,
     ``touch``, ``step``, ``warm-up``, ``temperature``, ``tone``, ``roll-off``.
     What reading the log has said already is not said again. The samples are passed once, in blocks;

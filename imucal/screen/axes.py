@@ -65,4 +65,4 @@ def _correlation(one: Profile, two: Profile) -> float:
         x, y = np.diff(one.series.samples[part]), np.diff(two.series.samples[part])
         products += (x @ y, x @ x, y @ y)
     xy, xx, yy = products.tolist()
-    return float(xy / np.sqrt(xx * yy)) if xx > 0 and yy > 0 else 0.0
+    return xy / (xx**0.5 * yy**0.5) if xx > 0 and yy > 0 else 0.0

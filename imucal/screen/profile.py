@@ -11,7 +11,12 @@ from imucal.screen.stillness import disturbed, without_spikes
 from imucal.screen.welch import Density, density
 from imucal.screen.windows import Windows, cut
 
-__all__ = ["Profile", "profile"]
+__all__ = ["ABSURD", "Profile", "profile"]
+
+#: No sensor measures this, in any unit: larger values are damage, and their squares would overflow.
+ABSURD = 1e100
+#: Samples looked at in one go.
+_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,7 +26,9 @@ class Profile:
     Attributes
     ----------
     series
-        The axis without NaN and infinite samples.
+        The axis without NaN, infinite and absurd samples.
+    left_out
+        How many those are.
     windows
         Its windows; spikes are left out of the mean and variance of windows that stand out.
     disturbed
@@ -35,6 +42,7 @@ class Profile:
     """
 
     series: AxisSeries
+    left_out: int
     windows: Windows
     disturbed: NDArray[np.bool_]
     lsb: float | None
@@ -54,7 +62,8 @@ class Profile:
 
 def profile(series: AxisSeries) -> Profile:
     """Return the profile of an axis; one pass over the samples, and a bounded number of transforms."""
-    series = series.finite()
+    whole = series
+    series = _sane(series)
     windows = cut(series)
     lsb = resolution(series)
     marks = disturbed(windows, lsb)
@@ -64,9 +73,19 @@ def profile(series: AxisSeries) -> Profile:
     quiet = windows.step_variance[~marks & (windows.variance > 0)]
     return Profile(
         series=series,
+        left_out=whole.n - series.n,
         windows=windows,
         disturbed=marks,
         lsb=lsb,
         noise=float(np.sqrt(np.median(quiet))) if quiet.size else 0.0,
         density=density(series, avoid=windows.start[marks], width=windows.width),
     )
+
+
+def _sane(series: AxisSeries) -> AxisSeries:
+    """Return the axis without NaN, infinite and absurd samples; they become gaps."""
+    blocks = [series.samples[first : first + _BLOCK] for first in range(0, series.n, _BLOCK)]
+    keep = [np.abs(block) <= ABSURD for block in blocks]
+    if all(part.all() for part in keep):
+        return series
+    return series.keeping(np.concatenate(keep))

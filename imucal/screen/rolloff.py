@@ -49,7 +49,7 @@ def _plateau(frequency: FloatArray, level: FloatArray, edf: float, first: int) -
         return None
     lower, upper = float(level[first:middle].mean()), float(level[middle:stop].mean())
     error = float(np.sqrt(2 / edf * (1 / (middle - first) + 1 / (stop - middle))))
-    flat = error < _FLAT - 1 and 1 / _FLAT < lower / upper < _FLAT
+    flat = error < _FLAT - 1 and upper < _FLAT * lower and lower < _FLAT * upper
     return (float(frequency[stop]), (lower + upper) / 2) if flat else None
 
 

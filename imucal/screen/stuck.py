@@ -11,7 +11,7 @@ from imucal.screen.profile import Profile
 from imucal.screen.resolution import excerpt
 from imucal.screen.words import amount, time
 
-__all__ = ["check_no_data", "check_repeats", "check_saturated", "check_stuck"]
+__all__ = ["check_no_data", "check_not_finite", "check_repeats", "check_saturated", "check_stuck"]
 
 #: How often noise may by chance repeat one value through a window.
 _FALSE_ALARM = 1e-6
@@ -19,6 +19,8 @@ _FALSE_ALARM = 1e-6
 _LEAST_AT_LIMIT, _LIMIT_RATIO = 8, 5.0
 #: An extreme nearer to the middle than this many steps of the axis is the coarseness, not a limit.
 _LEAST_STEPS = 4.0
+#: Samples that are no numbers, beyond this part, are worth a warning.
+_MANY = 1e-3
 #: Repeated samples below this part of all are not worth a word.
 _LEAST_REPEATS = 0.005
 
@@ -38,6 +40,26 @@ def check_no_data(profile: Profile) -> tuple[Finding, ...]:
     text = f"{series.name} never changes: all of its {series.n} samples are {first:.6g} {series.unit}."
     return (
         _error("stuck", text, "Look at the sensor and its driver; this axis can't be used.", series.name),
+    )
+
+
+def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
+    """Return a finding for samples that are no numbers, or none that a sensor gives."""
+    series, count = profile.series, profile.left_out
+    if not count or not series.n:
+        return ()
+    share = count / (count + series.n)
+    return (
+        Finding(
+            level="warning" if share > _MANY else "info",
+            code="not-finite",
+            text=(
+                f"{count} samples of {series.name} ({share:.2g} of all) are NaN, infinite or absurdly large; "
+                "the screening leaves them out."
+            ),
+            advice="Look at the driver.",
+            axis=series.name,
+        ),
     )
 
 

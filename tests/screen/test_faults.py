@@ -97,6 +97,12 @@ def without_finite(gyro: FloatArray, accel: FloatArray) -> Tables:
     return gyro, accel
 
 
+def broken(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[0, ::400] = np.nan
+    gyro[0, 7] = -1e300
+    return gyro, accel
+
+
 def clipped(gyro: FloatArray, accel: FloatArray) -> Tables:
     accel[2] = np.minimum(np.round(accel[2], 3), 9.84)
     return gyro, accel
@@ -185,6 +191,9 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (unfilled, "error", "no-data", "accel_x",
      "accel_x is 0 in all of its 20000 samples: the driver does not fill it."),
     (without_finite, "error", "no-data", "gyro_x", "gyro_x holds no finite sample."),
+    (broken, "warning", "not-finite", "gyro_x",
+     ("51 samples of gyro_x (0.0026 of all) are NaN, infinite or absurdly large; "
+     "the screening leaves them out.")),
     (clipped, "warning", "saturated", "accel_z",
      "accel_z lies on its highest value, 9.84 m/s^2 (1003 mg), 1024 times: it is saturated, first at 0.0 s."),
     (coarse, "warning", "coarse-lsb", "gyro_x",
