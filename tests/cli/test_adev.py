@@ -1,0 +1,138 @@
+"""``imucal adev``: curves on standard output."""
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+import imucal
+from tests.cli.run import SAMPLE_LOGS, run
+
+MEMS = str(SAMPLE_LOGS / "consumer_mems.mcap")
+GAPS = str(SAMPLE_LOGS / "with_gaps.csv")
+HEADER = "axis,tau,m,adev,low,high,edf"
+
+
+def _table(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_prints_every_axis_as_csv(tmp_path: Path) -> None:
+    """One header, then the curves of the library, nine digits each; what was read on standard error."""
+    done = run("adev", MEMS, cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[0] == HEADER
+    rows = _table(done.stdout)
+    recording = imucal.read(MEMS)
+    assert list(dict.fromkeys(row["axis"] for row in rows)) == [s.name for s in recording.series]
+    curve = imucal.allan_curve(recording.axis("gyroscope", "x"))
+    mine = [row for row in rows if row["axis"] == "gyro_x"]
+    npt.assert_array_equal([int(row["m"]) for row in mine], curve.m)
+    low, high = curve.confidence_interval(0.95)
+    for column, values in {
+        "tau": curve.tau,
+        "adev": curve.adev,
+        "low": low,
+        "high": high,
+        "edf": curve.edf,
+    }.items():
+        npt.assert_allclose([float(row[column]) for row in mine], values, rtol=1e-5)
+    assert "Read gyro_x" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_quiet_leaves_standard_error_empty(tmp_path: Path) -> None:
+    """Results only."""
+    done = run("adev", MEMS, "-q", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_prints_json_with_the_spectrum(tmp_path: Path) -> None:
+    """SI, no NaN, the curve and the two-sided psd of every axis."""
+    done = run("adev", GAPS, "--json", "-q", "--level", "0.68", "--estimator", "overlapping", cwd=tmp_path)
+    document = json.loads(done.stdout)
+    assert document["schema"] == "imucal/adev/1"
+    assert document["level"] == 0.68
+    axis = document["axes"][0]
+    assert (axis["name"], axis["unit"], axis["computed"]) == ("gyro_x", "rad/s", "windows")
+    series = imucal.read(GAPS).axis("gyroscope", "x")
+    npt.assert_allclose(axis["curve"]["adev"], imucal.allan_curve(series).adev)
+    assert axis["spectrum"]["unit"] == "(rad/s)^2/Hz"
+    assert axis["spectrum"]["sided"] == "two"
+    npt.assert_allclose(axis["spectrum"]["psd"], imucal.spectrum(series).psd)
+
+
+@pytest.mark.parametrize(
+    ("estimator", "edf"), [("standard", "model"), ("modified", "eta3"), ("hadamard", "greenhall")]
+)
+def test_estimators_and_methods_are_options(estimator: str, edf: str, tmp_path: Path) -> None:
+    """The values are those of the library's call."""
+    done = run("adev", MEMS, "-q", "--estimator", estimator, "--edf", edf, "--taus", "decade:3", cwd=tmp_path)
+    series = imucal.read(MEMS).axis("gyroscope", "x")
+    curve = imucal.allan_curve(series, taus="decade:3", estimator=estimator, edf=edf)
+    mine = [row for row in _table(done.stdout) if row["axis"] == "gyro_x"]
+    npt.assert_allclose([float(row["adev"]) for row in mine], curve.adev, rtol=1e-8)
+    npt.assert_allclose([float(row["edf"]) for row in mine], curve.edf, rtol=1e-5)
+
+
+def test_a_list_of_times_has_units(tmp_path: Path) -> None:
+    """Seconds, or a number with its unit; each rounds to whole samples."""
+    done = run("adev", MEMS, "-q", "--taus", "0.1, 1s,1min", cwd=tmp_path)
+    taus = [float(row["tau"]) for row in _table(done.stdout) if row["axis"] == "accel_z"]
+    npt.assert_allclose(taus, [0.1, 1.0, 60.0])
+
+
+@pytest.mark.parametrize("text", ["octaves", "-1", "1,,2"])
+def test_refuses_times_that_are_neither(text: str, tmp_path: Path) -> None:
+    """Usage: exit code 2 and what is understood."""
+    done = run("adev", MEMS, f"--taus={text}", cwd=tmp_path)
+    assert done.returncode == 2
+    expected = "is neither octave, decade, decade:20 or all, nor a list of times such as 0.1,1,10min"
+    assert f"Invalid value for '--taus': {text!r} {expected}" in done.stderr
+
+
+def test_a_time_out_of_reach_is_one_message(tmp_path: Path) -> None:
+    """Exit code 4, nothing on standard output."""
+    done = run("adev", MEMS, "-q", "--taus", "100d", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (4, "")
+    assert done.stderr == (
+        "Error: gyro_x: the averaging time 8.64e+06 s is out of reach: the samples support 0.02 s to "
+        "360 s; leave it out or record longer\n"
+    )
+
+
+def test_one_bad_axis_does_not_hide_the_others(tmp_path: Path) -> None:
+    """The others are printed; the message and the exit code tell."""
+    rng = np.random.default_rng(0)
+    lines = ["t,gx,gy,gz"]
+    for i in range(400):
+        x, y = rng.standard_normal(2)
+        lines.append(f"{i / 100},{x:.6f},{y:.6f},nan")
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    done = run("adev", "log.csv", "-q", "--gyro-unit", "rad/s", cwd=tmp_path)
+    assert done.returncode == 4
+    assert {row["axis"] for row in _table(done.stdout)} == {"gyro_x", "gyro_y"}
+    assert done.stderr == (
+        "Error: gyro_z: 0 neighbouring samples are too few for the overlapping estimator; "
+        "at least 2 are needed\n"
+    )
+
+
+def test_a_missing_log_is_exit_code_3(tmp_path: Path) -> None:
+    """The reader's message, no traceback."""
+    done = run("adev", "absent.mcap", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "absent.mcap" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_help_shows_examples(tmp_path: Path) -> None:
+    """A user learns the command from its help."""
+    done = run("adev", "--help", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "imucal adev log.mcap > curves.csv" in done.stdout
