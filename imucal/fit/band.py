@@ -39,6 +39,8 @@ Order: TypeAlias = tuple[int, int]
 BANDS = (1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125)
 #: Misfit score below which a description is sound.
 _SOUND = 3.0
+#: The same for the whole band without a response, where no response would help.
+_SOUND_FLAT = 4.0
 #: Twice the log-likelihood that one, or two more orders of the response may gain by chance. A
 #: filter where there is none costs N a factor of two, so the flat band has the benefit of the doubt.
 _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
@@ -179,13 +181,13 @@ class _Search:
         orders: list[Order] = [(0, 0), (1, 0), (2, 0)]
         start = self.blind(self.ordinates)
         trials = self.fit(self.ordinates, 1.0, orders, np.repeat(start, 3, axis=0))
-        if not _enough(trials, _GAIN_FLAT):
+        if not _enough(trials, _GAIN_FLAT, _SOUND_FLAT):
             # The richer fits may have found a better place for the slow terms: try it without them.
             again = np.concatenate([t.maximum.theta for t in trials])
             again[:, self.width :] = 0.0
             flat = self.fit(self.ordinates, 1.0, [(0, 0)] * 3, again)
             trials[0] = min(flat, key=lambda t: t.maximum.objective[0])
-        return trials[0].band(sound=_enough(trials, _GAIN_FLAT), width=self.width)
+        return trials[0].band(sound=_enough(trials, _GAIN_FLAT, _SOUND_FLAT), width=self.width)
 
     def filtered(self) -> Band:
         """Return the best sound description, or the least bad one."""
@@ -276,11 +278,11 @@ def _flattest(seen: Ordinates, high: NDArray[np.bool_], numerator: FloatArray, o
     return solution
 
 
-def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN) -> bool:
+def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: float = _SOUND) -> bool:
     """Whether the first of nested trials is sound and the next orders gain no more than chance."""
     first = trials[0]
     gains = [2 * float(first.maximum.objective[0] - t.maximum.objective[0]) for t in trials[1:]]
-    return first.statistic < _SOUND and all(g < most for g, most in zip(gains, chance, strict=False))
+    return first.statistic < sound and all(g < most for g, most in zip(gains, chance, strict=False))
 
 
 def _deviation_of_white(candidate: Candidates, maximum: Maximum) -> float:

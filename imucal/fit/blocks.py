@@ -1,6 +1,7 @@
 """AxisSeries -> blocks of ordinates: long gaps part the blocks, short ones are completed."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,7 +173,7 @@ class _Run:
 def _runs(series: AxisSeries) -> tuple[list[_Run], int]:
     """Return the runs of segments between long gaps, and the number of samples in runs too short."""
     segments = series.clock.segments
-    gaps = np.array([b.offset - a.offset - a.size for a, b in zip(segments, segments[1:], strict=False)])
+    gaps = np.array([b.offset - a.offset - a.size for a, b in pairwise(segments)])
     order = np.argsort(-gaps, kind="stable")[: _MOST - 1] if gaps.size else np.zeros(0, dtype=np.int64)
     cuts = sorted(int(i) for i in order if gaps[i] > _LONG)
     runs, first = [], 0

@@ -66,7 +66,9 @@ def profile_limits(
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
-    search = _Search(ordinates, candidates.take(both), maximum, both, columns[both], shortest)
+    search = _Search(
+        ordinates, candidates.take(both), maximum, both, columns=columns[both], shortest=shortest
+    )
     limit = search.run(toward, quantile(level))
     low, high = limit[: columns.size], limit[columns.size :]
     return Limits(low=low, high=high, better=search.better)
@@ -85,6 +87,7 @@ class _Search:
         candidates: Candidates,
         maximum: Maximum,
         rows: IntArray,
+        *,
         columns: IntArray,
         shortest: float,
     ) -> None:

@@ -58,7 +58,7 @@ def find_lines(
         kept = _without(found, reach, size)
     if kept is None:
         return None, ()
-    return kept, _describe(square, kept, level, bins, scale, rate_hz)
+    return kept, _describe(square, kept, level, bins, scale=scale, rate_hz=rate_hz)
 
 
 def _level(square: FloatArray, kept: NDArray[np.bool_] | None, bins: DctBins) -> FloatArray:
@@ -106,6 +106,7 @@ def _describe(
     kept: NDArray[np.bool_],
     level: FloatArray,
     bins: DctBins,
+    *,
     scale: float,
     rate_hz: float,
 ) -> tuple[Line, ...]:

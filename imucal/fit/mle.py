@@ -10,7 +10,7 @@ from imucal.findings import Finding
 from imucal.fit.band import Band, find_band
 from imucal.fit.blocks import Blocks, make_blocks
 from imucal.fit.confusion import choice_findings, near_candidates
-from imucal.fit.estimates import Fitted, Scales, covariance_of, model_of
+from imucal.fit.estimates import Scales, covariance_of, model_of
 from imucal.fit.goodness import Misfit, misfit
 from imucal.fit.ordinates import Ordinates
 from imucal.fit.regressors import choose_regressors

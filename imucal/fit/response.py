@@ -1,7 +1,6 @@
 """The output filter that a fit found, in words and figures."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
@@ -42,9 +41,9 @@ def _power(ordinates: Ordinates, fitted: Fitted, frequency: FloatArray) -> Float
 
 
 def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -> str:
-    """Return the name of the family: ``one-pole``, ``butterworth-2``, ``three-pole`` …"""
+    """Return the name of the family, such as ``one-pole``, ``butterworth-2`` or ``three-pole``."""
     poles, zeros = band.order
-    used: NDArray[np.bool_] = frequency < 0.98
+    used = frequency < 0.98
     if zeros == poles:
         ratio = np.tan(np.pi / 2 * frequency[used]) / np.tan(np.pi / 2 * corner)
         if np.max(np.abs(power[used] - 1 / (1 + ratio ** (2 * poles)))) < _ALIKE:
@@ -83,6 +82,6 @@ def filter_finding(
             code="output-filter",
             axis=axis,
             text=text,
-            advice="The model is that of the noise before the filter: it is right at times longer than the filter's.",
+            advice="The model is that of the noise before the filter, right at times beyond the filter's.",
         ),
     )

@@ -114,7 +114,7 @@ def maximize(
         rows = np.flatnonzero(active)
         if not rows.size:
             break
-        trial = _step(state, rows, moving, damping, low, high)
+        trial = _step(state, rows, moving, damping, (low, high))
         found = evaluate(ordinates, candidates.take(rows), trial, ramp=None if ramp is None else ramp[rows])
         gain = state.objective[rows] - found.objective
         noise = 1e-14 * np.abs(state.objective[rows])
@@ -163,10 +163,10 @@ def _step(
     rows: NDArray[np.int64],
     moving: NDArray[np.bool_],
     damping: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
+    limits: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
     """Return the damped scoring step from where the rows stand, inside the bounds."""
+    low, high = limits
     theta, score = state.theta[rows], state.score[rows]
     at_bound = (theta <= low) & (score > 0) | (theta >= high) & (score < 0)
     move = moving[rows] & ~at_bound

@@ -105,7 +105,7 @@ def choose(
     rows = [row for index in near for row in _distinct(np.flatnonzero(owner == index), rough.objective)]
     index = np.array(rows, dtype=np.int64)
     fine = maximize(ordinates, candidates.take(owner[index]), rough.theta[index], shortest=shortest)
-    return _ranked(structures, candidates, fine, owner[index], near, cost)
+    return _ranked(structures, candidates, fine, owner=owner[index], near=near, cost=cost)
 
 
 def _distinct(rows: IntArray, objective: FloatArray) -> list[int]:
@@ -123,6 +123,7 @@ def _ranked(
     structures: list[Structure],
     candidates: Candidates,
     fine: Maximum,
+    *,
     owner: IntArray,
     near: IntArray,
     cost: FloatArray,

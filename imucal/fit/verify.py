@@ -32,8 +32,8 @@ def verify_findings(
             level="warning" if far else "info",
             code="verified",
             axis=series.name,
-            text=f"The exact state-space likelihood has its maximum {distance[worst]:.2g} standard errors away "
-            f"at most ({worst}).",
+            text="The exact state-space likelihood has its maximum "
+            f"{distance[worst]:.2g} standard errors away at most ({worst}).",
             advice="Trust neither alone: look for lines, a filter or a misfit." if far else "",
         ),
     )

@@ -11,7 +11,6 @@ made of the command, its row and `--seed`, so that rows can be run apart.
 """
 
 import argparse
-import sys
 import zlib
 from collections import Counter
 from collections.abc import Iterator
@@ -75,7 +74,7 @@ def _resonance(place: float, radius: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _biquad(corner: float, quality: float) -> tuple[FloatArray, FloatArray]:
-    """The low-pass biquad of the audio cookbook, with a resonance where quality > 0.7."""
+    """Return the low-pass biquad of the audio cookbook, with a resonance where quality > 0.7."""
     w = np.pi * corner
     alpha, c = np.sin(w) / (2 * quality), np.cos(w)
     top = np.array([(1 - c) / 2, 1 - c, (1 - c) / 2])
@@ -387,4 +386,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from tests.fit.fitting import estimated, fitted, simulated
 
 REPEATS = 150

@@ -105,7 +105,7 @@ def test_is_the_exact_likelihood_of_white_noise_and_random_walk(walk: float) -> 
 
 
 def test_ramp_is_the_generalised_least_squares_solution() -> None:
-    """beta of white noise is the slope of an ordinary straight-line fit."""
+    """Beta of white noise is the slope of an ordinary straight-line fit."""
     samples = np.random.default_rng(4).standard_normal(90) + 0.02 * np.arange(90)
     data = ordinates_of(samples)
     candidate = candidates_of([("N", "R")], data.names)

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import numpy.testing as npt
 import pytest
-from tests.fit.fitting import fitted, simulated
 
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
+from tests.fit.fitting import fitted, simulated
 
 #: Truths of two records of 2e5 samples at 100 Hz, all terms well above what the record can tell.
 PLAIN = "N=1e-3 + B=2e-3 + K=6e-4"
@@ -50,7 +50,7 @@ def test_scaling_rescales_the_estimates_and_nothing_else(gain: float) -> None:
         # Limits are found to a hundredth of a standard error, on a path that rounding changes.
         npt.assert_allclose(after.high, abs(gain) * before.high, rtol=1e-3)
         if before.value is not None:
-            npt.assert_allclose(after.value, abs(gain) * before.value, rtol=1e-5)
+            assert after.value == pytest.approx(abs(gain) * before.value, rel=1e-5)
 
 
 def test_an_offset_changes_nothing() -> None:
@@ -67,7 +67,7 @@ def test_the_rate_only_changes_units() -> None:
     fast = fitted(samples, "N + B + K", rate_hz=1000.0)
     factors = {"N": 10**-0.5, "B": 1.0, "K": 10**0.5}
     for key, factor in factors.items():
-        npt.assert_allclose(fast[key].value, factor * (slow[key].value or 0.0), rtol=1e-9)
+        assert fast[key].value == pytest.approx(factor * (slow[key].value or 0.0), rel=1e-9)
 
 
 def test_is_deterministic() -> None:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imucal.fit.ordinates import exponential_ordinates, ramp_ordinates
 from imucal.allan.dct import dct_ordinates
+from imucal.fit.ordinates import exponential_ordinates, ramp_ordinates
 from tests.fit.fitting import fitted, simulated
 
 N = 40_000
