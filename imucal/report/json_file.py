@@ -176,7 +176,7 @@ def _fit(node: Node, curve_node: Node, sensor: Sensor) -> NoiseFit:
         rate_hz=node["rate_hz"].positive(),
         level=_level(node["level"]),
         model=_model(node["expression"]),
-        estimates=tuple(_estimate(node["terms"][key], key) for key in node["terms"].table()),
+        estimates=_estimates(node["terms"]),
         parameters=parameters,
         covariance=node["covariance"].matrix(len(parameters)),
         goodness=_goodness(node["goodness"]),
@@ -212,6 +212,12 @@ def _model(node: Node) -> NoiseModel:
         return NoiseModel.parse(text)
     except ValueError as error:
         node.fail(f"found a model that can't be read ({error})", "a sum of valued terms")
+
+
+def _estimates(node: Node) -> tuple[Estimate, ...]:
+    for always in ("N", "B", "K"):
+        node[always].table()
+    return tuple(_estimate(node[key], key) for key in node.table())
 
 
 def _estimate(node: Node, key: str) -> Estimate:

@@ -65,20 +65,23 @@ def _all_findings(report: Report) -> list[tuple[str, Finding]]:
 
 def _finding(kind: _Kind, texts: dict[str, list[str]]) -> Markup:
     _, code, advice, keep = kind
-    sentences = [
-        join([element("strong", f"{_names(axes)} ") if _names(axes) else None, _sentence(text), " "])
-        for text, axes in texts.items()
-    ]
+    sentences = [join([_names(axes, text), _sentence(text), " "]) for text, axes in texts.items()]
     body = sentences[0] if len(sentences) == 1 else element("ul", *(element("li", s) for s in sentences))
     part = None
     if keep is not None:
-        part = element("span", f"Part worth keeping: {keep[0]:.0f} s to {keep[1]:.0f} s.", class_="keep")
+        part = element(
+            "span",
+            f"Part worth keeping: {numbers.seconds(keep[0])} to {numbers.seconds(keep[1])}.",
+            class_="keep",
+        )
     hint = element("em", f"{_sentence(advice)} ") if advice else None
     return element("li", element("code", code), " ", body, hint, part)
 
 
-def _names(axes: list[str]) -> str:
-    return " ".join(dict.fromkeys(axis for axis in axes if axis))
+def _names(axes: list[str], text: str) -> Markup | None:
+    """Return the axes in bold, unless the sentence starts with them."""
+    names = " ".join(dict.fromkeys(axis for axis in axes if axis))
+    return element("strong", f"{names} ") if names and not text.startswith(names) else None
 
 
 def _sentence(text: str) -> str:

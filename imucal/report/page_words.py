@@ -1,7 +1,9 @@
 """The page's explanations: what the terms mean, and how the numbers were made."""
 
 import json
+import math
 
+from imucal.fit.result import Goodness
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.markup import Markup, element, join, row, table
@@ -145,6 +147,12 @@ def _fit_table(report: Report) -> Markup:
     return table("The fits", [row(*(element("th", t, scope="col") for t in titles))], body, class_="wide")
 
 
+def _misfit(goodness: Goodness) -> str:
+    if math.isnan(goodness.statistic):
+        return "unknown"
+    return f"{goodness.statistic:.1f} (p = {goodness.p_value:.2g}, χ²/bin {goodness.chi2_per_bin:.3f})"
+
+
 def _fit_row(axis: AxisReport) -> Markup:
     fit, goodness = axis.fit, axis.fit.goodness
     used = []
@@ -163,7 +171,7 @@ def _fit_row(axis: AxisReport) -> Markup:
         "; ".join(used) or "all",
         f"{lines}{more}" if lines else "none",
         f"{fit.response.kind}, {fit.response.cutoff_hz:.3g} Hz" if fit.response else "none found",
-        f"{goodness.statistic:.1f} (p = {goodness.p_value:.2g}, χ²/bin {goodness.chi2_per_bin:.3f})",
+        _misfit(goodness),
         ", ".join(others) or "nothing near",
     )
     return row(element("th", axis.name, scope="row"), *(element("td", cell) for cell in cells))

@@ -6,7 +6,7 @@ import pytest
 
 from imucal.cli._table import summary_table
 from imucal.report.result import Report
-from tests.report.synthetic import consumer_report, small_report
+from tests.report.synthetic import consumer_report, shortest_report, small_report
 
 
 def test_both_sensors_stand_side_by_side() -> None:
@@ -40,7 +40,7 @@ def test_both_sensors_stand_side_by_side() -> None:
     ]
 
 
-@pytest.mark.parametrize("make", [consumer_report, small_report])
+@pytest.mark.parametrize("make", [consumer_report, small_report, lambda: shortest_report(4)])
 @pytest.mark.parametrize("datasheet", [False, True])
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii", "latin-1", "cp1252", "nonsense"])
 def test_it_fits_80_columns_and_the_encoding(make: object, *, datasheet: bool, encoding: str) -> None:

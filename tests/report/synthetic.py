@@ -17,7 +17,7 @@ from imucal.noise.terms import GaussMarkov, NoiseTerm
 from imucal.recording import Axis, Gap, Sensor, Source
 from imucal.report.result import AxisReport, Overview, Report
 
-__all__ = ["axis_report", "consumer_report", "small_report"]
+__all__ = ["axis_report", "consumer_report", "shortest_report", "small_report"]
 
 _RATE_HZ = 200.0
 _HOURS = 3.0
@@ -189,6 +189,27 @@ def small_report() -> Report:
         Sensor.GYROSCOPE, "x", "N=0.001", bounds={"B": 3e-4, "K": 2e-4}, n=2000, overview_size=100
     )
     return replace(consumer_report(), axes=(axis,), findings=())
+
+
+def shortest_report(n: int) -> Report:
+    """Return an axis of a few samples, of which no term is shown and no bound is known."""
+    bounds = {"B": 1.0, "K": 1.0}
+    sensor = Sensor.ACCELEROMETER
+    axis = axis_report(sensor, "z", "N=1e-3", bounds=bounds, n=n, rate_hz=10.0, overview_size=3)
+    unknown = tuple(
+        replace(estimate, status="bounded", value=None, low=0.0, high=np.inf)
+        for estimate in axis.fit.estimates
+    )
+    fit = replace(
+        axis.fit,
+        model=NoiseModel(terms=()),
+        estimates=unknown,
+        parameters=(),
+        covariance=np.zeros((0, 0)),
+        used=axis.fit.used[:0],
+        goodness=Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan),
+    )
+    return replace(small_report(), axes=(replace(axis, fit=fit),))
 
 
 def _curve(model: NoiseModel, rate_hz: float, n: int, rng: np.random.Generator) -> AllanCurve:

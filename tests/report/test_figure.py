@@ -22,7 +22,7 @@ from imucal.report.figure import axis_figure, render, sensor_figure
 from imucal.report.figure_allan import shown_points
 from imucal.report.figure_parts import drawn_terms
 from imucal.report.result import AxisReport
-from tests.report.synthetic import axis_report, consumer_report, small_report
+from tests.report.synthetic import axis_report, consumer_report, shortest_report, small_report
 
 
 def _random_axis(seed: int) -> AxisReport:
@@ -271,3 +271,11 @@ def test_the_check_itself_finds_an_overlap() -> None:
     figure.text(0.5, 0.5, "under")
     with pytest.raises(AssertionError, match="overlaps"):
         _check_texts(figure)
+
+
+@pytest.mark.parametrize("n", [4, 10, 60])
+def test_the_shortest_recordings_can_be_drawn(n: int) -> None:
+    """Two points on the curve, no term shown, nothing known of the bounds."""
+    report = shortest_report(n)
+    _check_texts(axis_figure(report, report.axes[0]))
+    _check_texts(sensor_figure(report, Sensor.ACCELEROMETER))

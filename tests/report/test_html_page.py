@@ -19,7 +19,7 @@ from imucal.report.markup import Markup, element
 from imucal.report.page_data import page_data, standing_out
 from imucal.report.result import Overview, Report
 from tests.report.browser import Browser
-from tests.report.synthetic import consumer_report, small_report
+from tests.report.synthetic import consumer_report, shortest_report, small_report
 
 _CSS = Path(__file__).resolve().parents[2] / "imucal" / "report" / "page" / "page.css"
 
@@ -100,7 +100,7 @@ def test_findings_with_the_same_advice_stand_together() -> None:
     page = html.document_fromstring(render_page(replace(report, axes=tuple(axes), findings=())))
     items = page.get_element_by_id("findings").xpath("./ul/li")
     assert [" ".join(item.text_content().split()) for item in items] == [
-        "odd gyro_x All is odd. gyro_y gyro_y is odd. gyro_z gyro_z is odd. Look at it."
+        "odd gyro_x All is odd. gyro_y is odd. gyro_z is odd. Look at it."
     ]
     calm = replace(report, axes=tuple(replace(axis, findings=()) for axis in report.axes[:2]), findings=())
     text = html.document_fromstring(render_page(calm)).get_element_by_id("findings").text_content()
@@ -194,8 +194,10 @@ def test_texts_have_contrast(theme: str) -> None:
 
 
 def test_an_axis_without_spectrum_and_signal_has_a_page() -> None:
-    """A curve made by another tool has no samples behind it."""
+    """A curve made by another tool has no samples behind it; four samples make two points."""
     assert "Gyroscope x" in render_page(_bare())
+    page = html.document_fromstring(render_page(shortest_report(4)))
+    assert page.xpath("//table[@class='summary']//tr[th='misfit score']/td/text()") == ["unknown"]
 
 
 def _bare() -> Report:
@@ -367,12 +369,13 @@ def test_nothing_that_takes_the_focus_is_without_a_name(browser: Browser, addres
 
 
 def test_a_page_without_samples_shows_what_it_has(browser: Browser, tmp_path: Path) -> None:
-    """A curve made by another tool: no spectrum, no signal, no error in the console."""
+    """A curve made by another tool, and four samples: no spectrum, no signal, no error in the console."""
     path = tmp_path / "report.html"
-    path.write_text(render_page(_bare()), encoding="utf-8")
-    _load(browser, path.as_uri())
-    for plot in ("gyro_x-allan", "gyro_x-psd", "gyro_x-raw"):
-        _show(browser, plot)
+    for report in (_bare(), shortest_report(4)):
+        path.write_text(render_page(report), encoding="utf-8")
+        _load(browser, path.as_uri())
+        for plot in ("allan", "psd", "raw"):
+            _show(browser, f"{report.axes[0].name}-{plot}")
     assert [entry["message"] for entry in browser.logs("browser")] == []
 
 

