@@ -123,8 +123,9 @@ class _Search:
             inverse = covariance(maximum.information[row], self.candidates.free[i])
             deviation = float(np.sqrt(max(inverse[column, column], 1e-12)))
             if self.variance[i]:
+                told = 0.5 * deviation * float(self.centre[i])
                 visible = float(np.exp(0.5 * (low[column] + 12.0)))
-                width[i] = max(0.5 * min(deviation, 2.0) * float(self.centre[i]), visible)
+                width[i] = told if deviation < 1 else max(min(told, float(self.centre[i])), visible)
             else:
                 width[i] = min(deviation, 1.0)
         return width
@@ -145,8 +146,11 @@ class _Search:
             bracketed = np.isfinite(outside)
             u = np.where(bracketed, secant, inside + toward * step)[rows]
             u = np.clip(u, self.low[rows], self.high[rows])
-            found = self.drop(rows, u) - z
+            drop, theta = self.drop(rows, u)
+            found = drop - z
             within = found < 0
+            # From inside only: far outside the other parameters may have gone to another maximum.
+            self.theta[rows[within]] = theta[within]
             edge = np.where(toward[rows] < 0, u <= self.low[rows], u >= self.high[rows])
             unlimited = within & edge
             ins, out = rows[within], rows[~within]
@@ -165,8 +169,8 @@ class _Search:
     def from_u(self, rows: IntArray, u: FloatArray) -> FloatArray:
         return np.where(self.variance[rows], 2 * np.log(np.maximum(u, 1e-200)), u)
 
-    def drop(self, rows: IntArray, u: FloatArray) -> FloatArray:
-        """Return the root of twice the drop of the log-likelihood with the parameter held at `u`."""
+    def drop(self, rows: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the root of twice the drop of the log-likelihood with `u` held, and where that is."""
         start = self.theta[rows].copy()
         plain = ~self.ramp[rows]
         held = np.flatnonzero(plain)
@@ -181,8 +185,7 @@ class _Search:
             tolerance=1e-4,
             iterations=50,
         )
-        self.theta[rows] = found.theta
         drop = found.objective - self.peak[rows]
         self.better = max(self.better, float(-np.min(drop)))
         root: FloatArray = np.sqrt(2 * np.maximum(drop, 0.0))
-        return root
+        return root, found.theta
