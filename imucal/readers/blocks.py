@@ -110,12 +110,12 @@ class BlockReader:
         if self.layout.delimiter == BLANKS:
             block = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", block)
             block = re.sub(rb"[ \t]+", b",", block)
-        elif any(kind == "text" for kind in self.kinds.values()):
-            mark = re.escape(self.layout.delimiter.encode())
-            if b" " in block:
-                block = re.sub(rb"(?m)^ +| *(" + mark + rb") *| +$", rb"\1", block)
         elif b" " in block:
-            block = block.translate(None, b" ")
+            mark = self.layout.delimiter.encode()
+            block = block.replace(mark + b" ", mark)
+            # A blank within a cell stays: without it two numbers would become one.
+            if b" " in block:
+                block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
         if self.layout.decimal == ",":
             block = block.replace(b",", b".")
         return block

@@ -17,6 +17,9 @@ from imucal.units import G0
 
 __all__ = ["named_columns", "propose_columns", "rows_of_tag", "tagged_layout"]
 
+#: A columns text that shows how one is written.
+_EXAMPLE = "t=0,g=1:4,a=4:7"
+
 _VECTOR = ("x", "y", "z")
 
 #: `ros2 topic echo --csv` of sensor_msgs/msg/Imu: the fields of the message in their order.
@@ -118,7 +121,7 @@ def propose_columns(lines: Sequence[str], layout: Layout) -> str:
         layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tag))) or layout
     numeric = [place for place in range(layout.width) if _is_numeric(layout, place)]
     if len(numeric) < 3:
-        return "t=0,g=1:4,a=4:7"
+        return _EXAMPLE
     table = np.array(
         [[float(layout.cells(place)[i]) for place in numeric] for i in range(len(layout.rows))],
         dtype=np.float64,
@@ -142,7 +145,7 @@ def _text(numeric: Sequence[int], time: int | None, accel: int | None, suffix: s
     for key, first in (("g", gyro), ("a", accel)):
         if first is not None:
             parts.append(f"{key}={numeric[first]}:{numeric[first] + 3}{suffix}")
-    return ",".join(parts)
+    return ",".join(parts) if gyro is not None or accel is not None else _EXAMPLE
 
 
 def _is_numeric(layout: Layout, place: int) -> bool:

@@ -163,8 +163,8 @@ def test_columns_text_takes_rows_and_temperature() -> None:
 
 
 FOUND = (
-    "found columns: 0 stamp, 1 wx, 2 wy, 3 wz, 4 ax, 5 ay, 6 az, 7 I, 8 temp; say which are which by a columns "
-    "text such as t=0,g=1:4,a=4:7 (places from 0 with the end left out, or three names joined by +)"
+    "found columns: 0 stamp, 1 wx, 2 wy, 3 wz, 4 ax, 5 ay, 6 az, 7 I, 8 temp; say which are which by a "
+    "columns text such as t=0,g=1:4,a=4:7 (places from 0 with the end left out, or three names joined by +)"
 )
 
 
@@ -257,8 +257,8 @@ def test_two_gyroscopes(tmp_path: Path) -> None:
     content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: 0 t, 1 gyroADC[0], "
-        "2 gyroADC[1], 3 gyroADC[2], 4 gyroUnfilt[0], 5 gyroUnfilt[1], 6 gyroUnfilt[2]; say which are which by "
-        f"a columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
+        "2 gyroADC[1], 3 gyroADC[2], 4 gyroUnfilt[0], 5 gyroUnfilt[1], 6 gyroUnfilt[2]; say which are which "
+        f"by a columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
     )
 
 

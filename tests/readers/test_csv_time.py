@@ -58,9 +58,9 @@ def test_open_unit_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: column 'time', the time of the gyroscope, has no unit, and goes on by 100 a row, which fits "
-        "us and ms; expected a unit in its name, such as time_ms; name the unit in the header, choose another "
-        "time column, or give columns without a time and the rate"
+        f"{path}: column 'time', the time of the gyroscope, has no unit, and goes on by 100 a row, which "
+        "fits us and ms; expected a unit in its name, such as time_ms; name the unit in the header, choose "
+        "another time column, or give columns without a time and the rate"
     )
     assert recorded(tmp_path, "time_ms", [100 * i for i in range(N)]).series[0].rate_hz == pytest.approx(10)
     assert recorded(tmp_path, "time (us)", [100 * i for i in range(N)]).series[0].rate_hz == pytest.approx(
