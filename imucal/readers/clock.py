@@ -93,7 +93,7 @@ def clock_from_stamps(
         log_ns = log_ns[order] if log_ns is not None else None
     stamps, source = _usable(stamps, source, log_ns, notes)
     period = estimate_period(stamps)
-    if period is None and log_ns is not None and source != LOG_TIME:
+    if period is None and log_ns is not None and source != LOG_TIME and stamps.size > 1:
         notes.append(_log_time_note(f"The stamps ({source}) do not advance"))
         stamps, source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
         period = estimate_period(stamps)

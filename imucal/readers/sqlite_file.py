@@ -249,7 +249,7 @@ class SqliteTask:
     def _fetch(self, key: int) -> Batch:
         # No `order by`: it would go through the index of times instead of the table.
         query = "select timestamp, data from messages where id between ? and ? and topic_id = ?"
-        cursor = self._database.execute(query, (*self._rows, key))
+        cursor = self._base.execute(query, (*self._rows, key))
         times: list[int] = []
         blobs: list[bytes] = []
         while rows := cursor.fetchmany(_FETCH):

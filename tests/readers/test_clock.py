@@ -6,7 +6,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.arrays import IntArray
+from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.readers.clock import ClockReading, clock_from_stamps
 
@@ -28,7 +28,7 @@ def codes(reading: ClockReading) -> list[str]:
     return [finding.code for finding in reading.findings]
 
 
-def shifted(by: IntArray) -> IntArray:
+def shifted(by: FloatArray) -> IntArray:
     """Return even stamps with whole ns added."""
     return EVEN + by.astype(np.int64)
 

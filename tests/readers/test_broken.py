@@ -1,0 +1,316 @@
+"""Broken logs of known damage: what is whole is read, and how much was lost is said."""
+
+import shutil
+import sqlite3
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucal.errors import ImucalError, ReadError
+from imucal.readers import describe, read
+from imucal.recording import Recording
+from tests.readers.logs import (
+    TOPIC,
+    Message,
+    imu_messages,
+    samples,
+    store,
+    write_bag,
+    write_db3,
+    write_mcap,
+)
+
+TRUTH = samples(400)
+
+
+def rows(recording: Recording) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return the samples, shape (n, 6)."""
+    return np.array([series.samples for series in recording.series]).T
+
+
+def codes(recording: Recording) -> set[str]:
+    """Return the codes of findings."""
+    return {finding.code for finding in recording.findings}
+
+
+def cut(path: Path, size: int) -> Path:
+    """Cut a copy of a file to a size."""
+    copy = path.with_name(f"{size}-{path.name}")
+    copy.write_bytes(path.read_bytes()[:size])
+    return copy
+
+
+@pytest.mark.parametrize("name", ["mcap-zstd", "mcap-none", "bag-none", "bag-lz4", "db3"])
+def test_a_cut_log_gives_its_first_samples(name: str, tmp_path: Path) -> None:
+    """At forty places: a beginning of the samples, more of them the more of the file is left."""
+    kind, _, compression = name.partition("-")
+    ros1 = kind == "bag"
+    messages = imu_messages(TRUTH, ros1=ros1)
+    if kind == "mcap":
+        path = write_mcap(tmp_path / "log.mcap", messages, compression=compression)
+    elif ros1:
+        path = write_bag(tmp_path / "log.bag", messages, compression=compression)
+    else:
+        path = next(write_db3(tmp_path / "bag", messages).glob("*.db3"))
+    size = path.stat().st_size
+    counts = []
+    for share in np.linspace(0.02, 0.999, 40):
+        copy = cut(path, int(size * share))
+        try:
+            recording = read(copy)
+        except ImucalError as error:
+            assert str(error).startswith(str(copy))  # noqa: PT017 - reading may also succeed
+            counts.append(0)
+            continue
+        n = recording.series[0].n
+        assert np.array_equal(rows(recording), TRUTH.all[:n])
+        assert codes(recording) & {"truncated", "damaged"}
+        counts.append(n)
+    assert counts == sorted(counts)
+    assert counts[-1] >= 380
+    # What is read grows with the file: at three quarters of it, half of the samples at least.
+    assert counts[30] >= 200
+
+
+def test_says_how_much_of_a_cut_file_is_lost(tmp_path: Path) -> None:
+    """In bytes of the file."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression="none")
+    copy = cut(path, path.stat().st_size // 2)
+    finding = read(copy).findings[0]
+    assert finding.code == "truncated"
+    assert finding.text.startswith(
+        "In reading the index, the end of the file is missing; all records were scanned instead. The last "
+    )
+    assert finding.text.endswith(f" of {copy.stat().st_size} bytes are cut or damaged.")
+
+
+def test_the_zeros_of_a_crash_end_a_file(tmp_path: Path) -> None:
+    """File systems leave them where data were not written yet."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2] + bytes(10_000))
+    recording = read(path)
+    n = recording.series[0].n
+    assert 100 < n < 300
+    assert np.array_equal(rows(recording), TRUTH.all[:n])
+    assert "truncated" in codes(recording)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"use_chunking": False},
+        {"index_types": 0},
+        {"use_summary_offsets": False, "repeat_channels": False, "repeat_schemas": False},
+    ],
+    ids=lambda options: next(iter(options)),
+)
+def test_reads_mcap_without_index(options: dict[str, Any], tmp_path: Path) -> None:
+    """Writers may leave out chunks, indexes, and the summary."""
+    if "index_types" in options:
+        from mcap.writer import IndexType
+
+        options = {"index_types": IndexType.NONE}
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), **options)
+    recording = read(path)
+    assert np.array_equal(rows(recording), TRUTH.all)
+    assert describe(path).topics[0].count == 400
+
+
+def chunk_of(path: Path, number: int) -> tuple[int, int]:
+    """Return where the data of an MCAP chunk start, and their size."""
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[number]
+    return chunk.chunk_start_offset + 9 + 40 + len(chunk.compression), chunk.compressed_size
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+def test_a_chunk_with_a_wrong_checksum_is_left_out(compression: str, tmp_path: Path) -> None:
+    """Its samples are a gap, and their number is told."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression=compression)
+    start, size = chunk_of(path, 3)
+    data = bytearray(path.read_bytes())
+    data[start + size // 2] ^= 1
+    path.write_bytes(data)
+    recording = read(path)
+    lost = 400 - recording.series[0].n
+    assert 0 < lost < 40
+    (gap,) = recording.series[0].clock.gaps
+    assert gap.missing == lost
+    damage = next(f for f in recording.findings if f.code in {"crc", "damaged"})
+    assert damage.text.endswith(f"; about {lost} messages are lost.")
+    with pytest.raises(ReadError) as caught:
+        read(path, strict=True)
+    assert str(caught.value) == (f"{path}: the log is damaged, and recovery was not wanted: {damage.text}")
+
+
+def test_a_wrong_message_index_is_walked_around(tmp_path: Path) -> None:
+    """The chunk itself says where its records are."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression="none")
+    start, size = chunk_of(path, 1)
+    data = bytearray(path.read_bytes())
+    # Opcode, length, channel and size stand before the entries of time and offset.
+    struct.pack_into("<Q", data, start + size + 15 + 8, 12345)
+    path.write_bytes(data)
+    recording = read(path)
+    assert np.array_equal(rows(recording), TRUTH.all)
+    assert "index" in codes(recording)
+
+
+def test_reads_an_unindexed_bag(tmp_path: Path) -> None:
+    """As `rosbag record` leaves it when it is killed: no index section, `.bag.active`."""
+    path = write_bag(tmp_path / "log.bag", imu_messages(TRUTH, ros1=True), compression="lz4")
+    data = path.read_bytes()
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    index = int.from_bytes(data[at : at + 8], "little")
+    active = tmp_path / "log.bag.active"
+    active.write_bytes(data[:at] + bytes(8) + data[at + 8 : index])
+    recording = read(active)
+    assert np.array_equal(rows(recording), TRUTH.all)
+    assert recording.findings[0].code == "unindexed"
+    assert recording.findings[0].text == (
+        "In reading the index, the bag was not closed and has no index; all records were scanned instead."
+    )
+
+
+def test_refuses_an_encrypted_bag(tmp_path: Path) -> None:
+    """The bag header names the plugin."""
+    head = b"".join(
+        len(field).to_bytes(4, "little") + field
+        for field in (b"op=\x03", b"index_pos=" + bytes(8), b"encryptor=rosbag/AesCbcEncryptor")
+    )
+    path = tmp_path / "secret.bag"
+    path.write_bytes(b"#ROSBAG V2.0\n" + len(head).to_bytes(4, "little") + head + bytes(4))
+    with pytest.raises(ReadError) as caught:
+        read(path)
+    assert str(caught.value) == (
+        f"{path}: the bag is encrypted by rosbag/AesCbcEncryptor; expected a plain bag, decrypt it first"
+    )
+
+
+def test_refuses_an_old_bag(tmp_path: Path) -> None:
+    """ROS had another format before 2010."""
+    path = tmp_path / "old.bag"
+    path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
+    with pytest.raises(ReadError) as caught:
+        read(path)
+    assert str(caught.value) == (f"{path}: a bag of version 1.2; expected 2.0, convert it with `rosbag fix`")
+
+
+def test_reads_a_write_ahead_log(tmp_path: Path) -> None:
+    """A recorder that was killed leaves messages in the file beside the database."""
+    path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH)).glob("*.db3"))
+    base = sqlite3.connect(path)
+    base.execute("pragma journal_mode=wal")
+    base.execute("pragma wal_autocheckpoint=0")
+    (last,) = base.execute("select data from messages where id = 400").fetchone()
+    base.execute("delete from messages where id > 390")
+    base.execute("insert into messages values (400, 1, ?, ?)", (int(TRUTH.log[-1]), last))
+    base.commit()
+    killed = tmp_path / "killed.db3"
+    for suffix in ("", "-wal", "-shm"):
+        shutil.copy(f"{path}{suffix}", f"{killed}{suffix}")
+    base.close()
+    recording = read(killed)
+    assert np.array_equal(rows(recording), TRUTH.all[[*range(390), 399]])
+
+
+def test_a_write_ahead_log_that_can_not_be_read_is_told(tmp_path: Path) -> None:
+    """What a damaged one holds is left out by SQLite; the rest is there."""
+    path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH)).glob("*.db3"))
+    path.with_name(path.name + "-wal").write_bytes(b"no write-ahead log" * 100)
+    assert np.array_equal(rows(read(path)), TRUTH.all)
+
+
+def test_rows_over_several_pages_are_read(tmp_path: Path) -> None:
+    """Pages of 512 bytes hold no message of 330 whole; images of other topics never fit."""
+    types = store()
+    kind = "std_msgs/msg/String"
+    big = bytes(types.serialize_cdr(types.types[kind](data="x" * 20_000), kind))
+    image = [Message(topic="/image", type=kind, log=int(TRUTH.log[row]) + 1, data=big) for row in (5, 200)]
+    messages = sorted(imu_messages(TRUTH) + image, key=lambda message: message.log)
+    path = next(write_db3(tmp_path / "bag", messages).glob("*.db3"))
+    assert np.array_equal(rows(read(path)), TRUTH.all)
+    base = sqlite3.connect(path, isolation_level=None)
+    base.execute("pragma page_size=512")
+    base.execute("vacuum")
+    base.close()
+    recording = read(path)
+    assert np.array_equal(rows(recording), TRUTH.all)
+    assert codes(recording) == {"delay"}
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+def test_claims_of_impossible_sizes_take_no_memory(compression: str, tmp_path: Path) -> None:
+    """A chunk that says it holds an exabyte."""
+    import tracemalloc
+
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression=compression)
+    start, _ = chunk_of(path, 2)
+    data = bytearray(path.read_bytes())
+    # The uncompressed size stands before checksum, name of the compression and size of the data.
+    struct.pack_into("<Q", data, start - 8 - (len(compression) if compression != "none" else 0) - 16, 1 << 60)
+    path.write_bytes(data)
+    tracemalloc.start()
+    recording = read(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert 300 < recording.series[0].n < 400
+    assert peak < 100e6
+
+
+def test_a_bag_that_claims_billions_of_messages_takes_no_memory(tmp_path: Path) -> None:
+    """The counts of the index section are not believed beyond what the chunk can hold."""
+    path = write_bag(tmp_path / "log.bag", imu_messages(TRUTH, ros1=True))
+    data = bytearray(path.read_bytes())
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    index = int.from_bytes(data[at : at + 8], "little")
+    chunk = data.index(b"chunk_pos=", index)
+    place = data.index((0).to_bytes(4, "little") + (23).to_bytes(4, "little"), chunk)
+    struct.pack_into("<I", data, place + 4, (1 << 32) - 1)
+    path.write_bytes(data)
+    assert np.array_equal(rows(read(path)), TRUTH.all)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("no.mcap", b"", "the file is empty; expected a log"),
+        ("no.db3", b"SQLite format 3\0" + bytes(100), "the SQLite database can't be read"),
+        ("no.bag", b"#ROSBAG V2.0\n", "a record header is damaged, and no whole chunk was found"),
+        ("no.mcap", b"\x89MCAP0\r\n", "the file does not start and end as an MCAP file, and no whole record"),
+        ("no.bin", bytes(range(256)) * 8, "binary data of an unknown format (first bytes 00 01 02 03"),
+    ],
+)
+def test_says_what_a_file_is_not(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+    """Empty and hollow files."""
+    path = tmp_path / name
+    path.write_bytes(content)
+    for action in (read, describe):
+        with pytest.raises(ReadError) as caught:
+            action(path)
+        assert str(caught.value).startswith(f"{path}: {message}")
+
+
+def test_says_that_there_is_no_file(tmp_path: Path) -> None:
+    """And why."""
+    path = tmp_path / "nowhere.mcap"
+    with pytest.raises(ReadError) as caught:
+        read(path)
+    assert str(caught.value) == f"{path}: can't be opened: No such file or directory"
+
+
+def test_an_empty_topic_says_so(tmp_path: Path) -> None:
+    """A bag that was started and stopped."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(1))[:0])
+    with pytest.raises(ReadError) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert TOPIC not in str(caught.value)

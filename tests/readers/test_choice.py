@@ -1,0 +1,224 @@
+"""Which topic is read: never a silent pick, and a message that lists what there is."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucal.errors import ChoiceError, DataError
+from imucal.readers import describe, read
+from imucal.recording import Sensor
+from tests.readers.logs import (
+    Message,
+    Samples,
+    header,
+    imu_messages,
+    samples,
+    store,
+    write_bag,
+    write_mcap,
+)
+
+TRUTH = samples(120)
+
+
+def merged(*parts: list[Message]) -> list[Message]:
+    """Return messages in order of log time."""
+    return sorted((message for part in parts for message in part), key=lambda message: message.log)
+
+
+def only(truth: Samples, sensor: Sensor) -> Samples:
+    """Return samples whose other sensor is all zero, as RealSense drivers write them."""
+    zero = np.zeros_like(truth.gyro)
+    gyro = truth.gyro if sensor is Sensor.GYROSCOPE else zero
+    accel = truth.accel if sensor is Sensor.ACCELEROMETER else zero
+    return Samples(stamps=truth.stamps, log=truth.log, gyro=gyro, accel=accel)
+
+
+def test_lists_several_imu_topics(tmp_path: Path) -> None:
+    """Type, count, rate and duration of each; nothing is read."""
+    other = samples(61, rate=50.0, seed=9)
+    messages = merged(imu_messages(TRUTH, topic="/imu/data"), imu_messages(other, topic="/imu/raw"))
+    path = write_mcap(tmp_path / "log.mcap", messages)
+    with pytest.raises(ChoiceError) as caught:
+        read(path)
+    assert str(caught.value) == (
+        f"{path}: 2 topics carry IMU samples; choose one of these topics\n"
+        "  /imu/data  sensor_msgs/msg/Imu  120 messages  100 Hz  1.19 s\n"
+        "  /imu/raw   sensor_msgs/msg/Imu   61 messages   50 Hz  1.2 s"
+    )
+    recording = read(path, topic="/imu/raw")
+    assert np.array_equal(recording.series[0].samples, other.gyro[:, 0])
+    assert recording.source.decisions[0] == ("topic", "/imu/raw: as asked for")
+    assert read(path, topic="imu/data").source.topics == ("/imu/data",)
+
+
+def test_takes_each_sensor_of_a_realsense_from_its_topic(tmp_path: Path) -> None:
+    """Two Imu topics at two rates, each with one sensor: two clocks, nothing interpolated."""
+    gyro, accel = samples(400, rate=400.0), samples(63, rate=63.0, seed=8)
+    messages = merged(
+        imu_messages(only(gyro, Sensor.GYROSCOPE), topic="/camera/gyro/sample"),
+        imu_messages(only(accel, Sensor.ACCELEROMETER), topic="/camera/accel/sample"),
+    )
+    path = write_mcap(tmp_path / "log.mcap", messages)
+    recording = read(path)
+    assert [(s.name, s.n) for s in recording.series] == [
+        ("gyro_x", 400), ("gyro_y", 400), ("gyro_z", 400), ("accel_x", 63), ("accel_y", 63), ("accel_z", 63),
+    ]  # fmt: skip
+    assert recording.series[0].rate_hz == pytest.approx(400, rel=1e-6)
+    assert recording.series[3].rate_hz == pytest.approx(63, rel=1e-6)
+    assert np.array_equal(recording.series[5].samples, accel.accel[:, 2])
+    assert recording.source.topics == ("/camera/gyro/sample", "/camera/accel/sample")
+    contents = describe(path)
+    assert {topic.name: topic.sensors for topic in contents.topics} == {
+        "/camera/gyro/sample": (Sensor.GYROSCOPE,),
+        "/camera/accel/sample": (Sensor.ACCELEROMETER,),
+    }
+    assert contents.topics[0].note == "accelerometer constant: no data"
+    reverse = read(path, topic=["/camera/accel/sample", "/camera/gyro/sample"])
+    assert reverse.source.topics == recording.source.topics
+
+
+def test_a_sensor_that_never_changes_has_no_data(tmp_path: Path) -> None:
+    """It is left out, and said."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(only(TRUTH, Sensor.GYROSCOPE)))
+    recording = read(path)
+    assert [series.name for series in recording.series] == ["gyro_x", "gyro_y", "gyro_z"]
+    finding = next(finding for finding in recording.findings if finding.code == "no-data")
+    assert finding.text == "The accelerometer of topic /imu/data is always (0, 0, 0): it has no data."
+    assert finding.axis == "accel"
+
+
+def test_a_log_of_constants_has_no_data(tmp_path: Path) -> None:
+    """Neither sensor changes."""
+    still = Samples(stamps=TRUTH.stamps, log=TRUTH.log, gyro=TRUTH.gyro * 0, accel=TRUTH.accel * 0 + 1)
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(still))
+    with pytest.raises(DataError, match="no sensor has samples that change"):
+        read(path)
+
+
+def vectors(topic: str, values: np.ndarray[Any, np.dtype[np.float64]]) -> list[Message]:
+    """Return Vector3Stamped messages."""
+    types = store()
+    vector, stamped = (types.types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Vector3Stamped"))
+    kind = "geometry_msgs/msg/Vector3Stamped"
+    return [
+        Message(
+            topic=topic,
+            type=kind,
+            log=log,
+            data=bytes(types.serialize_cdr(stamped(header(types, stamp), vector(*row)), kind)),
+        )
+        for log, stamp, row in zip(TRUTH.log.tolist(), TRUTH.stamps.tolist(), values.tolist(), strict=True)
+    ]
+
+
+def test_reads_plain_vectors_only_by_name(tmp_path: Path) -> None:
+    """A vector may be anything: it is listed, and read where the caller names it."""
+    messages = merged(vectors("/imu/gyro", TRUTH.gyro), vectors("/imu/accel", TRUTH.accel))
+    path = write_mcap(tmp_path / "log.mcap", messages)
+    with pytest.raises(ChoiceError) as caught:
+        read(path)
+    assert str(caught.value) == (
+        f"{path}: no topic carries IMU messages, only vectors that may be anything; choose one of these "
+        "topics\n"
+        "  /imu/gyro   geometry_msgs/msg/Vector3Stamped  120 messages  100 Hz  1.19 s\n"
+        "  /imu/accel  geometry_msgs/msg/Vector3Stamped  120 messages  100 Hz  1.19 s"
+    )
+    recording = read(path, topic=["/imu/gyro", "/imu/accel"])
+    found = np.array([series.samples for series in recording.series]).T
+    assert np.array_equal(found, TRUTH.all)
+    assert [s.name for s in read(path, topic="/imu/accel").series] == ["accel_x", "accel_y", "accel_z"]
+
+
+def test_two_nameless_vectors_are_gyroscope_and_accelerometer_in_that_order(tmp_path: Path) -> None:
+    """The caller's order decides where no name does."""
+    messages = merged(vectors("/a", TRUTH.gyro), vectors("/b", TRUTH.accel))
+    recording = read(write_mcap(tmp_path / "log.mcap", messages), topic=["/a", "/b"])
+    assert np.array_equal(recording.axis("gyroscope", "x").samples, TRUTH.gyro[:, 0])
+    assert np.array_equal(recording.axis("accelerometer", "x").samples, TRUTH.accel[:, 0])
+
+
+def test_names_what_there_is_instead(tmp_path: Path) -> None:
+    """A topic that is not there, and one that has no samples of an IMU."""
+    types = store(ros1=True)
+    kind = "std_msgs/msg/String"
+    text = bytes(types.serialize_ros1(types.types[kind](data="hello"), kind))
+    chatter = [Message(topic="/chatter", type=kind, log=log, data=text) for log in TRUTH.log.tolist()]
+    path = write_bag(tmp_path / "log.bag", merged(imu_messages(TRUTH, ros1=True), chatter))
+    listed = (
+        "  /imu/data  sensor_msgs/Imu  120 messages  100 Hz  1.19 s\n"
+        "  /chatter   std_msgs/String  120 messages  100 Hz  1.19 s"
+    )
+    with pytest.raises(ChoiceError) as caught:
+        read(path, topic="/imu")
+    assert str(caught.value) == f"{path}: there is no topic /imu; choose one of these topics\n{listed}"
+    with pytest.raises(ChoiceError) as caught:
+        read(path, topic="/chatter")
+    assert str(caught.value) == (
+        f"{path}: topic /chatter of type std_msgs/String can't be read: its definition has no angular "
+        "velocity or linear acceleration"
+    )
+    path = write_bag(tmp_path / "other.bag", chatter)
+    with pytest.raises(ChoiceError) as caught:
+        read(path)
+    assert str(caught.value) == (
+        f"{path}: no topic carries a gyroscope or an accelerometer; found\n"
+        "  /chatter  std_msgs/String  120 messages  100 Hz  1.19 s"
+    )
+
+
+def test_refuses_a_time_that_messages_do_not_have(tmp_path: Path) -> None:
+    """The name of a column, for a log of messages."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH))
+    with pytest.raises(ChoiceError) as caught:
+        read(path, time="t_us")
+    assert str(caught.value) == f"{path}: messages have no time called 't_us'; expected header or log"
+
+
+def test_refuses_three_topics(tmp_path: Path) -> None:
+    """There are two sensors."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH))
+    with pytest.raises(ChoiceError, match="3 topics are named; expected one, or one for each sensor"):
+        read(path, topic=["/a", "/b", "/c"])
+
+
+def test_zero_stamps_give_way_to_log_time(tmp_path: Path) -> None:
+    """Drivers that leave the stamp empty."""
+    empty = Samples(stamps=TRUTH.stamps * 0, log=TRUTH.log, gyro=TRUTH.gyro, accel=TRUTH.accel)
+    recording = read(write_mcap(tmp_path / "log.mcap", imu_messages(empty)))
+    assert recording.series[0].clock.source == "log time"
+    assert recording.series[0].rate_hz == pytest.approx(100, rel=1e-9)
+    assert recording.findings[0].code == "log-time-used"
+
+
+def test_messages_out_of_order_are_sorted_by_log_time(tmp_path: Path) -> None:
+    """Chunks written by several threads."""
+    messages = imu_messages(TRUTH)
+    shuffled = messages[60:] + messages[:60]
+    recording = read(write_mcap(tmp_path / "log.mcap", shuffled))
+    found = np.array([series.samples for series in recording.series]).T
+    assert np.array_equal(found, TRUTH.all)
+    assert recording.findings[0].text == (
+        "1 messages stand in the file before earlier ones; they were put in order of log time."
+    )
+
+
+def test_a_recorder_whose_clock_was_set_back_keeps_its_order(tmp_path: Path) -> None:
+    """The stamps are in order, so the file is."""
+    log = np.where(np.arange(120) < 60, TRUTH.log, TRUTH.log - 3600 * 10**9)
+    late = Samples(stamps=TRUTH.stamps, log=log, gyro=TRUTH.gyro, accel=TRUTH.accel)
+    recording = read(write_mcap(tmp_path / "log.mcap", imu_messages(late)))
+    found = np.array([series.samples for series in recording.series]).T
+    assert np.array_equal(found, TRUTH.all)
+    assert recording.findings[0].code == "log-out-of-order"
+
+
+def test_a_log_recorded_twice_is_read_once(tmp_path: Path) -> None:
+    """Two subscriptions to one topic."""
+    messages = imu_messages(TRUTH)
+    recording = read(write_mcap(tmp_path / "log.mcap", merged(messages, messages)))
+    found = np.array([series.samples for series in recording.series]).T
+    assert np.array_equal(found, TRUTH.all)
+    assert "duplicate-stamps" in [finding.code for finding in recording.findings]

@@ -1,0 +1,187 @@
+"""Bags of several files, and several files as one recording."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucal.errors import ReadError
+from imucal.readers import describe, read
+from imucal.readers.rosbag2_folder import natural, parse_metadata
+from imucal.recording import Recording
+from tests.readers.logs import TOPIC, Samples, imu_messages, samples, write_bag, write_db3, write_mcap
+
+TRUTH = samples(400)
+
+
+def part(first: int, last: int) -> Samples:
+    """Return some of the samples."""
+    chosen = slice(first, last)
+    return Samples(
+        stamps=TRUTH.stamps[chosen], log=TRUTH.log[chosen], gyro=TRUTH.gyro[chosen], accel=TRUTH.accel[chosen]
+    )
+
+
+def rows(recording: Recording) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return the samples, shape (n, 6)."""
+    return np.array([series.samples for series in recording.series]).T
+
+
+EUROC = (
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+)
+METADATA = """rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: mcap
+  compression_format: "{format}"
+  compression_mode: "{mode}"
+  relative_file_paths:
+    - bag_10.mcap
+    - "bag_2.mcap"
+  topics_with_message_count:
+    - topic_metadata:
+        name: /imu/data
+        type: sensor_msgs/msg/Imu
+        serialization_format: cdr
+      message_count: 400
+    - message_count: 7
+      topic_metadata:
+        name: '/other'
+        type: std_msgs/msg/String
+  files:
+    - path: bag_10.mcap
+      message_count: 200
+"""
+
+
+def split(folder: Path) -> Path:
+    """Write a bag of two files, whose names sort against their order."""
+    folder.mkdir()
+    write_mcap(folder / "bag_10.mcap", imu_messages(part(0, 200)))
+    write_mcap(folder / "bag_2.mcap", imu_messages(part(200, 400)))
+    return folder
+
+
+def test_reads_files_in_the_order_of_the_metadata(tmp_path: Path) -> None:
+    """One recording without a gap."""
+    folder = split(tmp_path / "bag")
+    (folder / "metadata.yaml").write_text(METADATA, encoding="utf-8")
+    recording = read(folder)
+    assert np.array_equal(rows(recording), TRUTH.all)
+    assert len(recording.series[0].clock.segments) == 1
+    assert recording.source.format == "rosbag2-mcap"
+    contents = describe(folder)
+    assert contents.topics[0].count == 400
+    assert contents.duration_s == pytest.approx(3.99)
+    assert contents.size_bytes == sum(file.stat().st_size for file in folder.glob("*.mcap"))
+
+
+def test_reads_a_folder_without_metadata(tmp_path: Path) -> None:
+    """In natural order, and by log time where that is wrong."""
+    recording = read(split(tmp_path / "bag"))
+    assert np.array_equal(rows(recording), TRUTH.all)
+    assert "log-out-of-order" in [finding.code for finding in recording.findings]
+
+
+def test_says_which_file_is_missing(tmp_path: Path) -> None:
+    """What is there is read."""
+    folder = split(tmp_path / "bag")
+    (folder / "metadata.yaml").write_text(METADATA, encoding="utf-8")
+    (folder / "bag_2.mcap").unlink()
+    recording = read(folder)
+    assert np.array_equal(rows(recording), TRUTH.all[:200])
+    assert recording.findings[0].text == ("1 files of the bag are missing: bag_2.mcap; their time is a gap.")
+
+
+def test_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
+    """And says what is in it."""
+    folder = tmp_path / "data"
+    folder.mkdir()
+    (folder / "notes.md").write_text("nothing", encoding="utf-8")
+    with pytest.raises(ReadError) as caught:
+        read(folder)
+    assert str(caught.value) == (
+        f"{folder}: not the folder of a ROS 2 bag: it holds notes.md; expected .mcap or .db3 files"
+    )
+
+
+def test_finds_what_matters_in_the_metadata() -> None:
+    """Files, compression, messages of each topic, whatever the order of keys and quotes."""
+    names, mode, counts = parse_metadata(METADATA.format(format="zstd", mode="MESSAGE"))
+    assert names == ("bag_10.mcap", "bag_2.mcap")
+    assert mode == "MESSAGE"
+    assert counts == {"/imu/data": 400, "/other": 7}
+
+
+def test_numbers_sort_as_numbers() -> None:
+    """bag_10 comes after bag_2."""
+    names = ["bag_10.mcap", "bag_2.mcap", "bag_0.mcap", "a.mcap"]
+    assert sorted(names, key=lambda name: natural(Path(name))) == [
+        "a.mcap", "bag_0.mcap", "bag_2.mcap", "bag_10.mcap",
+    ]  # fmt: skip
+
+
+def test_joins_files_of_one_recording_with_a_gap(tmp_path: Path) -> None:
+    """A bag and an MCAP file: formats may differ, what is missing between them is a gap."""
+    first = write_mcap(tmp_path / "a_1.mcap", imu_messages(part(0, 150)))
+    last = write_db3(tmp_path / "a_2", imu_messages(part(160, 400)))
+    recording = read(last, first)
+    assert np.array_equal(rows(recording), np.delete(TRUTH.all, np.s_[150:160], axis=0))
+    (gap,) = recording.series[0].clock.gaps
+    assert gap.missing == 10
+    assert recording.source.path == f"{first}, {last}"
+    assert recording.source.topics == (TOPIC,)
+
+
+def test_joins_tables_file_by_file(tmp_path: Path) -> None:
+    """By the time of their first samples."""
+    paths = []
+    for name, chosen in (("b.csv", part(0, 150)), ("a.csv", part(160, 400))):
+        path = tmp_path / name
+        lines = [EUROC]
+        for stamp, row in zip(chosen.stamps.tolist(), chosen.all.tolist(), strict=True):
+            lines.append(",".join([str(stamp), *map(repr, row)]))
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        paths.append(path)
+    recording = read(*paths)
+    assert np.array_equal(rows(recording), np.delete(TRUTH.all, np.s_[150:160], axis=0))
+    (gap,) = recording.series[0].clock.gaps
+    assert gap.missing == 10
+    assert recording.series[0].rate_hz == pytest.approx(100)
+
+
+def test_refuses_files_of_different_rates(tmp_path: Path) -> None:
+    """They are not of one recording."""
+    first = write_mcap(tmp_path / "a_1.mcap", imu_messages(part(0, 150)))
+    table = tmp_path / "a_2.csv"
+    other = samples(50, rate=50.0)
+    numbers = [[row / 50, *other.all[row].tolist()] for row in range(50)]
+    lines = ["time,gx,gy,gz,ax,ay,az", *(",".join(map(repr, row)) for row in numbers)]
+    table.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(ReadError) as caught:
+        read(first, table)
+    assert str(caught.value) == (
+        f"{first}: its rate is 100 Hz, that of {table} 50 Hz; expected files of one recording"
+    )
+
+
+def test_reads_a_zstd_file_alone(tmp_path: Path) -> None:
+    """`.db3.zstd` and `.mcap.zstd` without their folder; a cut one gives what came before."""
+    path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH), compression="file").glob("*.zstd"))
+    assert np.array_equal(rows(read(path)), TRUTH.all)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 4])
+    recording = read(path)
+    n = recording.series[0].n
+    assert np.array_equal(rows(recording), TRUTH.all[:n])
+    assert "truncated" in [finding.code for finding in recording.findings]
+
+
+def test_a_bag_of_ros1_joins_too(tmp_path: Path) -> None:
+    """`rosbag record --split` writes `_0.bag`, `_1.bag`."""
+    first = write_bag(tmp_path / "log_0.bag", imu_messages(part(0, 200), ros1=True))
+    last = write_bag(tmp_path / "log_1.bag", imu_messages(part(200, 400), ros1=True), compression="bz2")
+    recording = read(first, last)
+    assert np.array_equal(rows(recording), TRUTH.all)
+    assert recording.series[0].clock.missing == 0
