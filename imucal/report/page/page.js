@@ -118,24 +118,24 @@
     const r = { t: times(axis.raw.t, 1 / seconds), gaps: axis.raw.gaps.map((g) => times(g, 1 / seconds)), out: times(axis.raw.out, 1 / seconds), low: axis.raw.low, high: axis.raw.high };
     const low = times(r.low, factor), high = times(r.high, factor);
     const fill = isDark() ? "rgba(93,182,242,.45)" : "rgba(0,99,163,.4)";
-    const traces = [];
-    // A fill can't jump over a gap, so each unbroken run is a pair of traces of its own.
-    let start = -1;
-    for (let i = 0; i <= r.t.length; i++) {
-      const known = i < r.t.length && low[i] !== null;
-      if (known && start < 0) start = i;
-      if (!known && start >= 0) {
-        const cut = (values) => values.slice(start, i);
-        const edge = { color: colour("model"), width: 0.8 };
-        traces.push({ x: cut(r.t), y: cut(low), mode: "lines", line: edge, hoverinfo: "skip", showlegend: false });
-        traces.push({
-          x: cut(r.t), y: cut(high), mode: "lines", meta: "points", line: edge, fill: "tonexty", fillcolor: fill,
-          showlegend: false, customdata: cut(low).map((v, k) => [number(v), number(cut(high)[k]), number(r.t[start + k])]),
-          hovertemplate: `%{customdata[2]} ${clock}<br>%{customdata[0]} to %{customdata[1]} ${unit}<extra></extra>`,
-        });
-        start = -1;
-      }
+    // One outline for each unbroken run, all in one trace: there and back, then a null.
+    const x = [], y = [], known = [];
+    for (let start = 0, i = 0; i <= r.t.length; i++) {
+      if (i < r.t.length && low[i] !== null) { known.push(i); continue; }
+      const run = known.slice(start);
+      start = known.length;
+      if (!run.length) continue;
+      const back = [...run].reverse();
+      x.push(...[...run, ...back, run[0]].map((k) => r.t[k]), null);
+      y.push(...run.map((k) => high[k]), ...back.map((k) => low[k]), high[run[0]], null);
     }
+    const traces = [
+      { x, y, mode: "lines", fill: "toself", fillcolor: fill, line: { color: colour("model"), width: 0.8 }, hoverinfo: "skip", showlegend: false },
+      { x: known.map((k) => r.t[k]), y: known.map((k) => (low[k] + high[k]) / 2), mode: "markers", meta: "points",
+        marker: { opacity: 0, color: colour("model") }, showlegend: false,
+        customdata: known.map((k) => [number(low[k]), number(high[k]), number(r.t[k])]),
+        hovertemplate: `%{customdata[2]} ${clock}<br>%{customdata[0]} to %{customdata[1]} ${unit}<extra></extra>` },
+    ];
     const shapes = r.gaps.map(([from, to]) => ({
       type: "rect", xref: "x", yref: "paper", x0: from, x1: to, y0: 0, y1: 1, layer: "below",
       fillcolor: colour("line"), opacity: 0.22, line: { color: colour("line"), width: 1 },
@@ -149,9 +149,9 @@
         hovertemplate: `%{x:.4g} ${clock}: samples far from their neighbours<extra></extra>`,
       });
     }
-    return [traces, layout(scale(`time (${clock})`), scale(unit, { exponentformat: "power", nticks: 5 }), {
+    return [traces, layout(scale(`time (${clock})`, { range: [0, last / seconds || 1] }), scale(unit, { exponentformat: "power", nticks: 5 }), {
       shapes, legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", yref: "paper" }, margin: { l: 64, r: 12, t: 30, b: 40 },
-      showlegend: r.gaps.length + r.out.length > 0,
+      showlegend: r.gaps.length + r.out.length > 0, hovermode: "x",
     })];
   }
 
