@@ -18,6 +18,8 @@ __all__ = ["find_lines"]
 _CHANCE = 0.01
 #: Ordinates that are never left out, and half the number of bins that make the local level.
 _LOWEST, _NEIGHBOURS = 24, 8
+#: Degrees of freedom of a median per ordinate it is made of: 0.64 for many, 0.5 for single ones.
+_MEDIAN_EFFICIENCY = 0.5
 #: A line's tail is left out until it is this part of the level.
 _TAIL = 0.05
 #: Fewest neighbours left out on each side, and most, as a share of the frequency.
@@ -36,18 +38,16 @@ def find_lines(
     scale
         U per scaled unit, for the lines' amplitudes.
     """
-    from scipy.special import chdtri
-
     size = ordinates.size
-    limit = float(chdtri(1, _CHANCE / max(size, 1)))
     square = ordinates * ordinates
     starts = bins.first - 1
     peaks = np.maximum.reduceat(square, starts)
     kept: NDArray[np.bool_] | None = None
     for _ in range(2):
-        level = _level(square, kept, bins)
-        suspects = np.flatnonzero(peaks > limit * level)
-        found = _beyond(square, bins, suspects, limit * level)
+        level, sureness = _level(square, kept, bins)
+        limit = level * _limit(sureness, _CHANCE / max(size, 1))
+        suspects = np.flatnonzero(peaks > limit)
+        found = _beyond(square, bins, suspects, limit)
         found = found[found >= _LOWEST]
         if not found.size:
             break
@@ -61,8 +61,25 @@ def find_lines(
     return kept, _describe(square, kept, level, bins, scale=scale, rate_hz=rate_hz)
 
 
-def _level(square: FloatArray, kept: NDArray[np.bool_] | None, bins: DctBins) -> FloatArray:
-    """Return the local level of the squares for each bin: a median of the neighbouring bins' means."""
+def _limit(sureness: FloatArray, chance: float) -> FloatArray:
+    """Return how far above the local level a square lies with a probability of `chance`.
+
+    The level is itself estimated: the ratio follows F(1, dof of the level), whose tail is far
+    heavier than chi-squared's where few ordinates make the level.
+    """
+    from scipy.special import fdtri
+
+    limit: FloatArray = fdtri(1.0, sureness, 1.0 - chance)
+    return limit
+
+
+def _level(
+    square: FloatArray, kept: NDArray[np.bool_] | None, bins: DctBins
+) -> tuple[FloatArray, FloatArray]:
+    """Return the local level of the squares for each bin and its degrees of freedom.
+
+    The level is a median of the neighbouring bins' means.
+    """
     starts = bins.first - 1
     if kept is None:
         count = bins.count.astype(np.float64)
@@ -78,7 +95,8 @@ def _level(square: FloatArray, kept: NDArray[np.bool_] | None, bins: DctBins) ->
     padded = np.pad(mean, _NEIGHBOURS, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1)
     level: FloatArray = np.exp(np.median(windows, axis=1))
-    return level
+    ordinates = np.convolve(np.pad(count, _NEIGHBOURS, mode="edge"), np.ones(2 * _NEIGHBOURS + 1), "valid")
+    return level, np.maximum(_MEDIAN_EFFICIENCY * ordinates, 1.0)
 
 
 def _beyond(square: FloatArray, bins: DctBins, suspects: IntArray, limit: FloatArray) -> IntArray:
