@@ -128,12 +128,9 @@ def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, F
     Every lag stands alone about the kinks 0, m, … order m; between, points thin out and the
     trapezoid rule carries the lags they stand for.
     """
-    if stride > 1:
-        lags = np.arange(0, last + 1, stride)
-    elif last <= _ALL_LAGS:
-        lags = np.arange(last + 1)
-    else:
-        lags = _graded(m, last, order)
+    steps = last // stride
+    lags = np.arange(steps + 1) if steps <= _ALL_LAGS else _graded(m // stride, steps, order)
+    lags = lags * stride
     gaps = np.diff(lags) / stride - 1.0
     weights = np.ones(lags.size)
     weights[1:] += gaps / 2

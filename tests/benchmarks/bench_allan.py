@@ -1,0 +1,208 @@
+"""The Allan engine beside AllanTools and plain NumPy: CPU time, memory, bandwidth, rounding.
+
+    python tests/benchmarks/bench_allan.py [--large]
+
+Every contender runs in a process of its own, so that none profits from another's warm memory; times
+are CPU seconds (user and system) of the first call and of the best of three. ``--large`` adds
+n = 1e8: the relative error against exact integers on a mean of 9.8 million sigma, and the
+cascade over six axes of 86 million samples.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from imucal.allan.cascade import Cascade
+from imucal.allan.confidence import degrees_of_freedom
+from imucal.allan.estimators import ESTIMATORS
+from imucal.allan.variance import variances
+from imucal.arrays import FloatArray, IntArray
+
+__all__ = ["main"]
+
+OVERLAPPING = ESTIMATORS["overlapping"]
+
+
+def factors(n: int) -> IntArray:
+    """Return some 90 factors up to n/10, evenly spaced in log."""
+    return np.unique(np.round(np.logspace(0, np.log10(n / 10), 100)).astype(np.int64))
+
+
+def plain(samples: FloatArray, m: IntArray) -> FloatArray:
+    """Return the overlapping variances as a script computes them, with full-length temporaries."""
+    angle = np.concatenate([[0.0], np.cumsum(samples - samples.mean())])
+    avar = np.empty(m.size)
+    for i, k in enumerate(m.tolist()):
+        steps = angle[2 * k :] - 2 * angle[k:-k] + angle[: -2 * k]
+        avar[i] = np.mean(steps**2) / (2 * k * k)
+    return avar
+
+
+def allantools(samples: FloatArray, m: IntArray) -> FloatArray:
+    import allantools as peer
+
+    _, deviation, _, _ = peer.oadev(samples, rate=1.0, data_type="freq", taus=m.astype(np.float64))
+    squares: FloatArray = deviation**2
+    return squares
+
+
+def exact(samples: FloatArray, m: IntArray) -> FloatArray:
+    return variances(samples, m, OVERLAPPING)
+
+
+def cascade(samples: FloatArray, m: IntArray) -> FloatArray:
+    """Stream the samples as a reader would, with as many factors as the others have."""
+    stream = Cascade(axes=1, per_octave=5)
+    for start in range(0, samples.size, 65_536):
+        stream.feed(samples[None, start : start + 65_536])
+    curve = stream.curve(0, rate_hz=1.0)
+    return curve.avar[: m.size]
+
+
+def intervals(samples: FloatArray, m: IntArray) -> FloatArray:
+    return degrees_of_freedom(samples, m, OVERLAPPING, "hybrid")
+
+
+CONTENDERS: dict[str, Callable[[FloatArray, IntArray], FloatArray]] = {
+    "AllanTools oadev": allantools,
+    "plain NumPy": plain,
+    "imucal exact": exact,
+    "imucal cascade": cascade,
+    "imucal intervals": intervals,
+}
+
+
+def peak_mb() -> float:
+    """Return the most memory this process has held, in MB; by /proc, which a parent does not colour."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        line = next(text for text in status.read_text(encoding="ascii").splitlines() if "VmHWM" in text)
+        return int(line.split()[1]) / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def one(name: str, n: int) -> None:
+    """Run one contender here; print its figures as JSON."""
+    samples = np.random.default_rng(0).standard_normal(n)
+    m = factors(n)
+    CONTENDERS[name](samples[:5000], factors(5000))
+    before = peak_mb()
+    spent = []
+    values = np.zeros(0)
+    for _ in range(4):
+        began = time.process_time()
+        values = CONTENDERS[name](samples, m)
+        spent.append(time.process_time() - began)
+    figures = {"first": spent[0], "best": min(spent[1:]), "mb": peak_mb() - before}
+    print(json.dumps(figures | {"values": values.tolist(), "factors": values.size}))
+
+
+def copy_bandwidth() -> float:
+    """Return the bytes read and written per second by copying 200 MB, best of five."""
+    source = np.ones(25_000_000)
+    target = np.empty_like(source)
+    best = np.inf
+    for _ in range(5):
+        began = time.perf_counter()
+        np.copyto(target, source)
+        best = min(best, time.perf_counter() - began)
+    return 2 * source.nbytes / best
+
+
+def compare(n: int, bandwidth: float) -> None:
+    m = factors(n)
+    terms = int(np.sum(n - 2 * m + 1))
+    print(f"\nn = {n:.0e}, {m.size} factors up to n/10; copy bandwidth {bandwidth / 1e9:.1f} GB/s\n")
+    print(
+        "| way | first, s | best, s | x AllanTools (first, best) | ns/(sample*factor) | of copy | MB beside |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    results = {}
+    for name in CONTENDERS:
+        # A whole process, so that no contender finds the memory of another.
+        run = subprocess.run(  # noqa: S603 - this very script
+            [sys.executable, __file__, "--one", name, str(n)],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )
+        results[name] = json.loads(run.stdout)
+    peer = results["AllanTools oadev"]
+    for name, got in results.items():
+        ns = got["best"] / terms * 1e9
+        share = 8 / (ns * 1e-9) / bandwidth
+        print(
+            f"| {name} | {got['first']:.3f} | {got['best']:.3f} | {peer['first'] / got['first']:.1f}, "
+            f"{peer['best'] / got['best']:.1f} | {ns:.2f} | {share:.1f} | {got['mb']:.0f} |"
+        )
+    error = np.max(np.abs(np.array(results["imucal exact"]["values"]) / np.array(peer["values"]) - 1))
+    print(f"\nlargest relative difference to AllanTools: {error:.1e}")
+    print(f"the cascade has {results['imucal cascade']['factors']} factors of its own")
+
+
+def blocks(axes: int, n: int, block: int) -> Iterator[FloatArray]:
+    """Yield white noise with a mean, block by block, never all of it."""
+    rng = np.random.default_rng(1)
+    for start in range(0, n, block):
+        yield rng.standard_normal((axes, min(block, n - start))) + 9.8
+
+
+def large() -> None:
+    """Measure the rounding at n = 1e8, against integers."""
+    n = 100_000_000
+    rng = np.random.default_rng(2)
+    whole = np.rint(rng.standard_normal(n) * 1e5).astype(np.int64) + 980_000_000_000
+    m = np.array([1, 10, 1000, 8192, 100_000, 10_000_000])
+    got = exact(whole.astype(np.float64), m)
+    angle = np.concatenate([[0], np.cumsum(whole - 980_000_000_000)])
+    worst = 0.0
+    for k, value in zip(m.tolist(), got.tolist(), strict=True):
+        total = 0.0
+        for start in range(0, n + 1 - 2 * k, 10_000_000):
+            stop = min(start + 10_000_000, n + 1 - 2 * k)
+            steps = angle[start + 2 * k : stop + 2 * k] - 2 * angle[start + k : stop + k] + angle[start:stop]
+            total += float(np.sum(np.square(steps.astype(np.float64))))
+        true = total / (2.0 * k * k * (n + 1 - 2 * k))
+        worst = max(worst, abs(value / true - 1))
+    print(f"\nn = 1e8, mean 9.8e11, sigma 1e5: relative error at most {worst:.1e} against integers")
+    del whole, angle
+
+
+def stream() -> None:
+    """Stream six axes through the cascade; print its CPU time and what it holds at most."""
+    before = peak_mb()
+    cascade_of_six = Cascade(axes=6, per_octave=8)
+    spent = 0.0
+    for block in blocks(6, 86_000_000, 65_536):
+        began = time.process_time()
+        cascade_of_six.feed(block)
+        spent += time.process_time() - began
+    curve = cascade_of_six.curve(0, rate_hz=1.0)
+    held = peak_mb() - before
+    print(
+        f"86 M x 6 axes, {curve.m.size} factors: {spent:.1f} s CPU, {held:.0f} MB with the block that is read"
+    )
+
+
+def main() -> None:
+    if sys.argv[1:2] == ["--one"]:
+        one(sys.argv[2], int(sys.argv[3]))
+        return
+    if "--large" in sys.argv:
+        stream()
+        large()
+    bandwidth = copy_bandwidth()
+    for n in (1_000_000, 10_000_000):
+        compare(n, bandwidth)
+
+
+if __name__ == "__main__":
+    main()
