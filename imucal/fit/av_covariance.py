@@ -17,6 +17,7 @@ for one averaging time; the same argument holds for two.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -32,6 +33,9 @@ Process: TypeAlias = PowerLaw | float
 _SIGNS = np.array([1.0, -2.0, 1.0])
 #: Up to so many lags are summed one by one.
 _ALL_LAGS = 300
+#: About each kink all lags so near are summed; beyond, four an octave.
+_NEAR = np.arange(-6, 7)
+_SPREAD = np.unique(np.round(6 * 2 ** (np.arange(0, 4 * 45) / 4)).astype(np.int64))
 #: The covariance of flicker falls as the fourth power of the lag: it is summed to so many times m.
 _FLICKER_REACH = 24
 #: A Gauss-Markov covariance is summed to so many correlation times beyond the windows.
@@ -101,12 +105,20 @@ def avar_covariance(
     if m.size and not (m.min() >= 1 and m.max() <= n // 2):
         msg = f"averaging factors must be in 1..{n // 2} for {n} samples"
         raise ValueError(msg)
-    size = m.size
+    return _computed(tuple(m.tolist()), n, tuple(processes), overlapping=overlapping)
+
+
+@lru_cache(maxsize=32)
+def _computed(
+    m: tuple[int, ...], n: int, processes: tuple[Process, ...], *, overlapping: bool
+) -> AvarCovariance:
+    """Return the covariance; the axes of a log ask for the same ones."""
+    size = len(m)
     quadratic = np.empty((len(processes), len(processes), size, size))
     drift = np.empty((len(processes), size, size))
     for i in range(size):
         for j in range(i + 1):
-            squares, linear = _pair(int(m[i]), int(m[j]), n, processes, overlapping=overlapping)
+            squares, linear = _pair(m[i], m[j], n, processes, overlapping=overlapping)
             quadratic[..., i, j] = quadratic[..., j, i] = squares
             drift[..., i, j] = drift[..., j, i] = linear
     return AvarCovariance(quadratic=quadratic, drift=drift)
@@ -167,14 +179,12 @@ def _lag_grid(mi: int, mj: int, low: int, high: int) -> IntArray:
     """Return lags from `low` to `high`: all, or dense about the nine kinks and ever sparser beyond."""
     if high - low <= _ALL_LAGS:
         return np.arange(low, high + 1, dtype=np.int64)
-    spread = np.unique(np.round(6 * 2 ** (np.arange(0, 4 * 45) / 4)).astype(np.int64))
-    spread = spread[spread <= high - low]
-    offsets = np.concatenate([-spread[::-1], np.arange(-6, 7), spread])
+    spread = _SPREAD[: np.searchsorted(_SPREAD, high - low, side="right")]
+    offsets = np.concatenate([-spread, _NEAR, spread])
     kinks = np.unique([a * mi - b * mj for a in range(3) for b in range(3)])
-    lags = np.unique(np.add.outer(kinks, offsets))
     between = np.linspace(-2 * mj, 2 * mi, 129).astype(np.int64)
-    lags = np.unique(np.concatenate([lags, between, [low, high]]))
-    return np.asarray(lags[(lags >= low) & (lags <= high)], dtype=np.int64)
+    lags = np.concatenate([np.add.outer(kinks, offsets).ravel(), between, [low, high]])
+    return np.asarray(np.unique(lags[(lags >= low) & (lags <= high)]), dtype=np.int64)
 
 
 def _node_weights(lags: IntArray) -> FloatArray:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
-from imucal.recording import AxisSeries
+from imucal.noise.terms import AngleRandomWalk
+from imucal.recording import AxisSeries, Sensor
 from imucal.units import pretty
 
 __all__ = ["clean", "resolution_effect", "spikes", "step_size"]
@@ -92,16 +93,17 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
     share = rounding / N**2
     if share < _NOTABLE:
         return ()
-    unit = pretty(series.unit)
     ratio = N / np.sqrt(series.tau0) / step
-    what = f"Samples come in steps of {step:.3g} {unit}, {1 / ratio:.2g} times their noise"
+    what = f"Samples come in steps of {step:.3g} {pretty(series.unit)}, {1 / ratio:.2g} times their noise"
+    gyroscope, accelerometer = AngleRandomWalk.units
+    unit = pretty(gyroscope if series.sensor is Sensor.GYROSCOPE else accelerometer)
     if ratio < 0.5 or share >= 1:
         return (
             Finding(
                 level="warning",
                 code="rounding",
                 axis=series.name,
-                text=f"{what}: N of {N:.4g} is mostly rounding, and the sensor's own can't be told.",
+                text=f"{what}: N = {N:.4g} {unit} is mostly rounding, and the sensor's own can't be told.",
                 advice="Record with a smaller measuring range or more bits.",
             ),
         )
@@ -111,7 +113,7 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
             code="rounding",
             axis=series.name,
             text=f"{what}: of N = {N:.4g}, rounding makes {100 * (1 - np.sqrt(1 - share)):.1f} %; "
-            f"without it N = {np.sqrt(N**2 - rounding):.4g}.",
+            f"without it N = {np.sqrt(N**2 - rounding):.4g} {unit}.",
         ),
     )
 
