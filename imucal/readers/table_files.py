@@ -168,7 +168,7 @@ def _npy(path: Path) -> tuple[list[Column], float | None]:
 
 
 def _npz(path: Path) -> tuple[list[Column], float | None]:
-    with np.load(path, allow_pickle=False) as archive:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         return _of_arrays({name: archive[name] for name in archive.files})
 
 
@@ -220,7 +220,8 @@ def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> tuple[list[Column], float 
 def _of_array(name: str, array: NDArray[Any], *, unit: str | None = None) -> Iterable[Column]:
     """Return the columns of an array: of a record, of a matrix, or itself."""
     if array.dtype.names is not None:
-        return [_plain(f"{name}.{part}".lstrip("."), array[part].reshape(-1)) for part in array.dtype.names]
+        parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
+        return [column for label, part in parts for column in _of_array(label, part)]
     if array.ndim == 1:
         return [_plain(name, array, unit)]
     if array.ndim != 2:

@@ -124,7 +124,8 @@ def _load(path: Path) -> Any:  # noqa: ANN401 - pyulog has no types
     from pyulog import ULog
 
     try:
-        return ULog(str(path), message_name_filter_list=list(MESSAGES))
+        with path.open("rb") as file:
+            return ULog(file, message_name_filter_list=list(MESSAGES))
     except OSError as error:
         msg = f"{path}: can't be opened: {error.strerror or error}"
         raise ReadError(msg) from error
