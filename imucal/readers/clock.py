@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.readers.placing import NO_BREAKS, Breaks, Steps, find_breaks, fit_period, look_at_steps
+from imucal.readers.clock_notes import (
+    gap_notes,
+    jump_notes,
+    log_time_note,
+    rate_note,
+    repeated_note,
+    stamp_notes,
+    zero_note,
+)
+from imucal.readers.placing import NO_BREAKS, Breaks, find_breaks, fit_period, look_at_steps
 from imucal.readers.rate import Period, estimate_period
 from imucal.recording import Clock, Segment
 
@@ -26,8 +35,6 @@ LOG_TIME = "log time"
 _ZEROS = 0.01
 #: A jump forward longer than this, in ns, is the clock being set, not a gap. One day.
 _DAY = 86_400 * 10**9
-#: Share of missing samples up to which gaps are not worth a warning.
-_FEW = 1e-3
 #: More resets of a clock than one in so many samples: the stamps are noise.
 _RESETS = 20
 
@@ -88,13 +95,13 @@ def clock_from_stamps(
     order: IntArray | None = None
     if repeated is not None and repeated.any():
         order = np.flatnonzero(~repeated)
-        notes.append(_repeated_note(stamps.size - order.size, stamps.size))
+        notes.append(repeated_note(stamps.size - order.size, stamps.size))
         stamps = stamps[order]
         log_ns = log_ns[order] if log_ns is not None else None
     stamps, source = _usable(stamps, source, log_ns, notes)
     period = estimate_period(stamps)
     if period is None and log_ns is not None and source != LOG_TIME and stamps.size > 1:
-        notes.append(_log_time_note(f"The stamps ({source}) do not advance"))
+        notes.append(log_time_note(f"The stamps ({source}) do not advance"))
         stamps, source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
         period = estimate_period(stamps)
     if period is None and rate_hz is None:
@@ -116,12 +123,11 @@ def _usable(
     if (zeros > _ZEROS * stamps.size or constant) and log_ns is not None:
         what = "are all the same" if constant and not zeros else f"{zeros} of {stamps.size} are zero"
         what = "are all zero" if zeros == stamps.size else what
-        notes.append(_log_time_note(f"The stamps ({source}) {what}"))
+        notes.append(log_time_note(f"The stamps ({source}) {what}"))
         return np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
     if 0 < zeros <= _ZEROS * stamps.size:
         stamps = _filled(stamps)
-        text = f"{zeros} of {stamps.size} stamps are zero; those samples are placed between their neighbours."
-        notes.append(Finding(level="info", code="zero-stamps", text=text))
+        notes.append(zero_note(zeros, stamps.size))
     return stamps, source
 
 
@@ -164,15 +170,14 @@ def _read(  # noqa: PLR0917 - all that is known of the samples
     missing, jumps = _believable(
         stamps, log_ns if source != LOG_TIME else None, breaks, resets, period.tau_ns
     )
-    notes += _notes(steps, stamps.size, breaks, period)
-    notes += _jump_notes(stamps, jumps)
+    notes += stamp_notes(steps, stamps.size, breaks, period)
+    notes += jump_notes(stamps, jumps)
     keep = np.ones(stamps.size, dtype=np.bool_)
     keep[breaks.doubled] = False
     segments = _segments(keep, breaks.at, missing, jumps)
     measured = 1e9 / period.tau_ns
     if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
-        text = f"The rate given, {rate_hz:g} Hz, is not the one the stamps show, {measured:.6g} Hz."
-        notes.append(Finding(level="warning", code="rate-given", text=text))
+        notes.append(rate_note(rate_hz, measured))
     clock = Clock(
         source=source,
         rate_hz=rate_hz or measured,
@@ -180,7 +185,7 @@ def _read(  # noqa: PLR0917 - all that is known of the samples
         start_ns=int(stamps[0]),
         jitter_s=jitter / 1e9,
     )
-    notes += _gap_notes(clock)
+    notes += gap_notes(clock)
     if breaks.doubled.size:
         order = np.flatnonzero(keep) if order is None else order[keep]
     return ClockReading(clock=clock, order=order, findings=tuple(notes))
@@ -243,82 +248,3 @@ def _segments(
         offset += stop - start + lost.get(place, 0)
         start = stop
     return tuple(segments)
-
-
-def _log_time_note(why: str) -> Finding:
-    text = f"{why}; the time at which messages were recorded is used instead."
-    advice = "Log time carries the delays of the computer; let the driver stamp the messages."
-    return Finding(level="warning", code="log-time-used", text=text, advice=advice)
-
-
-def _repeated_note(count: int, n: int) -> Finding:
-    text = f"{count} of {n} samples repeat the stamp and the values of the one before; they are dropped."
-    return Finding(level="warning", code="duplicate-stamps", text=text)
-
-
-def _notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
-    """Return what the stamps show apart from gaps and jumps."""
-    notes = []
-    same, back, tau = steps.same, steps.back, period.tau_ns
-    if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
-        text = (
-            f"Stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling period of "
-            f"{tau / 1e6:.4g} ms; the rate is measured over many samples."
-        )
-        notes.append(Finding(level="info", code="coarse-stamps", text=text))
-    if period.burst > 1:
-        text = (
-            f"Samples arrive in bursts of about {period.burst}; they are taken as evenly spaced at "
-            f"{1e9 / tau:.6g} Hz."
-        )
-        notes.append(Finding(level="info", code="bursts", text=text))
-    elif same and (breaks.doubled.size or period.resolution_ns < tau / 50):
-        fate = (
-            f"{breaks.doubled.size} that are one too many are dropped"
-            if breaks.doubled.size
-            else "all are kept"
-        )
-        text = f"{same} of {n} samples carry the stamp of the one before; {fate}."
-        notes.append(Finding(level="warning", code="duplicate-stamps", text=text))
-    elif breaks.doubled.size:
-        text = f"{breaks.doubled.size} of {n} samples are one too many for the clock and are dropped."
-        notes.append(Finding(level="warning", code="extra-samples", text=text))
-    if back:
-        text = f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
-        notes.append(Finding(level="info", code="stamps-out-of-order", text=text))
-    return notes
-
-
-def _jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
-    """Return a finding for the settings of the clock, with the largest."""
-    if not jumps:
-        return []
-    steps = {at: (int(stamps[at]) - int(stamps[at - 1])) / 1e9 for at in jumps}
-    largest = max(steps, key=lambda at: abs(steps[at]))
-    text = (
-        f"The clock was set {_times(len(jumps))}, at most by {steps[largest]:+.6g} s "
-        f"at sample {largest}; samples before and after are kept apart."
-    )
-    return [Finding(level="warning", code="clock-jump", text=text)]
-
-
-def _gap_notes(clock: Clock) -> list[Finding]:
-    """Return a finding for the missing samples, with the longest gap."""
-    gaps = clock.gaps
-    if not gaps:
-        return []
-    longest = max(gaps, key=lambda gap: gap.missing)
-    share = clock.missing / clock.grid_size
-    text = (
-        f"{clock.missing} samples ({share:.2g} of all) are missing in {_gaps(len(gaps))}; "
-        f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
-    )
-    return [Finding(level="warning" if share > _FEW else "info", code="gaps", text=text)]
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
-
-
-def _gaps(count: int) -> str:
-    return "one gap" if count == 1 else f"{count} gaps"

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import IntArray
 from imucal.readers.batch import Batch, Guard, Loss
 from imucal.readers.definitions import Field
+from imucal.readers.fields import write_fields
 from imucal.readers.files import DamagedError
-from imucal.readers.messages import Carrier, Stamp, Vector
+from imucal.readers.messages import Carrier
 from imucal.readers.store import Columns
-from imucal.readers.walker import Bytes, Found, Layout, Place, Position, Walker, gather
+from imucal.readers.walker import Found, Layout, Place, Position, Walker, gather
 
 __all__ = ["BinaryDecoder", "Shape"]
 
@@ -139,7 +140,7 @@ class BinaryDecoder:
             return False
         part = slice(first, first + n)
         columns.log[part] = batch.log_ns if batch.log_at is None else word(batch.log_at, "<i8")
-        _write(batch.buffer, starts, template.places, self.carrier, columns, part)
+        write_fields(batch.buffer, starts, template.places, self.carrier, columns, part)
         return True
 
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:
@@ -209,7 +210,7 @@ class BinaryDecoder:
         found = self.walker.walk(batch.buffer, body, layout)
         self._check_size(batch, body, layout, found)
         columns.log[to] = batch.log_ns
-        _write(batch.buffer, body, found.places, self.carrier, columns, to)
+        write_fields(batch.buffer, body, found.places, self.carrier, columns, to)
 
     def _check_size(self, batch: Batch, body: IntArray, layout: Layout, found: Found) -> None:
         """Refuse messages that end before the last wanted field; bytes behind it are nobody's business."""
@@ -222,80 +223,6 @@ class BinaryDecoder:
             if bool(np.any(np.abs(end + skipped - batch.sizes) > 3)):
                 msg = "messages do not have the size of the built-in definition of their type"
                 raise DamagedError(msg, code="definition")
-
-
-def _write(  # noqa: PLR0917 - what lies where, and where it goes
-    buffer: Bytes,
-    starts: IntArray,
-    places: dict[str, Place],
-    carrier: Carrier,
-    columns: Columns,
-    to: slice | IntArray,
-) -> None:
-    """Gather the wanted fields and write them to the columns."""
-    if carrier.stamp is None:
-        columns.stamps[to] = 0
-    else:
-        columns.stamps[to] = _stamps(buffer, starts, places, carrier.stamp)
-    for vector in carrier.vectors:
-        _write_vector(buffer, starts, places, vector, columns.vectors[vector.sensor], to)
-    if carrier.temperature and columns.temperature is not None:
-        place = places[carrier.temperature]
-        columns.temperature[to] = _column(buffer, starts, place)
-
-
-def _write_vector(  # noqa: PLR0917 - as `_write`
-    buffer: Bytes,
-    starts: IntArray,
-    places: dict[str, Place],
-    vector: Vector,
-    rows: FloatArray,
-    to: slice | IntArray,
-) -> None:
-    """Gather x, y and z at once where they lie side by side, and turn increments into rates."""
-    first = places[vector.paths[0]]
-    size = np.dtype(first.dtype).itemsize
-    ats = [places[path].at for path in vector.paths]
-    if len(ats) == 1 or (_apart(ats[0], ats[1], size) and _apart(ats[1], ats[2], size)):
-        values = gather(buffer, starts + first.at, 3 * size).view(first.dtype).reshape(-1, 3)
-        rows[:, to] = values.T
-    else:
-        for row, path in zip(rows, vector.paths, strict=True):
-            row[to] = _column(buffer, starts, places[path])
-    if vector.divisor:
-        seconds = _column(buffer, starts, places[vector.divisor]).astype(np.float64) * 1e-6
-        seconds[seconds == 0] = np.nan
-        rows[:, to] /= seconds
-
-
-def _stamps(buffer: Bytes, starts: IntArray, places: dict[str, Place], stamp: Stamp) -> IntArray:
-    """Return stamps in ns, shape (n,)."""
-    sec = places[stamp.sec]
-    if not stamp.nanosec:
-        return _column(buffer, starts, sec).astype(np.int64) * np.int64(stamp.scale)
-    nanosec = places[stamp.nanosec]
-    if _apart(sec.at, nanosec.at, 4):
-        both = gather(buffer, starts + sec.at, 8)
-        seconds = np.ndarray((starts.size,), sec.dtype, buffer=both, strides=(8,))
-        rest = np.ndarray((starts.size,), nanosec.dtype, buffer=both, offset=4, strides=(8,))
-    else:
-        seconds, rest = _column(buffer, starts, sec), _column(buffer, starts, nanosec)
-    result = seconds.astype(np.int64)
-    result *= 1_000_000_000
-    result += rest
-    return result
-
-
-def _column(buffer: Bytes, starts: IntArray, place: Place) -> NDArray[np.float64]:
-    """Return one field of every message, shape (n,)."""
-    dtype = np.dtype(place.dtype)
-    values: NDArray[np.float64] = gather(buffer, starts + place.at, dtype.itemsize).view(dtype)
-    return values
-
-
-def _apart(first: Position, second: Position, size: int) -> bool:
-    """Say whether `second` lies `size` bytes after `first` in every message."""
-    return bool(np.all(np.asarray(second) - np.asarray(first) == size))
 
 
 def _fixed(at: Position) -> int:

@@ -16,17 +16,15 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.readers.batch import Batch, Loss
 from imucal.readers.files import DamagedError, LogFile, Scratch
-from imucal.readers.walker import gather
+from imucal.readers.sqlite_rows import LEAF, Rows, parse_rows, varint
 
 __all__ = ["Fetch", "Leaves", "PageTask", "find_leaves", "page_size", "scan_leaves"]
 
-_LEAF, _INTERIOR = 0x0D, 0x05
+_INTERIOR = 0x05
 #: Leaf pages of one task: about 2 MB of the usual 4 kB pages.
 _GROUP = 512
 #: A b-tree deeper than this is damage.
 _DEEP = 20
-#: Bytes of a column by its serial type, up to 9; blobs and texts have 12 and more.
-_SIZES = np.array([0, 1, 2, 3, 4, 6, 8, 8, 0, 0, 0, 0], dtype=np.int64)
 #: Smallest message with its head: what one page can hold is bounded by it, in bytes.
 _SMALLEST = 16
 
@@ -83,7 +81,7 @@ def find_leaves(file: LogFile, root: int, first_id: int, last_id: int) -> Leaves
     for _ in range(_DEEP):
         level, bounds = pages[-1], ids[-1]
         kinds = _kind(file, int(level[0]), size)
-        if kinds == _LEAF:
+        if kinds == LEAF:
             return Leaves(pages=level, last_ids=bounds, first_id=first_id)
         children = [_children(file, page, size, bound) for page, bound in zip(level, bounds, strict=True)]
         pages.append(np.concatenate([child for child, _ in children]))
@@ -105,7 +103,7 @@ def scan_leaves(file: LogFile) -> list[tuple[IntArray, int]]:
     for first in range(0, count, _GROUP):
         part = min(_GROUP, count - first)
         data = np.frombuffer(file.read(first * size, part * size), dtype=np.uint8).reshape(part, size)
-        chosen = np.flatnonzero(data[:, 0] == _LEAF)
+        chosen = np.flatnonzero(data[:, 0] == LEAF)
         if chosen.size:
             cells = (data[chosen, 3].astype(np.int64) << 8) | data[chosen, 4]
             most = int(np.minimum(cells, size // _SMALLEST).sum())
@@ -142,7 +140,7 @@ class PageTask:
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
         """Yield the messages of each wanted topic; see `Task`."""
         buffer = self._read(scratch)
-        rows = _rows(buffer, self._page, self._usable)
+        rows = parse_rows(buffer, self._page, self._usable)
         loss = None
         if rows.damaged and self._fetch is not None:
             text = "rows of the database are damaged"
@@ -163,7 +161,7 @@ class PageTask:
             loss = None
             yield key, _with(batch, more) if more else batch
 
-    def _long_rows(self, rows: "_Rows") -> list[tuple[int, int, bytes]]:
+    def _long_rows(self, rows: Rows) -> list[tuple[int, int, bytes]]:
         wanted = rows.long_ids[np.isin(rows.long_topics, list(self.counts))]
         return self._fetch(wanted.tolist()) if self._fetch is not None and wanted.size else []
 
@@ -196,114 +194,6 @@ def _with(batch: Batch, more: list[tuple[int, bytes]]) -> Batch:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Rows:
-    """Rows of `messages`.
-
-    Attributes
-    ----------
-    topics, times, starts, sizes
-        Topic, time in ns, and where the data lie, of each row that a page holds whole, shape (n,).
-    long_ids, long_topics
-        Row and topic of those that reach over several pages.
-    damaged
-        Number of rows that can't be parsed.
-    """
-
-    topics: IntArray
-    times: IntArray
-    starts: IntArray
-    sizes: IntArray
-    long_ids: IntArray
-    long_topics: IntArray
-    damaged: int
-
-
-def _rows(buffer: memoryview, page: int, usable: int) -> _Rows:
-    """Parse the cells of leaf pages: payload size, row, then a record of id, topic, time and data."""
-    data = np.frombuffer(buffer, dtype=np.uint8)
-    cells, ends, wrong = _cells(data, page)
-    size, at = _varint(data, cells)
-    ids, record = _varint(data, at)
-    head, at = _varint(data, record)
-    kinds = []
-    for _ in range(4):
-        kind, at = _varint(data, at)
-        kinds.append(kind)
-    identity, topic, time, blob = kinds
-    known = (at == record + head) & (identity <= 6) & (topic <= 9) & (time <= 9) & (blob >= 12)
-    known &= (blob & 1 == 0) & (blob >> 1 <= size + 6) & (size >= head) & (cells < ends - 8)
-    places = [record + head]
-    for kind in (identity, topic, time):
-        places.append(places[-1] + _SIZES[np.clip(kind, 0, 11)])
-    sizes = (blob - 12) >> 1
-    known &= places[3] + sizes == record + size
-    long = known & (size > usable - 35)
-    whole = np.flatnonzero(known & ~long & (record + size <= ends))
-    apart = np.flatnonzero(long & (places[2] <= ends))
-    return _Rows(
-        topics=_integers(data, places[1][whole], topic[whole]),
-        times=_integers(data, places[2][whole], time[whole]),
-        starts=places[3][whole],
-        sizes=sizes[whole],
-        long_ids=ids[apart],
-        long_topics=_integers(data, places[1][apart], topic[apart]),
-        damaged=cells.size - whole.size - apart.size + wrong,
-    )
-
-
-def _cells(data: NDArray[np.uint8], page: int) -> tuple[IntArray, IntArray, int]:
-    """Return where the cells of leaf pages start, where the page of each ends, and pages that are none."""
-    pages = data.reshape(-1, page)
-    counts = (pages[:, 3].astype(np.int64) << 8) | pages[:, 4]
-    wrong = (pages[:, 0] != _LEAF) | (counts > (page - 8) // 2)
-    counts[wrong] = 0
-    firsts = np.arange(counts.size, dtype=np.int64) * page
-    total = int(counts.sum())
-    within = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts)
-    base = np.repeat(firsts, counts)
-    words = base + 8 + 2 * within
-    places = (data[words].astype(np.int64) << 8) | data[words + 1]
-    return base + places, base + page, int(np.count_nonzero(wrong))
-
-
-def _varint(data: NDArray[np.uint8], at: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the big-endian variable-length integers at `at`, and where each ends."""
-    last = data.size - 1
-    byte = data[np.minimum(at, last)]
-    value = (byte & 0x7F).astype(np.int64)
-    end = at + 1
-    more = np.flatnonzero(byte & 0x80)
-    for place in range(1, 9):
-        if not more.size:
-            break
-        byte = data[np.minimum(at[more] + place, last)]
-        whole = place == 8
-        value[more] = (value[more] << (8 if whole else 7)) | (byte if whole else byte & 0x7F)
-        end[more] += 1
-        if whole:
-            break
-        more = more[(byte & 0x80) != 0]
-    return value, end
-
-
-def _integers(data: NDArray[np.uint8], at: IntArray, kinds: IntArray) -> IntArray:
-    """Return integer columns of the given serial types, shape (n,)."""
-    result = np.zeros(at.size, dtype=np.int64)
-    for kind in np.unique(kinds).tolist():
-        chosen = kinds == kind
-        if kind == 9:
-            result[chosen] = 1
-        elif 1 <= kind <= 6:
-            size = int(_SIZES[kind])
-            raw = gather(data.data, at[chosen], size).view(np.uint8).reshape(-1, size)
-            value = raw[:, 0].astype(np.int8).astype(np.int64)
-            for column in range(1, size):
-                value = (value << 8) | raw[:, column]
-            result[chosen] = value
-    return result
-
-
 def _kind(file: LogFile, page: int, size: int) -> int:
     if page < 1:
         msg = "a page number is damaged"
@@ -327,7 +217,7 @@ def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray
         msg = "an interior page is damaged"
         raise DamagedError(msg)
     children = np.append(_u32(data, cells), int.from_bytes(data[8:12].tobytes(), "big"))
-    keys, _ = _varint(data, cells + 4)
+    keys, _ = varint(data, cells + 4)
     return children, np.append(keys, bound)
 
 
