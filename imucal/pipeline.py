@@ -1,7 +1,7 @@
 """characterize: Recording -> Report, axis by axis. No input, no output."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -112,12 +112,12 @@ def _characterize_axis(
         temperature=_same_clock(series, finite, temperature),
         curve=curve,
     )
-    findings = [finding for finding in screened if finding.axis == series.name]
-    findings += result.findings
-    findings += resolution_findings(result, finite.duration_s)
+    found = result.findings + resolution_findings(result, finite.duration_s)
     if settings.second_opinion and settings.method == "mle":
         other = fit(finite, model=str(result.model), method="gmwm", level=settings.level, curve=curve)
-        findings += second_opinion(result, other)
+        found += second_opinion(result, other)
+    findings = [finding for finding in screened if finding.axis == series.name]
+    findings += [replace(finding, axis=series.name) for finding in found]
     return AxisReport(
         sensor=series.sensor,
         axis=series.axis,
@@ -143,7 +143,7 @@ def _same_clock(series: AxisSeries, finite: AxisSeries, temperature: Temperature
 
 
 def _without_repeats(findings: list[Finding]) -> tuple[Finding, ...]:
-    """Leave out what the fit says better than the screening did: the filter and the lines it fitted."""
+    """Leave out what the fit says better than the screening did: the filter it fitted."""
     codes = {finding.code for finding in findings}
-    said_better = {"roll-off"} & codes if "output-filter" in codes else set()
+    said_better = {"roll-off"} if "output-filter" in codes else set()
     return tuple(dict.fromkeys(finding for finding in findings if finding.code not in said_better))

@@ -13,25 +13,42 @@ def all_findings(report: Report) -> tuple[Finding, ...]:
     return report.findings + tuple(finding for axis in report.axes for finding in axis.findings)
 
 
-def print_findings(report: Report, *, quiet: bool) -> None:
-    """Print every finding, the grave ones first; axes that share a sentence stand together."""
+def print_findings(report: Report, *, quiet: bool, verbose: bool = False) -> None:
+    """Print the findings, the grave ones first; axes that share a sentence stand together.
+
+    Of remarks (level info) that differ in their figures alone, one stands for all unless `verbose`.
+    """
     if quiet:
         return
     from rich.console import Console
     from rich.text import Text
 
-    grouped: dict[tuple[int, str, str], list[str]] = {}
-    levels = list(_STYLES)
+    console = Console(stderr=True, highlight=False)
+    for level, code, axes, text, others in _grouped(report, verbose=verbose):
+        line = Text(level, style=_STYLES[level])
+        where = f" {' '.join(axes)}" if axes else ""
+        more = f" ({others} more like it; the report has them all)" if others else ""
+        line.append(f" [{code}]{where}: {text}{more}", style="not bold default")
+        console.print(line)
+
+
+def _grouped(report: Report, *, verbose: bool) -> list[tuple[str, str, list[str], str, int]]:
+    """Return level, code, axes, text and the number of others that it stands for, grave ones first."""
+    same: dict[tuple[str, str, str], list[str]] = {}
     for finding in all_findings(report):
         text = " ".join(part for part in (finding.text, finding.advice, _suggestion(finding)) if part)
-        key = (levels.index(finding.level), finding.code, text)
-        grouped.setdefault(key, []).append(finding.axis or "")
-    console = Console(stderr=True, highlight=False)
-    for (level, code, text), axes in sorted(grouped.items(), key=lambda item: item[0][0]):
-        where = " ".join(dict.fromkeys(axis for axis in axes if axis))
-        line = Text(levels[level], style=_STYLES[levels[level]])
-        line.append(f" [{code}]{' ' + where if where else ''}: {text}", style="not bold default")
-        console.print(line)
+        axes = same.setdefault((finding.level, finding.code, text), [])
+        axes += [finding.axis] if finding.axis and finding.axis not in axes else []
+    lines: list[tuple[str, str, list[str], str, int]] = []
+    for level in _STYLES:
+        group = [(code, axes, text) for (of, code, text), axes in same.items() if of == level]
+        if level != "info" or verbose:
+            lines += [(level, code, axes, text, 0) for code, axes, text in group]
+            continue
+        for code in dict.fromkeys(code for code, _, _ in group):
+            alike = [(axes, text) for of, axes, text in group if of == code]
+            lines.append((level, code, *alike[0], len(alike) - 1))
+    return lines
 
 
 def _suggestion(finding: Finding) -> str:

@@ -168,9 +168,12 @@ def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> N
         by_clock.setdefault(id(series.clock), []).append(series)
     for group in by_clock.values():
         clock = group[0].clock
-        names = " ".join(series.name for series in group)
-        what = f"{names}: {clock.n} samples at {clock.rate_hz:.6g} Hz, {describe_duration(clock.duration_s)}"
-        say(f"Read {what}, from {source.path} ({source.format})", quiet=quiet)
+        sensors: dict[str, str] = {}
+        for series in group:
+            sensors[series.sensor.short] = sensors.get(series.sensor.short, "") + series.axis
+        names = ", ".join(f"{sensor} {axes}" for sensor, axes in sensors.items())
+        samples = f"{clock.n} samples at {clock.rate_hz:.6g} Hz, {describe_duration(clock.duration_s)}"
+        say(f"Read {Path(source.path).name} ({source.format}): {names}: {samples}", quiet=quiet)
     if verbose:
         for topic, kind in zip(source.topics, source.message_types, strict=False):
             say(f"  topic {topic} ({kind})", quiet=quiet)

@@ -181,12 +181,12 @@ def command(
         click.echo(json.dumps(to_document(report), indent=1, allow_nan=False))
     else:
         click.echo(summary_table(report, datasheet=datasheet))
-    print_findings(report, quiet=request.quiet)
+    print_findings(report, quiet=request.quiet, verbose=request.verbose)
     if not no_report:
         folder = out or report_folder(request.logs[0])
         for path in write_report(report, folder, formats=formats, html=not no_html):
             say(str(path), quiet=request.quiet)
-        say(f"Next: imucal export {folder} --to kalibr (or vins, orbslam3, px4, …, all)", quiet=request.quiet)
+        say(f"Next: imucal export {folder} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
     if request.strict and any(finding.level != "info" for finding in all_findings(report)):
         click.get_current_context().exit(DataError.exit_code)
 
