@@ -16,25 +16,21 @@ needs, so that what the response can't follow does not bias N.
 """
 
 from dataclasses import dataclass
-from math import comb
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
 from imucal.fit.goodness import misfit
 from imucal.fit.information import covariance
 from imucal.fit.likelihood import Candidates
 from imucal.fit.ordinates import Ordinates, coarser
+from imucal.fit.response_start import Order, start_response
 from imucal.fit.scoring import Maximum, maximize
 from imucal.fit.starts import find_starts
 from imucal.fit.structures import Structure, candidates_of
 
 __all__ = ["BANDS", "Band", "find_band"]
 
-#: Poles and zeros of a response.
-Order: TypeAlias = tuple[int, int]
 #: Bands that are tried, as fractions of Nyquist.
 BANDS = (1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125)
 #: Misfit score below which a description is sound.
@@ -109,7 +105,12 @@ class _Trial:
 
 
 def find_band(
-    ordinates: Ordinates, rich: Structure, *, shortest: float, common: tuple[str, ...] = ()
+    ordinates: Ordinates,
+    rich: Structure,
+    *,
+    shortest: float,
+    common: tuple[str, ...] = (),
+    given: Structure | None = None,
 ) -> Band:
     """Return the band, and the response in it, that a rich model describes.
 
@@ -122,8 +123,16 @@ def find_band(
         Shortest correlation time of its Gauss-Markov terms, in samples.
     common
         Regressors that are in every model.
+    given
+        Terms that the caller gave: where its Gauss-Markov terms of any length describe the whole
+        band beside white noise, they are believed.
     """
     coarse = coarser(ordinates.below(1.0), singles=48, merge=3)
+    if given is not None and "GM" in given:
+        own = _Search(coarse, given, 2.0, common)
+        flat = own.flat()
+        if flat.sound and (own.white_at_the_top() or "N" not in given):
+            return flat
     search = _Search(coarse, rich, shortest, common)
     flat = search.flat()
     if flat.sound:
@@ -189,6 +198,12 @@ class _Search:
             trials[0] = min(flat, key=lambda t: t.maximum.objective[0])
         return trials[0].band(sound=_enough(trials, _GAIN_FLAT, _SOUND_FLAT), width=self.width)
 
+    def white_at_the_top(self) -> bool:
+        """Whether white noise makes most of the blind fit's power at the highest frequencies."""
+        seen, last = self.ordinates, slice(-8, None)
+        level = float(seen.power[last].sum() / seen.size[last].sum())
+        return float(np.exp(self.blind(seen)[0, 1])) > 0.5 * level
+
     def filtered(self) -> Band:
         """Return the best sound description, or the least bad one."""
         narrow = self.ordinates.below(BANDS[-1])
@@ -202,7 +217,9 @@ class _Search:
             if best is not None and best[0] < np.sqrt(0.5 / seen.count):
                 break
             orders = _WITH_ZEROS if _NARROW < fraction < 1 else _ALL_POLES
-            starts = np.concatenate([_start(seen, low, order, self.width) for order in orders])
+            starts = np.concatenate(
+                [start_response(seen, low, order, width=self.width, room=_ORDERS) for order in orders]
+            )
             fits = self.fit(seen, fraction, orders, starts)
             trials = {t.order: t for t in fits if np.isfinite(t.maximum.objective[0])}
             every += trials.values()
@@ -224,58 +241,6 @@ class _Search:
             if len(nested) > 1 and _enough(nested):
                 return nested[0].deviation, nested[0], nested[1]
         return None
-
-
-def _start(seen: Ordinates, low: FloatArray, order: Order, width: int) -> FloatArray:
-    """Return starting parameters, shape (1, p): slow terms as given, response from the spectrum.
-
-    Where white noise dominates, numerator / S = (1 + sum a_i x^i) / N²: a linear regression in 1/N²
-    and a/N². Where that is not positive, the flattest response 1 + c x^j that fits best.
-    """
-    poles, zeros = order
-    theta = np.concatenate([low[:, :width], np.zeros((1, _ORDERS))], axis=1)
-    if not poles:
-        return theta
-    x = seen.lam / seen.top
-    high = seen.fraction > min(0.03, 0.3 * float(seen.fraction.max()))
-    numerator = np.maximum(1 - seen.lam / 4, 1e-12) ** zeros
-    target = (numerator * seen.size / np.maximum(seen.power, 1e-300))[high]
-    powers = x[:, None] ** np.arange(poles + 1)
-    weight = np.sqrt(seen.size[high]) / target
-    solution = np.linalg.lstsq(powers[high] * weight[:, None], target * weight, rcond=None)[0]
-    for _ in range(2):
-        fitted = powers @ solution
-        if np.any(fitted <= 0) or solution.sum() <= 0:
-            solution = _flattest(seen, high, numerator, order)
-            break
-        weight = np.sqrt(seen.size[high]) / fitted[high]
-        better = np.linalg.lstsq(powers[high] * weight[:, None], target * weight, rcond=None)[0]
-        if np.any(powers @ better <= 0) or better.sum() <= 0:
-            break
-        solution = better
-    theta[0, 1] = -np.log(solution[0])
-    theta[0, width : width + poles] = solution[1:] / solution[0]
-    return theta
-
-
-def _flattest(seen: Ordinates, high: NDArray[np.bool_], numerator: FloatArray, order: Order) -> FloatArray:
-    """Return the best of a row of Butterworth responses, as coefficients of numerator / S."""
-    poles, zeros = order
-    x, best, solution = seen.lam / seen.top, np.inf, np.zeros(poles + 1)
-    for corner in np.geomspace(0.03, 0.97, 24):
-        # |H|² = (1 - lam/4)^z / ((1 - lam/4)^z + c lam^j), one half at the corner.
-        at = float(np.sin(np.pi / 2 * corner)) ** 2
-        binomial = np.array([comb(zeros, i) * (-seen.top / 4) ** i for i in range(zeros + 1)])
-        form = np.zeros(poles + 1)
-        form[: zeros + 1] = binomial
-        form[poles] += (1 - at) ** zeros * (seen.top / 4 / at) ** poles
-        shape = numerator / (x[:, None] ** np.arange(poles + 1) @ form)
-        ratio = (seen.power / shape)[high]
-        level = ratio.sum() / seen.size[high].sum()
-        misfit_ = float(np.sum(seen.size[high] * np.log(level * shape[high]) + ratio / level))
-        if misfit_ < best:
-            best, solution = misfit_, form / level
-    return solution
 
 
 def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: float = _SOUND) -> bool:

@@ -151,7 +151,7 @@ def spectral_view(
     blocks = make_blocks(series, temperature)
     common, findings = choose_regressors(blocks.blocks, axis=series.name, tau0=series.tau0)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
-    band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common)
+    band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common, given=structure)
     return View(
         blocks=blocks,
         band=band,

@@ -78,7 +78,7 @@ def choose(
     coarse = coarser(ordinates, singles=48, merge=3)
     starts = find_starts(coarse, candidates, shortest=shortest, keep=(1, 2, 3))
     if response is not None:
-        starts.theta[:, candidates.width - poles :] = response
+        starts.theta[:, candidates.width - poles :] = _positive(response, ordinates)
     owner = starts.candidate
     # The response was found with the richest model: it stays as it is in the first round.
     free = candidates.free[owner]
@@ -94,7 +94,10 @@ def choose(
         iterations=40,
     )
     if not np.isfinite(rough.objective).any():
-        msg = "no candidate has a finite likelihood from its starting values"
+        msg = (
+            f"spectrum of {ordinates.count:.0f} ordinates: no model has a finite likelihood, expected noise; "
+            "look at the samples for values that are not measurements"
+        )
         raise DataError(msg)
     cost = penalty(criterion, ordinates.count) * candidates.parameters.astype(np.float64)
     best = np.full(candidates.count, np.inf)
@@ -106,6 +109,19 @@ def choose(
     index = np.array(rows, dtype=np.int64)
     fine = maximize(ordinates, candidates.take(owner[index]), rough.theta[index], shortest=shortest)
     return _ranked(structures, candidates, fine, owner=owner[index], near=near, cost=cost)
+
+
+def _positive(response: FloatArray, ordinates: Ordinates) -> FloatArray:
+    """Return the response, made smaller until it is positive in every bin.
+
+    It was found on wider bins; next to a zero at the end of the band it may fall below zero between.
+    """
+    powers = (ordinates.lam[:, None] / ordinates.top) ** np.arange(1, response.size + 1)
+    for _ in range(60):
+        if not response.size or np.min(1 + powers @ response) > 0:
+            break
+        response = 0.9 * response
+    return response
 
 
 def _distinct(rows: IntArray, objective: FloatArray) -> list[int]:

@@ -80,3 +80,14 @@ def test_auto_keeps_n_in_the_model_behind_a_filter() -> None:
     assert result["N"].status == "estimated"
     assert result["N"].low < 1 < result["N"].high
     assert "GM" not in str(result.model)
+
+
+def test_given_gauss_markov_terms_may_be_short() -> None:
+    """A correlation time of five samples, beside white noise, is believed where GM was asked for."""
+    result = fitted(simulated("N=1 + GM(sigma=1, T=5) + GM(sigma=1, T=200)", 100_000, 1), "N + 2*GM")
+    assert result.response is None
+    times = [e.correlation_time for e in result.estimates if e.symbol == "GM"]
+    assert times[0] is not None
+    assert times[1] is not None
+    assert times[0].low < 5 < times[0].high
+    assert times[1].low < 200 < times[1].high

@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from imucal.fit.selection import choose
+from imucal.fit.structures import all_structures
+from imucal.fit.transform import ordinates_of
 from tests.fit.fitting import estimated, fitted, simulated
 
 REPEATS = 150
@@ -52,11 +55,11 @@ def test_a_bound_holds_a_truth_that_is_too_small_to_see() -> None:
 
 def test_white_noise_shows_no_b_and_no_k() -> None:
     """A wrong B or K is found in at most 5 % of records, of any model that is chosen."""
-    wrong = sum(
-        any(fitted(simulated("N=1", 4000, seed), max_gm=1)[k].status == "estimated" for k in "BK")
-        for seed in range(60)
-    )
-    assert wrong <= 3
+    wrong = 0
+    for seed in range(100):
+        choice = choose(ordinates_of(simulated("N=1", 3000, seed)), all_structures(1), criterion="bic")
+        wrong += bool({"B", "K"} & set(choice.structures[0]))
+    assert wrong <= 5
 
 
 def test_a_higher_level_widens_every_interval() -> None:
