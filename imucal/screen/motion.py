@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.findings import Finding
+from imucal.findings import Finding, Level
 from imucal.recording import Sensor
 from imucal.screen.profile import Profile
 from imucal.screen.stillness import usual_variance
@@ -19,6 +19,8 @@ __all__ = ["check_motion", "check_turned"]
 _APART_S = 3.0
 #: Quiet time taken off on both sides of a disturbance, in s.
 _SETTLE_S = 1.0
+#: A shorter rest is not worth keeping, in s.
+_WORTH_S = 5.0
 #: A log disturbed for more than this part of it was not at rest.
 _MOVING = 0.2
 #: Disturbances in this part of the log from its ends are its start and its end.
@@ -49,7 +51,7 @@ def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     duration = max(p.series.duration_s for p in profiles)
     keep = _longest_rest(disturbances, duration)
     moving = sum(d.end_s - d.start_s for d in disturbances) / duration
-    if moving > _MOVING:
+    if moving > _MOVING or keep is None:
         return (_not_at_rest(disturbances, moving, keep),)
     ends = [d for d in disturbances if d.end_s < _ENDS * duration or d.start_s > (1 - _ENDS) * duration]
     middle = [d for d in disturbances if d not in ends]
@@ -88,7 +90,8 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     down = np.stack([p.windows.mean[rest] for p in accel], axis=1)
     seconds = accel[0].windows.time_s[rest]
     keep = _longest_rest(_disturbances(profiles), accel[0].series.duration_s)
-    kept = (seconds >= keep[0]) & (seconds < keep[1])
+    start, end = keep or (0.0, np.inf)
+    kept = (seconds >= start) & (seconds < end)
     if down.shape[0] < _POSE_WINDOWS or not kept.any():
         return ()
     even = np.full(_POSE_WINDOWS, 1 / _POSE_WINDOWS)
@@ -109,7 +112,7 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
                 f"The IMU was turned by up to {angles.max():.0f} degrees, mostly near "
                 f"{seconds[turn]:.1f} s: gravity points elsewhere then."
             ),
-            advice=f"Record again in one pose, or keep the longest rest, {span(*keep)}.",
+            advice=f"Record again in one pose{f', or keep the longest rest, {span(*keep)}' if keep else ''}.",
             keep_s=keep,
         ),
     )
@@ -153,29 +156,29 @@ def _runs(marks: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]
     return np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1
 
 
-def _longest_rest(disturbances: list[_Disturbance], duration: float) -> tuple[float, float]:
-    """Return the longest part without a disturbance, in s, a second clear of its neighbours."""
+def _longest_rest(disturbances: list[_Disturbance], duration: float) -> tuple[float, float] | None:
+    """Return the longest part without a disturbance, in s, a second clear of it; None if all are short."""
     edges = [0.0]
     for disturbance in disturbances:
         edges += [max(0.0, disturbance.start_s - _SETTLE_S), disturbance.end_s + _SETTLE_S]
     edges.append(duration)
     rests = list(zip(edges[::2], edges[1::2], strict=True))
     start, end = max(rests, key=lambda rest: rest[1] - rest[0])
-    return round(start, 1), round(max(start, end), 1)
+    return (round(start, 1), round(end, 1)) if end - start >= _WORTH_S else None
 
 
-def _not_at_rest(disturbances: list[_Disturbance], moving: float, keep: tuple[float, float]) -> Finding:
-    longest = keep[1] - keep[0]
-    return Finding(
-        level="error" if moving > 0.5 else "warning",
-        code="motion",
-        text=(
-            f"The IMU was not at rest: it moved {_times(len(disturbances))}, {moving:.0%} of the log; "
-            f"the longest rest, {span(*keep)}, lasts {time(longest)}."
-        ),
-        advice="Record again with the IMU on a firm, quiet surface, or keep the longest rest.",
-        keep_s=keep,
-    )
+def _not_at_rest(
+    disturbances: list[_Disturbance], moving: float, keep: tuple[float, float] | None
+) -> Finding:
+    text = f"The IMU was not at rest: it moved {_times(len(disturbances))}, {moving:.0%} of the log; "
+    advice = "Record again with the IMU on a firm, quiet surface"
+    if keep is None:
+        text += f"it never rested for {_WORTH_S:g} s."
+    else:
+        text += f"the longest rest, {span(*keep)}, lasts {time(keep[1] - keep[0])}."
+        advice += ", or keep the longest rest"
+    level: Level = "error" if moving > 0.5 or keep is None else "warning"
+    return Finding(level=level, code="motion", text=text, advice=f"{advice}.", keep_s=keep)
 
 
 def _listed(disturbances: list[_Disturbance]) -> str:

@@ -312,3 +312,16 @@ def test_worst_findings_come_first() -> None:
     levels = [f.level for f in screen(recording(gyro, accel))]
     assert levels == sorted(levels, key=["error", "warning", "info"].index)
     assert levels[0] == "error"
+
+
+def test_a_log_that_never_rests_is_not_cut() -> None:
+    """A knock every few seconds: an error, and no part worth keeping."""
+    gyro, accel = still(N, 1)
+    for start in range(100, N, 600):
+        accel[:, start : start + 60] += 0.5 * np.sin(np.arange(60))
+    finding = one(found(gyro, accel))
+    assert (finding.level, finding.code, finding.keep_s) == ("error", "motion", None)
+    assert (
+        finding.text == "The IMU was not at rest: it moved 34 times, 17% of the log; it never rested for 5 s."
+    )
+    assert finding.advice == "Record again with the IMU on a firm, quiet surface."
