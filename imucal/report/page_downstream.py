@@ -129,6 +129,12 @@ _USES = (
     ),
 )
 
+#: Kind and consumers of a Gauss-Markov term.
+_MARKOV = (
+    "continuous: a bias that forgets, the slowest Gauss-Markov term; the summary has phi and q at f",
+    "KF-GINS gbstd, abstd, corrtime; GTSAM tauGyro, tauAcc; Gazebo dynamic_bias_correlation_time",
+)
+
 
 def downstream_section(report: Report) -> Markup:
     """Return which number goes into which configuration, with its formula."""
@@ -143,6 +149,9 @@ def downstream_section(report: Report) -> Markup:
         cells = [element("td", _use_value(chosen, sensor, use)) for sensor in sensors]
         first = element("th", use.formula, scope="row")
         body.append(row(first, element("td", use.kind), *cells, element("td", use.consumers)))
+    cells = [element("td", _markov_value(chosen, sensor)) for sensor in sensors]
+    first = element("th", "σ, T", scope="row")
+    body.append(row(first, element("td", _MARKOV[0]), *cells, element("td", _MARKOV[1])))
     rates = ", ".join(f"f = {chosen.rate_hz(s):.6g} Hz ({s})" for s in sensors)
     return join(
         [
@@ -156,6 +165,17 @@ def downstream_section(report: Report) -> Markup:
             _two_floors(report),
         ]
     )
+
+
+def _markov_value(chosen: Numbers, sensor: Sensor) -> Markup:
+    """Return sigma and T of the axis whose slowest Gauss-Markov term is the largest."""
+    found = [(chosen.gauss_markov(axis), axis.axis) for axis in chosen.axes(sensor)]
+    known = [(term, axis) for term, axis in found if term]
+    if not known:
+        return Markup("–")
+    (sigma, time), axis = max(known)
+    unit = element("small", f"{pretty(sensor.unit)}, ")
+    return join([f"{sigma:.4g} ", unit, f"{time:.4g} ", element("small", f"s, {axis}")])
 
 
 def _use_value(chosen: Numbers, sensor: Sensor, use: _Use) -> Markup:

@@ -122,6 +122,8 @@ def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:
     assert float(rows["K √f"][1].split()[0]) == pytest.approx(1.1e-6 * 200**0.5, rel=1e-3)
     assert float(rows["N / √0.01 s"][1].split()[0]) == pytest.approx(1.3e-4 / 0.1, rel=1e-3)
     assert rows["N"][0].startswith("continuous")
+    # The slowest term of gyro z; no accelerometer axis has one.
+    assert rows["σ, T"][1:3] == ["6e-05 rad/s, 1500 s, z", "–"]
     assert rows["N² f"][0].startswith("discrete")
 
 
