@@ -1,15 +1,14 @@
 """Options that several commands share, and the reading of a log with them."""
 
 import functools
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import click
 
+from imucal.cli._progress import reading_progress
 from imucal.recording import AxisSeries, Recording
 
 __all__ = ["Duration", "LogRequest", "describe_duration", "log_options", "quiet_option", "say"]
@@ -51,7 +50,7 @@ class LogRequest:
         """Read the log, with a progress bar where a person watches."""
         from imucal.readers import read
 
-        with _progress_bar(quiet=self.quiet) as progress:
+        with reading_progress(quiet=self.quiet) as progress:
             recording = read(
                 *self.logs,
                 topic=self.topic,
@@ -122,7 +121,7 @@ def log_options(command: Command) -> Callable[..., Any]:
         return command(request=request, **values)
 
     options = (
-        click.argument("logs", metavar="LOG...", nargs=-1, required=True),
+        click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(allow_dash=True)),
         click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor."),
         click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column."),
         click.option(
@@ -186,35 +185,3 @@ def describe_duration(seconds: float) -> str:
     if seconds < 2 * 60:
         return f"{seconds:.4g} s"
     return f"{seconds / 60:.4g} min" if seconds < 2 * 3600 else f"{seconds / 3600:.4g} h"
-
-
-@contextmanager
-def _progress_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Show bytes, rate and time left on a terminal; nothing elsewhere."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        DownloadColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-        TransferSpeedColumn,
-    )
-
-    columns = (
-        TextColumn("reading"),
-        BarColumn(bar_width=20),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading", total=None)
-
-        def update(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        yield update

@@ -67,11 +67,11 @@ def is_report(path: Path) -> bool:
 
 def _characterise(request: LogRequest) -> Report:
     from imucal.cli._findings import print_findings
-    from imucal.cli.fit import _axes_progress
+    from imucal.cli._progress import axes_progress
     from imucal.pipeline import Settings, characterize
 
     recording = request.read()
-    with _axes_progress(quiet=request.quiet) as progress:
+    with axes_progress(quiet=request.quiet) as progress:
         report = characterize(recording, Settings(reading=request.settings()), progress=progress)
     print_findings(report, quiet=request.quiet)
     say("Characterised with the defaults of 'imucal fit'", quiet=request.quiet)

@@ -1,15 +1,12 @@
 """``imucal fit``: the main job."""
 
-import json
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
 
 from imucal.cli._findings import all_findings, print_findings
 from imucal.cli._options import LogRequest, log_options, say
+from imucal.cli._progress import axes_progress
 from imucal.errors import DataError
 from imucal.noise import parse_structure, structure_text
 
@@ -159,7 +156,7 @@ def command(
         return
     from imucal.cli._table import summary_table
     from imucal.pipeline import Settings, characterize
-    from imucal.report.json_file import to_document
+    from imucal.report.json_file import dumps, to_document
     from imucal.report.writer import write_report
 
     recording = request.read()
@@ -175,10 +172,10 @@ def command(
         verify=verify,
         reading=request.settings(),
     )
-    with _axes_progress(quiet=request.quiet) as progress:
+    with axes_progress(quiet=request.quiet) as progress:
         report = characterize(recording, settings, progress=progress)
     if as_json:
-        click.echo(json.dumps(to_document(report), indent=1, allow_nan=False))
+        click.echo(dumps(to_document(report)), nl=False)
     else:
         click.echo(summary_table(report, datasheet=datasheet))
     print_findings(report, quiet=request.quiet, verbose=request.verbose)
@@ -198,27 +195,3 @@ def report_folder(log: str) -> Path:
     while (suffix := Path(stem).suffix) and suffix.lstrip(".").isalnum() and not suffix[1:].isdigit():
         stem = Path(stem).stem
     return Path(f"{stem or name}-imucal")
-
-
-@contextmanager
-def _axes_progress(*, quiet: bool) -> Iterator[Callable[[int, int, str], None] | None]:
-    """Show which axis is being fitted, on a terminal; nothing elsewhere."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("fitting {task.fields[axis]:8}"),
-        BarColumn(bar_width=20),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("fitting", total=None, axis="")
-
-        def update(done: int, total: int, name: str) -> None:
-            bar.update(task, completed=done, total=total, axis=name)
-
-        yield update

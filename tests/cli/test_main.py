@@ -79,6 +79,6 @@ def test_an_interrupted_command_leaves_nothing_and_says_so(tmp_path: Path) -> No
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert stderr == "Interrupted; nothing was left half written.\n"
+    assert stderr.strip() == "Interrupted; nothing was left half written."
     assert stdout == ""
     assert list(tmp_path.iterdir()) == []
