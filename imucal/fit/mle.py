@@ -18,7 +18,7 @@ from imucal.fit.response import filter_finding, response_of
 from imucal.fit.result import Goodness, Line, NoiseFit
 from imucal.fit.robust import resolution_effect
 from imucal.fit.selection import choose
-from imucal.fit.settle import Setting, settle
+from imucal.fit.settle import Setting, numbered, settle
 from imucal.fit.structures import Structure, all_structures
 from imucal.fit.tails import heavy_tails
 from imucal.fit.transform import bin_blocks
@@ -104,6 +104,7 @@ def fit_mle(
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
     names, covariance = covariance_of(fitted, estimates, scales)
     model = model_of(estimates, fitted, scales)
+    estimates, names = numbered(estimates, names)
     findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
     findings += filter_finding(
         view.ordinates, fitted, band, response, rate_hz=series.rate_hz, axis=series.name

@@ -1,6 +1,6 @@
 """From the chosen candidate to estimates: bounded terms leave the model and keep their bound."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from imucal.fit.result import Estimate
 from imucal.fit.selection import Choice
 from imucal.noise.terms import TERMS
 
-__all__ = ["Setting", "settle"]
+__all__ = ["Setting", "numbered", "settle"]
 
 #: Terms that every fit reports.
 _ALWAYS = ("N", "B", "K")
@@ -54,21 +54,45 @@ def settle(ordinates: Ordinates, choice: Choice, setting: Setting) -> tuple[Fitt
     estimates = _estimate(ordinates, fitted, setting)
     while True:
         gone = [e for e in estimates if e.status == "bounded"]
-        if not gone or len(gone) == len(estimates):
+        if not gone or len(estimates) == 1:
             break
-        bounded |= {e.key: e for e in gone}
-        keys = [e.key for e in gone]
-        fitted = drop_terms(
-            ordinates, fitted, keys, shortest=setting.shortest, common=setting.common
-        ).by_time()
+        # One at a time: of two terms that may stand for one another, one is needed.
+        fitted, dropped = _without_least(ordinates, fitted, gone, setting)
+        bounded[dropped.key] = dropped
         estimates = _estimate(ordinates, fitted, setting)
     symbols = {e.symbol for e in (*estimates, *bounded.values())}
     for symbol in _ALWAYS:
         if symbol not in symbols:
             bounded[symbol] = _bound(ordinates, choice, fitted, symbol, setting)
     order = list(TERMS)
-    everything = sorted((*estimates, *bounded.values()), key=lambda e: (order.index(e.symbol), e.key))
-    return fitted, _unique(everything)
+    everything = (*estimates, *bounded.values())
+    return fitted, tuple(
+        sorted(everything, key=lambda e: (order.index(e.symbol), e.status == "bounded", e.key))
+    )
+
+
+def numbered(
+    estimates: tuple[Estimate, ...], names: tuple[str, ...]
+) -> tuple[tuple[Estimate, ...], tuple[str, ...]]:
+    """Return estimates and parameters with several Gauss-Markov terms numbered, bounded ones last."""
+    if sum(e.symbol == "GM" for e in estimates) < 2:
+        return estimates, names
+    result, seen = [], 0
+    for found in estimates:
+        seen += found.symbol == "GM"
+        result.append(replace(found, key=f"GM{seen}") if found.symbol == "GM" else found)
+    return tuple(result), tuple(name.replace("GM.", "GM1.") for name in names)
+
+
+def _without_least(
+    ordinates: Ordinates, fitted: Fitted, gone: list[Estimate], setting: Setting
+) -> tuple[Fitted, Estimate]:
+    """Return the fit without the term whose absence costs the least likelihood, and its bound."""
+    fits = [
+        drop_terms(ordinates, fitted, [e.key], shortest=setting.shortest, common=setting.common) for e in gone
+    ]
+    best = int(np.argmin([float(fit.maximum.objective[0]) for fit in fits]))
+    return fits[best].by_time(), gone[best]
 
 
 def _candidate(choice: Choice, index: int) -> Fitted:
@@ -100,26 +124,3 @@ def _bound(ordinates: Ordinates, choice: Choice, fitted: Fitted, symbol: str, se
         )
         found.append(bound)
     return max(found, key=lambda e: e.high)
-
-
-def _unique(estimates: list[Estimate]) -> tuple[Estimate, ...]:
-    """Return the estimates under keys of their own: a bounded GM beside others gets the next number."""
-    markov = [e for e in estimates if e.symbol == "GM"]
-    if len({e.key for e in markov}) == len(markov):
-        return tuple(estimates)
-    ordered = sorted(markov, key=lambda e: (e.status == "bounded", e.key))
-    names = {id(e): f"GM{index + 1}" for index, e in enumerate(ordered)}
-    return tuple(
-        e
-        if e.symbol != "GM"
-        else Estimate(
-            key=names[id(e)],
-            symbol="GM",
-            status=e.status,
-            value=e.value,
-            low=e.low,
-            high=e.high,
-            correlation_time=e.correlation_time,
-        )
-        for e in estimates
-    )

@@ -116,6 +116,23 @@ def test_a_bounded_term_of_a_given_model_leaves_the_model() -> None:
     assert result.parameters == ("N",)
 
 
+def test_of_two_terms_that_may_stand_for_one_another_one_stays() -> None:
+    """B and K are each not shown beside the other, but one of them is needed and stays."""
+    result = fitted(simulated("N=1 + K=0.012", 3000, 4), "N + B + K")
+    assert result.goodness.statistic < 3
+    assert {result["B"].status, result["K"].status} == {"estimated", "bounded"}
+
+
+def test_gauss_markov_terms_that_are_not_shown_are_numbered_too() -> None:
+    """Two given Gauss-Markov terms of white noise are bounded, each under a name of its own."""
+    result = fitted(simulated("N=1", 20_000, 15), "N + 2*GM")
+    assert [e.key for e in result.estimates] == ["N", "B", "GM1", "GM2", "K"]
+    assert str(result.model) == "N"
+    one = fitted(simulated("N=1 + GM(sigma=1, T=50)", 20_000, 15), "N + 2*GM")
+    assert one["GM1"].status == "estimated"
+    assert one.parameters[:2] == ("N", "GM1.sigma")
+
+
 def test_reports_the_models_within_reach() -> None:
     """The chosen model comes first with delta 0, the others rise to at most 6."""
     result = fitted(simulated("N=1 + B=0.05 + K=1e-3", 100_000, 9))
