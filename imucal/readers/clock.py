@@ -172,9 +172,7 @@ def _read(  # noqa: PLR0917 - all that is known of the samples
     )
     notes += stamp_notes(steps, stamps.size, breaks, period)
     notes += jump_notes(stamps, jumps)
-    keep = np.ones(stamps.size, dtype=np.bool_)
-    keep[breaks.doubled] = False
-    segments = _segments(keep, breaks.at, missing, jumps)
+    segments = _segments(stamps.size, breaks, missing, jumps)
     measured = 1e9 / period.tau_ns
     if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
         notes.append(rate_note(rate_hz, measured))
@@ -187,7 +185,8 @@ def _read(  # noqa: PLR0917 - all that is known of the samples
     )
     notes += gap_notes(clock)
     if breaks.doubled.size:
-        order = np.flatnonzero(keep) if order is None else order[keep]
+        kept = np.delete(np.arange(stamps.size), breaks.doubled)
+        order = kept if order is None else order[kept]
     return ClockReading(clock=clock, order=order, findings=tuple(notes))
 
 
@@ -233,16 +232,14 @@ def _believable(
     return missing, jumps
 
 
-def _segments(
-    keep: NDArray[np.bool_], at: IntArray, missing: IntArray, jumps: dict[int, int]
-) -> tuple[Segment, ...]:
+def _segments(n: int, breaks: Breaks, missing: IntArray, jumps: dict[int, int]) -> tuple[Segment, ...]:
     """Return the runs between breaks, numbered in the samples that are kept."""
-    lost = dict(zip(at.tolist(), missing.tolist(), strict=True)) | jumps
+    lost = dict(zip(breaks.at.tolist(), missing.tolist(), strict=True)) | jumps
     places = sorted(lost)
-    kept = np.cumsum(keep)
-    stops = [int(kept[place - 1]) for place in places] + [int(kept[-1])]
+    ends = np.array([*places, n], dtype=np.int64)
+    stops = (ends - np.searchsorted(np.sort(breaks.doubled), ends)).tolist()
     segments, start, offset = [], 0, 0
-    for stop, place in zip(stops, [*places, -1], strict=True):
+    for stop, place in zip(stops, [*places, n], strict=True):
         if stop > start:
             segments.append(Segment(start=start, stop=stop, offset=offset))
         offset += stop - start + lost.get(place, 0)

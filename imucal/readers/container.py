@@ -1,6 +1,6 @@
 """What every container of messages offers: channels, and tasks that load chunks of them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -79,8 +79,8 @@ class Container(Protocol):
     #: Whether the tasks may run in several threads at once.
     parallel: bool
 
-    def tasks(self, keys: frozenset[int]) -> list[Task]:
-        """Return the chunks that hold messages of some channels."""
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield the chunks that hold messages of some channels."""
 
     def close(self) -> None:
         """Close the file."""

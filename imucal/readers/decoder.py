@@ -4,16 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
-from imucal.readers.batch import Batch, Guard, Loss
+from imucal.readers.batch import Batch, Loss
 from imucal.readers.definitions import Field
 from imucal.readers.fields import write_fields
 from imucal.readers.files import DamagedError
 from imucal.readers.messages import Carrier
 from imucal.readers.store import Columns
-from imucal.readers.walker import Found, Layout, Place, Position, Walker, gather
+from imucal.readers.template import Template, learn
+from imucal.readers.walker import Found, Layout, Walker, gather
 
 __all__ = ["BinaryDecoder", "Shape"]
 
@@ -26,8 +26,6 @@ _ENCAPSULATIONS = {
 }
 _ROS1 = Layout(order="<", align=1)
 _CDR = _ENCAPSULATIONS[0x0001]
-#: Longest head of a message that is gathered at once, in bytes.
-_HEAD = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,31 +34,6 @@ class Shape:
 
     fields: tuple[Field, ...]
     carrier: Carrier
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Template:
-    """A channel's layout when every message has the shape of the first.
-
-    Attributes
-    ----------
-    guards
-        Those of the batch it was learnt from.
-    words
-        The guards, the encapsulation and the lengths of strings, which every record must repeat.
-    head
-        Bytes at the start of a record that hold them and the stamp.
-    places
-        Path -> position from the start of the record, and type.
-    end
-        Bytes a record must have.
-    """
-
-    guards: tuple[Guard, ...]
-    words: tuple[Guard, ...]
-    head: int
-    places: dict[str, Place]
-    end: int
 
 
 class BinaryDecoder:
@@ -87,7 +60,7 @@ class BinaryDecoder:
         self.carrier = shape.carrier
         self.walker = Walker(shape.fields, shape.carrier.wanted)
         self._whole = Walker(shape.fields, [shape.fields[-1].path]) if self._exact else None
-        self._template: _Template | None = None
+        self._template: Template | None = None
 
     def settle(self, batch: Batch) -> None:
         """Choose the definition by the size of the first messages; called once, before all others.
@@ -126,22 +99,7 @@ class BinaryDecoder:
         template = self._template
         if template is None or template.guards != batch.guards:
             template = self._template = self._learn(batch) if batch.guards else None
-        if template is None:
-            return False
-        n, starts = batch.n, batch.starts
-        if int(starts.max()) + template.end > len(batch.buffer) or int(starts.min()) < 0:
-            return False
-        head = gather(batch.buffer, starts, template.head)
-
-        def word(at: int, dtype: str) -> NDArray[np.int64]:
-            return np.ndarray((n,), dtype, buffer=head, offset=at, strides=(template.head,))
-
-        if not all(bool((word(at, dtype) == value).all()) for at, dtype, value in template.words):
-            return False
-        part = slice(first, first + n)
-        columns.log[part] = batch.log_ns if batch.log_at is None else word(batch.log_at, "<i8")
-        write_fields(batch.buffer, starts, template.places, self.carrier, columns, part)
-        return True
+        return template is not None and template.decode(batch, columns, first)
 
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:
         """Decode a checked batch whose messages may all differ.
@@ -156,32 +114,18 @@ class BinaryDecoder:
         elif batch.n:
             self._by_encapsulation(batch, columns, first)
 
-    def _learn(self, batch: Batch) -> _Template | None:
+    def _learn(self, batch: Batch) -> Template | None:
         """Learn the shape of the first record; None where its messages can't be taken at once."""
-        if not isinstance(batch.sizes, int) or self._whole is not None:
+        if self._whole is not None:
             return None
-        start = batch.starts[:1]
-        skip, layout = batch.header, _ROS1
-        words = list(batch.guards)
+        body, layout, code = batch.starts[:1] + batch.header, _ROS1, b""
         if not self.ros1:
-            code = bytes(gather(batch.buffer, start + batch.header, 2))
+            code = bytes(gather(batch.buffer, body, 2))
             known = _ENCAPSULATIONS.get(int.from_bytes(code, "big"))
             if known is None:
                 return None
-            layout, skip = known, batch.header + 4
-            words.append((batch.header, "<u2", int.from_bytes(code, "little")))
-        found = self.walker.walk(batch.buffer, start + skip, layout)
-        for at, length in found.lengths:
-            words.append((skip + _fixed(at), layout.order + "u4", _fixed(length)))
-        if skip + _fixed(found.end) > batch.header + batch.sizes:
-            return None
-        places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
-        ends = [at + np.dtype(dtype).itemsize for at, dtype, _ in words]
-        head = max([*ends, (batch.log_at or 0) + 8])
-        end = batch.header + batch.sizes
-        if head > min(_HEAD, end):
-            return None
-        return _Template(batch.guards, tuple(words), head, places, end)
+            layout, body = known, body + 4
+        return learn(batch, self.walker.walk(batch.buffer, body, layout), layout, code, self.carrier)
 
     # The walk
 
@@ -223,8 +167,3 @@ class BinaryDecoder:
             if bool(np.any(np.abs(end + skipped - batch.sizes) > 3)):
                 msg = "messages do not have the size of the built-in definition of their type"
                 raise DamagedError(msg, code="definition")
-
-
-def _fixed(at: Position) -> int:
-    """Return the position that a walk of one message gives."""
-    return int(np.asarray(at).reshape(-1)[0])

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -104,8 +105,8 @@ class _Run:
         totals = [0] * len(streams)
         for number, container in enumerate(containers):
             keys = frozenset(key for stream in streams for at, key in stream.decoders if at == number)
-            tasks = container.tasks(keys) if keys else []
-            for task in tasks[:1] if first_only else tasks:
+            tasks = container.tasks(keys) if keys else iter(())
+            for task in islice(tasks, 1) if first_only else tasks:
                 self.jobs.append(self._job(number, task, totals))
             if first_only and self.jobs:
                 break
@@ -119,6 +120,8 @@ class _Run:
         ]
         self.filled: list[list[tuple[int, int]]] = [[] for _ in streams]
         self.extra: list[list[Columns]] = [[] for _ in streams]
+        # zstd keeps its buffers itself, and what isn't compressed needs none.
+        self.allocates = any(container.compression not in {"zstd", "none"} for container in containers)
         self.parallel = all(container.parallel for container in containers)
         self.progress = progress
         self.done, self.total = 0, sum(job.task.size for job in self.jobs)
@@ -135,7 +138,7 @@ class _Run:
         return job
 
     def go(self) -> list[Decoding]:
-        if sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
+        if self.allocates and sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
             keep_freed_memory()
         threads = min(_MAX_THREADS, os.cpu_count() or 1, len(self.jobs)) if self.parallel else 1
         if threads > 1:

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import IntArray
 from imucal.readers.messages import Carrier, Stamp, Vector
 from imucal.readers.store import Columns
 from imucal.readers.walker import Bytes, Place, Position, gather
 
-__all__ = ["write_fields"]
+__all__ = ["adjacent", "write_fields", "write_temperature", "write_vector"]
 
 
 def write_fields(  # noqa: PLR0917 - what lies where, and where it goes
@@ -25,25 +25,23 @@ def write_fields(  # noqa: PLR0917 - what lies where, and where it goes
     else:
         columns.stamps[to] = _stamps(buffer, starts, places, carrier.stamp)
     for vector in carrier.vectors:
-        _write_vector(buffer, starts, places, vector, columns.vectors[vector.sensor], to)
-    if carrier.temperature and columns.temperature is not None:
-        place = places[carrier.temperature]
-        columns.temperature[to] = _column(buffer, starts, place)
+        write_vector(buffer, starts, places, vector, columns, to)
+    write_temperature(buffer, starts, places, carrier, columns, to)
 
 
-def _write_vector(  # noqa: PLR0917 - as `_write`
+def write_vector(  # noqa: PLR0917 - as `write_fields`
     buffer: Bytes,
     starts: IntArray,
     places: dict[str, Place],
     vector: Vector,
-    rows: FloatArray,
+    columns: Columns,
     to: slice | IntArray,
 ) -> None:
     """Gather x, y and z at once where they lie side by side, and turn increments into rates."""
-    first = places[vector.paths[0]]
-    size = np.dtype(first.dtype).itemsize
-    ats = [places[path].at for path in vector.paths]
-    if len(ats) == 1 or (_apart(ats[0], ats[1], size) and _apart(ats[1], ats[2], size)):
+    rows = columns.vectors[vector.sensor]
+    if adjacent(places, vector):
+        first = places[vector.paths[0]]
+        size = np.dtype(first.dtype).itemsize
         values = gather(buffer, starts + first.at, 3 * size).view(first.dtype).reshape(-1, 3)
         rows[:, to] = values.T
     else:
@@ -53,6 +51,28 @@ def _write_vector(  # noqa: PLR0917 - as `_write`
         seconds = _column(buffer, starts, places[vector.divisor]).astype(np.float64) * 1e-6
         seconds[seconds == 0] = np.nan
         rows[:, to] /= seconds
+
+
+def write_temperature(  # noqa: PLR0917 - as `write_fields`
+    buffer: Bytes,
+    starts: IntArray,
+    places: dict[str, Place],
+    carrier: Carrier,
+    columns: Columns,
+    to: slice | IntArray,
+) -> None:
+    """Write the temperature, where there is one."""
+    if carrier.temperature and columns.temperature is not None:
+        columns.temperature[to] = _column(buffer, starts, places[carrier.temperature])
+
+
+def adjacent(places: dict[str, Place], vector: Vector) -> bool:
+    """Say whether the numbers of a vector lie side by side in every message."""
+    if len(vector.paths) == 1:
+        return True
+    x, y, z = (places[path] for path in vector.paths)
+    size = np.dtype(x.dtype).itemsize
+    return x.dtype == y.dtype == z.dtype and _apart(x.at, y.at, size) and _apart(y.at, z.at, size)
 
 
 def _stamps(buffer: Bytes, starts: IntArray, places: dict[str, Place], stamp: Stamp) -> IntArray:

@@ -1,5 +1,6 @@
 """An MCAP file opened: its channels and chunks, from the summary or from a scan."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -67,15 +68,16 @@ class McapFile:
         """Close the file."""
         self._file.close()
 
-    def tasks(self, keys: frozenset[int]) -> list[Task]:
-        """Return the chunks that hold messages of some channels."""
-        tasks: list[Task] = []
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield the chunks that hold messages of some channels."""
         for chunk in self._book.chunks:
             task = ChunkTask(self._file, chunk, keys)
             if task.counts:
-                tasks.append(task)
-        tasks += [cast("Task", part) for loose in self._book.loose if (part := loose.only(keys)).counts]
-        return tasks
+                yield cast("Task", task)
+        for loose in self._book.loose:
+            part = loose.only(keys)
+            if part.counts:
+                yield cast("Task", part)
 
     def _open(self) -> Bookkeeping:
         """Read the summary; scan the file where there is none, or it is damaged."""

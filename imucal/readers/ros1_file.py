@@ -2,6 +2,7 @@
 
 import contextlib
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
@@ -51,10 +52,12 @@ class BagFile:
         """Close the file."""
         self._file.close()
 
-    def tasks(self, keys: frozenset[int]) -> list[Task]:
-        """Return the chunks that hold messages of some connections."""
-        tasks = [BagChunkTask(self._file, chunk, keys) for chunk in self._chunks]
-        return [cast("Task", task) for task in tasks if task.counts]
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield the chunks that hold messages of some connections."""
+        for chunk in self._chunks:
+            task = BagChunkTask(self._file, chunk, keys)
+            if task.counts:
+                yield cast("Task", task)
 
     def _open(self) -> None:
         magic = bytes(self._file.read(0, min(len(MAGIC), self.size)))

@@ -1,7 +1,7 @@
 """ROS 2 bags: folders with metadata.yaml, single `.db3` files, and files compressed by zstd."""
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from imucal.errors import ReadError
@@ -115,7 +115,7 @@ class _Unpacked:
             self.findings.append(Finding(level="warning", code="truncated", text=text))
         self.channels: list[Channel] = list(self._inner.channels)
 
-    def tasks(self, keys: frozenset[int]) -> list[Task]:
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         return self._inner.tasks(keys)
 
     def close(self) -> None:

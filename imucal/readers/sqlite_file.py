@@ -90,17 +90,19 @@ class SqliteFile:
         if self._base is not None:
             self._base.close()
 
-    def tasks(self, keys: frozenset[int]) -> list[Task]:
-        """Return groups of pages; ranges of rows where only SQLite can read them."""
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield groups of pages; ranges of rows where only SQLite can read them."""
         known = {channel.key for channel in self.channels if channel.count != 0}
         wanted = sorted(keys & known)
         if not wanted or (not self._cut and self.last_id < self.first_id):
-            return []
+            return
         if not self._cut and self._needs_sqlite():
-            tasks = [SqliteTask(self._database, wanted, rows, size) for rows, size in self._ranges()]
-            return [cast("Task", task) for task in tasks]
+            for rows, size in self._ranges():
+                yield cast("Task", SqliteTask(self._database, wanted, rows, size))
+            return
         groups, fetch = self._pages()
-        return [cast("Task", PageTask(self._file, pages, wanted, most, fetch)) for pages, most in groups]
+        for pages, most in groups:
+            yield cast("Task", PageTask(self._file, pages, wanted, most, fetch))
 
     @property
     def _database(self) -> sqlite3.Connection:

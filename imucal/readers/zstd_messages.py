@@ -32,9 +32,10 @@ class ZstdMessages:
         """Close the container."""
         self._inner.close()
 
-    def tasks(self, keys: frozenset[int]) -> list[Task]:
-        """Return the tasks of the container, each with decompression."""
-        return [cast("Task", _ZstdTask(task)) for task in self._inner.tasks(keys)]
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield the tasks of the container, each with decompression."""
+        for task in self._inner.tasks(keys):
+            yield cast("Task", _ZstdTask(task))
 
 
 class _ZstdTask:
