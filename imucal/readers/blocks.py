@@ -61,6 +61,8 @@ class BlockReader:
         The rows to read.
     limit
         Bytes of a column to hold in memory.
+    expected
+        Rows to make room for.
     prepare
         Turns a block of lines into lines of plain cells, where the format needs it.
     """
@@ -70,6 +72,7 @@ class BlockReader:
     needed: frozenset[int]
     rows: Rows = None
     limit: int = 1 << 62
+    expected: int = 0
     prepare: Callable[[bytes], bytes] | None = None
     counts: RowCounts = field(default_factory=RowCounts)
     columns: dict[int, GrowingColumn] = field(init=False)
@@ -78,7 +81,9 @@ class BlockReader:
 
     def __post_init__(self) -> None:
         self.columns = {
-            place: GrowingColumn(np.float64 if kind == "float" else np.int64, limit=self.limit)
+            place: GrowingColumn(
+                np.float64 if kind == "float" else np.int64, limit=self.limit, expected=self.expected
+            )
             for place, kind in self.kinds.items()
         }
         self._places = sorted(self.kinds)

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 __all__ = ["GrowingColumn", "default_memory_limit"]
 
+#: Values that a column has room for at first.
+_FIRST = 1 << 16
+
 
 def default_memory_limit() -> int:
     """Return a quarter of the machine's memory, in bytes; 2 GiB where it can't be asked."""
@@ -28,67 +31,64 @@ class GrowingColumn:
     limit
         Bytes to hold in memory; beyond them the values go to a temporary file that vanishes with
         the array.
+    expected
+        Values to make room for; memory that is never filled is never taken.
     """
 
-    def __init__(self, dtype: type[np.generic], *, limit: int) -> None:
-        self._dtype = np.dtype(dtype)
+    def __init__(self, dtype: type[np.generic], *, limit: int, expected: int = 0) -> None:
         self._limit = limit
-        self._parts: list[NDArray[Any]] = []
-        self._held = 0
+        room = min(max(expected, _FIRST), limit // 8 + _FIRST)
+        self._held: NDArray[Any] = np.empty(room, dtype=dtype)
+        self._filled = 0
         self._file: Any = None
         self.size = 0
 
     @property
     def is_integer(self) -> bool:
         """Whether all values so far are integers."""
-        return self._dtype.kind == "i"
+        return self._held.dtype.kind == "i"
 
     def append(self, values: NDArray[Any]) -> None:
         """Append a block; a block of floats turns a column of integers into one of floats."""
         if self.is_integer and values.dtype.kind == "f":
             self._become_float()
-        # A copy, because the parser's memory goes away with its block.
-        part = np.array(values, dtype=self._dtype)
-        self._parts.append(part)
-        self._held += part.nbytes
-        self.size += part.size
-        if self._held > self._limit or self._file is not None:
+        stop = self._filled + values.size
+        if stop > self._held.size:
+            larger = np.empty(max(stop, 2 * self._held.size), dtype=self._held.dtype)
+            larger[: self._filled] = self._held[: self._filled]
+            self._held = larger
+        self._held[self._filled : stop] = values
+        self._filled = stop
+        self.size += values.size
+        if self._filled * self._held.itemsize > self._limit:
             self._spill()
 
     def take(self) -> NDArray[Any]:
         """Return all values as one array, and forget them."""
-        if self._file is not None:
-            self._file.flush()
-            array: NDArray[Any] = np.memmap(self._file, dtype=self._dtype, mode="r", shape=(self.size,))
-            self._file.close()
-            self._file = None
+        if self._file is None:
+            array, self._held = self._held, np.empty(0, dtype=self._held.dtype)
+            # Shrinking gives pages back and copies nothing.
+            array.resize(self._filled, refcheck=False)
             return array
-        if len(self._parts) == 1:
-            return self._parts.pop()
-        array = np.empty(self.size, dtype=self._dtype)
-        place = 0
-        self._parts.reverse()
-        while self._parts:
-            part = self._parts.pop()
-            array[place : place + part.size] = part
-            place += part.size
-        return array
+        self._spill()
+        self._file.flush()
+        mapped: NDArray[Any] = np.memmap(self._file, dtype=self._held.dtype, mode="r", shape=(self.size,))
+        self._file.close()
+        self._file = None
+        return mapped
 
     def _spill(self) -> None:
         if self._file is None:
             # It has no name, so nothing is left behind whatever happens.
             self._file = tempfile.TemporaryFile(prefix="imucal-")  # noqa: SIM115 - lives as long as the column
-        for part in self._parts:
-            self._file.write(part)
-        self._parts.clear()
-        self._held = 0
+        self._file.write(self._held[: self._filled])
+        self._filled = 0
 
     def _become_float(self) -> None:
-        self._parts = [part.astype(np.float64) for part in self._parts]
-        if self._file is not None and self.size:
+        self._held = self._held.astype(np.float64)
+        written = self.size - self._filled
+        if self._file is not None and written:
             self._file.flush()
-            written = self.size - sum(part.size for part in self._parts)
-            old = np.memmap(self._file, dtype=self._dtype, mode="r", shape=(written,)).astype(np.float64)
+            old = np.memmap(self._file, dtype=np.int64, mode="r", shape=(written,)).astype(np.float64)
             self._file.seek(0)
             self._file.write(old)
-        self._dtype = np.dtype(np.float64)

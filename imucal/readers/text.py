@@ -29,6 +29,8 @@ STANDARD_INPUT = "-"
 _HEAD = 1 << 18
 #: Bytes of text parsed at once: large enough for the parser, small enough for memory.
 _BLOCK = 4 << 20
+#: Bytes before the end of a block in which its last line is looked for first.
+_TAIL = 1 << 12
 #: A line longer than this is no row of a table.
 _LONGEST_LINE = 1 << 20
 
@@ -87,7 +89,11 @@ class TextSource:
         self._decode = (
             None if self.encoding in {"utf-8", "latin-1"} else codecs.getincrementaldecoder(self.encoding)()
         )
+        marked = head.startswith(codecs.BOM_UTF8)
         head = self._plain(head.removeprefix(codecs.BOM_UTF8))
+        # Where the text of `_start` begins in a plain file, whose blocks can be read one by one.
+        exact = self.compression == "none" and self._decode is None and b"\r" not in head and raw.seekable()
+        self._exact = (len(codecs.BOM_UTF8) if marked else 0) if exact else None
         self._return_only = b"\r" in head and b"\n" not in head
         self._start = self._line_ends(head)
         self.head = self._head_lines(self._start)
@@ -104,6 +110,14 @@ class TextSource:
         """Close the file."""
         self._raw.close()
 
+    @property
+    def expected_rows(self) -> int:
+        """About how many lines a plain file has, a little more than fewer; 0 where its size says nothing."""
+        if self.size is None or self.compression != "none" or not self.head:
+            return 0
+        length = sum(map(len, self.head)) / len(self.head) + 1
+        return int(1.05 * self.size / length)
+
     def blocks(self) -> Iterator[bytes]:
         """Yield all text, in blocks of whole lines; the last line may lack its end.
 
@@ -113,6 +127,9 @@ class TextSource:
             If a line is longer than any row of a table.
         """
         rest, self._start = self._start, b""
+        if self._exact is not None and not self._ended:
+            yield from self._exact_blocks(rest)
+            return
         while True:
             data = b"" if self._ended else self._line_ends(self._plain(self._read(_BLOCK)))
             cut = len(data) if self._ended else data.rfind(b"\n") + 1
@@ -120,13 +137,48 @@ class TextSource:
             block = b"".join((rest, memoryview(data)[:cut])) if cut or self._ended else b""
             rest = data[cut:] if block or not rest else rest + data
             if len(rest) > _LONGEST_LINE:
-                msg = f"{self.name}: a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
-                raise ReadError(msg)
+                raise self._too_long()
             self._report()
             if block:
                 yield block
             if self._ended:
                 return
+
+    def _exact_blocks(self, head: bytes) -> Iterator[bytes]:
+        """Yield the blocks of a plain file, each read where it ends: nothing is copied to join them."""
+        cut = head.rfind(b"\n") + 1
+        place = (self._exact or 0) + cut
+        if cut:
+            yield head[:cut]
+        size = self._raw.seek(0, io.SEEK_END)
+        while place < size:
+            stop = min(place + _BLOCK, size)
+            if stop < size:
+                stop = self._line_end(place, stop)
+            self._raw.seek(place)
+            block = _read_fully(self._raw, stop - place)
+            if not block:
+                return
+            place += len(block)
+            self._report()
+            yield self._line_ends(block)
+
+    def _line_end(self, start: int, stop: int) -> int:
+        """Return the end of the last line that ends between two places."""
+        back = _TAIL
+        while True:
+            first = max(start, stop - back)
+            self._raw.seek(first)
+            end = _read_fully(self._raw, stop - first).rfind(b"\n")
+            if end >= 0:
+                return first + end + 1
+            if first == start or back > _LONGEST_LINE:
+                raise self._too_long()
+            back *= 16
+
+    def _too_long(self) -> ReadError:
+        msg = f"{self.name}: a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
+        return ReadError(msg)
 
     def _read(self, size: int) -> bytes:
         """Return up to `size` bytes of the unpacked stream; a cut stream ends, with a finding."""

@@ -103,7 +103,7 @@ def read_table(
     if stamps is not None:
         plan = stamps.replace_times(plan)
     groups = _by_rows(plan)
-    readers = [_reader(text, plan, group, options) for group in groups]
+    readers = [_reader(text, plan, group, options, source.expected_rows) for group in groups]
     cut = _read_blocks(source, layout, readers)
     findings = [*source.findings, *_row_findings(source.name, cut, layout, readers, options)]
     sensors = []
@@ -229,7 +229,9 @@ def _by_rows(plan: TablePlan) -> list[list[SensorPlan]]:
     return list(groups.values())
 
 
-def _reader(text: _Text, plan: TablePlan, sensors: Sequence[SensorPlan], options: ReadOptions) -> BlockReader:
+def _reader(
+    text: _Text, plan: TablePlan, sensors: Sequence[SensorPlan], options: ReadOptions, expected: int
+) -> BlockReader:
     """Return the reader of one group's rows."""
     rows = sensors[0].triad.rows or text.rows
     layout = _of_rows(text, rows)
@@ -250,7 +252,13 @@ def _reader(text: _Text, plan: TablePlan, sensors: Sequence[SensorPlan], options
         needed |= {last}
     limit = (options.memory_limit or default_memory_limit()) // max(1, len(kinds))
     return BlockReader(
-        layout=layout, kinds=kinds, needed=needed, rows=rows, limit=limit, prepare=text.prepare
+        layout=layout,
+        kinds=kinds,
+        needed=needed,
+        rows=rows,
+        limit=limit,
+        expected=expected,
+        prepare=text.prepare,
     )
 
 
