@@ -40,6 +40,9 @@ _SOUND_FLAT = 4.0
 #: Twice the log-likelihood that one, or two more orders of the response may gain by chance. A
 #: filter where there is none costs N a factor of two, so the flat band has the benefit of the doubt.
 _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
+#: Quantization noise and a response bend the same part of the spectrum: where quantization explains
+#: it, a filter instead needs strong reasons.
+_GAIN_QUANTIZED, _QUANTIZED = (30.0, 33.0), 0.2
 #: Highest number of poles.
 _ORDERS = 5
 #: Above this fraction of Nyquist a response's zeros show; at Nyquist itself they leave nothing.
@@ -190,19 +193,25 @@ class _Search:
         orders: list[Order] = [(0, 0), (1, 0), (2, 0)]
         start = self.blind(self.ordinates)
         trials = self.fit(self.ordinates, 1.0, orders, np.repeat(start, 3, axis=0))
-        if not _enough(trials, _GAIN_FLAT, _SOUND_FLAT):
+        quantization = float(np.exp(trials[0].maximum.theta[0, 0])) * self.ordinates.basis[0, -1]
+        bent = "Q" in self.structure and quantization > _QUANTIZED * self.level_at_the_top()
+        chance = _GAIN_QUANTIZED if bent else _GAIN_FLAT
+        if not _enough(trials, chance, _SOUND_FLAT):
             # The richer fits may have found a better place for the slow terms: try it without them.
             again = np.concatenate([t.maximum.theta for t in trials])
             again[:, self.width :] = 0.0
             flat = self.fit(self.ordinates, 1.0, [(0, 0)] * 3, again)
             trials[0] = min(flat, key=lambda t: t.maximum.objective[0])
-        return trials[0].band(sound=_enough(trials, _GAIN_FLAT, _SOUND_FLAT), width=self.width)
+        return trials[0].band(sound=_enough(trials, chance, _SOUND_FLAT), width=self.width)
+
+    def level_at_the_top(self) -> float:
+        """Return the mean square of the ordinates of the highest frequencies."""
+        last = slice(-8, None)
+        return float(self.ordinates.power[last].sum() / self.ordinates.size[last].sum())
 
     def white_at_the_top(self) -> bool:
         """Whether white noise makes most of the blind fit's power at the highest frequencies."""
-        seen, last = self.ordinates, slice(-8, None)
-        level = float(seen.power[last].sum() / seen.size[last].sum())
-        return float(np.exp(self.blind(seen)[0, 1])) > 0.5 * level
+        return float(np.exp(self.blind(self.ordinates)[0, 1])) > 0.5 * self.level_at_the_top()
 
     def filtered(self) -> Band:
         """Return the best sound description, or the least bad one."""
