@@ -15,6 +15,9 @@ from imucal.errors import DataError
 
 __all__ = ["DctBins", "bin_power", "dct_bins", "dct_ordinates", "fast_length"]
 
+#: Ordinates that are squared at a time.
+_BLOCK = 65536
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DctBins:
@@ -113,7 +116,16 @@ def bin_power(ordinates: FloatArray, bins: DctBins) -> FloatArray:
     if ordinates.shape != (bins.n - 1,):
         msg = f"ordinates must have shape ({bins.n - 1},), got {ordinates.shape}"
         raise ValueError(msg)
-    return np.add.reduceat(np.square(ordinates), bins.first - 1)
+    power = np.empty(bins.size)
+    start = 0
+    while start < bins.size:
+        # Bins by the block, so that the squares stay in the cache.
+        stop = max(int(np.searchsorted(bins.first, bins.first[start] + _BLOCK)), start + 1)
+        low = int(bins.first[start]) - 1
+        high = int(bins.first[stop - 1] + bins.count[stop - 1]) - 1
+        power[start:stop] = np.add.reduceat(np.square(ordinates[low:high]), bins.first[start:stop] - 1 - low)
+        start = stop
+    return power
 
 
 def fast_length(n: int) -> int:

@@ -13,13 +13,14 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.allan import allan_curve
 from imucal.arrays import FloatArray
 from imucal.noise import NoiseModel
 from imucal.recording import AxisSeries
 
-__all__ = ["HELD_OUT", "STANDARD", "N", "Setting", "coverage"]
+__all__ = ["GAPPY", "HELD_OUT", "STANDARD", "N", "Setting", "coverage"]
 
 N = 4096
 LEVELS = (0.68, 0.95)
@@ -112,29 +113,66 @@ HELD_OUT: dict[str, Setting] = {
 }
 
 
+def _scattered(rng: np.random.Generator) -> NDArray[np.bool_]:
+    return rng.random(N) < 0.1
+
+
+def _bursts(number: int, length: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    lost = np.zeros(N, dtype=bool)
+    for start in rng.integers(0, N - length, number):
+        lost[start : start + length] = True
+    return lost
+
+
+def losing(text: str, lose: Callable[[np.random.Generator], NDArray[np.bool_]]) -> Setting:
+    """Return the setting of a model of which some samples are NaN, but never the first and last."""
+    model = NoiseModel.parse(text)
+
+    def draw(rng: np.random.Generator) -> FloatArray:
+        samples = model.simulate(N, rate_hz=1.0, rng=rng)
+        lost = lose(rng)
+        lost[0] = lost[-1] = False
+        return np.where(lost, np.nan, samples)
+
+    return draw, partial(_model_truth, model)
+
+
+LOSSES: dict[str, Callable[[np.random.Generator], NDArray[np.bool_]]] = {
+    "scattered": _scattered,
+    "5 bursts of 4 %": partial(_bursts, 5, N // 25),
+    "51 bursts of 8": partial(_bursts, N // 80, 8),
+}
+
+GAPPY: dict[str, Setting] = {
+    f"{text}, {name}": losing(text, lose)
+    for text in ("N=1", "N=1 + K=0.03", "N=1 + B=0.2", "K=1")
+    for name, lose in LOSSES.items()
+}
+
+GROUPS = {"standard": STANDARD, "held out": HELD_OUT, "gaps": GAPPY}
+
+
 def coverage(
     setting: Setting, replications: int, seed: int, *, edf: str = "hybrid", level: float = 0.95
 ) -> tuple[FloatArray, FloatArray]:
     """Return the averaging factors and the share of intervals that hold the truth, each (k,)."""
     draw, truth = setting
     rng = np.random.default_rng(seed)
-    true = np.zeros(0)
-    m = np.zeros(0)
-    held = np.zeros(0)
+    m = np.exp2(np.arange(np.log2(N / 4) + 1))
+    true = np.sqrt(truth(m))
+    held, count = np.zeros((2, m.size))
     for _ in range(replications):
         curve = allan_curve(AxisSeries.from_samples(draw(rng), rate_hz=1.0), edf=edf)
-        if not m.size:
-            m = curve.m.astype(np.float64)
-            true, held = np.sqrt(truth(m)), np.zeros(m.size)
+        there = np.isin(m, curve.m)
         low, high = curve.confidence_interval(level)
-        held += (low <= true) & (true <= high)
-    return m, held / replications
+        held[there] += (low <= true[there]) & (true[there] <= high)
+        count[there] += 1
+    return m, held / np.maximum(count, 1)
 
 
 def _row(job: tuple[str, str, int, int, str]) -> tuple[str, str, FloatArray, FloatArray]:
     group, name, replications, seed, edf = job
-    settings = STANDARD if group == "standard" else HELD_OUT
-    m, share = coverage(settings[name], replications, seed, edf=edf)
+    m, share = coverage(GROUPS[group][name], replications, seed, edf=edf)
     return group, name, m, share
 
 
@@ -142,12 +180,11 @@ def main() -> None:
     replications = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     edf = sys.argv[2] if len(sys.argv) > 2 else "hybrid"
     began = time.perf_counter()
-    groups = {"standard": STANDARD, "held out": HELD_OUT}
-    jobs = [(g, name, replications, 100 + i, edf) for g, s in groups.items() for i, name in enumerate(s)]
+    jobs = [(g, name, replications, 100 + i, edf) for g, s in GROUPS.items() for i, name in enumerate(s)]
     with ProcessPoolExecutor(2) as pool:
         rows = list(pool.map(_row, jobs))
     print(f"Coverage of 95 % intervals, in %; n = {N}, {replications} replications, edf {edf}.")
-    for group in groups:
+    for group in GROUPS:
         mine = [row for row in rows if row[0] == group]
         print(f"\n| {group}, m = | " + " | ".join(f"{m:.0f}" for m in mine[0][2]) + " | mean |")
         print("|---" * (mine[0][2].size + 2) + "|")

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.testing as npt
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucal.noise import GaussMarkov, NoiseModel, RateRamp, parse_structure, structure_text
@@ -30,6 +30,7 @@ def test_signs_and_exponents_are_not_plus_signs() -> None:
 positive = st.floats(1e-300, 1e300)
 
 
+@settings(deadline=None)
 @given(n=positive, k=positive, r=st.floats(-1e300, 1e300), sigma=positive, t=positive)
 def test_every_value_reads_back_exactly(n: float, k: float, r: float, sigma: float, t: float) -> None:
     """The text holds all digits."""
