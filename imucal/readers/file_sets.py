@@ -17,10 +17,10 @@ from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers.layout import is_number
 from imucal.readers.names import Role, parse_column
 from imucal.readers.options import ReadOptions
-from imucal.readers.plan import sensor_of_name
 from imucal.readers.text import TextSource, open_text
 from imucal.readers.text_table import EXTERNAL, ExternalTime, plan_of_head, read_table
 from imucal.readers.timing import TimeChoice
+from imucal.readers.vectors import sensor_of_name
 from imucal.recording import Recording, Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 

@@ -4,9 +4,7 @@ Blocks are bytes of UTF-8 with line feeds. A log compressed a hundredfold takes 
 blocks, and one cut in the middle gives what is whole.
 """
 
-import bz2
 import codecs
-import gzip
 import io
 import lzma
 import sys
@@ -19,6 +17,7 @@ from typing import BinaryIO, Self, cast
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.options import Progress
+from imucal.readers.text_streams import compression_of, find_encoding, read_fully, unpacked
 
 __all__ = ["STANDARD_INPUT", "TextSource", "open_text"]
 
@@ -28,29 +27,11 @@ STANDARD_INPUT = "-"
 #: Bytes looked at to find the layout.
 _HEAD = 1 << 18
 #: Bytes of text parsed at once: large enough for the parser, small enough for memory.
-_BLOCK = 4 << 20
+_BLOCK = 8 << 20
 #: Bytes before the end of a block in which its last line is looked for first.
 _TAIL = 1 << 12
 #: A line longer than this is no row of a table.
 _LONGEST_LINE = 1 << 20
-
-#: First bytes -> compression.
-_MAGIC: dict[bytes, str] = {
-    b"\x1f\x8b": "gzip",
-    b"\x28\xb5\x2f\xfd": "zstd",
-    b"BZh": "bzip2",
-    b"\xfd7zXZ\x00": "xz",
-    b"\x04\x22\x4d\x18": "lz4",
-}
-
-#: Bytes that no text holds; zeros are what a crash leaves in one.
-_CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
-
-_MARKS: tuple[tuple[bytes, str], ...] = (
-    (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF16_LE, "utf-16-le"),
-    (codecs.BOM_UTF16_BE, "utf-16-be"),
-)
 
 
 class TextSource:
@@ -78,14 +59,13 @@ class TextSource:
         self.findings: list[Finding] = []
         self._raw = raw
         self._progress = progress
-        start = _read_fully(raw, 6)
-        self.compression = next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "none")
-        joined = cast("BinaryIO", _Joined(start, raw))
-        self._stream = _decompressed(joined, self.compression)
+        start = read_fully(raw, 6)
+        self.compression = compression_of(start)
+        self._stream = unpacked(start, raw, self.compression)
         self._ended = False
         head = self._read(_HEAD)
         self.whole = self._ended
-        self.encoding = self._find_encoding(head)
+        self.encoding = find_encoding(head, name)
         self._decode = (
             None if self.encoding in {"utf-8", "latin-1"} else codecs.getincrementaldecoder(self.encoding)()
         )
@@ -156,7 +136,7 @@ class TextSource:
             if stop < size:
                 stop = self._line_end(place, stop)
             self._raw.seek(place)
-            block = _read_fully(self._raw, stop - place)
+            block = read_fully(self._raw, stop - place)
             if not block:
                 return
             place += len(block)
@@ -169,7 +149,7 @@ class TextSource:
         while True:
             first = max(start, stop - back)
             self._raw.seek(first)
-            end = _read_fully(self._raw, stop - first).rfind(b"\n")
+            end = read_fully(self._raw, stop - first).rfind(b"\n")
             if end >= 0:
                 return first + end + 1
             if first == start or back > _LONGEST_LINE:
@@ -207,27 +187,6 @@ class TextSource:
         text = f"The {self.compression} stream is cut or damaged ({error}); what could be unpacked was read."
         self.findings.append(Finding(level="warning", code="truncated", text=text))
 
-    def _find_encoding(self, head: bytes) -> str:
-        for mark, encoding in _MARKS:
-            if head.startswith(mark):
-                return encoding
-        zeros = head.count(0)
-        even, odd = head[0::2].count(0), head[1::2].count(0)
-        if zeros > 0.3 * len(head) and odd > 10 * even:
-            return "utf-16-le"
-        if zeros > 0.3 * len(head) and even > 10 * odd:
-            return "utf-16-be"
-        controls = len(head) - len(head.translate(None, _CONTROLS))
-        hollow = zeros > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]
-        if controls > 0.01 * len(head) or hollow:
-            msg = f"{self.name}: binary data, not text; expected a table of numbers, or another format"
-            raise ReadError(msg)
-        try:
-            codecs.getincrementaldecoder("utf-8")().decode(head)
-        except UnicodeDecodeError:
-            return "latin-1"
-        return "utf-8"
-
     def _plain(self, data: bytes) -> bytes:
         """Return bytes as UTF-8 where they are UTF-16; all other encodings share the digits."""
         if self._decode is None:
@@ -255,30 +214,6 @@ class TextSource:
             except (OSError, ValueError):
                 return
             self._progress(min(done, self.size), self.size)
-
-
-class _Joined(io.RawIOBase):
-    """A stream with the bytes already read put back in front."""
-
-    def __init__(self, start: bytes, rest: BinaryIO) -> None:
-        self._start = start
-        self._rest = rest
-
-    def readable(self) -> bool:
-        return True
-
-    def read(self, size: int = -1) -> bytes:
-        if self._start:
-            taken = self._start if size < 0 else self._start[:size]
-            self._start = self._start[len(taken) :]
-            return taken if size >= 0 else taken + self._rest.read()
-        return self._rest.read(size)
-
-    def readinto(self, buffer: object) -> int:
-        view = memoryview(cast("bytearray", buffer)).cast("B")
-        data = self.read(len(view))
-        view[: len(data)] = data
-        return len(data)
 
 
 def open_text(path: Path, *, progress: Progress | None = None) -> TextSource:
@@ -315,31 +250,3 @@ def _opened(name: str, raw: BinaryIO, size: int, progress: Progress | None) -> T
     except BaseException:
         raw.close()
         raise
-
-
-def _read_fully(raw: BinaryIO, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        piece = raw.read(size - len(data))
-        if not piece:
-            break
-        data += piece
-    return data
-
-
-def _decompressed(raw: BinaryIO, compression: str) -> BinaryIO:
-    if compression == "gzip":
-        return cast("BinaryIO", gzip.GzipFile(fileobj=raw, mode="rb"))
-    if compression == "bzip2":
-        return cast("BinaryIO", bz2.BZ2File(raw, "rb"))
-    if compression == "xz":
-        return cast("BinaryIO", lzma.LZMAFile(raw, "rb"))
-    if compression == "zstd":
-        import zstandard
-
-        return cast("BinaryIO", zstandard.ZstdDecompressor().stream_reader(raw, read_across_frames=True))
-    if compression == "lz4":
-        import lz4.frame
-
-        return cast("BinaryIO", lz4.frame.LZ4FrameFile(raw, "rb"))
-    return raw

@@ -2,25 +2,25 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
 from imucal.arrays import FloatArray
-from imucal.errors import ChoiceError, DataError, ReadError
+from imucal.errors import DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.blocks import BlockReader, Kind, RowCounts, without_start
 from imucal.readers.columns import Rows
 from imucal.readers.growing import default_memory_limit
-from imucal.readers.headless import named_columns, propose_columns, rows_of_tag, tagged_layout
-from imucal.readers.layout import Layout, find_layout, split_line
+from imucal.readers.headless import rows_of_tag
+from imucal.readers.layout import Layout, split_line
 from imucal.readers.options import ReadOptions
 from imucal.readers.plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tabular import SensorColumns, assemble
 from imucal.readers.text import TextSource
+from imucal.readers.text_layout import TextLayout, lay_out
 from imucal.readers.timing import TimeChoice
-from imucal.readers.vectornav import find_vectornav, good_sentences
 from imucal.recording import Recording, Source
 
 __all__ = ["plan_of_head", "read_table"]
@@ -97,7 +97,7 @@ def read_table(
     DataError
         If it holds no samples.
     """
-    text = _lay_out(source.name, source.head, options)
+    text = lay_out(source.name, source.head, options)
     layout = text.layout
     plan = _plan(source.name, layout, options, name or PurePath(source.name).name)
     if stamps is not None:
@@ -131,73 +131,6 @@ def read_table(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Text:
-    """A text whose layout is known.
-
-    Attributes
-    ----------
-    layout
-        Of its rows.
-    rows
-        The rows to read, where the format is one of tagged rows.
-    prepare
-        Turns a block into rows of plain cells, where the format needs it.
-    lines
-        The head.
-    """
-
-    layout: Layout
-    rows: Rows = None
-    prepare: Callable[[bytes], bytes] | None = None
-    lines: Sequence[str] = ()
-
-
-def _lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> _Text:
-    """Find the layout of a text.
-
-    Raises
-    ------
-    ReadError
-        If it holds no rows of numbers.
-    ChoiceError
-        If its header doesn't fit its rows.
-    """
-    sentences = find_vectornav(lines)
-    if sentences is not None:
-        return _Text(layout=sentences, rows=None, prepare=good_sentences, lines=lines)
-    tagged = tagged_layout(lines)
-    if tagged is not None:
-        return _Text(layout=tagged[0], rows=tagged[1], lines=lines)
-    layout = find_layout(lines)
-    if layout is None:
-        first = next((line.strip() for line in lines if line.strip()), "")
-        msg = (
-            f"{path}: no rows of three numbers or more, the first line is {first[:80]!r}; "
-            "expected a table with a row per sample"
-        )
-        raise ReadError(msg)
-    if layout.mismatch is not None and options.columns is None:
-        msg = (
-            f"{path}: the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
-            f"belongs to a column; found the row {', '.join(layout.rows[0][:40])}; "
-            "correct the header, or say which columns are which by a columns text such as t=0,g=1:4,a=4:7 "
-            "(places from 0 with the end left out)"
-        )
-        raise ChoiceError(msg)
-    layout = named_columns(layout)
-    if not layout.headers and options.columns is None:
-        shown = ", ".join(f"{place} {cell}" for place, cell in enumerate(layout.rows[0][:40]))
-        msg = (
-            f"{path}: no header names the {layout.width} columns, and an order is not guessed; "
-            f"found the row {shown}; "
-            "expected a header, or a columns text that says which are which, such as "
-            f"{propose_columns(lines, layout)} (places from 0 with the end left out; check which is which)"
-        )
-        raise ChoiceError(msg)
-    return _Text(layout=layout, lines=lines)
-
-
 def plan_of_head(
     path: str, lines: Sequence[str], options: ReadOptions, name: str
 ) -> tuple[Layout, TablePlan]:
@@ -210,7 +143,7 @@ def plan_of_head(
     ReadError
         If it is no table.
     """
-    layout = _lay_out(path, lines, options).layout
+    layout = lay_out(path, lines, options).layout
     return layout, _plan(path, layout, options, name)
 
 
@@ -230,7 +163,7 @@ def _by_rows(plan: TablePlan) -> list[list[SensorPlan]]:
 
 
 def _reader(
-    text: _Text, plan: TablePlan, sensors: Sequence[SensorPlan], options: ReadOptions, expected: int
+    text: TextLayout, plan: TablePlan, sensors: Sequence[SensorPlan], options: ReadOptions, expected: int
 ) -> BlockReader:
     """Return the reader of one group's rows."""
     rows = sensors[0].triad.rows or text.rows
@@ -262,7 +195,7 @@ def _reader(
     )
 
 
-def _of_rows(text: _Text, rows: Rows) -> Layout:
+def _of_rows(text: TextLayout, rows: Rows) -> Layout:
     """Return the layout of some of the rows: tagged rows differ in width."""
     if rows is None or rows == text.rows:
         return text.layout

@@ -6,7 +6,8 @@ from itertools import pairwise
 from typing import Literal, TypeAlias
 
 from imucal.errors import ChoiceError
-from imucal.readers.columns import ask, list_columns, place_of
+from imucal.readers.columns import ask, list_columns
+from imucal.readers.columns_text import place_of
 from imucal.readers.layout import is_number
 from imucal.readers.names import Column, Role
 from imucal.readers.signatures import Signature

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from imucal.errors import ChoiceError
-from imucal.readers.columns import parse_columns_text
+from imucal.readers.columns_text import parse_columns_text
 from imucal.readers.csv_log import read
 from imucal.readers.names import Role, parse_column
 from imucal.readers.options import ReadOptions

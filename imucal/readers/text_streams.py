@@ -1,0 +1,119 @@
+"""Streams behind a text log: unpacked by their first bytes, and their encoding."""
+
+import bz2
+import codecs
+import gzip
+import io
+import lzma
+from typing import BinaryIO, cast
+
+from imucal.errors import ReadError
+
+__all__ = ["compression_of", "find_encoding", "read_fully", "unpacked"]
+
+#: First bytes -> compression.
+_MAGIC: dict[bytes, str] = {
+    b"\x1f\x8b": "gzip",
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\x00": "xz",
+    b"\x04\x22\x4d\x18": "lz4",
+}
+
+#: Bytes that no text holds; zeros are what a crash leaves in one.
+_CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
+
+_MARKS: tuple[tuple[bytes, str], ...] = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+
+
+def compression_of(start: bytes) -> str:
+    """Return the compression that the first bytes of a file show; ``none`` where they show none."""
+    return next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "none")
+
+
+def read_fully(raw: BinaryIO, size: int) -> bytes:
+    """Read until there are as many bytes as asked for, or no more."""
+    data = b""
+    while len(data) < size:
+        piece = raw.read(size - len(data))
+        if not piece:
+            break
+        data += piece
+    return data
+
+
+def unpacked(start: bytes, raw: BinaryIO, compression: str) -> BinaryIO:
+    """Return the stream of what a stream holds packed, its first bytes having been read."""
+    raw = cast("BinaryIO", _Joined(start, raw))
+    if compression == "gzip":
+        return cast("BinaryIO", gzip.GzipFile(fileobj=raw, mode="rb"))
+    if compression == "bzip2":
+        return cast("BinaryIO", bz2.BZ2File(raw, "rb"))
+    if compression == "xz":
+        return cast("BinaryIO", lzma.LZMAFile(raw, "rb"))
+    if compression == "zstd":
+        import zstandard
+
+        return cast("BinaryIO", zstandard.ZstdDecompressor().stream_reader(raw, read_across_frames=True))
+    if compression == "lz4":
+        import lz4.frame
+
+        return cast("BinaryIO", lz4.frame.LZ4FrameFile(raw, "rb"))
+    return raw
+
+
+class _Joined(io.RawIOBase):
+    """A stream with the bytes already read put back in front."""
+
+    def __init__(self, start: bytes, rest: BinaryIO) -> None:
+        self._start = start
+        self._rest = rest
+
+    def readable(self) -> bool:
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        if self._start:
+            taken = self._start if size < 0 else self._start[:size]
+            self._start = self._start[len(taken) :]
+            return taken if size >= 0 else taken + self._rest.read()
+        return self._rest.read(size)
+
+    def readinto(self, buffer: object) -> int:
+        view = memoryview(cast("bytearray", buffer)).cast("B")
+        data = self.read(len(view))
+        view[: len(data)] = data
+        return len(data)
+
+
+def find_encoding(head: bytes, name: str) -> str:
+    """Return the encoding of a text from its first bytes.
+
+    Raises
+    ------
+    ReadError
+        If they are no text.
+    """
+    for mark, encoding in _MARKS:
+        if head.startswith(mark):
+            return encoding
+    zeros = head.count(0)
+    even, odd = head[0::2].count(0), head[1::2].count(0)
+    if zeros > 0.3 * len(head) and odd > 10 * even:
+        return "utf-16-le"
+    if zeros > 0.3 * len(head) and even > 10 * odd:
+        return "utf-16-be"
+    controls = len(head) - len(head.translate(None, _CONTROLS))
+    hollow = zeros > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]
+    if controls > 0.01 * len(head) or hollow:
+        msg = f"{name}: binary data, not text; expected a table of numbers, or another format"
+        raise ReadError(msg)
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
