@@ -27,6 +27,7 @@ from imucal.allan.response import power_response
 from imucal.allan.variance import sum_of_squares
 from imucal.arrays import FloatArray, IntArray
 from imucal.powerlaw import PowerLaw
+from imucal.recording import AxisSeries
 
 __all__ = [
     "EDF_METHODS",
@@ -174,26 +175,33 @@ def spectral_edf(
     return edf
 
 
-def excess_kurtosis(samples: FloatArray) -> float:
-    """Return the excess kurtosis of the differences of neighbouring samples; 0 where they are constant."""
-    count = samples.size - 1
-    if count < 2:
+def excess_kurtosis(samples: FloatArray, neighbours: NDArray[np.bool_] | None = None) -> float:
+    """Return the excess kurtosis of the differences of neighbouring samples; 0 where they are constant.
+
+    `neighbours`, shape (n-1,), says which samples are followed by their neighbour; None for all.
+    """
+    if samples.size < 3:
         return 0.0
-    mean = (samples[-1] - samples[0]) / count
-    second = fourth = 0.0
-    for start in range(0, count, _BLOCK):
-        stop = min(start + _BLOCK, count)
+    mean = float((samples[-1] - samples[0]) / (samples.size - 1))
+    count = second = fourth = 0.0
+    for start in range(0, samples.size - 1, _BLOCK):
+        stop = min(start + _BLOCK, samples.size - 1)
         part = samples[start + 1 : stop + 1] - samples[start:stop]
         part -= mean
         np.square(part, out=part)
+        if neighbours is not None:
+            part = part[neighbours[start:stop]]
+        count += part.size
         second += float(part.sum())
         fourth += sum_of_squares(part)
     return count * fourth / second**2 - 3 if second > 0 else 0.0
 
 
-def _less_for_heavy_tails(edf: FloatArray, question: _Question) -> FloatArray:
+def _less_for_heavy_tails(
+    edf: FloatArray, question: _Question, neighbours: NDArray[np.bool_] | None = None
+) -> FloatArray:
     """Widen for tails heavier than a Gaussian's: Var gains kappa/n where windows are not too few."""
-    kappa = max(_HALVED * excess_kurtosis(question.samples), _UNIFORM)
+    kappa = max(_HALVED * excess_kurtosis(question.samples, neighbours), _UNIFORM)
     n, order = question.samples.size, question.estimator.order
     independent = n - order * question.m + 1.0
     corrected = edf / (1 + kappa * edf / (2 * np.maximum(independent, 1)))
@@ -201,7 +209,7 @@ def _less_for_heavy_tails(edf: FloatArray, question: _Question) -> FloatArray:
 
 
 def gappy_degrees_of_freedom(
-    samples: FloatArray, values: GappyVariances, estimator: Estimator, method: str
+    series: AxisSeries, values: GappyVariances, estimator: Estimator, method: str
 ) -> FloatArray:
     """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
 
@@ -217,7 +225,7 @@ def gappy_degrees_of_freedom(
     if method not in EDF_METHODS:
         msg = f"edf method {method!r} is not known: expected one of {', '.join(EDF_METHODS)}"
         raise ValueError(msg)
-    question = _Question(samples=samples, m=values.m, terms=values.terms, estimator=estimator)
+    question = _Question(samples=series.samples, m=values.m, terms=values.terms, estimator=estimator)
     if method == "eta3":
         return np.maximum(_eta3(question), 1.0)
     if method == "greenhall":
@@ -226,5 +234,6 @@ def gappy_degrees_of_freedom(
     model = fit_curve(m, values.avar, np.maximum(values.terms / m, 1.0))
     edf = _of_model(model, question, np.ones(m.size, dtype=bool))
     edf /= values.inflation**2
-    corrected: FloatArray = np.maximum(_less_for_heavy_tails(edf, question), 1.0)
+    neighbours = np.diff(series.clock.grid()) == 1
+    corrected: FloatArray = np.maximum(_less_for_heavy_tails(edf, question, neighbours), 1.0)
     return corrected

@@ -101,7 +101,7 @@ def _gappy(series: AxisSeries, chosen: _Choice) -> AllanCurve:
         tau=values.m.astype(np.float64) * series.tau0,
         m=values.m,
         avar=values.avar,
-        edf=gappy_degrees_of_freedom(series.samples, values, chosen.estimator, chosen.edf),
+        edf=gappy_degrees_of_freedom(series, values, chosen.estimator, chosen.edf),
         n=series.n,
         estimator=chosen.estimator.name,
         computed=how,
