@@ -29,6 +29,9 @@ __all__ = ["HEADER", "describe_logs", "read_logs"]
 #: Name of the time in the messages.
 HEADER = "header stamp"
 
+#: Chunks looked into to see whether a sensor has data: more where a few hold too few messages.
+_LOOKS, _ENOUGH = (2, 32), 100
+
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
 _TIMES = (None, "header", "log")
 
@@ -99,14 +102,17 @@ def _contents(containers: Sequence[Container], topic: Topic, options: ReadOption
 
 
 def _live(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> frozenset[Sensor]:
-    """Return the sensors whose samples change in the first chunk of a topic.
+    """Return the sensors whose samples change in the first chunks of a topic.
 
     One sample, or none that can be decoded, tells nothing: the type is believed then.
     """
     if topic.carrier is None:
         return frozenset()
     stream = stream_of(topic, topic.carrier.sensors, options)
-    columns = decode(containers, [stream], first_only=True)[0].columns
+    for chunks in _LOOKS:
+        columns = decode(containers, [stream], most_chunks=chunks)[0].columns
+        if columns.n >= _ENOUGH:
+            break
     if columns.n < 2:
         return frozenset(topic.carrier.sensors)
     return frozenset(sensor for sensor, rows in columns.vectors.items() if not _constant(rows))

@@ -74,7 +74,7 @@ def decode(
     *,
     limit: int | None = None,
     progress: Progress | None = None,
-    first_only: bool = False,
+    most_chunks: int | None = None,
 ) -> list[Decoding]:
     """Decode streams from containers.
 
@@ -82,10 +82,10 @@ def decode(
     ----------
     limit
         Bytes of samples to hold in memory before a temporary file takes them.
-    first_only
-        Decode only the first chunk that holds messages.
+    most_chunks
+        Decode only so many chunks of the first file that holds messages.
     """
-    return _Run(containers, streams, limit, progress, first_only=first_only).go()
+    return _Run(containers, streams, limit, progress, most_chunks=most_chunks).go()
 
 
 class _Run:
@@ -98,7 +98,7 @@ class _Run:
         limit: int | None,
         progress: Progress | None,
         *,
-        first_only: bool,
+        most_chunks: int | None,
     ) -> None:
         self.streams = streams
         self.jobs: list[_Job] = []
@@ -106,9 +106,9 @@ class _Run:
         for number, container in enumerate(containers):
             keys = frozenset(key for stream in streams for at, key in stream.decoders if at == number)
             tasks = container.tasks(keys) if keys else iter(())
-            for task in islice(tasks, 1) if first_only else tasks:
+            for task in islice(tasks, most_chunks):
                 self.jobs.append(self._job(number, task, totals))
-            if first_only and self.jobs:
+            if most_chunks is not None and self.jobs:
                 break
         self.decodings = [
             Decoding(
@@ -159,10 +159,11 @@ class _Run:
     def _in_threads(self, threads: int) -> None:
         """Each thread takes the next chunk when it is done with one, so that writes stay near each other."""
         jobs = iter(self.jobs)
+        stop = threading.Event()
 
         def work() -> None:
             scratch = Scratch()
-            while True:
+            while not stop.is_set():
                 with self.lock:
                     job = next(jobs, None)
                 if job is None:
@@ -170,8 +171,12 @@ class _Run:
                 self._work(job, scratch)
 
         with ThreadPoolExecutor(threads) as pool:
-            for future in [pool.submit(work) for _ in range(threads)]:
-                future.result()
+            try:
+                for future in [pool.submit(work) for _ in range(threads)]:
+                    future.result()
+            finally:
+                # An error, or an interrupt of the user, ends all threads after the chunk they are in.
+                stop.set()
 
     def _work(self, job: _Job, scratch: Scratch) -> None:
         """Decode one chunk into every stream."""

@@ -164,6 +164,22 @@ def test_a_wrong_message_index_is_walked_around(tmp_path: Path) -> None:
     assert "index" in codes(recording)
 
 
+def test_an_index_that_counts_too_few_loses_nothing(tmp_path: Path) -> None:
+    """An index cut in half, with a wrong entry: the chunk holds more messages than there was room for."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression="none")
+    start, size = chunk_of(path, 1)
+    data = bytearray(path.read_bytes())
+    (length,) = struct.unpack_from("<Q", data, start + size + 1)
+    entries = (length - 6) // 16 // 2
+    struct.pack_into("<Q", data, start + size + 1, 6 + 16 * entries)
+    struct.pack_into("<I", data, start + size + 11, 16 * entries)
+    struct.pack_into("<Q", data, start + size + 15 + 8, 12345)
+    path.write_bytes(data)
+    recording = read(path)
+    assert np.array_equal(rows(recording), TRUTH.all)
+    assert "index" in codes(recording)
+
+
 def test_reads_an_unindexed_bag(tmp_path: Path) -> None:
     """As `rosbag record` leaves it when it is killed: no index section, `.bag.active`."""
     path = write_bag(tmp_path / "log.bag", imu_messages(TRUTH, ros1=True), compression="lz4")

@@ -9,7 +9,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.errors import ChoiceError, ReadError
-from imucal.readers import read
+from imucal.readers import describe, read
 from imucal.recording import Recording
 from tests.readers.logs import (
     IMU,
@@ -330,6 +330,46 @@ def test_units_of_a_type_of_ones_own(tmp_path: Path) -> None:
         ChoiceError, match="the unit 'furlong' of the gyroscope is not known; expected one of"
     ):
         read(path, gyro_unit="furlong")
+
+
+def test_two_publishers_may_differ(tmp_path: Path) -> None:
+    """One topic, two channels: other definitions, other frame ids, and a byte too many at the end."""
+    from mcap.writer import Writer
+
+    types = store()
+    text, _ = types.generate_msgdef(IMU, ros_version=2)
+    messages = imu_messages(TRUTH, frames=("a", "abcdefgh"))
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=4096)
+        writer.start("ros2", "test")
+        channels = [
+            writer.register_channel(TOPIC, "cdr", writer.register_schema(IMU, "ros2msg", definition.encode()))
+            for definition in (text, text + "\n# another version of the comments\n")
+        ]
+        for row, message in enumerate(messages):
+            data = message.data + (b"\0" if row % 2 else b"")
+            writer.add_message(channels[row % 2], message.log, data, message.log)
+        writer.finish()  # type: ignore[no-untyped-call]
+    check(read(path))
+    assert [topic.count for topic in describe(path).topics] == [120]
+
+
+def test_takes_the_built_in_definition_for_idl(tmp_path: Path) -> None:
+    """Of an IDL definition only the name is understood; types of one's own need a .msg file."""
+    path = write_mcap(
+        tmp_path / "log.mcap", imu_messages(TRUTH), definitions={IMU: ("ros2idl", "module sensor_msgs {};")}
+    )
+    check(read(path))
+    kind = "acme/msg/Imu"
+    own = [Message(topic=TOPIC, type=kind, log=m.log, data=m.data) for m in imu_messages(TRUTH)]
+    path = write_mcap(tmp_path / "own.mcap", own, definitions={kind: ("ros2idl", "module acme {};")})
+    with pytest.raises(ChoiceError) as caught:
+        read(path)
+    assert str(caught.value) == (
+        f"{path}: topic {TOPIC} of type {kind} can't be read: the log holds no definition of {kind} but of "
+        "kind 'ros2idl'; give its .msg file"
+    )
 
 
 def test_not_a_number_passes_through(tmp_path: Path) -> None:
