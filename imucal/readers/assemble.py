@@ -19,6 +19,7 @@ from imucal.readers.losses import DAMAGE, loss_findings
 from imucal.readers.options import ReadOptions
 from imucal.readers.order import in_time_order
 from imucal.readers.store import Columns
+from imucal.readers.temperature import read_temperature
 from imucal.readers.topics import Topic, find_topics, stream_of
 from imucal.readers.two_clocks import compare_clocks
 from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
@@ -149,6 +150,11 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         temperature = temperature or heat
         findings += notes
         decisions += decided
+    if temperature is None:
+        beside = read_temperature(containers, topics, choices[0].topic.name)
+        if beside is not None:
+            temperature, name = beside
+            decisions.append(("temperature", f"{name}: the only one beside the IMU"))
     _refuse_damage(path, findings, options)
     if not series:
         msg = f"{path}: no sensor has samples that change: {'; '.join(f.text for f in findings) or 'no data'}"

@@ -90,6 +90,7 @@ BUILT_IN: dict[str, str] = {
         + _HEADER
         + _VECTOR
     ),
+    "sensor_msgs/Temperature": "std_msgs/Header header\nfloat64 temperature\nfloat64 variance" + _HEADER,
     "px4_msgs/SensorCombined": (
         "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 gyro_integral_dt\n"
         "int32 accelerometer_timestamp_relative\nfloat32[3] accelerometer_m_s2\n"

@@ -147,6 +147,9 @@ class McapFile:
         if len(book.chunks) < chunks or (total and not book.chunks) or not book.channels:
             msg = "the index leaves out chunks"
             raise DamagedError(msg, code="unindexed")
+        if sum(chunk.length + chunk.index_length for chunk in book.chunks) > self._file.size:
+            msg = "the index lists chunks twice"
+            raise DamagedError(msg)
         for chunk in book.chunks:
             end = chunk.start + chunk.length + chunk.index_length
             if chunk.start < len(MAGIC) or end > self._file.size:

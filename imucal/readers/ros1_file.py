@@ -132,6 +132,9 @@ class BagFile:
     def _set_ends(self, index: int) -> None:
         """Let each chunk reach to the next one, the last to the index section."""
         starts = sorted({chunk.start for chunk in self._chunks})
+        if len(starts) != len(self._chunks):
+            msg = "the index lists chunks twice"
+            raise DamagedError(msg)
         ends = dict(zip(starts, [*starts[1:], index], strict=True))
         for chunk in self._chunks:
             chunk.size = ends[chunk.start] - chunk.start

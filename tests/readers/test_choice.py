@@ -222,3 +222,27 @@ def test_a_log_recorded_twice_is_read_once(tmp_path: Path) -> None:
     found = np.array([series.samples for series in recording.series]).T
     assert np.array_equal(found, TRUTH.all)
     assert "duplicate-stamps" in [finding.code for finding in recording.findings]
+
+
+@pytest.mark.parametrize(("name", "found"), [("/imu/temperature", True), ("/motor/temperature", False)])
+def test_takes_the_temperature_beside_the_imu(name: str, found: object, tmp_path: Path) -> None:
+    """A topic of its own, in the namespace of the IMU; not that of another thing."""
+    types = store()
+    kind = "sensor_msgs/msg/Temperature"
+    heat = types.types[kind]
+    stamps = TRUTH.stamps[::10]
+    messages = [
+        Message(
+            topic=name,
+            type=kind,
+            log=stamp + 1000,
+            data=bytes(types.serialize_cdr(heat(header(types, stamp), 20.0 + row / 4, 0.0), kind)),
+        )
+        for row, stamp in enumerate(stamps.tolist())
+    ]
+    path = write_mcap(tmp_path / "log.mcap", merged(imu_messages(TRUTH), messages))
+    temperature = read(path).temperature
+    assert (temperature is not None) == found
+    if temperature is not None:
+        assert temperature.samples.tolist() == [20.0 + row / 4 for row in range(12)]
+        assert temperature.clock.rate_hz == pytest.approx(10)
