@@ -4,15 +4,18 @@ The head gives the layout, the names of the columns give the sensors, and blocks
 polars into columns. In doubt nothing is guessed: the error shows the columns and a text to choose them.
 """
 
-from collections.abc import Sequence
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from imucal.errors import ImucalError
+from imucal.errors import ChoiceError, DataError
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.file_sets import is_set, read_set, read_together
 from imucal.readers.options import ReadOptions
-from imucal.readers.text import STANDARD_INPUT, open_text
-from imucal.readers.text_table import plan_of_head, read_table
+from imucal.readers.text import STANDARD_INPUT, TextSource, open_text
+from imucal.readers.text_table import read_table
 from imucal.recording import Recording
 
 __all__ = ["describe", "read", "read_many"]
@@ -33,6 +36,12 @@ def read(path: Path, options: ReadOptions) -> Recording:
     DataError
         If it holds no samples.
     """
+    if options.topics:
+        msg = (
+            f"{path}: a table of text has no topics, but {', '.join(options.topics)} was asked for; "
+            "expected no topic, or a columns text such as t=0,g=1:4,a=4:7"
+        )
+        raise ChoiceError(msg)
     if is_set(path):
         return read_set(path, options)
     with open_text(path, progress=options.progress) as source:
@@ -51,42 +60,56 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
-    """Return the table a text holds: its columns, units, rate and what it gives."""
+    """Return the table a text holds: its columns, units, rate and what it gives.
+
+    A table whose columns are not clear is described too; why it can't be read is its note.
+
+    Raises
+    ------
+    ReadError
+        If it can't be opened, or is no table.
+    """
     if is_set(path):
-        return _described_by_reading(path, options, None, "zip" if path.is_file() else "none")
+        compression = "zip" if path.is_file() else "none"
+        return _described(path, None, compression, partial(read, path, options))
     size = path.stat().st_size if str(path) != STANDARD_INPUT and path.is_file() else None
     with open_text(path) as source:
-        compression = source.compression
-        lines = source.head
-    if size is not None and size <= _SMALL:
-        return _described_by_reading(path, options, size, compression)
-    return _described_by_head(path, options, size, compression, lines)
+        compression, lines = source.compression, source.head
+    if size is not None and size <= (_SMALL if compression == "none" else _SMALL // 8):
+        return _described(path, size, compression, partial(read, path, options))
+    contents = _described(path, size, compression, partial(_read_head, path, lines, options))
+    # The head tells rate and columns; how many rows there are only reading all of them would tell.
+    topics = tuple(replace(topic, count=None, duration_s=None) for topic in contents.topics)
+    return replace(contents, topics=topics, duration_s=None, findings=())
 
 
-def _described_by_reading(
-    path: Path, options: ReadOptions, size: int | None, compression: str
+def _read_head(path: Path, lines: Sequence[str], options: ReadOptions) -> Recording:
+    text = io.BytesIO(("\n".join(lines) + "\n").encode())
+    with TextSource(str(path), text, size=None, progress=None) as source:
+        return read_table(source, options, name=path.name)
+
+
+def _described(
+    path: Path, size: int | None, compression: str, reading: Callable[[], Recording]
 ) -> LogContents:
     try:
-        recording = read(path, options)
-    except ImucalError as error:
-        topic = TopicContents(name=path.name, type="table", count=None, note=str(error))
+        recording = reading()
+    except (ChoiceError, DataError) as error:
+        note = str(error).removeprefix(f"{path}: ")
+        topic = TopicContents(name=path.name, type="table", note=note)
         return LogContents(
             path=str(path), format="csv", size_bytes=size, topics=(topic,), compression=compression
         )
     first = recording.series[0]
-    sensors = tuple(dict.fromkeys(series.sensor for series in recording.series))
-    note = "; ".join(f"{what}: {how}" for what, how in recording.source.decisions)
-    kind = next(
-        (how.partition(",")[0] for what, how in recording.source.decisions if what == "layout"), "table"
-    )
+    decisions = dict(recording.source.decisions)
     topic = TopicContents(
         name=path.name,
-        type=kind,
+        type=decisions.get("layout", "table").partition(",")[0],
         count=first.n,
         rate_hz=first.rate_hz,
         duration_s=first.duration_s,
-        sensors=sensors,
-        note=note,
+        sensors=tuple(dict.fromkeys(series.sensor for series in recording.series)),
+        note="; ".join(f"{what}: {how}" for what, how in recording.source.decisions),
     )
     return LogContents(
         path=str(path),
@@ -97,21 +120,4 @@ def _described_by_reading(
         duration_s=first.duration_s,
         compression=compression,
         findings=recording.findings,
-    )
-
-
-def _described_by_head(
-    path: Path, options: ReadOptions, size: int | None, compression: str, lines: Sequence[str]
-) -> LogContents:
-    try:
-        layout, plan = plan_of_head(str(path), lines, options, path.name)
-    except ImucalError as error:
-        topic = TopicContents(name=path.name, type="table", note=str(error))
-    else:
-        kind = plan.signature.name if plan.signature else "table"
-        note = "; ".join(f"{what}: {how}" for what, how in plan.decisions)
-        sensors = tuple(sensor.triad.sensor for sensor in plan.sensors)
-        topic = TopicContents(name=path.name, type=kind, rate_hz=layout.rate_hz, sensors=sensors, note=note)
-    return LogContents(
-        path=str(path), format="csv", size_bytes=size, topics=(topic,), compression=compression
     )

@@ -114,8 +114,10 @@ def rows_of_tag(lines: Sequence[str], delimiter: str, rows: Rows) -> list[str]:
 
 def propose_columns(lines: Sequence[str], layout: Layout) -> str:
     """Return a columns text to start from, for a table without a header."""
-    tag = _inertial_tag(lines, layout.delimiter)
-    suffix = ""
+    tags = _inertial_tags(lines, layout.delimiter)
+    gyro = next((tag for tag in tags if tag.lower().startswith("gyr")), None)
+    accel_tag = next((tag for tag in tags if tag.lower().startswith("acc")), None)
+    tag, suffix = (tags[0] if tags else None), ""
     if tag is not None:
         suffix = f"@{tag}"
         layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tag))) or layout
@@ -127,6 +129,9 @@ def propose_columns(lines: Sequence[str], layout: Layout) -> str:
         dtype=np.float64,
     )
     time = _time_place(table)
+    if gyro is not None and accel_tag is not None and len(numeric) == 4 and time == 0:
+        place = f"{numeric[1]}:{numeric[1] + 3}"
+        return f"t={numeric[0]},g={place}@{gyro},a={place}@{accel_tag}"
     accel = _gravity(table, time) if len(numeric) <= 8 else None
     return _text(numeric, time, accel, suffix)
 
@@ -173,11 +178,11 @@ def _time_place(table: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> int
     return int(np.flatnonzero(onward)[0]) if onward.any() else None
 
 
-def _inertial_tag(lines: Sequence[str], delimiter: str) -> str | None:
-    """Return the most frequent text of a cell that names an inertial sensor."""
+def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
+    """Return the texts of cells that name an inertial sensor, the most frequent first."""
     tags: Counter[str] = Counter()
     for line in lines:
         for cell in split_line(line, delimiter)[:3]:
             if _INERTIAL.fullmatch(cell.strip("\"'")):
                 tags[cell.strip("\"'")] += 1
-    return tags.most_common(1)[0][0] if tags else None
+    return [tag for tag, _ in tags.most_common()]

@@ -47,6 +47,12 @@ def read(path: Path, options: ReadOptions) -> Recording:
     DataError
         If it holds no samples.
     """
+    if options.topics:
+        msg = (
+            f"{path}: a table has no topics, but {', '.join(options.topics)} was asked for; "
+            "expected no topic, or a columns text such as t=0,g=1:4,a=4:7"
+        )
+        raise ChoiceError(msg)
     table = open_table(path)
     parts = _parts(path, table, options)
     sensors = [_columns(part, sensor) for part in parts for sensor in part.plan.sensors]

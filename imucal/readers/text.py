@@ -9,7 +9,7 @@ import io
 import lzma
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self, cast
@@ -61,7 +61,9 @@ class TextSource:
         self._progress = progress
         start = read_fully(raw, 6)
         self.compression = compression_of(start)
-        self._stream = unpacked(start, raw, self.compression)
+        stream = unpacked(start, raw, self.compression)
+        # What was unpacked before a damage is kept only by reads that never wait for more.
+        self._take: Callable[[int], bytes] = getattr(stream, "read1", stream.read)
         self._ended = False
         head = self._read(_HEAD)
         self.whole = self._ended
@@ -166,7 +168,7 @@ class TextSource:
         missing = max(size, 1)
         try:
             while missing > 0:
-                piece = self._stream.read(missing)
+                piece = self._take(missing)
                 if not piece:
                     self._ended = True
                     break

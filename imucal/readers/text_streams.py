@@ -20,6 +20,9 @@ _MAGIC: dict[bytes, str] = {
     b"\x04\x22\x4d\x18": "lz4",
 }
 
+#: Bytes of a zstd stream unpacked at once; each may hold blocks of 128 KiB in 4 bytes.
+_PIECE = 1 << 12
+
 #: Bytes that no text holds; zeros are what a crash leaves in one.
 _CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
 
@@ -56,9 +59,7 @@ def unpacked(start: bytes, raw: BinaryIO, compression: str) -> BinaryIO:
     if compression == "xz":
         return cast("BinaryIO", lzma.LZMAFile(raw, "rb"))
     if compression == "zstd":
-        import zstandard
-
-        return cast("BinaryIO", zstandard.ZstdDecompressor().stream_reader(raw, read_across_frames=True))
+        return cast("BinaryIO", _Zstd(raw))
     if compression == "lz4":
         import lz4.frame
 
@@ -88,6 +89,47 @@ class _Joined(io.RawIOBase):
         data = self.read(len(view))
         view[: len(data)] = data
         return len(data)
+
+
+class _Zstd:
+    """The text of zstd frames; unlike the package's own reader it tells a cut frame from a whole one."""
+
+    def __init__(self, raw: BinaryIO) -> None:
+        import zstandard
+
+        self._new = zstandard.ZstdDecompressor().decompressobj
+        self._frame = self._new()
+        self._begun = False
+        self._raw = raw
+        self._packed = b""
+        self._held = b""
+
+    def read1(self, size: int) -> bytes:
+        """Return up to `size` bytes, at least one before the end.
+
+        Raises
+        ------
+        EOFError
+            If the last frame is cut.
+        """
+        while not self._held:
+            # Small pieces: a few bytes may unpack to a whole block.
+            packed = self._packed or self._raw.read(_PIECE)
+            if not packed:
+                if self._begun:
+                    msg = "compressed file ended within a frame"
+                    raise EOFError(msg)
+                return b""
+            self._held = self._frame.decompress(packed)
+            self._begun, self._packed = not self._frame.eof, b""
+            if self._frame.eof:
+                self._packed = self._frame.unused_data
+                self._frame = self._new()
+        piece, self._held = self._held[:size], self._held[size:]
+        return piece
+
+    #: One read gives what there is.
+    read = read1
 
 
 def find_encoding(head: bytes, name: str) -> str:

@@ -105,6 +105,9 @@ def read_table(
     groups = _by_rows(plan)
     readers = [_reader(text, plan, group, options, source.expected_rows) for group in groups]
     cut = _read_blocks(source, layout, readers)
+    if options.strict and source.findings:
+        msg = f"{source.name}: {source.findings[0].text} Expected an undamaged log"
+        raise ReadError(msg)
     findings = [*source.findings, *_row_findings(source.name, cut, layout, readers, options)]
     sensors = []
     for reader, group in zip(readers, groups, strict=True):
@@ -256,6 +259,9 @@ def _row_findings(
             raise ReadError(msg)
         text = f"{found}; they were dropped."
         findings.append(Finding(level="warning", code="bad-rows", text=text))
+    if cut and options.strict:
+        msg = f"{path}: the last line has no line end and may be cut ({cut[:60]!r}); expected whole lines"
+        raise ReadError(msg)
     if cut:
         text = f"The last line has no line end and may be cut ({cut[:60]!r}); it was dropped."
         findings.append(Finding(level="info", code="cut-line", text=text))

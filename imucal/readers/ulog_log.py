@@ -46,6 +46,13 @@ def read(path: Path, options: ReadOptions) -> Recording:
     DataError
         If there are no samples.
     """
+    if options.columns is not None or options.time not in {None, "header"}:
+        asked = f"columns {options.columns!r}" if options.columns is not None else f"time {options.time!r}"
+        msg = (
+            f"{path}: a ULog has messages with one clock, but {asked} was asked for; "
+            "expected the names of messages such as sensor_combined or sensor_gyro:1"
+        )
+        raise ChoiceError(msg)
     log = _load(path)
     findings = _log_findings(log)
     if options.strict and any(finding.level == "warning" for finding in findings):

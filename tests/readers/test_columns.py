@@ -217,6 +217,21 @@ def test_no_header(tmp_path: Path) -> None:
     )
 
 
+def test_rows_that_name_their_sensor(tmp_path: Path) -> None:
+    """Tagged rows without a header: the proposal names the tags, and works."""
+    t = truth()
+    rows = []
+    for i in range(N):
+        for tag, values in (("Gyroscope", t.deg[i]), ("Accelerometer", t.g[i])):
+            rows.append(",".join([tag, str(1000 + 10 * i), *cells(values)]))
+    content = "\n".join(rows) + "\n"
+    proposal = "t=1,g=2:5@Gyroscope,a=2:5@Accelerometer"
+    assert f"such as {proposal} (places" in refused(tmp_path, content)
+    recording = read(tmp_path / "log.csv", ReadOptions(columns=proposal, gyro_unit="deg/s"))
+    assert [series.n for series in recording.series] == [N] * 6
+    assert recording.axis("accelerometer", "z").samples[0] == pytest.approx(t.accel[0, 2], rel=1e-12)
+
+
 def test_no_sensor(tmp_path: Path) -> None:
     """A table of other things shows its columns."""
     content = lines("time (s),lat,lon,alt", seconds(truth()), *xyz(truth().gyro))

@@ -14,8 +14,8 @@ import pytest
 import zstandard
 
 from imucal.arrays import FloatArray
-from imucal.errors import DataError, ImucalError, ReadError
-from imucal.readers import text
+from imucal.errors import ChoiceError, DataError, ReadError
+from imucal.readers import csv_log, text
 from imucal.readers.csv_log import read
 from imucal.readers.options import ReadOptions
 from imucal.recording import Recording
@@ -79,15 +79,23 @@ def test_members_of_gzip_and_frames_of_zstd_follow_each_other(tmp_path: Path) ->
 @pytest.mark.parametrize("compress", [gzip.compress, bz2.compress, xz, zstd, lz4_frame])
 def test_cut_compressed(compress: Callable[[bytes], bytes], tmp_path: Path) -> None:
     """A cut stream gives the rows that are whole, or says that nothing could be unpacked."""
-    noise = np.random.default_rng(1).normal(size=(6_000, 1))
-    data = compress((plain() + lines("", *[[repr(float(v)) for v in noise[:, 0]]] * 7)).encode())
-    path = store(tmp_path, data[: len(data) * 2 // 3])
+    samples = np.random.default_rng(1).normal(size=(6, 10 * N)) + np.array([[0, 0, 0, 0, 0, 9.8]]).T
+    content = lines(
+        HEADER, [f"{i * 0.01:.2f}" for i in range(10 * N)], *[[repr(float(v)) for v in x] for x in samples]
+    )
+    data = compress(content.encode())
+    path = store(tmp_path, data[: len(data) * 9 // 10])
     try:
         recording = read(path, ReadOptions())
-    except ImucalError as error:
-        assert "cut or damaged" in str(error) or "go back" in str(error)  # noqa: PT017 - either is right
+    except ReadError as error:
+        # A bzip2 block is one piece: all of it or nothing.
+        assert compress is bz2.compress
+        assert "The bzip2 stream is cut or damaged" in str(error)  # noqa: PT017
     else:
-        assert "truncated" in codes(recording)
+        assert codes(recording)[0] == "truncated"
+        n = recording.series[0].n
+        assert 5 * N < n < 10 * N
+        npt.assert_array_equal(table(recording), samples.T[:n])
 
 
 def test_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,6 +233,18 @@ def test_strict_refuses_bad_rows(tmp_path: Path) -> None:
     )
 
 
+def test_strict_refuses_a_cut_end(tmp_path: Path) -> None:
+    """With `strict` a cut line and a cut stream are errors."""
+    path = store(tmp_path, plain().rstrip("\n")[:-3])
+    with pytest.raises(
+        ReadError, match=r"the last line has no line end and may be cut .*; expected whole lines"
+    ):
+        read(path, ReadOptions(strict=True))
+    path = store(tmp_path, gzip.compress(plain().encode())[:-100])
+    with pytest.raises(ReadError, match=r"The gzip stream is cut or damaged .* Expected an undamaged log"):
+        read(path, ReadOptions(strict=True))
+
+
 def test_comments_blank_lines_and_a_second_header_are_no_rows(tmp_path: Path) -> None:
     """A logger that was started twice repeats its header."""
     rows = plain().split("\n")
@@ -330,3 +350,40 @@ def test_line_without_end(tmp_path: Path) -> None:
     content = plain().encode() + b"1" * (12 << 20)
     with pytest.raises(ReadError, match="a line of more than 1048576 bytes; expected rows of a table"):
         read(store(tmp_path, content), ReadOptions())
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_large_files_are_described_by_their_head(
+    pack: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Columns, units and rate stand in the first rows; the count does not."""
+    monkeypatch.setattr(csv_log, "_SMALL", 1000)
+    monkeypatch.setattr(text, "_HEAD", 4096)
+    contents = csv_log.describe(store(tmp_path, pack(plain().encode())), ReadOptions())
+    (topic,) = contents.topics
+    assert topic.rate_hz == pytest.approx(100)
+    assert (topic.count, topic.duration_s, len(topic.sensors)) == (None, None, 2)
+    assert "gyroscope unit: rad/s, from the column header" in topic.note
+
+
+def test_a_table_that_is_not_clear_is_described_with_the_reason(tmp_path: Path) -> None:
+    """What can't be read yet still has columns; what is no table is an error."""
+    content = lines("time (s),x,y,z", seconds(truth()), *xyz(truth().gyro))
+    (topic,) = csv_log.describe(store(tmp_path, content), ReadOptions()).topics
+    assert topic.sensors == ()
+    assert topic.note.startswith(
+        "x, y and z are there (x, y, z), but not of which sensor; found columns: 0 time (s)"
+    )
+    with pytest.raises(ReadError, match="no rows of three numbers"):
+        csv_log.describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
+
+
+def test_topics_are_refused(tmp_path: Path) -> None:
+    """A table has columns, not topics: nothing that was asked for is passed over."""
+    path = store(tmp_path, plain())
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions(topics=("/imu",)))
+    assert str(caught.value) == (
+        f"{path}: a table of text has no topics, but /imu was asked for; "
+        "expected no topic, or a columns text such as t=0,g=1:4,a=4:7"
+    )
