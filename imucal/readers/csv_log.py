@@ -14,6 +14,7 @@ from imucal.errors import ChoiceError, DataError
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.file_sets import is_set, read_set, read_together
 from imucal.readers.options import ReadOptions
+from imucal.readers.tabular import units_note
 from imucal.readers.text import STANDARD_INPUT, TextSource, open_text
 from imucal.readers.text_table import read_table
 from imucal.recording import Recording
@@ -80,7 +81,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     contents = _described(path, size, compression, partial(_read_head, path, lines, options))
     # The head tells rate and columns; how many rows there are only reading all of them would tell.
     topics = tuple(replace(topic, count=None, duration_s=None) for topic in contents.topics)
-    return replace(contents, topics=topics, duration_s=None, findings=())
+    return replace(contents, topics=topics, duration_s=None)
 
 
 def _read_head(path: Path, lines: Sequence[str], options: ReadOptions) -> Recording:
@@ -109,7 +110,7 @@ def _described(
         rate_hz=first.rate_hz,
         duration_s=first.duration_s,
         sensors=tuple(dict.fromkeys(series.sensor for series in recording.series)),
-        note="; ".join(f"{what}: {how}" for what, how in recording.source.decisions),
+        note=units_note(recording),
     )
     return LogContents(
         path=str(path),
@@ -119,5 +120,4 @@ def _described(
         start_ns=first.clock.start_ns,
         duration_s=first.duration_s,
         compression=compression,
-        findings=recording.findings,
     )

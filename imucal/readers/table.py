@@ -18,7 +18,7 @@ from imucal.readers.plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.stamps import parse_text_stamps
 from imucal.readers.table_clock import Numbers
 from imucal.readers.table_files import Column, TableFile, open_table
-from imucal.readers.tabular import SensorColumns, assemble
+from imucal.readers.tabular import SensorColumns, assemble, units_note
 from imucal.recording import Recording, Sensor, Source
 
 __all__ = ["describe", "read"]
@@ -81,7 +81,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
         rate_hz=first.rate_hz,
         duration_s=first.duration_s,
         sensors=tuple(dict.fromkeys(series.sensor for series in recording.series)),
-        note="; ".join(f"{what}: {how}" for what, how in recording.source.decisions),
+        note=units_note(recording),
     )
     return LogContents(
         path=str(path),
@@ -90,7 +90,6 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
         topics=(topic,),
         start_ns=first.clock.start_ns,
         duration_s=first.duration_s,
-        findings=recording.findings,
     )
 
 

@@ -17,7 +17,7 @@ from imucal.readers.signatures import Signature
 from imucal.readers.table_clock import Numbers, table_clock
 from imucal.recording import Axis, AxisSeries, Clock, Recording, Source, Temperature
 
-__all__ = ["SensorColumns", "assemble"]
+__all__ = ["SensorColumns", "assemble", "units_note"]
 
 #: Time and rows of a sensor -> its clock and the samples to keep: two sensors of one table share them.
 _Clocks: TypeAlias = dict[tuple[Any, ...], tuple[Clock, IntArray | None]]
@@ -121,6 +121,12 @@ def assemble(
         temperature=_temperature(work, timed),
         findings=tuple(work.findings),
     )
+
+
+def units_note(recording: Recording) -> str:
+    """Return the units of a recording's log and where they come from, as one short sentence."""
+    found = [(what, how) for what, how in recording.source.decisions if what.endswith("unit")]
+    return "; ".join(f"{what} {how}" for what, how in found)
 
 
 def _unscaled(entry: _Timed) -> Unscaled:

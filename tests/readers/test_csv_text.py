@@ -363,7 +363,7 @@ def test_large_files_are_described_by_their_head(
     (topic,) = contents.topics
     assert topic.rate_hz == pytest.approx(100)
     assert (topic.count, topic.duration_s, len(topic.sensors)) == (None, None, 2)
-    assert "gyroscope unit: rad/s, from the column header" in topic.note
+    assert "gyroscope unit rad/s, from the column header" in topic.note
 
 
 def test_a_table_that_is_not_clear_is_described_with_the_reason(tmp_path: Path) -> None:
