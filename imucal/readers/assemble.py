@@ -197,6 +197,7 @@ def _series(
     findings += [replace(finding, axis=label) for finding in reading.findings]
     if reading.clock.source == HEADER:
         findings += compare_clocks(columns.stamps, columns.log)
+    columns.release()
     decisions = [("time", reading.clock.source)]
     series = []
     for sensor, rows in columns.vectors.items():

@@ -9,6 +9,7 @@ compared with the truth, bit by bit.
 
 import argparse
 import bz2
+import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -324,7 +325,7 @@ def _report(name: str, folder: Path, given: argparse.Namespace) -> None:
         if not log.exists():
             write(name, log, n)
     runs = [("imucal", path, given.n), ("bare", path, given.n), ("rosbags", small, given.peers)]
-    if name.startswith("mcap"):
+    if name.startswith("mcap") and importlib.util.find_spec("mcap_ros2"):
         runs.append(("mcap", small, given.peers))
     best = {
         reader: min(measure(reader, log, n) for _ in range(given.repeat if log is path else 1))
