@@ -71,7 +71,7 @@ def log_likelihood(model: NoiseModel, series: AxisSeries) -> float:
     """Return the exact log-likelihood of the samples under `model`.
 
     Missing and non-finite samples are skipped. A rate ramp is taken out with its value; flicker is
-    a bank of Gauss-Markov terms (its density within 1 %, within 5 % next to the Nyquist frequency).
+    a bank of Gauss-Markov terms (its density within 3 %).
 
     Raises
     ------

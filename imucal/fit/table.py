@@ -164,6 +164,9 @@ def _parse(path: Path) -> tuple[list[str], FloatArray]:
         msg = f"{path}: is empty; expected a table of tau and deviations"
         raise ReadError(msg)
     fields = [(i, _split(line)) for i, line in lines]
+    if all(len(cells) > 1 and not cells[-1] for _, cells in fields):
+        # Every line ends with a separator: there is no column after it.
+        fields = [(i, cells[:-1]) for i, cells in fields]
     headings: list[str] = []
     if _number(fields[0][1][0]) is None:
         headings = fields.pop(0)[1]
@@ -176,6 +179,12 @@ def _parse(path: Path) -> tuple[list[str], FloatArray]:
         raise ReadError(msg)
     width = len(fields[0][1])
     headings = headings or ["tau", *(f"column {i}" for i in range(2, width + 1))]
+    return headings, _numbers(path, headings, fields)
+
+
+def _numbers(path: Path, headings: Sequence[str], fields: list[tuple[int, list[str]]]) -> FloatArray:
+    """Return the numbers of the rows, shape (rows, columns)."""
+    width = len(fields[0][1])
     rows = np.empty((len(fields), width))
     for row, (line, cells) in zip(rows, fields, strict=True):
         if len(cells) != width or len(headings) != width:
@@ -190,13 +199,13 @@ def _parse(path: Path) -> tuple[list[str], FloatArray]:
                 msg = f"{path}:{line}: column {headings[i]!r} is {cell!r}, expected a number"
                 raise ReadError(msg)
             row[i] = number
-    return headings, rows
+    return rows
 
 
 def _split(line: str) -> list[str]:
     for separator in (",", ";", "\t"):
         if separator in line:
-            return [cell.strip().strip('"') for cell in line.rstrip(separator).split(separator)]
+            return [cell.strip().strip('"') for cell in line.split(separator)]
     return line.split()
 
 
