@@ -221,16 +221,17 @@ def covariance_of(
     fitted: Fitted, estimates: tuple[Estimate, ...], scales: Scales
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the names of the parameters and their covariance in SI, from the expected information."""
-    columns = parameter_columns(fitted.structure, fitted.candidate.room_markov)
+    known = {e.key: e for e in estimates if e.value is not None}
+    every = parameter_columns(fitted.structure, fitted.candidate.room_markov)
+    columns = [(name, column) for name, column in every if name.partition(".")[0] in known]
     places = [column for _, column in columns]
     inverse = covariance(fitted.maximum.information[0], fitted.candidate.free[0])
     names = [name for name, _ in columns]
-    known = {e.key: e for e in estimates}
     slope = np.array([_slope(name, known) for name in names])
     widen = np.array([scales.widening.get(name, 1.0) for name in names])
     slope = slope * widen
     matrix = inverse[np.ix_(places, places)] * np.outer(slope, slope)
-    if "R" in fitted.structure:
+    if "R" in known:
         names.append("R")
         variance = float(fitted.maximum.beta_covariance[0, 0, 0]) * scales.deviation("R") ** 2
         matrix = np.block(

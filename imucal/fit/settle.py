@@ -1,4 +1,4 @@
-"""From the chosen candidate to estimates: bounded terms leave the model and keep their bound."""
+"""From the chosen candidate to estimates: terms that may be zero have a bound instead of a value."""
 
 from dataclasses import dataclass, replace
 
@@ -12,6 +12,7 @@ from imucal.fit.estimates import (
     estimate,
     upper_bound,
 )
+from imucal.fit.intervals import quantile
 from imucal.fit.ordinates import Ordinates
 from imucal.fit.result import Estimate
 from imucal.fit.selection import Choice
@@ -48,39 +49,57 @@ class Setting:
 
 
 def settle(ordinates: Ordinates, choice: Choice, setting: Setting) -> tuple[Fitted, tuple[Estimate, ...]]:
-    """Return the best candidate without the terms that may be zero, and estimates or bounds of all."""
+    """Return the best candidate, and estimates or bounds of its terms and of N, B and K.
+
+    A term whose interval holds zero is bounded and left out of the model; the other terms keep the
+    values and intervals that they have beside it, since it may be there.
+    """
     fitted = _candidate(choice, 0)
     bounded: dict[str, Estimate] = {}
-    estimates = _estimate(ordinates, fitted, setting)
     while True:
-        gone = [e for e in estimates if e.status == "bounded"]
-        if not gone or len(estimates) == 1:
-            break
-        # One at a time: of two terms that may stand for one another, one is needed.
-        fitted, dropped = _without_least(ordinates, fitted, gone, setting)
-        bounded[dropped.key] = dropped
         estimates = _estimate(ordinates, fitted, setting)
+        gone = [e for e in estimates if e.status == "bounded"]
+        markov = [e for e in gone if e.symbol == "GM"]
+        if not markov and (len(gone) < 2 or _may_all_be_absent(ordinates, fitted, gone, setting)):
+            break
+        if len(estimates) == 1:
+            break
+        # Dropped one at a time: a Gauss-Markov term without power, whose time means nothing but
+        # makes others unsure; and of terms that may stand for one another all but one.
+        fitted, dropped = _without_least(ordinates, fitted, markov or gone, setting)
+        bounded[dropped.key] = dropped
     symbols = {e.symbol for e in (*estimates, *bounded.values())}
     for symbol in _ALWAYS:
         if symbol not in symbols:
             bounded[symbol] = _bound(ordinates, choice, fitted, symbol, setting)
     order = list(TERMS)
-    everything = (*estimates, *bounded.values())
-    return fitted, tuple(
-        sorted(everything, key=lambda e: (order.index(e.symbol), e.status == "bounded", e.key))
-    )
+    everything = sorted((*estimates, *bounded.values()), key=lambda e: (order.index(e.symbol), e.key))
+    return fitted, tuple(everything)
+
+
+def _may_all_be_absent(ordinates: Ordinates, fitted: Fitted, gone: list[Estimate], setting: Setting) -> bool:
+    """Whether the terms whose intervals hold zero may all be zero together."""
+    keys = [e.key for e in gone]
+    if len(keys) == len(fitted.structure):
+        return False
+    without = drop_terms(ordinates, fitted, keys, shortest=setting.shortest, common=setting.common)
+    drop = float(without.maximum.objective[0] - fitted.maximum.objective[0])
+    return 2 * drop < quantile(setting.level) ** 2
 
 
 def numbered(
     estimates: tuple[Estimate, ...], names: tuple[str, ...]
 ) -> tuple[tuple[Estimate, ...], tuple[str, ...]]:
-    """Return estimates and parameters with several Gauss-Markov terms numbered, bounded ones last."""
-    if sum(e.symbol == "GM" for e in estimates) < 2:
+    """Return estimates and parameters where each of several Gauss-Markov terms has a number.
+
+    One that stayed when others were dropped was called ``GM``; it comes first.
+    """
+    if sum(e.symbol == "GM" for e in estimates) < 2 or all(e.key != "GM" for e in estimates):
         return estimates, names
-    result, seen = [], 0
-    for found in estimates:
-        seen += found.symbol == "GM"
-        result.append(replace(found, key=f"GM{seen}") if found.symbol == "GM" else found)
+    others = (e.key for e in estimates if e.symbol == "GM" and e.key != "GM")
+    keys = {"GM": "GM1"} | {key: f"GM{index + 2}" for index, key in enumerate(sorted(others))}
+    result = [replace(e, key=keys[e.key]) if e.symbol == "GM" else e for e in estimates]
+    result.sort(key=lambda e: (list(TERMS).index(e.symbol), e.key))
     return tuple(result), tuple(name.replace("GM.", "GM1.") for name in names)
 
 
