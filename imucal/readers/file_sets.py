@@ -5,6 +5,7 @@ Phones' apps write them as a zip or a folder (phyphox, Sensor Logger); simulator
 
 import re
 import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -75,7 +76,7 @@ def read_set(path: Path, options: ReadOptions) -> Recording:
                 _of_zip(archive, info, path) for info in archive.infolist() if _is_table(info.filename)
             ]
             return _read_members(str(path), members, options)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
         msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
         raise ReadError(msg) from error
 

@@ -74,7 +74,12 @@ class TextSource:
         marked = head.startswith(codecs.BOM_UTF8)
         head = self._plain(head.removeprefix(codecs.BOM_UTF8))
         # Where the text of `_start` begins in a plain file, whose blocks can be read one by one.
-        exact = self.compression == "none" and self._decode is None and b"\r" not in head and raw.seekable()
+        exact = (
+            self.compression == "none"
+            and self._decode is None
+            and b"\r" not in head
+            and isinstance(raw, io.FileIO)
+        )
         self._exact = (len(codecs.BOM_UTF8) if marked else 0) if exact else None
         self._return_only = b"\r" in head and b"\n" not in head
         self._start = self._line_ends(head)

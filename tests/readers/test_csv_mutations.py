@@ -120,3 +120,19 @@ def test_damaged_text(
             assert not strange, f"seed {seed}: {sorted(strange)[:3]} stand nowhere in the text"
             assert math.isfinite(series.rate_hz)
             assert series.clock.n == series.n
+
+
+@pytest.mark.parametrize("damage", [flip, cut, zero, splice, drop])
+def test_damaged_zip(damage: Damage, tmp_path: Path) -> None:
+    """A damaged zip is read or refused with a message."""
+    style = next(style for style in STYLES if style.name == "phyphox zip")
+    path = write(style, tmp_path)
+    data = path.read_bytes()
+    for seed in range(SEEDS):
+        path.write_bytes(damage(data, np.random.default_rng(seed)))
+        try:
+            recording = read(path, ReadOptions())
+        except ImucalError as error:
+            assert str(path) in str(error), f"seed {seed}: {error}"  # noqa: PT017 - the message is the point
+        else:
+            assert recording.series
