@@ -56,7 +56,7 @@ def named_columns(layout: Layout) -> Layout:
         return layout
     if layout.width == len(_ROS2_IMU) and _is_ros2(layout):
         return replace(layout, headers=_ROS2_IMU)
-    if layout.width == len(_KITTI) and layout.delimiter == BLANKS:
+    if layout.width == len(_KITTI) and layout.delimiter == BLANKS and _is_kitti(layout):
         return replace(layout, headers=_KITTI)
     return layout
 
@@ -67,6 +67,17 @@ def _is_ros2(layout: Layout) -> bool:
         if len(row) != len(_ROS2_IMU) or is_number(row[2]) or not (row[0] + row[1]).isdigit():
             return False
         if not all(is_number(cell) for cell in row[3:]):
+            return False
+    return bool(layout.rows)
+
+
+def _is_kitti(layout: Layout) -> bool:
+    """Return whether rows have a place on Earth, three angles, and five whole numbers at the end."""
+    for row in layout.rows[:20]:
+        if not all(is_number(cell) for cell in row) or not all(cell.isdigit() for cell in row[-5:]):
+            return False
+        values = [abs(float(cell)) for cell in row[:6]]
+        if values[0] > 90 or values[1] > 180 or max(values[3:6]) > 2 * np.pi:
             return False
     return bool(layout.rows)
 

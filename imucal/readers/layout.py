@@ -24,8 +24,8 @@ _LINES = 400
 #: Cells beyond this many don't make a delimiter more likely.
 _WIDE = 50
 
-#: A delimiter that fewer lines have than this share is none.
-_FEW_ROWS = 0.1
+#: A delimiter that fewer lines have is none.
+_FEW_LINES = 2
 #: A delimiter is a candidate where it gives this share of the best one's cells.
 _CLOSE = 0.5
 
@@ -148,7 +148,7 @@ def split_line(line: str, delimiter: str) -> list[str]:
 
 
 def _split(lines: Sequence[str], delimiter: str) -> _Split | None:
-    if delimiter != BLANKS and sum(delimiter in line for line in lines) < _FEW_ROWS * len(lines):
+    if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
         return None
     rows = [split_line(line, delimiter) if line.strip() else [] for line in lines]
     decimal = _decimal(rows) if delimiter != "," else "."

@@ -217,6 +217,14 @@ def test_no_header(tmp_path: Path) -> None:
     )
 
 
+def test_thirty_columns_are_not_always_kitti(tmp_path: Path) -> None:
+    """The width alone tells nothing."""
+    content = lines("", *[cells(truth().accel[:, 2] * 100)] * 30, mark=" ")
+    assert refused(tmp_path, content).startswith(
+        "no header names the 30 columns, and an order is not guessed;"
+    )
+
+
 def test_rows_that_name_their_sensor(tmp_path: Path) -> None:
     """Tagged rows without a header: the proposal names the tags, and works."""
     t = truth()
