@@ -24,6 +24,8 @@ _FEWEST = 64
 _LONG = 64
 #: Most blocks; the shorter ones of more long gaps are completed too.
 _MOST = 48
+#: Up to so many blocks have bins as fine as a record without gaps.
+_FINE = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -152,7 +154,7 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Bl
     lines: tuple[Line, ...] = ()
     longest = 0
     for run in runs:
-        block = _transform(series, run, scale, temperature)
+        block = _transform(series, run, _bins(run.size, len(runs)), scale, temperature)
         kept, found = find_lines(block.ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
         blocks.append(block if kept is None else _masked(block, kept))
         if block.bins.n > longest:
@@ -186,9 +188,17 @@ def _runs(series: AxisSeries) -> tuple[list[_Run], int]:
     return long, sum(run.stop - run.start for run in runs if run not in long)
 
 
-def _transform(series: AxisSeries, run: _Run, scale: float, temperature: FloatArray | None) -> Block:
+def _bins(size: int, blocks: int) -> DctBins:
+    """Return the bins of a block: fewer where there are many blocks, so that the whole stays small."""
+    if blocks <= _FINE:
+        return dct_bins(size)
+    return dct_bins(size, singles=max(16, 512 // blocks), per_octave=max(10, 192 // blocks))
+
+
+def _transform(
+    series: AxisSeries, run: _Run, bins: DctBins, scale: float, temperature: FloatArray | None
+) -> Block:
     samples = series.samples[run.start : run.stop] / scale
-    bins = dct_bins(run.size)
     heat = None if temperature is None else temperature[run.start : run.stop]
     if samples.size == run.size:
         return Block(
