@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from imucal.compare import compare
     from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, WriteError
     from imucal.findings import Finding
-    from imucal.fit import NoiseFit, fit
+    from imucal.fit import fit
+    from imucal.fit.result import NoiseFit
     from imucal.noise import NoiseModel
     from imucal.pipeline import Settings, characterize
     from imucal.plan import plan
@@ -76,7 +77,7 @@ _HOMES = {
     "DataError": "imucal.errors",
     "Finding": "imucal.findings",
     "ImucalError": "imucal.errors",
-    "NoiseFit": "imucal.fit",
+    "NoiseFit": "imucal.fit.result",
     "NoiseModel": "imucal.noise",
     "ReadError": "imucal.errors",
     "Recording": "imucal.recording",

@@ -45,7 +45,7 @@ def test_every_module_says_what_it_offers(name: str) -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     """As for any module."""
     with pytest.raises(AttributeError, match="module 'imucal' has no attribute 'nothing'"):
-        _ = imucal.nothing  # type: ignore[attr-defined]
+        _ = imucal.nothing
 
 
 @pytest.mark.parametrize("arguments", [["-c", "import imucal"], ["-m", "imucal", "--help"]])
