@@ -36,8 +36,8 @@ def draw_ticks(axes: "Axes") -> None:
         axis.set_minor_locator(NullLocator())
         for place in minor:
             part = math.log(place / low) / math.log(high / low)
-            ends = [(part, 0.0), (part, _MINOR * 1.5)]
-            marks.append(ends if horizontal else [(y, x * 0.67) for x, y in ends])
+            # The plot is wider than it is high: equal lengths are different parts.
+            marks.append([(part, 0.0), (part, 1.5 * _MINOR)] if horizontal else [(0.0, part), (_MINOR, part)])
     axes.add_collection(
         LineCollection(marks, colors=FRAME, linewidths=0.7, transform=axes.transAxes, zorder=1.5),
         autolim=False,

@@ -1,10 +1,12 @@
 """Ticks of logarithmic axes, whatever the limits."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucal.report.log_ticks import tick_label, tick_places
+from imucal.report.log_ticks import draw_ticks, tick_label, tick_places
 
 
 @pytest.mark.parametrize(
@@ -50,3 +52,20 @@ def test_ticks_lie_inside_and_rise(low: float, factor: float) -> None:
     # 1e-9 for the rounding of 10**e.
     assert all(low * (1 - 1e-9) <= place <= high * (1 + 1e-9) for place in (*major, *minor))
     assert len({tick_label(place) for place in major}) == len(major)
+
+
+def test_minor_ticks_stand_at_their_values_on_both_axes() -> None:
+    """The tick of 2 lies at log 2 of a decade, from the left edge up and from the foot up."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_subplot()
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(1, 1000)
+    axes.set_ylim(1, 1000)
+    draw_ticks(axes)
+    (marks,) = (artist for artist in axes.collections if isinstance(artist, LineCollection))
+    feet = {tuple(path.vertices[0].round(6).tolist()) for path in marks.get_paths()}
+    places = {round(math.log10(m * 10**e) / 3, 6) for e in range(3) for m in range(1, 10)} | {1.0}
+    assert feet == {(place, 0.0) for place in places} | {(0.0, place) for place in places}
