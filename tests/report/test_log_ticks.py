@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -66,6 +67,6 @@ def test_minor_ticks_stand_at_their_values_on_both_axes() -> None:
     axes.set_ylim(1, 1000)
     draw_ticks(axes)
     (marks,) = (artist for artist in axes.collections if isinstance(artist, LineCollection))
-    feet = {tuple(path.vertices[0].round(6).tolist()) for path in marks.get_paths()}
+    feet = {tuple(np.asarray(path.vertices)[0].round(6).tolist()) for path in marks.get_paths()}
     places = {round(math.log10(m * 10**e) / 3, 6) for e in range(3) for m in range(1, 10)} | {1.0}
     assert feet == {(place, 0.0) for place in places} | {(0.0, place) for place in places}
