@@ -153,6 +153,7 @@ def command(
             as_json=as_json,
             quiet=request.quiet,
         )
+        say("A table of deviations has no report folder; --json has all numbers.", quiet=request.quiet)
         return
     from imucal.cli._table import summary_table
     from imucal.pipeline import Settings, characterize
