@@ -136,7 +136,7 @@ def to_ns(values: NDArray[np.int64] | FloatArray, ns: int) -> IntArray:
     if values.dtype.kind == "i":
         if values.size and max(abs(int(values.max())), abs(int(values.min()))) > (1 << 62) // ns:
             values = values - values[0]
-        return np.asarray(values, dtype=np.int64) * ns
+        return np.asarray(values, dtype=np.int64) * ns if ns != 1 else np.asarray(values, dtype=np.int64)
     whole = np.floor(values)
     limit = float((1 << 62) // ns)
     whole = np.where(np.abs(whole) < limit, whole, 0.0)

@@ -47,7 +47,8 @@ def table_clock(
     log_ns = _stamps(work, plan.log_time, log, plan.triad.sensor) if plan.log_time and log else None
     # A device's clock may start at zero, which is a stamp like any other.
     shift = 1_000_000_000 if stamps.min() == 0 and stamps[0] == 0 and stamps.any() and log_ns is None else 0
-    stamps = stamps + shift
+    if shift:
+        stamps = stamps + shift
     same = _sent_twice(work, stamps, axes, plan.triad.sensor)
     try:
         reading = clock_from_stamps(

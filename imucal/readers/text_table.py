@@ -12,6 +12,7 @@ from imucal.errors import DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.blocks import BlockReader, Kind, RowCounts, without_start
 from imucal.readers.columns import Rows
+from imucal.readers.compression import keep_freed_memory
 from imucal.readers.growing import default_memory_limit
 from imucal.readers.headless import rows_of_tag
 from imucal.readers.layout import Layout, split_line
@@ -97,6 +98,8 @@ def read_table(
     DataError
         If it holds no samples.
     """
+    # The blocks of text are as large as its chunks: freed, they are to be used again.
+    keep_freed_memory()
     text = lay_out(source.name, source.head, options)
     layout = text.layout
     plan = _plan(source.name, layout, options, name or PurePath(source.name).name)
