@@ -23,6 +23,8 @@ __all__ = ["ONE_DEVIATION", "AxisPlan", "Need", "Plan", "describe_time", "plan",
 ONE_DEVIATION = math.erf(math.sqrt(0.5))
 #: Nobody records for longer, in s: ten years. Longer needs are infinite.
 _LONGEST = 10 * 365.25 * 86400
+#: A record that is so much of a factor too short is worth a sentence.
+_WORTH_SAYING = 1.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +159,7 @@ def resolution_findings(fit: NoiseFit, duration_s: float, *, precision: float = 
     for name in dict.fromkeys(need.name.partition(".")[0] for need in needs):
         own = [need for need in needs if need.name.partition(".")[0] == name]
         longest = max(own, key=lambda need: need.needed_s)
-        if longest.needed_s > duration_s:
+        if longest.needed_s > _WORTH_SAYING * duration_s:
             findings.append(_finding(longest, name, precision, duration_s))
     return tuple(findings)
 

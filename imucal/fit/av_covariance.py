@@ -30,6 +30,7 @@ __all__ = ["AvarCovariance", "Process", "avar_covariance", "sum_variance"]
 #: A power law, or the correlation time in samples of a Gauss-Markov process of unit variance.
 Process: TypeAlias = PowerLaw | float
 
+_LAWS = tuple(PowerLaw)
 _SIGNS = np.array([1.0, -2.0, 1.0])
 #: Up to so many lags are summed one by one.
 _ALL_LAGS = 300
@@ -146,32 +147,48 @@ def _pair(
     mi: int, mj: int, n: int, processes: Sequence[Process], *, overlapping: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients for one pair of averaging times: shapes (p, p) and (p,)."""
+    times = [process for process in processes if not isinstance(process, PowerLaw)]
+    lags, weight, of_laws = _laws(mi, mj, n, _reach(max(mi, mj), times), overlapping=overlapping)
+    covariance = np.empty((len(processes), lags.size))
+    for row, process in zip(covariance, processes, strict=True):
+        row[:] = (
+            of_laws[_LAWS.index(process)]
+            if isinstance(process, PowerLaw)
+            else _lag_covariance(lags, mi, mj, process)
+        )
+    weighted = covariance * weight
+    squares = 2 * weighted @ covariance.T
+    # The ramp gives d_t at m the mean w m / sqrt(2); sums of covariances below zero are rounding.
+    linear = 4 * (mi * mj / 2) * np.maximum(weighted.sum(axis=1), 0.0)
+    return squares, linear
+
+
+@lru_cache(maxsize=512)
+def _laws(
+    mi: int, mj: int, n: int, reach: int, *, overlapping: bool
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return lags, their weights n_ij(k) / (M_i M_j), and the covariances of the power laws there."""
     step = 1 if overlapping else math.gcd(mi, mj)
     stride_i, stride_j = (1, 1) if overlapping else (mi, mj)
     terms_i, terms_j = ((n - 2 * a + s) // s for a, s in ((mi, stride_i), (mj, stride_j)))
     length_i, length_j = terms_i * stride_i, terms_j * stride_j
-    reach = _reach(max(mi, mj), processes)
     low, high = max(1 - length_i, -reach), min(length_j - 1, reach)
     lags = step * _lag_grid(mi // step, mj // step, -(-low // step), high // step)
     places = np.minimum(length_i, length_j - lags) - np.maximum(0, -lags)
     weight = _node_weights(lags // step) * np.maximum(places, 0) / math.lcm(stride_i, stride_j)
-    covariance = _lag_covariances(lags, mi, mj, processes)
-    weighted = covariance * weight
-    norm = float(terms_i * terms_j)
-    squares = 2 * weighted @ covariance.T / norm
-    # The ramp gives d_t at m the mean w m / sqrt(2); sums of covariances below zero are rounding.
-    linear = 4 * (mi * mj / 2) * np.maximum(weighted.sum(axis=1), 0.0) / norm
-    return squares, linear
+    of_laws = np.stack([_lag_covariance(lags, mi, mj, law) for law in _LAWS])
+    return lags, weight / (float(terms_i) * float(terms_j)), of_laws
 
 
-def _reach(longest: int, processes: Sequence[Process]) -> int:
-    """Return how far beyond nought lags are worth summing, for the longer averaging factor."""
-    reach = 2 * longest + 2
-    for process in processes:
-        if process is PowerLaw.FLICKER:
-            reach = max(reach, _FLICKER_REACH * longest)
-        elif not isinstance(process, PowerLaw):
-            reach = max(reach, 2 * longest + math.ceil(_GAUSS_MARKOV_REACH * process))
+def _reach(longest: int, times: Sequence[float]) -> int:
+    """Return how far from nought lags are worth summing, for the longer averaging factor.
+
+    In powers of two beyond what flicker needs, so that few different grids are ever made.
+    """
+    reach = _FLICKER_REACH * longest
+    for time in times:
+        while reach < 2 * longest + _GAUSS_MARKOV_REACH * time:
+            reach *= 2
     return reach
 
 
@@ -196,16 +213,13 @@ def _node_weights(lags: IntArray) -> FloatArray:
     return weight
 
 
-def _lag_covariances(lags: IntArray, mi: int, mj: int, processes: Sequence[Process]) -> FloatArray:
-    """Return cov(d_t at mi, d_{t+k} at mj) at `lags` k for each process, shape (p, l)."""
+def _lag_covariance(lags: IntArray, mi: int, mj: int, process: Process) -> FloatArray:
+    """Return cov(d_t at mi, d_{t+k} at mj) at `lags` k, shape (l,)."""
     shifts = np.array([b * mj - a * mi for a in range(3) for b in range(3)], dtype=np.float64)
     signs = np.multiply.outer(_SIGNS, _SIGNS).ravel()
     distance = np.abs(shifts[:, np.newaxis] + lags.astype(np.float64))
-    inside = (lags >= -2 * mj) & (lags <= 2 * mi)
-    result = np.empty((len(processes), lags.size))
-    for row, process in zip(result, processes, strict=True):
-        row[:] = signs @ sum_variance(process, distance)
-        if process in {PowerLaw.WHITE, PowerLaw.QUANTIZATION, PowerLaw.WALK}:
-            # Beyond the windows it is nought, and would be rounding error.
-            row[~inside] = 0.0
-    return np.asarray(result / (-4.0 * mi * mj))
+    total = signs @ sum_variance(process, distance)
+    if process in {PowerLaw.WHITE, PowerLaw.QUANTIZATION, PowerLaw.WALK}:
+        # Beyond the windows it is nought, and would be rounding error.
+        total = np.where((lags >= -2 * mj) & (lags <= 2 * mi), total, 0.0)
+    return np.asarray(total / (-4.0 * mi * mj))

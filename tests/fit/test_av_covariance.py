@@ -25,8 +25,10 @@ def test_the_grid_of_lags_stands_for_all_lags(monkeypatch: pytest.MonkeyPatch) -
     quick = avar_covariance(m, 5_000, PROCESSES)
     monkeypatch.setattr(module, "_ALL_LAGS", 10**9)
     module._computed.cache_clear()
+    module._laws.cache_clear()
     every = avar_covariance(m, 5_000, PROCESSES)
     module._computed.cache_clear()
+    module._laws.cache_clear()
     for p in range(len(PROCESSES)):
         scale = np.sqrt(np.diag(every.quadratic[p, p]))
         difference = (quick.quadratic[p, p] - every.quadratic[p, p]) / np.outer(scale, scale)

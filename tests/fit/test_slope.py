@@ -10,7 +10,7 @@ from tests.fit.curves import simulated_curve
 
 def test_lines_are_read_where_they_are() -> None:
     """N at the short times, K at the long ones, and the windows are told."""
-    curve = simulated_curve("N=1 + K=0.01", 200_000, np.random.default_rng(41))
+    curve = simulated_curve("N=1 + K=0.01", 1_000_000, np.random.default_rng(41))
     fit = fit_slope(None, curve, None)
     assert str(fit.model) == "N + K"
     assert fit.method == "slope"
