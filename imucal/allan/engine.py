@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.allan.averaging import averaging_factors
+from imucal.allan.cascade import Cascade
 from imucal.allan.confidence import degrees_of_freedom, gappy_degrees_of_freedom
 from imucal.allan.curve import AllanCurve
 from imucal.allan.estimators import Estimator, estimator_named
@@ -13,9 +14,15 @@ from imucal.allan.gaps import longest_run, run_variances, window_variances
 from imucal.allan.variance import variances
 from imucal.arrays import IntArray
 from imucal.errors import DataError
+from imucal.memory import memory_limit
 from imucal.recording import AxisSeries
 
 __all__ = ["allan_curve"]
+
+#: Bytes per sample that the exact curve works in: the integral and the transform of the intervals.
+_WORK = 32
+#: Samples of a mapped file that are looked at at once.
+_PIECE = 1 << 20
 
 
 def allan_curve(
@@ -41,7 +48,8 @@ def allan_curve(
 
     Returns
     -------
-    The curve. Where samples are missing, `computed` says how it was done (see `imucal.allan.gaps`),
+    The curve. Where the samples are too many for a quarter of the machine's memory it is streamed
+    (`computed` is ``cascade``). Where samples are missing, `computed` says how it was done (see `imucal.allan.gaps`),
     averaging times that the samples can't give are left out, and the degrees of freedom are those
     of the generic model nearest to the curve.
 
@@ -55,6 +63,9 @@ def allan_curve(
     Source: IEEE Std 952-1997, Annex C; NIST SP 1065 (2008).
     """
     chosen = _Choice(taus=taus, estimator=estimator_named(estimator), edf=edf)
+    per_octave = chosen.factors_per_octave()
+    if per_octave and _WORK * series.n > memory_limit():
+        return _streamed(series, per_octave)
     series = series.finite()
     return _gappy(series, chosen) if series.clock.missing else _exact(series, chosen)
 
@@ -66,6 +77,28 @@ class _Choice:
     taus: str | Sequence[float]
     estimator: Estimator
     edf: str
+
+    def factors_per_octave(self) -> int:
+        """Return how dense a streamed curve is to be; 0 where only the exact one will do."""
+        if self.estimator.name != "overlapping" or not isinstance(self.taus, str) or self.taus == "all":
+            return 0
+        name, _, per_decade = self.taus.partition(":")
+        return 1 if name == "octave" else max(1, round(int(per_decade or 10) * np.log10(2)))
+
+
+def _streamed(series: AxisSeries, per_octave: int) -> AllanCurve:
+    """Return the curve by one pass in constant memory; what is not finite counts as missing."""
+    cascade = Cascade(axes=1, per_octave=per_octave)
+    for segment in series.clock.segments:
+        cascade.gap()
+        for start in range(segment.start, segment.stop, _PIECE):
+            piece = series.samples[start : min(start + _PIECE, segment.stop)]
+            for part in np.split(piece, np.flatnonzero(np.diff(np.isfinite(piece))) + 1):
+                if np.isfinite(part[0]):
+                    cascade.feed(part[None, :])
+                else:
+                    cascade.gap()
+    return cascade.curve(0, rate_hz=series.rate_hz)
 
 
 def _exact(series: AxisSeries, chosen: _Choice) -> AllanCurve:

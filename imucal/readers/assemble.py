@@ -191,7 +191,7 @@ def _series(
     path: Path, choice: Choice, columns: Columns, options: ReadOptions, *, alone: bool
 ) -> tuple[list[AxisSeries], Temperature | None, list[Finding], list[tuple[str, str]]]:
     """Return the axes of one topic."""
-    findings = in_time_order(columns)
+    findings = [*_other_vectors(choice.topic), *in_time_order(columns)]
     reading = _clock(path, choice, columns, options)
     label = choice.sensors[0].short if not alone and len(choice.sensors) == 1 else None
     findings += [replace(finding, axis=label) for finding in reading.findings]
@@ -214,6 +214,15 @@ def _series(
             samples = row if reading.order is None else row[reading.order]
             series.append(AxisSeries(sensor=sensor, axis=axis, samples=samples, clock=reading.clock))
     return series, _temperature(columns, reading), findings, decisions
+
+
+def _other_vectors(topic: Topic) -> list[Finding]:
+    """Return a finding for vectors of a message that could have been meant too."""
+    if topic.carrier is None or not topic.carrier.others:
+        return []
+    read = ", ".join(vector.paths[0].removesuffix(".x").removesuffix("_x") for vector in topic.carrier.vectors)
+    text = f"Messages of {topic.name} hold {', '.join(topic.carrier.others)} too; {read} were read."
+    return [Finding(level="warning", code="other-vectors", text=text)]
 
 
 def _clock(path: Path, choice: Choice, columns: Columns, options: ReadOptions) -> ClockReading:

@@ -1,24 +1,15 @@
 """Columns that grow block by block: in memory up to a limit, in a temporary file above it."""
 
-import os
 import tempfile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GrowingColumn", "default_memory_limit"]
+__all__ = ["GrowingColumn"]
 
 #: Values that a column has room for at first.
 _FIRST = 1 << 16
-
-
-def default_memory_limit() -> int:
-    """Return a quarter of the machine's memory, in bytes; 2 GiB where it can't be asked."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 4
-    except (AttributeError, ValueError, OSError):
-        return 2 << 30
 
 
 class GrowingColumn:

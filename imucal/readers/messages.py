@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from imucal.readers.definitions import Field, plain_type
 from imucal.recording import Sensor
 
-__all__ = ["Carrier", "Stamp", "Vector", "find_carrier"]
+__all__ = ["TOP", "Carrier", "Stamp", "Vector", "find_carriers"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +56,8 @@ class Carrier:
         True for general-purpose vectors: read only where the user asks.
     standard
         True where the definition fixes SI units; else SI is assumed and said.
+    others
+        Fields of vectors that could be meant too, and are not read.
     """
 
     stamp: Stamp | None
@@ -63,6 +65,7 @@ class Carrier:
     temperature: str = ""
     plain: bool = False
     standard: bool = True
+    others: tuple[str, ...] = ()
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
@@ -87,6 +90,8 @@ _STEMS: dict[Sensor, tuple[str, ...]] = {
     _ACCEL: ("linear_acceleration", "accelerometer_m_s2", "accel", "acceleration", "accelerometer", "acc",
              "specific_force"),
 }  # fmt: skip
+#: What a message's own level is called where a field of it holds another IMU.
+TOP = "top"
 _TEMPERATURE = re.compile(r"(^|[._])(temperature|temp|imu_temperature|imu_temp)$")
 
 #: Types whose vectors may be anything: path of the vector, and its sensor (None: the topic's name says).
@@ -103,8 +108,12 @@ _PLAIN: dict[str, tuple[tuple[str, Sensor | None], ...]] = {
 }
 
 
-def find_carrier(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> Carrier | None:
-    """Return what messages of a type can give, or None.
+def find_carriers(
+    name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None
+) -> dict[str, Carrier]:
+    """Return what messages of a type can give: one entry for each IMU in a message.
+
+    The key is the field that holds the IMU, such as ``left``; it is empty where there is only one.
 
     Parameters
     ----------
@@ -117,13 +126,40 @@ def find_carrier(name: str, fields: Sequence[Field], topic: str, sensor: Sensor 
     """
     known = _plain(plain_type(name), fields, topic, sensor) or _px4(plain_type(name), fields)
     if known is not None:
-        return known
-    vectors = _vectors(fields)
-    if not vectors:
-        return None
+        return {"": known}
+    found = {kind: _named(fields, stems) for kind, stems in _STEMS.items()}
+    imus = _imus(found)
+    taken = {paths for imu in imus.values() for paths in imu.values()}
+    spare = [paths for vectors in found.values() for _, paths in vectors if paths not in taken]
+    return {
+        (owner or TOP) if len(imus) > 1 else "": _carrier(fields, owner, imu, spare, others=set(imus) - {owner})
+        for owner, imu in imus.items()
+    }
+
+
+def _carrier(
+    fields: Sequence[Field],
+    owner: str,
+    imu: dict[Sensor, tuple[str, ...]],
+    spare: Sequence[tuple[str, ...]],
+    *,
+    others: set[str],
+) -> Carrier:
+    """Return one IMU of a message; its stamp and temperature are its own where it has them."""
+    vectors = tuple(Vector(sensor=sensor, paths=paths) for sensor, paths in imu.items())
     standard = all(path.split(".")[-2:-1] in (["angular_velocity"], ["linear_acceleration"])
                    for vector in vectors for path in vector.paths)  # fmt: skip
-    return Carrier(stamp=_stamp(fields), vectors=vectors, temperature=_temperature(fields), standard=standard)
+    theirs = tuple(other + "." for other in others if other)
+    free = [field for field in fields if not theirs or not field.path.startswith(theirs)]
+    if others:
+        free.sort(key=lambda field: not (owner and field.path.startswith(owner + ".")))
+    return Carrier(
+        stamp=_stamp(free),
+        vectors=vectors,
+        temperature=_temperature(free),
+        standard=standard,
+        others=tuple(_field_name(paths) for paths in spare),
+    )
 
 
 def sensor_of_topic(topic: str) -> Sensor | None:
@@ -175,46 +211,50 @@ def _px4(name: str, fields: Sequence[Field]) -> Carrier | None:
     return None
 
 
-def _vectors(fields: Sequence[Field]) -> tuple[Vector, ...]:
-    """Return the first gyroscope and the first accelerometer, both under one prefix where possible."""
-    found: dict[Sensor, list[tuple[str, ...]]] = {_GYRO: [], _ACCEL: []}
-    for sensor, stems in _STEMS.items():
-        for stem in stems:
-            found[sensor] += _named(fields, stem)
-    gyros, accels = found[_GYRO], found[_ACCEL]
-    pair = next(
-        ((g, a) for g in gyros for a in accels if _prefix(g) == _prefix(a)),
-        (gyros[0] if gyros else None, accels[0] if accels else None),
-    )
-    return tuple(
-        Vector(sensor=sensor, paths=paths)
-        for sensor, paths in zip((_GYRO, _ACCEL), pair, strict=True)
-        if paths is not None
-    )
+def _imus(found: dict[Sensor, list[tuple[str, tuple[str, ...]]]]) -> dict[str, dict[Sensor, tuple[str, ...]]]:
+    """Return the vectors of each IMU by the field that holds them.
+
+    Vectors that one field holds belong together. Where no field holds both sensors, each is taken from
+    where it is if it is there once, and fields are IMUs of their own if it is not.
+    """
+    owned: dict[str, dict[Sensor, tuple[str, ...]]] = {}
+    for sensor, vectors in found.items():
+        for owner, paths in vectors:
+            owned.setdefault(owner, {}).setdefault(sensor, paths)
+    whole = {owner: imu for owner, imu in owned.items() if len(imu) == len(found)}
+    if whole or not owned:
+        return whole
+    if all(len({owner for owner, _ in vectors}) <= 1 for vectors in found.values()):
+        return {"": {sensor: paths for imu in owned.values() for sensor, paths in imu.items()}}
+    return owned
 
 
-def _prefix(paths: tuple[str, ...]) -> str:
-    """Return what stands before the name of a vector."""
-    return paths[0].rpartition(".")[0] if len(paths) == 1 else paths[0].rpartition(".")[0].rpartition(".")[0]
+def _named(fields: Sequence[Field], stems: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
+    """Return owner and paths of the vectors of these names, at any depth, the best name first."""
+    return [vector for stem in stems for vector in _called(fields, stem)]
 
 
-def _named(fields: Sequence[Field], stem: str) -> list[tuple[str, ...]]:
-    """Return the vectors called `stem`, at any depth, in the order of the fields."""
-    vectors: list[tuple[str, ...]] = []
+def _called(fields: Sequence[Field], stem: str) -> list[tuple[str, tuple[str, ...]]]:
+    """Return the vectors called `stem` in the order of the fields: what holds them, and their paths."""
+    vectors: list[tuple[str, tuple[str, ...]]] = []
     for field in fields:
         owner, _, last = field.path.rpartition(".")
         if field.code not in {"f4", "f8"}:
             continue
         if field.kind == "array" and field.count == 3 and last == stem:
-            vectors.append((field.path,))
+            vectors.append((owner, (field.path,)))
         elif field.kind == "number" and last == "x" and owner.rpartition(".")[2] == stem:
             paths = _xyz(fields, owner + ".")
-            vectors += [paths] if paths else []
+            vectors += [(owner.rpartition(".")[0], paths)] if paths else []
         elif field.kind == "number" and last == stem + "_x":
-            prefix = field.path.removesuffix("x")
-            paths = _xyz(fields, prefix)
-            vectors += [paths] if paths else []
+            paths = _xyz(fields, field.path.removesuffix("x"))
+            vectors += [(owner, paths)] if paths else []
     return vectors
+
+
+def _field_name(paths: tuple[str, ...]) -> str:
+    """Return the field of a vector: ``left.gyro`` of ``left.gyro.x``, ``gyro`` of ``gyro_x``."""
+    return paths[0] if len(paths) == 1 else paths[0][:-2]
 
 
 def _xyz(fields: Sequence[Field], prefix: str) -> tuple[str, ...]:

@@ -1,7 +1,6 @@
 """Columns of samples, decoded straight into place: in memory, or in a temporary file above a limit."""
 
 import mmap
-import os
 import tempfile
 from pathlib import Path
 
@@ -10,9 +9,10 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ReadError
+from imucal.memory import memory_limit
 from imucal.recording import Sensor
 
-__all__ = ["Columns", "default_limit", "drop_rows", "reorder"]
+__all__ = ["Columns", "drop_rows", "reorder"]
 
 #: Bytes written before their pages are given back to the system.
 _FLUSH = 1 << 25
@@ -37,7 +37,7 @@ class Columns:
         self, n: int, sensors: tuple[Sensor, ...], *, temperature: bool, limit: int | None = None
     ) -> None:
         rows = len(_ROWS) + 3 * len(sensors) + int(temperature)
-        limit = default_limit() if limit is None else limit
+        limit = memory_limit() if limit is None else limit
         self._map: mmap.mmap | None = None
         self._written = 0
         if n * rows * 8 > limit:
@@ -112,14 +112,6 @@ def reorder(columns: Columns, order: IntArray) -> None:
     for row in columns.rows:
         row[: order.size] = row[order]
     columns.keep(order.size)
-
-
-def default_limit() -> int:
-    """Return a quarter of the machine's memory, in bytes; 2 GB where it can't be asked."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 4
-    except (AttributeError, ValueError, OSError):
-        return 2 * 10**9
 
 
 def _mapped(rows: int, n: int) -> tuple[NDArray[np.float64], mmap.mmap]:

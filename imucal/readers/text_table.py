@@ -10,10 +10,10 @@ from typing import Any
 from imucal.arrays import FloatArray
 from imucal.errors import DataError, ReadError
 from imucal.findings import Finding
+from imucal.memory import memory_limit
 from imucal.readers.blocks import BlockReader, Kind, RowCounts, without_start
 from imucal.readers.columns import Rows
 from imucal.readers.compression import keep_freed_memory
-from imucal.readers.growing import default_memory_limit
 from imucal.readers.headless import rows_of_tag
 from imucal.readers.layout import Layout, split_line
 from imucal.readers.options import ReadOptions
@@ -189,7 +189,7 @@ def _reader(
     # A row that lacks its last cell was cut, perhaps within a number that stands before it.
     if all(layout.cells(last)):
         needed |= {last}
-    limit = (options.memory_limit or default_memory_limit()) // max(1, len(kinds))
+    limit = (options.memory_limit or memory_limit()) // max(1, len(kinds))
     return BlockReader(
         layout=layout,
         kinds=kinds,

@@ -9,7 +9,7 @@ from imucal.readers.decoder import BinaryDecoder, Shape
 from imucal.readers.definitions import DefinitionError, Field, built_in, flatten, plain_type
 from imucal.readers.engine import Decoder, Stream
 from imucal.readers.json_messages import JSON_CARRIER, JsonDecoder
-from imucal.readers.messages import Carrier, find_carrier
+from imucal.readers.messages import Carrier, find_carriers
 from imucal.readers.options import ReadOptions
 from imucal.recording import Sensor
 
@@ -20,12 +20,14 @@ _ENCODINGS = ("cdr", "ros1", "json")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Topic:
-    """A topic of a log, over all its files.
+    """A topic of a log, over all its files, or one IMU of a topic whose messages hold several.
 
     Attributes
     ----------
     name, type
-        Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``.
+        Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``; ``/imus:left`` for a part of a message.
+    part
+        The field of a message that holds this IMU; empty where there is one only.
     channels
         Number of the container, and channel.
     carrier
@@ -39,6 +41,7 @@ class Topic:
     channels: tuple[tuple[int, Channel], ...]
     carrier: Carrier | None = None
     reason: str = ""
+    part: str = ""
 
     @property
     def count(self) -> int | None:
@@ -73,7 +76,9 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
     for number, container in enumerate(containers):
         for channel in container.channels:
             groups.setdefault((channel.topic, plain_type(channel.type)), []).append((number, channel))
-    return [_topic(name, channels, options) for (name, _), channels in groups.items()]
+    return [
+        topic for (name, _), channels in groups.items() for topic in _topics(name, channels, options)
+    ]
 
 
 def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> Stream:
@@ -98,13 +103,13 @@ def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> 
         except DefinitionError as error:
             msg = f"topic {topic.name} of type {channel.type} can't be decoded: {error}"
             raise ReadError(msg) from error
-        shapes = [_shape(channel, fields, topic.name, sensors)]
+        shapes = [_shape(channel, fields, topic, sensors)]
         carrier = shapes[0].carrier
         ros1 = channel.encoding == "ros1"
         standard = built_in(channel.type, ros1=ros1)
         if standard is not None:
             fields = flatten(channel.type, standard, ros1=ros1)
-            shapes.append(_shape(channel, fields, topic.name, sensors))
+            shapes.append(_shape(channel, fields, topic, sensors))
         decoders[number, channel.key] = BinaryDecoder(shapes, ros1=ros1, exact=exact)
     return Stream(carrier=carrier, decoders=decoders)
 
@@ -113,30 +118,42 @@ def _only(carrier: Carrier, sensors: Sequence[Sensor]) -> Carrier:
     return replace(carrier, vectors=tuple(v for v in carrier.vectors if v.sensor in sensors))
 
 
-def _topic(name: str, channels: list[tuple[int, Channel]], options: ReadOptions) -> Topic:
+def _topics(name: str, channels: list[tuple[int, Channel]], options: ReadOptions) -> list[Topic]:
+    """Return a topic as one entry for each IMU that its messages hold; one without IMU samples as it is."""
     channel = channels[0][1]
-    carrier, reason = None, ""
+    carriers: dict[str, Carrier] = {}
+    reason = ""
     if channel.encoding not in _ENCODINGS:
         reason = f"messages are encoded as {channel.encoding!r}; expected one of {', '.join(_ENCODINGS)}"
     elif channel.encoding == "json":
-        carrier = JSON_CARRIER if _looks_like_imu(channel) else None
+        carriers = {"": JSON_CARRIER} if _looks_like_imu(channel) else {}
     else:
         try:
             fields, _ = _fields(channel, options)
-            carrier = find_carrier(channel.type, fields, name, _said(name, options))
-            if carrier is None:
-                reason = _unreachable(fields)
+            carriers = find_carriers(channel.type, fields, name, _said(name, options))
+            reason = "" if carriers else _unreachable(fields)
         except DefinitionError as error:
             reason = str(error)
-    if carrier is None and not _looks_like_imu(channel):
-        reason = reason if name in options.topics else ""
-    return Topic(name=name, type=channel.type, channels=tuple(channels), carrier=carrier, reason=reason)
+    if not carriers:
+        said = reason if _looks_like_imu(channel) or name in options.topics else ""
+        return [Topic(name=name, type=channel.type, channels=tuple(channels), reason=said)]
+    return [
+        Topic(
+            name=f"{name}:{part}" if part else name,
+            type=channel.type,
+            channels=tuple(channels),
+            carrier=carrier,
+            part=part,
+        )
+        for part, carrier in carriers.items()
+    ]
 
 
-def _shape(channel: Channel, fields: tuple[Field, ...], topic: str, sensors: Sequence[Sensor]) -> Shape:
-    carrier = find_carrier(channel.type, fields, topic, sensors[0] if len(sensors) == 1 else None)
+def _shape(channel: Channel, fields: tuple[Field, ...], topic: Topic, sensors: Sequence[Sensor]) -> Shape:
+    sensor = sensors[0] if len(sensors) == 1 else None
+    carrier = find_carriers(channel.type, fields, topic.name, sensor).get(topic.part)
     if carrier is None:
-        msg = f"topic {topic}: the files define {channel.type} differently"
+        msg = f"topic {topic.name}: the files define {channel.type} differently"
         raise ReadError(msg)
     return Shape(fields, _only(carrier, sensors))
 
