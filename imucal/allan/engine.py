@@ -49,9 +49,9 @@ def allan_curve(
     Returns
     -------
     The curve. Where the samples are too many for a quarter of the machine's memory it is streamed
-    (`computed` is ``cascade``). Where samples are missing, `computed` says how it was done (see `imucal.allan.gaps`),
-    averaging times that the samples can't give are left out, and the degrees of freedom are those
-    of the generic model nearest to the curve.
+    (`computed` is ``cascade``). Where samples are missing, `computed` says how it was done (see
+    `imucal.allan.gaps`), averaging times that the samples can't give are left out, and the degrees
+    of freedom are those of the generic model nearest to the curve.
 
     Raises
     ------
