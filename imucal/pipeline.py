@@ -8,6 +8,7 @@ import numpy as np
 
 from imucal._version import __version__
 from imucal.allan import allan_curve, spectrum
+from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fit import fit
@@ -19,6 +20,9 @@ from imucal.report.result import AxisReport, Report
 from imucal.screen import screen
 
 __all__ = ["Progress", "Settings", "characterize"]
+
+#: Samples looked at at once.
+_BLOCK = 1 << 20
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
 Progress: TypeAlias = Callable[[int, int, str], None]
@@ -118,14 +122,15 @@ def _characterize_axis(
         found += second_opinion(result, other)
     findings = [finding for finding in screened if finding.axis == series.name]
     findings += [replace(finding, axis=series.name) for finding in found]
+    mean, std = _moments(finite.samples)
     return AxisReport(
         sensor=series.sensor,
         axis=series.axis,
         samples=finite.n,
         rate_hz=finite.rate_hz,
         duration_s=finite.duration_s,
-        mean=float(np.mean(finite.samples)),
-        std=float(np.std(finite.samples)),
+        mean=mean,
+        std=std,
         gaps=finite.clock.gaps,
         spectrum=spectrum(finite),
         overview=overview(finite),
@@ -134,7 +139,14 @@ def _characterize_axis(
     )
 
 
-def _same_clock(series: AxisSeries, finite: AxisSeries, temperature: Temperature | None) -> np.ndarray | None:
+def _moments(samples: FloatArray) -> tuple[float, float]:
+    """Return mean and standard deviation without a copy of the samples, which may lie in a mapped file."""
+    mean = float(np.mean(samples))
+    parts = (samples[start : start + _BLOCK] - mean for start in range(0, samples.size, _BLOCK))
+    return mean, float(np.sqrt(sum(float(np.sum(part * part)) for part in parts) / samples.size))
+
+
+def _same_clock(series: AxisSeries, finite: AxisSeries, temperature: Temperature | None) -> FloatArray | None:
     """Return the temperature at each finite sample, where it was measured with them."""
     if temperature is None or temperature.samples.shape != series.samples.shape:
         return None
