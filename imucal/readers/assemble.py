@@ -220,7 +220,7 @@ def _other_vectors(topic: Topic) -> list[Finding]:
     """Return a finding for vectors of a message that could have been meant too."""
     if topic.carrier is None or not topic.carrier.others:
         return []
-    read = ", ".join(vector.paths[0].removesuffix(".x").removesuffix("_x") for vector in topic.carrier.vectors)
+    read = " and ".join(vector.field for vector in topic.carrier.vectors)
     text = f"Messages of {topic.name} hold {', '.join(topic.carrier.others)} too; {read} were read."
     return [Finding(level="warning", code="other-vectors", text=text)]
 

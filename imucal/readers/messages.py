@@ -39,6 +39,11 @@ class Vector:
     paths: tuple[str, ...]
     divisor: str = ""
 
+    @property
+    def field(self) -> str:
+        """The field it is: ``left.gyro`` of ``left.gyro.x``, ``gyro`` of ``gyro_x``."""
+        return _field_name(self.paths)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carrier:
@@ -131,10 +136,11 @@ def find_carriers(
     imus = _imus(found)
     taken = {paths for imu in imus.values() for paths in imu.values()}
     spare = [paths for vectors in found.values() for _, paths in vectors if paths not in taken]
-    return {
-        (owner or TOP) if len(imus) > 1 else "": _carrier(fields, owner, imu, spare, others=set(imus) - {owner})
-        for owner, imu in imus.items()
-    }
+    carriers = {}
+    for owner, imu in imus.items():
+        part = (owner or TOP) if len(imus) > 1 else ""
+        carriers[part] = _carrier(fields, owner, imu, spare, others=set(imus) - {owner})
+    return carriers
 
 
 def _carrier(

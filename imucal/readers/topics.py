@@ -76,9 +76,7 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
     for number, container in enumerate(containers):
         for channel in container.channels:
             groups.setdefault((channel.topic, plain_type(channel.type)), []).append((number, channel))
-    return [
-        topic for (name, _), channels in groups.items() for topic in _topics(name, channels, options)
-    ]
+    return [topic for (name, _), channels in groups.items() for topic in _topics(name, channels, options)]
 
 
 def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> Stream:

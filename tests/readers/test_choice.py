@@ -13,6 +13,7 @@ from tests.readers.logs import (
     Message,
     Samples,
     header,
+    imu,
     imu_messages,
     samples,
     store,
@@ -246,3 +247,59 @@ def test_takes_the_temperature_beside_the_imu(name: str, found: object, tmp_path
     if temperature is not None:
         assert temperature.samples.tolist() == [20.0 + row / 4 for row in range(12)]
         assert temperature.clock.rate_hz == pytest.approx(10)
+
+
+def two_imus(definition: str, build: Any) -> tuple[Any, list[Message]]:  # noqa: ANN401
+    """Return types with a type of that definition, and its messages; `build` gets types and row."""
+    types = store(acme__msg__Pair=definition)
+    messages = []
+    for row, (stamp, log) in enumerate(zip(TRUTH.stamps.tolist(), TRUTH.log.tolist(), strict=True)):
+        message = types.types["acme/msg/Pair"](header=header(types, stamp), **build(types, row))
+        data = bytes(types.serialize_cdr(message, "acme/msg/Pair"))
+        messages.append(Message(topic="/pair", type="acme/msg/Pair", log=log, data=data))
+    return types, messages
+
+
+def test_two_imus_in_a_message_are_a_choice(tmp_path: Path) -> None:
+    """Each is listed like a topic of its own, and can be named; neither is taken silently."""
+    other = samples(120, seed=9)
+
+    def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401
+        left = imu(types, int(TRUTH.stamps[row]), TRUTH.gyro[row], TRUTH.accel[row])
+        return {"left": left, "right": imu(types, int(other.stamps[row]), other.gyro[row], other.accel[row])}
+
+    types, messages = two_imus("std_msgs/Header header\nsensor_msgs/Imu left\nsensor_msgs/Imu right", build)
+    path = write_mcap(tmp_path / "log.mcap", messages, types=types)
+    with pytest.raises(ChoiceError) as caught:
+        read(path)
+    assert str(caught.value) == (
+        f"{path}: 2 topics carry IMU samples; choose one of these topics\n"
+        "  /pair:left   acme/msg/Pair  120 messages  100 Hz  1.19 s\n"
+        "  /pair:right  acme/msg/Pair  120 messages  100 Hz  1.19 s"
+    )
+    with pytest.raises(ChoiceError, match="there is no topic /pair; choose one of these topics"):
+        read(path, topic="/pair")
+    for name, truth in (("/pair:left", TRUTH), ("/pair:right", other)):
+        recording = read(path, topic=name)
+        assert np.array_equal(np.array([series.samples for series in recording.series]), truth.all.T)
+        assert recording.source.topics == (name,)
+    assert [topic.name for topic in describe(path).topics] == ["/pair:left", "/pair:right"]
+
+
+def test_a_second_vector_in_a_message_leaves_a_finding(tmp_path: Path) -> None:
+    """An IMU beside a lone acceleration is read, and it is said what was not."""
+
+    def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401
+        vector = types.types["geometry_msgs/msg/Vector3"]
+        left = imu(types, int(TRUTH.stamps[row]), TRUTH.gyro[row], TRUTH.accel[row])
+        return {"imu": left, "acceleration": vector(1.0, 2.0, float(row))}
+
+    definition = "std_msgs/Header header\ngeometry_msgs/Vector3 acceleration\nsensor_msgs/Imu imu"
+    types, messages = two_imus(definition, build)
+    recording = read(write_mcap(tmp_path / "log.mcap", messages, types=types))
+    assert np.array_equal(recording.series[3].samples, TRUTH.accel[:, 0])
+    (finding,) = [finding for finding in recording.findings if finding.code == "other-vectors"]
+    assert finding.level == "warning"
+    assert finding.text == (
+        "Messages of /pair hold acceleration too; imu.angular_velocity and imu.linear_acceleration were read."
+    )
