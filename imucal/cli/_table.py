@@ -121,5 +121,7 @@ def _block(title: str, rows: list[tuple[AxisReport, Quantity, str]], *, plain: b
     texts = [numbers.compact(quantity, exponent=exponent) for quantity in quantities]
     widest = max(len(value) for value, _ in texts)
     for (axis, _, note), (value, interval) in zip(rows, texts, strict=True):
-        lines.append(f"{axis.axis}  {value:{widest}}  {interval}{'  ' if note else ''}{note}".rstrip())
+        line = f"{axis.axis}  {value:{widest}}  {interval}{'  ' if note else ''}{note}".rstrip()
+        fits = len(line) <= _COLUMN
+        lines += [line] if fits else [line.removesuffix(note).rstrip(), *([f"   {note}"] if note else [])]
     return lines

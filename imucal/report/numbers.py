@@ -37,6 +37,8 @@ __all__ = [
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 #: Beyond this ratio of its two sides an interval is printed, not a symmetric uncertainty.
 _ASYMMETRY = 1.25
+#: A number that takes more characters is written with an exponent.
+_LONGEST = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,8 +152,12 @@ def power_of_ten(quantity: Quantity) -> int:
 
 
 def engineering_exponent(quantities: Iterable[Quantity]) -> int:
-    """Return one power of ten, a multiple of three, that suits the largest of `quantities`."""
-    sizes = [q.size for q in quantities if math.isfinite(q.size) and q.size > 0]
+    """Return one power of ten, a multiple of three, that suits the largest value of `quantities`.
+
+    Bounds decide only where there is no value: what the data don't show may be bounded far above.
+    """
+    known = [q for q in quantities if math.isfinite(q.size) and q.size > 0]
+    sizes = [q.size for q in known if q.value is not None] or [q.size for q in known]
     if not sizes:
         return 0
     size = math.log10(max(sizes))
@@ -232,4 +238,6 @@ def _bound(high: float) -> str:
 
 def _fixed(value: float, places: int) -> str:
     text = f"{round(value, places):.{max(places, 0)}f}"
+    if len(text) > _LONGEST:
+        return f"{value:.1e}".replace("e+", "e").replace("e0", "e").replace("e-0", "e-") if value else "0"
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text

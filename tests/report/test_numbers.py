@@ -93,6 +93,16 @@ def test_powers_of_ten_of_a_row_are_shared() -> None:
     assert numbers.engineering_exponent([_quantity(None, 0, math.inf)]) == 0
 
 
+def test_numbers_far_from_their_row_have_an_exponent() -> None:
+    """An interval over fifteen decades, or a bound far above the values, prints no row of zeros."""
+    assert compact(_quantity(120, 0.6, 2.9134e15)) == ("120", "[0, 2.9e15]")
+    assert compact(_quantity(5.3e-13, 1e-14, 5.1e-10)) == ("5.3e-13", "[1.0e-14, 5.1e-10]")
+    assert compact(_quantity(None, 0, 1.5123e16)) == ("< 1.6e16", "")
+    assert compact(_quantity(None, 0, 8.2e-9)) == ("< 8.2e-9", "")
+    row = [_quantity(None, 0, 1.6e16), _quantity(530, 500, 560)]
+    assert numbers.engineering_exponent(row) == 0
+
+
 def test_data_sheet_units_are_those_of_the_field() -> None:
     """1e-4 rad/s/√Hz is 0.34377 deg/√h; 9.80665e-3 m/s² is 1 mg; less than 0.1 mg is said in µg."""
     noise = Estimate(key="N", symbol="N", status="estimated", value=1e-4, low=9e-5, high=1.1e-4)
