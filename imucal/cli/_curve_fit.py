@@ -7,6 +7,7 @@ import click
 
 from imucal.cli._options import say
 from imucal.fit import fit
+from imucal.fit.adev_table import is_adev_table, read_adev_table
 from imucal.fit.result import Estimate, NoiseFit
 from imucal.fit.table import NamedCurve, read_curve
 from imucal.noise.terms import TERMS
@@ -46,7 +47,8 @@ def fit_curves(
         say("A table holds no samples: fitting the curve by gmwm instead of mle.", quiet=quiet)
         method = "gmwm"
     results = []
-    for named in read_curve(path, rate_hz=rate_hz):
+    curves = read_adev_table(path) if is_adev_table(path) else read_curve(path, rate_hz=rate_hz)
+    for named in curves:
         result = fit(
             named.curve, model=model, method=method, level=level, criterion=criterion, weights=weights
         )
