@@ -10,6 +10,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from imucal._version import __version__
+from imucal.cli._hints import options_for
 from imucal.errors import ChoiceError, DataError, ImucalError
 
 __all__ = ["COMMANDS", "main"]
@@ -93,7 +94,8 @@ def _explain(error: BaseException) -> int:
             error.show()
             return error.exit_code
         case ChoiceError():
-            message, code = f"Error: {error}\nSay which with --topic (messages) or --columns (a table).", 3
+            hint = options_for(str(error))
+            message, code = f"Error: {error}" + (f"\nSay it with {hint}." if hint else ""), error.exit_code
         case ImucalError():
             message, code = f"Error: {error}", error.exit_code
         case click.Abort() | KeyboardInterrupt():

@@ -3,16 +3,18 @@
 import json
 import textwrap
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import click
 
+from imucal.cli._hints import options_for
+from imucal.cli._info_json import TopicReading, as_json_value
 from imucal.cli._options import describe_duration
 from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.readers import LogContents, ReadOptions, TopicContents, describe, read
-from imucal.recording import Recording
 
 __all__ = ["SCHEMA", "command"]
 
@@ -20,19 +22,24 @@ __all__ = ["SCHEMA", "command"]
 SCHEMA = "imucal/info/1"
 
 _WIDTH = 80
+#: Level, code and sentence of a finding: what it says, whatever axis it is about.
+_Words: TypeAlias = tuple[str, str, str]
+#: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
+_NO_DATE = 315_532_800_000_000_000
 #: Logs up to this size are read in full without being asked, in bytes: it takes less than a second.
 _SMALL = 64_000_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Read:
-    """What reading a topic showed: its recording, or why there is none."""
+@click.command(
+    epilog="""\b
+Examples:
+  imucal info log.mcap
+  imucal info --gaps 20h.bag
+  imucal info --json *.mcap | jq '.logs[].topics[].rate_hz'
 
-    recording: Recording | None = None
-    error: str = ""
-
-
-@click.command()
+\b
+Exit codes: 0 done, 2 usage, 3 a log can't be read."""
+)
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 @click.option(
@@ -55,7 +62,7 @@ def command(logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, msg: Pat
         wanted = small if gaps is None else gaps
         found = _read_topics(contents, msg) if wanted else {}
         if as_json:
-            entries.append(_as_json(contents, found))
+            entries.append(as_json_value(contents, found))
         else:
             click.echo("\n".join(_lines(contents, found, looked=wanted)))
     if as_json:
@@ -63,40 +70,56 @@ def command(logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, msg: Pat
         click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def _read_topics(contents: LogContents, msg: Path | None) -> dict[str, _Read]:
+def _read_topics(contents: LogContents, msg: Path | None) -> dict[str, TopicReading]:
     """Read every topic that carries IMU samples; a table is read as a whole."""
     found = {}
     for topic in contents.imu_topics:
         named = topic.name if len(contents.topics) > 1 else None
         try:
             recording = read(contents.path, topic=named, message_definition=msg)
-            found[topic.name] = _Read(recording=recording)
+            found[topic.name] = TopicReading(recording=recording)
         except ImucalError as error:
-            found[topic.name] = _Read(error=str(error))
+            found[topic.name] = TopicReading(error=str(error))
     return found
 
 
-# Text
-
-
-def _lines(contents: LogContents, found: dict[str, _Read], *, looked: bool) -> Iterator[str]:
+def _lines(contents: LogContents, found: dict[str, TopicReading], *, looked: bool) -> Iterator[str]:
     yield from _wrapped(contents.path)
     yield from _wrapped(", ".join(_head(contents)), indent=2)
     topics = [*contents.imu_topics, *(topic for topic in contents.topics if not topic.sensors)]
     if topics:
         yield ""
-        yield from _table(topics)
+        yield from _table([_noted(topic, found.get(topic.name)) for topic in topics])
+    said = {_words(finding) for finding in contents.findings}
     for topic in contents.imu_topics:
-        yield from _what_was_read(topic, found.get(topic.name))
+        yield from _what_was_read(topic, found.get(topic.name), said)
     if contents.imu_topics and not looked:
         yield ""
         yield from _wrapped("Gaps are not looked for in a large log; --gaps reads all samples.")
     if not contents.imu_topics:
         yield ""
-        yield "No gyroscope or accelerometer was found."
+        yield from _nothing(contents)
     for finding in contents.findings:
-        yield from _finding(finding)
+        yield from _sentence(_words(finding), [])
     yield ""
+
+
+def _noted(topic: TopicContents, found: TopicReading | None) -> TopicContents:
+    """Return a topic without a note that only repeats how its samples were read."""
+    decisions = () if found is None or found.recording is None else found.recording.source.decisions
+    repeated = topic.note == "; ".join(
+        f"{question} {answer}" for question, answer in decisions if "unit" in question
+    )
+    return replace(topic, note="") if repeated else topic
+
+
+def _nothing(contents: LogContents) -> Iterator[str]:
+    """Say that no samples can be read, and with which options of other commands they could be."""
+    hints = [hint for topic in contents.topics if (hint := options_for(topic.note))]
+    if not hints:
+        yield "No gyroscope or accelerometer was found."
+        return
+    yield from _wrapped(f"As it is, no samples can be read; give imucal fit {hints[0]}.")
 
 
 def _head(contents: LogContents) -> Iterator[str]:
@@ -107,7 +130,7 @@ def _head(contents: LogContents) -> Iterator[str]:
         yield _size(contents.size_bytes)
     if contents.duration_s is not None:
         yield describe_duration(contents.duration_s)
-    if contents.start_ns is not None and contents.start_ns > 0:
+    if contents.start_ns is not None and contents.start_ns > _NO_DATE:
         yield f"from {_date(contents.start_ns)}"
 
 
@@ -145,8 +168,8 @@ def _sensors(topic: TopicContents) -> str:
     return ", ".join(sensor.short for sensor in topic.sensors)
 
 
-def _what_was_read(topic: TopicContents, found: _Read | None) -> Iterator[str]:
-    """Yield rate, gaps, units and findings of a topic that was read."""
+def _what_was_read(topic: TopicContents, found: TopicReading | None, said: set[_Words]) -> Iterator[str]:
+    """Yield rate, gaps, units and findings of a topic that was read; not those said of the whole log."""
     if found is None:
         return
     yield ""
@@ -156,18 +179,41 @@ def _what_was_read(topic: TopicContents, found: _Read | None) -> Iterator[str]:
     clocks = {id(series.clock): series for series in found.recording.series}
     for series in clocks.values():
         clock = series.clock
-        jitter = "" if clock.jitter_s is None else f", jitter {clock.jitter_s * 1e3:.3g} ms"
-        gaps = f"{len(clock.gaps)} gaps, {clock.missing} missing" if clock.gaps else "no gaps"
+        jitter = "" if clock.jitter_s is None else f", {_jitter(clock.jitter_s)}"
+        count = f"{len(clock.gaps)} gap{'s' if len(clock.gaps) > 1 else ''}"
+        gaps = f"{count}, {clock.missing} missing" if clock.gaps else "no gaps"
         text = f"{topic.name}: {clock.rate_hz:.6g} Hz by {clock.source}, {clock.n} samples, {gaps}{jitter}"
         yield from _wrapped(text)
     for question, answer in found.recording.source.decisions:
-        yield from _wrapped(f"{question}: {answer}", indent=2)
+        # Each topic is read by its name here, which says nothing about what fit would choose.
+        if question not in {"topic", "topics"}:
+            yield from _wrapped(f"{question}: {answer}", indent=2)
+    about: dict[_Words, list[str]] = {}
     for finding in found.recording.findings:
-        yield from _finding(finding)
+        about.setdefault(_words(finding), []).extend([finding.axis] if finding.axis else [])
+    for words, axes in about.items():
+        if words not in said:
+            yield from _sentence(words, axes)
 
 
-def _finding(finding: Finding) -> Iterator[str]:
-    yield from _wrapped(f"{finding.level} [{finding.code}]: {finding.text} {finding.advice}", indent=2)
+def _jitter(seconds: float) -> str:
+    """Return ``jitter 72 ns``; a stamp is a whole number of ns, so that less is none."""
+    if seconds < 1e-9:
+        return "no jitter"
+    unit, size = next(
+        pair for pair in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if seconds >= pair[1]
+    )
+    return f"jitter {seconds / size:.3g} {unit}"
+
+
+def _words(finding: Finding) -> _Words:
+    return finding.level, finding.code, f"{finding.text} {finding.advice}"
+
+
+def _sentence(words: _Words, axes: list[str]) -> Iterator[str]:
+    level, code, text = words
+    where = f" {' '.join(dict.fromkeys(axes))}" if axes else ""
+    yield from _wrapped(f"{level} [{code}]{where}: {text}", indent=2)
 
 
 def _wrapped(text: str, *, indent: int = 0) -> list[str]:
@@ -206,55 +252,3 @@ def _date(ns: int) -> str:
         return datetime.fromtimestamp(ns / 1e9, tz=UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     except (ValueError, OverflowError, OSError):
         return f"{ns / 1e9:.6g} s"
-
-
-# JSON
-
-
-def _as_json(contents: LogContents, found: dict[str, _Read]) -> dict[str, object]:
-    return {
-        "path": contents.path,
-        "format": contents.format,
-        "compression": contents.compression,
-        "size_bytes": contents.size_bytes,
-        "start_ns": contents.start_ns,
-        "duration_s": contents.duration_s,
-        "topics": [_topic_json(topic, found.get(topic.name)) for topic in contents.topics],
-        "findings": [_finding_json(finding) for finding in contents.findings],
-    }
-
-
-def _topic_json(topic: TopicContents, found: _Read | None) -> dict[str, object]:
-    entry: dict[str, object] = {
-        **asdict(topic),
-        "sensors": [str(sensor) for sensor in topic.sensors],
-    }
-    if found is None:
-        return entry
-    if found.recording is None:
-        return {**entry, "error": found.error}
-    clocks = {series.sensor: series.clock for series in found.recording.series}
-    entry["clocks"] = {
-        str(sensor): {
-            "source": clock.source,
-            "rate_hz": clock.rate_hz,
-            "samples": clock.n,
-            "jitter_s": clock.jitter_s,
-            "missing": clock.missing,
-            "gaps": [asdict(gap) for gap in clock.gaps],
-        }
-        for sensor, clock in clocks.items()
-    }
-    entry["decisions"] = [list(pair) for pair in found.recording.source.decisions]
-    entry["findings"] = [_finding_json(finding) for finding in found.recording.findings]
-    return entry
-
-
-def _finding_json(finding: Finding) -> dict[str, object]:
-    return {
-        "level": finding.level,
-        "code": finding.code,
-        "axis": finding.axis,
-        "text": finding.text,
-        "advice": finding.advice,
-    }

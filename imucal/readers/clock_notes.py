@@ -99,10 +99,15 @@ def gap_notes(clock: Clock) -> list[Finding]:
     longest = max(gaps, key=lambda gap: gap.missing)
     share = clock.missing / clock.grid_size
     text = (
-        f"{clock.missing} samples ({share:.2g} of all) are missing in {_gaps(len(gaps))}; "
+        f"{_samples(clock.missing, share)} missing in {_gaps(len(gaps))}; "
         f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
     )
     return [Finding(level="warning" if share > _FEW else "info", code="gaps", text=text)]
+
+
+def _samples(count: int, share: float) -> str:
+    """Return ``12 samples (0.003 of all) are``."""
+    return f"{count} sample{'' if count == 1 else 's'} ({share:.2g} of all) {'is' if count == 1 else 'are'}"
 
 
 def _times(count: int) -> str:

@@ -149,9 +149,8 @@ def _log_findings(log: Any) -> list[Finding]:  # noqa: ANN401 - pyulog has no ty
         findings.append(Finding(level="warning", code="damaged", text=text))
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) / 1000
-        text = (
-            f"The logger reports {len(log.dropouts)} dropouts of {lost:.3g} s in all: its card was too slow."
-        )
+        count = "a dropout" if len(log.dropouts) == 1 else f"{len(log.dropouts)} dropouts"
+        text = f"The logger reports {count} of {lost:.3g} s in all: its card was too slow."
         advice = "Use a faster card or log fewer topics."
         findings.append(Finding(level="info", code="dropouts", text=text, advice=advice))
     return findings

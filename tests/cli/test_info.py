@@ -1,8 +1,17 @@
 """``imucal info``: what is in a log, on 80 columns or as JSON."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pytest
+
+from imucal.cli._info_json import TopicReading
+from imucal.cli.info import _jitter, _what_was_read
+from imucal.findings import Finding
+from imucal.readers import TopicContents
+from imucal.recording import AxisSeries, Recording, Sensor, Source
 from tests.cli.run import run
 from tests.readers.logs import Samples, imu_messages, samples, write_bag, write_db3, write_mcap
 
@@ -28,7 +37,7 @@ def test_prints_topics_and_gaps(tmp_path: Path) -> None:
     assert lines[3].split() == ["topic", "type", "messages", "rate", "duration", "sensors"]
     assert lines[4].split()[:4] == ["/imu/data", "sensor_msgs/msg/Imu", "300", "100"]
     assert lines[4].endswith(" 2.99 s  gyro, accel")
-    assert "/imu/data: 100 Hz by header stamp, 300 samples, 1 gaps, 10 missing" in done.stdout
+    assert "/imu/data: 100 Hz by header stamp, 300 samples, 1 gap, 10 missing" in done.stdout
     assert "gyroscope unit: rad/s, from the message type" in done.stdout
     assert "[gaps]: 10 samples" in done.stdout
 
@@ -79,3 +88,43 @@ def test_shows_what_can_not_be_read(tmp_path: Path) -> None:
     done = run("info", "nowhere.mcap", cwd=tmp_path)
     assert done.returncode == 3
     assert done.stderr == "Error: nowhere.mcap: can't be opened: No such file or directory\n"
+
+
+def test_a_finding_is_said_once() -> None:
+    """Not for each sensor, and not for each topic where it is about the whole log."""
+    gap = Finding(level="warning", code="gaps", text="3 samples are missing.")
+    whole = Finding(level="info", code="dropouts", text="The logger lost some.", advice="Log less.")
+    series = AxisSeries.from_samples(np.arange(9.0), rate_hz=100.0, sensor=Sensor.GYROSCOPE)
+    recording = Recording(
+        source=Source(path="log.csv", format="csv", decisions=(("topic", "/a: as asked for"),)),
+        series=(series,),
+        findings=(replace(gap, axis="gyro"), replace(gap, axis="accel"), whole),
+    )
+    topic = TopicContents(name="/a", type="table")
+    said = {("info", "dropouts", "The logger lost some. Log less.")}
+    lines = list(_what_was_read(topic, TopicReading(recording=recording), said))
+    assert lines == [
+        "",
+        "/a: 100 Hz by given rate, 9 samples, no gaps",
+        "  warning [gaps] gyro accel: 3 samples are missing.",
+    ]
+
+
+def test_units_of_a_table_stand_once(tmp_path: Path) -> None:
+    """Where they were read with the samples, the list of topics does not repeat them."""
+    rows = "\n".join(f"{0.01 * i:.2f},0.1,0.2,0.{i % 7},1,2,9.8{i % 3}" for i in range(200))
+    heading = "t [s],gx [rad/s],gy [rad/s],gz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
+    (tmp_path / "log.csv").write_text(f"{heading}\n{rows}\n", encoding="utf-8")
+    done = run("info", "log.csv", cwd=tmp_path)
+    assert done.stdout.count("gyroscope unit") == 1
+    assert "from 1970" not in done.stdout
+    assert run("info", "--no-gaps", "log.csv", cwd=tmp_path).stdout.count("gyroscope unit") == 1
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.0, "no jitter"), (7.16e-8, "jitter 71.6 ns"), (3.4e-5, "jitter 34 us"), (0.0445, "jitter 44.5 ms")],
+)
+def test_jitter_is_in_the_unit_of_its_size(seconds: float, text: str) -> None:
+    """Not 7.16e-05 ms."""
+    assert _jitter(seconds) == text

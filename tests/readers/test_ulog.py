@@ -178,7 +178,7 @@ def test_dropouts_are_found(tmp_path: Path) -> None:
     log.data = path.read_bytes()
     log.dropout(250)
     finding = next(f for f in read(log.store(path), ReadOptions()).findings if f.code == "dropouts")
-    assert finding.text == "The logger reports 1 dropouts of 0.25 s in all: its card was too slow."
+    assert finding.text == "The logger reports a dropout of 0.25 s in all: its card was too slow."
 
 
 def test_unknown_topic() -> None:

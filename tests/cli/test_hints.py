@@ -1,0 +1,67 @@
+"""The option that answers a message of the library, which knows no options."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.run import run
+from tests.readers.logs import imu_messages, samples, write_mcap
+
+HEAD = "gx,gy,gz,ax,ay,az"
+
+
+def table(path: Path, heading: str, scale: float = 1.0) -> None:
+    """Write a table of a sensor at rest."""
+    rows = np.random.default_rng(1).normal(size=(300, 6)) * 0.01 + [0, 0, 0, 0, 0, 9.8]
+    text = "\n".join(",".join(f"{value * scale:.6g}" for value in row) for row in rows)
+    path.write_text(f"{heading}\n{text}\n", encoding="utf-8")
+
+
+def test_a_missing_rate_is_asked_for_with_its_option(tmp_path: Path) -> None:
+    """Not with --topic or --columns, which would not help; and the option does."""
+    table(tmp_path / "log.csv", HEAD)
+    done = run("fit", "log.csv", "--no-report", cwd=tmp_path)
+    assert done.returncode == 3
+    assert done.stderr.endswith("give the sampling rate\nSay it with --rate HZ.\n")
+    assert run("adev", "log.csv", "--rate", "100", "-q", cwd=tmp_path).returncode == 0
+    listed = run("info", "log.csv", cwd=tmp_path)
+    assert "As it is, no samples can be read; give imucal fit --rate HZ.\n" in listed.stdout
+    assert "No gyroscope" not in listed.stdout
+
+
+def test_several_topics_are_asked_for_with_topic(tmp_path: Path) -> None:
+    """The message lists them."""
+    messages = imu_messages(samples(100), topic="/a") + imu_messages(samples(100), topic="/b")
+    write_mcap(tmp_path / "log.mcap", messages)
+    done = run("adev", "log.mcap", cwd=tmp_path)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1] == "Say it with --topic NAME."
+    assert run("adev", "log.mcap", "--topic", "/b", "-q", cwd=tmp_path).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (("--gyro-unit", "furlong"), "--gyro-unit UNIT"),
+        (("--accel-unit", "furlong"), "--accel-unit UNIT"),
+        (("--time", "moon"), "--time CLOCK"),
+    ],
+)
+def test_a_wrong_value_is_answered_with_its_own_option(
+    arguments: tuple[str, str], hint: str, tmp_path: Path
+) -> None:
+    """After what was expected."""
+    write_mcap(tmp_path / "log.mcap", imu_messages(samples(100)))
+    done = run("adev", "log.mcap", *arguments, cwd=tmp_path)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1] == f"Say it with {hint}."
+
+
+def test_a_message_without_an_answer_has_no_hint(tmp_path: Path) -> None:
+    """No option makes an IMU of a log that has none."""
+    other = [message for message in imu_messages(samples(100)) if message.log < 0]
+    write_mcap(tmp_path / "log.mcap", other)
+    done = run("adev", "log.mcap", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "Say it with" not in done.stderr
