@@ -1,11 +1,33 @@
 """Findings as people read them, on standard error."""
 
-from imucal.findings import Finding
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from imucal.findings import Finding, Level
 from imucal.report.result import Report
 
-__all__ = ["all_findings", "print_findings"]
+__all__ = ["all_findings", "has_warning", "print_findings"]
 
-_STYLES = {"error": "bold red", "warning": "yellow", "info": "cyan"}
+_STYLES: dict[Level, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
+
+
+@dataclass(slots=True)
+class _Line:
+    """A sentence, the axes it is said of, and how many more there are of its level and code."""
+
+    level: Level
+    code: str
+    text: str
+    axes: list[str] = field(default_factory=list)
+    more: int = 0
+    others: list[str] = field(default_factory=list)
+
+    @property
+    def tail(self) -> str:
+        if not self.more:
+            return ""
+        where = f", on {' '.join(self.others)}" if self.others else ""
+        return f" ({self.more} more like it{where}; -v shows all)"
 
 
 def all_findings(report: Report) -> tuple[Finding, ...]:
@@ -13,42 +35,52 @@ def all_findings(report: Report) -> tuple[Finding, ...]:
     return report.findings + tuple(finding for axis in report.axes for finding in axis.findings)
 
 
-def print_findings(report: Report, *, quiet: bool, verbose: bool = False) -> None:
-    """Print the findings, the grave ones first; axes that share a sentence stand together.
+def has_warning(findings: Sequence[Finding]) -> bool:
+    """Say whether a finding is more than a remark, which ends a --strict run with an exit code."""
+    return any(finding.level != "info" for finding in findings)
 
-    Of remarks (level info) that differ in their figures alone, one stands for all unless `verbose`.
+
+def print_findings(findings: Sequence[Finding], *, quiet: bool, verbose: bool = False) -> None:
+    """Print findings, the grave ones first; axes that share a sentence stand together.
+
+    Of warnings and remarks that differ in their figures alone, one stands for all unless `verbose`.
     """
-    if quiet:
+    if quiet or not findings:
         return
     from rich.console import Console
     from rich.text import Text
 
     console = Console(stderr=True, highlight=False)
-    for level, code, axes, text, others in _grouped(report, verbose=verbose):
-        line = Text(level, style=_STYLES[level])
-        where = f" {' '.join(axes)}" if axes else ""
-        more = f" ({others} more like it; the report has them all)" if others else ""
-        line.append(f" [{code}]{where}: {text}{more}", style="not bold default")
-        console.print(line)
+    for line in _lines(findings, verbose=verbose):
+        text = Text(line.level, style=_STYLES[line.level])
+        where = f" {' '.join(line.axes)}" if line.axes else ""
+        text.append(f" [{line.code}]{where}: {line.text}{line.tail}", style="not bold default")
+        console.print(text)
 
 
-def _grouped(report: Report, *, verbose: bool) -> list[tuple[str, str, list[str], str, int]]:
-    """Return level, code, axes, text and the number of others that it stands for, grave ones first."""
-    same: dict[tuple[str, str, str], list[str]] = {}
-    for finding in all_findings(report):
+def _lines(findings: Sequence[Finding], *, verbose: bool) -> list[_Line]:
+    """Return what to print, grave ones first."""
+    same: dict[tuple[str, str, str], _Line] = {}
+    for finding in findings:
         text = " ".join(part for part in (finding.text, finding.advice, _suggestion(finding)) if part)
-        axes = same.setdefault((finding.level, finding.code, text), [])
-        axes += [finding.axis] if finding.axis and finding.axis not in axes else []
-    lines: list[tuple[str, str, list[str], str, int]] = []
-    for level in _STYLES:
-        group = [(code, axes, text) for (of, code, text), axes in same.items() if of == level]
-        if level != "info" or verbose:
-            lines += [(level, code, axes, text, 0) for code, axes, text in group]
+        line = same.setdefault((finding.level, finding.code, text), _Line(finding.level, finding.code, text))
+        line.axes += [finding.axis] if finding.axis and finding.axis not in line.axes else []
+    lines = [line for level in _STYLES for line in same.values() if line.level == level]
+    return lines if verbose else _folded(lines)
+
+
+def _folded(lines: Sequence[_Line]) -> list[_Line]:
+    """Let the first line of a level and code stand for the others that are about an axis; errors stay."""
+    first: dict[tuple[str, str], _Line] = {}
+    folded = []
+    for line in lines:
+        lead = first.setdefault((line.level, line.code), line)
+        if lead is line or line.level == "error" or not line.axes:
+            folded.append(line)
             continue
-        for code in dict.fromkeys(code for code, _, _ in group):
-            alike = [(axes, text) for of, axes, text in group if of == code]
-            lines.append((level, code, *alike[0], len(alike) - 1))
-    return lines
+        lead.more += 1
+        lead.others += [axis for axis in line.axes if axis not in lead.others]
+    return folded
 
 
 def _suggestion(finding: Finding) -> str:

@@ -1,6 +1,7 @@
 """Options that several commands share, and the reading of a log with them."""
 
 import functools
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import click
 from imucal.cli._progress import reading_progress
 from imucal.recording import AxisSeries, Recording
 
-__all__ = ["Duration", "LogRequest", "describe_duration", "log_options", "quiet_option", "say"]
+__all__ = ["Duration", "LogRequest", "as_typed", "describe_duration", "log_options", "quiet_option", "say"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -178,6 +179,12 @@ def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> N
             say(f"  topic {topic} ({kind})", quiet=quiet)
         for question, answer in source.decisions:
             say(f"  {question}: {answer}", quiet=quiet)
+
+
+def as_typed(path: Path) -> str:
+    """Return a path as a shell takes it for one argument: quoted where it needs to be, never an option."""
+    text = str(path)
+    return shlex.quote(f"./{text}" if text.startswith("-") else text)
 
 
 def describe_duration(seconds: float) -> str:

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import click
 
-from imucal.cli._options import LogRequest, log_options, say
+from imucal.cli._options import LogRequest, as_typed, log_options, say
 from imucal.errors import ReadError
 from imucal.report.result import Report
 
@@ -55,7 +55,7 @@ def read_report(path: Path) -> Report:
     from imucal.report.json_file import load
 
     if path.is_file() and path.suffix != ".json":
-        msg = f"{path}: not a report.json or its folder; run 'imucal fit {path}' first"
+        msg = f"{path}: not a report.json or its folder; run 'imucal fit {as_typed(path)}' first"
         raise ReadError(msg)
     return load(path)
 
@@ -66,13 +66,13 @@ def is_report(path: Path) -> bool:
 
 
 def _characterise(request: LogRequest) -> Report:
-    from imucal.cli._findings import print_findings
+    from imucal.cli._findings import all_findings, print_findings
     from imucal.cli._progress import axes_progress
     from imucal.pipeline import Settings, characterize
 
     recording = request.read()
     with axes_progress(quiet=request.quiet) as progress:
         report = characterize(recording, Settings(reading=request.settings()), progress=progress)
-    print_findings(report, quiet=request.quiet)
+    print_findings(all_findings(report), quiet=request.quiet, verbose=request.verbose)
     say("Characterised with the defaults of 'imucal fit'", quiet=request.quiet)
     return report

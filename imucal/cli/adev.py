@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import click
 
 from imucal._version import __version__
+from imucal.cli._findings import has_warning, print_findings
 from imucal.cli._options import Duration, LogRequest, log_options, say
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
@@ -46,7 +47,8 @@ Examples:
   imucal adev log.csv --taus 0.1,1,10,10min --json
 
 \b
-Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be analysed."""
+Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
+analysed (with --strict: or a warning was found)."""
 )
 @log_options
 @click.option(
@@ -110,9 +112,10 @@ def command(
         click.echo(json.dumps(document, indent=1, allow_nan=False))
     else:
         click.echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
+    print_findings(recording.findings, quiet=request.quiet, verbose=request.verbose)
     for failure in failures:
         say(f"Error: {failure}")
-    if failures:
+    if failures or (request.strict and has_warning(recording.findings)):
         click.get_current_context().exit(DataError.exit_code)
 
 

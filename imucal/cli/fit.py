@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._findings import all_findings, print_findings
-from imucal.cli._options import LogRequest, log_options, say
+from imucal.cli._findings import all_findings, has_warning, print_findings
+from imucal.cli._options import LogRequest, as_typed, log_options, say
 from imucal.cli._progress import axes_progress
 from imucal.errors import DataError
 from imucal.noise import parse_structure, structure_text
@@ -158,8 +158,11 @@ def command(
     from imucal.cli._table import summary_table
     from imucal.pipeline import Settings, characterize
     from imucal.report.json_file import dumps, to_document
-    from imucal.report.writer import write_report
+    from imucal.report.writer import check_folder, write_report
 
+    folder = out or report_folder(request.logs[0])
+    if not no_report:
+        check_folder(folder)
     recording = request.read()
     settings = Settings(
         model=model,
@@ -179,13 +182,12 @@ def command(
         click.echo(dumps(to_document(report)), nl=False)
     else:
         click.echo(summary_table(report, datasheet=datasheet))
-    print_findings(report, quiet=request.quiet, verbose=request.verbose)
+    print_findings(all_findings(report), quiet=request.quiet, verbose=request.verbose)
     if not no_report:
-        folder = out or report_folder(request.logs[0])
         for path in write_report(report, folder, formats=formats, html=not no_html):
             say(str(path), quiet=request.quiet)
-        say(f"Next: imucal export {folder} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
-    if request.strict and any(finding.level != "info" for finding in all_findings(report)):
+        say(f"Next: imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
+    if request.strict and has_warning(all_findings(report)):
         click.get_current_context().exit(DataError.exit_code)
 
 

@@ -24,7 +24,7 @@ from imucal.report.document import axis_document, to_document
 from imucal.report.json_file import dumps
 from imucal.report.result import AxisReport, Report
 
-__all__ = ["write_report"]
+__all__ = ["check_folder", "write_report"]
 
 _REPORT = "report.json"
 #: Files this module writes, in any version and with any settings.
@@ -67,6 +67,24 @@ def write_report(
             _sync_folder(scratch)
             _publish(scratch, out, tuple(renderers))
     return tuple(out / name for name in renderers)
+
+
+def check_folder(out: Path) -> None:
+    """Refuse a folder that `write_report` could not write to, before hours of data are fitted.
+
+    Raises
+    ------
+    WriteError
+        If it holds something that is not imucal's, or may not be written to.
+    """
+    out = Path(out)
+    with _translated(out):
+        _refuse_foreign(out, ())
+        home = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
+        if not home.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        if not os.access(home, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
 def _renderers(report: Report, formats: Sequence[str], *, html: bool) -> dict[str, Callable[[], bytes]]:

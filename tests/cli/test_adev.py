@@ -41,7 +41,7 @@ def test_prints_every_axis_as_csv(tmp_path: Path) -> None:
         "edf": curve.edf,
     }.items():
         npt.assert_allclose([float(row[column]) for row in mine], values, rtol=1e-5)
-    assert "Read gyro_x" in done.stderr
+    assert "Read consumer_mems.mcap (mcap): gyro xyz, accel xyz: " in done.stderr
     assert not list(tmp_path.iterdir())
 
 
@@ -136,3 +136,13 @@ def test_help_shows_examples(tmp_path: Path) -> None:
     done = run("adev", "--help", cwd=tmp_path)
     assert done.returncode == 0
     assert "imucal adev log.mcap > curves.csv" in done.stdout
+
+
+def test_warnings_of_reading_are_printed_and_end_a_strict_run(tmp_path: Path) -> None:
+    """The curves are printed all the same; the code is 4."""
+    log = str(SAMPLE_LOGS / "with_gaps.csv")
+    done = run("adev", log, cwd=tmp_path)
+    assert done.returncode == 0
+    assert "warning [gaps]: 285 samples" in done.stderr
+    strict = run("adev", log, "--strict", "-q", cwd=tmp_path)
+    assert (strict.returncode, strict.stdout, strict.stderr) == (4, done.stdout, "")

@@ -85,6 +85,22 @@ def test_a_folder_that_is_not_a_report_is_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in mine.iterdir()] == ["thesis.tex"]
 
 
+def test_a_folder_that_can_not_be_written_is_refused_before_the_fit(tmp_path: Path) -> None:
+    """No work for nothing: nothing is printed on standard output."""
+    (tmp_path / "out").write_text("a file", encoding="utf-8")
+    for folder in ("out", "out/report"):
+        done = run("fit", SHORT, "-o", folder, cwd=tmp_path)
+        assert (done.returncode, done.stdout) == (5, "")
+        assert done.stderr.startswith(f"Error: {folder}: ")
+
+
+def test_hints_can_be_typed_as_they_stand(tmp_path: Path) -> None:
+    """A folder with a blank, or one that begins like an option, is quoted."""
+    done = run("fit", SHORT, "-o", "-my report", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Next: imucal export './-my report' --to kalibr" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("log", "folder"),
     [
