@@ -23,6 +23,8 @@ __all__ = ["Progress", "Settings", "characterize"]
 
 #: Samples looked at at once.
 _BLOCK = 1 << 20
+#: A remark of the screening, and the finding of the fit that says the same with more.
+_SAID_BETTER = (("roll-off", "output-filter"), ("tone", "line"))
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
 Progress: TypeAlias = Callable[[int, int, str], None]
@@ -80,8 +82,8 @@ def characterize(
         except DataError as error:
             failures.append(Finding(level="error", code="no-result", axis=series.name, text=f"{error}."))
     if not axes:
-        reasons = "; ".join(dict.fromkeys(failure.text.removesuffix(".") for failure in failures))
-        msg = f"{recording.source.path}: no axis can be analysed: {reasons or 'the log holds no samples'}"
+        reasons = _reasons(failures) or "the log holds no samples"
+        msg = f"{recording.source.path}: no axis can be analysed: {reasons}"
         raise DataError(msg)
     if progress:
         progress(len(recording.series), len(recording.series), "")
@@ -93,6 +95,15 @@ def characterize(
         version=__version__,
         findings=tuple(f for f in (*findings, *failures) if f.axis not in fitted),
     )
+
+
+def _reasons(failures: list[Finding]) -> str:
+    """Return why axes could not be analysed; those with the same reason stand together."""
+    axes: dict[str, list[str]] = {}
+    for failure in failures:
+        name = failure.axis or ""
+        axes.setdefault(failure.text.removeprefix(f"{name}: ").removesuffix("."), []).append(name)
+    return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in axes.items())
 
 
 def _characterize_axis(
@@ -155,7 +166,9 @@ def _same_clock(series: AxisSeries, finite: AxisSeries, temperature: Temperature
 
 
 def _without_repeats(findings: list[Finding]) -> tuple[Finding, ...]:
-    """Leave out what the fit says better than the screening did: the filter it fitted."""
+    """Leave out what the fit says better than the screening did: its filter, and the lines it left out."""
     codes = {finding.code for finding in findings}
-    said_better = {"roll-off"} if "output-filter" in codes else set()
-    return tuple(dict.fromkeys(finding for finding in findings if finding.code not in said_better))
+    said_better = {screened for screened, fitted in _SAID_BETTER if fitted in codes}
+    # A warning says more than the remark of the fit: that the tone bends the curve.
+    kept = (finding for finding in findings if finding.code not in said_better or finding.level != "info")
+    return tuple(dict.fromkeys(kept))

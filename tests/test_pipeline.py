@@ -79,7 +79,7 @@ def test_a_recording_without_any_usable_axis_is_an_error() -> None:
         characterize(recording_of(*dead))
     assert str(caught.value) == (
         "made.csv: no axis can be analysed: "
-        "gyro_x: no finite samples among 64; gyro_y: no finite samples among 64"
+        "gyro_x, gyro_y: no finite samples among 64"
     )
 
 

@@ -21,7 +21,8 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
     model = solution.avar(points.m)
     tau = (float(points.m[0] * points.tau0), float(points.m[-1] * points.tau0))
     freedom = points.size - solution.parameters
-    if freedom < 1:
+    if freedom < 1 or not model.min() > 0:
+        # Nothing is left to judge by, or the model is no noise at all.
         return Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan, tau_s=tau)
     deviation = np.sqrt(np.diag(covariance))
     third = 2 / 9 * (deviation / model) ** 2 / 2

@@ -165,10 +165,12 @@ def _finding(series: AxisSeries, spike: NDArray[np.bool_], baseline: FloatArray,
     count = int(spike.sum())
     share = count / series.n
     largest = float(np.abs(series.samples[spike] - baseline[spike]).max())
+    # Of a sensor that stands still on one value the deviation is next to nothing.
+    times = f"{largest / deviation:.0f}" if largest < 1e4 * deviation else "over 10000"
     name = "spike was" if count == 1 else "spikes were"
     text = (
         f"{count} {name} replaced ({100 * share:.2g} % of the samples), the largest "
-        f"{largest:.3g} {pretty(series.unit)}, {largest / deviation:.0f} standard deviations."
+        f"{largest:.3g} {pretty(series.unit)}, {times} standard deviations."
     )
     if share <= _MANY:
         return Finding(level="info", code="spikes", axis=series.name, text=text)
