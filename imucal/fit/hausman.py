@@ -19,6 +19,8 @@ __all__ = ["second_opinion"]
 _DISAGREEMENT = 3.0
 #: Standard deviation, relative, below which a difference is of no use to anybody.
 _LEAST = 1 / 300
+#: Terms that an output filter hides from the curve.
+_OF_SHORT_TIMES = {"Q", "N"}
 #: Least share of the second variance in that of the difference: both are estimates themselves.
 _LEAST_SHARE = 0.1
 
@@ -27,7 +29,9 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
     """Return a finding for each term on which two fits of one axis disagree.
 
     Coefficients that both estimated are compared on a logarithmic scale; a term that one of them
-    bounds disagrees where the other's interval lies above the bound.
+    bounds disagrees where the other's interval lies above the bound. Behind an output filter the
+    terms of short times, Q and N, are not compared: the likelihood has taken the filter out, the
+    curve still holds it.
 
     Notes
     -----
@@ -35,7 +39,10 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
     differences below 1 % are never reported.
     """
     findings = []
+    filtered = any(finding.code == "output-filter" for finding in mle.findings)
     for first in mle.estimates:
+        if filtered and first.symbol in _OF_SHORT_TIMES:
+            continue
         second = next((e for e in gmwm.estimates if e.key == first.key), None)
         if second is None:
             continue

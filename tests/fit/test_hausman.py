@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from imucal.allan import allan_curve
+from imucal.findings import Finding
 from imucal.fit.gmwm import fit_gmwm
 from imucal.fit.hausman import second_opinion
 from imucal.fit.mle import fit_mle
@@ -79,3 +80,12 @@ def test_a_right_model_is_seldom_doubted() -> None:
         mle = fit_mle(series, curve, ("N", "K"), level=0.95, criterion="bic", max_gm=0)
         doubts += bool(second_opinion(mle, fit_gmwm(series, curve, ("N", "K"))))
     assert doubts <= 2
+
+
+def test_behind_a_filter_the_terms_of_short_times_are_not_compared(fit: NoiseFit) -> None:
+    """The likelihood took the filter out, the curve holds it: N differs, and K still counts."""
+    seen = Finding(level="info", code="output-filter", text="An output filter shapes the spectrum.")
+    moved = replace(_with(fit, _moved(fit["N"], 1.1), 0.9), findings=(seen,))
+    assert second_opinion(moved, fit) == ()
+    (finding,) = second_opinion(replace(_with(fit, _moved(fit["K"], 4.0), 0.9), findings=(seen,)), fit)
+    assert finding.text.startswith("K is ")
