@@ -22,7 +22,7 @@ _LEAST = 1 / 300
 #: Terms that an output filter hides from the curve.
 _OF_SHORT_TIMES = {"Q", "N"}
 #: Least share of the second variance in that of the difference: both are estimates themselves.
-_LEAST_SHARE = 0.1
+_LEAST_SHARE = 0.25
 
 
 def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
@@ -35,7 +35,7 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
 
     Notes
     -----
-    The variance of a difference is taken as at least a tenth of the second fit's, and as (1/300)²:
+    The variance of a difference is taken as at least a quarter of the second fit's, and as (1/300)²:
     differences below 1 % are never reported.
     """
     findings = []
