@@ -80,7 +80,13 @@ def characterize(
         try:
             axes.append(_characterize_axis(series, settings, recording.temperature, findings))
         except DataError as error:
-            failures.append(Finding(level="error", code="no-result", axis=series.name, text=f"{error}."))
+            # The screening knows what to do about an axis without data; what it saw is said by the error.
+            advice = next((f.advice for f in findings if f.axis == series.name and f.code == "no-data"), "")
+            findings = tuple(f for f in findings if f.axis != series.name or f.code != "no-data")
+            text = f"{error}."
+            failures.append(
+                Finding(level="error", code="no-result", axis=series.name, text=text, advice=advice)
+            )
     if not axes:
         reasons = _reasons(failures) or "the log holds no samples"
         msg = f"{recording.source.path}: no axis can be analysed: {reasons}"
@@ -161,7 +167,7 @@ def _same_clock(series: AxisSeries, finite: AxisSeries, temperature: Temperature
     """Return the temperature at each finite sample, where it was measured with them."""
     if temperature is None or temperature.samples.shape != series.samples.shape:
         return None
-    at_samples = temperature.samples[np.isfinite(series.samples)]
+    at_samples = temperature.samples[series.usable]
     return at_samples if at_samples.shape == finite.samples.shape and np.isfinite(at_samples).all() else None
 
 

@@ -13,6 +13,7 @@ from imucal.errors import DataError
 from imucal.findings import Finding
 
 __all__ = [
+    "ABSURD",
     "Axis",
     "AxisSeries",
     "Clock",
@@ -25,6 +26,9 @@ __all__ = [
 ]
 
 Axis: TypeAlias = Literal["x", "y", "z"]
+
+#: No sensor measures this, in any unit: larger values are damage, and their squares would overflow.
+ABSURD = 1e100
 
 
 class Sensor(StrEnum):
@@ -125,8 +129,13 @@ class AxisSeries:
         return replace(self, samples=self.samples[keep], clock=self.clock.keeping(keep))
 
     def finite(self) -> "AxisSeries":
-        """Return the series without NaN and infinite samples; they become gaps."""
-        return self.keeping(np.isfinite(self.samples))
+        """Return the series without NaN, infinite and absurd samples; they become gaps."""
+        return self.keeping(self.usable)
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Which samples a sensor can have given: not NaN, and within `ABSURD`, shape (n,)."""
+        return (self.samples > -ABSURD) & (self.samples < ABSURD)
 
     def between(self, start_s: float, end_s: float) -> "AxisSeries":
         """Return the samples taken from `start_s` to before `end_s`, in s from the first sample.
@@ -211,9 +220,10 @@ class Recording:
         series = tuple(cut for one in self.series if (cut := one.between(start_s, end_s)).n)
         if not series:
             longest = max((one.duration_s for one in self.series), default=0.0)
-            msg = (
-                f"{self.source.path}: no samples from {start_s:g} s to {end_s:g} s; it lasts {longest:.6g} s"
+            where = (
+                f"from {start_s:g} s on" if end_s == float("inf") else f"from {start_s:g} s to {end_s:g} s"
             )
+            msg = f"{self.source.path}: no samples {where}; it lasts {longest:.6g} s"
             raise DataError(msg)
         temperature = self.temperature
         if temperature is not None:

@@ -107,4 +107,14 @@ def test_a_cut_beyond_the_log_says_how_long_it_lasts() -> None:
     with pytest.raises(DataError) as caught:
         recording.between(60.0, 90.0)
     assert str(caught.value) == "a.csv: no samples from 60 s to 90 s; it lasts 3 s"
+    with pytest.raises(DataError, match="no samples from 60 s on; it lasts 3 s"):
+        recording.between(60, float("inf"))
     assert recording.between(1.0, 2.0).series[0].n == 10
+
+
+def test_absurd_samples_are_left_out_like_infinite_ones() -> None:
+    """Their squares would overflow; they become gaps."""
+    samples = np.array([0.0, 1.0, np.nan, 1e308, -np.inf, 2.0, 3.0])
+    series = AxisSeries.from_samples(samples, rate_hz=10.0).finite()
+    assert series.samples.tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert series.clock.missing == 3

@@ -62,7 +62,8 @@ def _lines(findings: Sequence[Finding], *, verbose: bool) -> list[_Line]:
     """Return what to print, grave ones first."""
     same: dict[tuple[str, str, str], _Line] = {}
     for finding in findings:
-        text = " ".join(part for part in (finding.text, finding.advice, _suggestion(finding)) if part)
+        plain = finding.text.removeprefix(f"{finding.axis}: ")
+        text = " ".join(part for part in (plain, finding.advice, _suggestion(finding)) if part)
         line = same.setdefault((finding.level, finding.code, text), _Line(finding.level, finding.code, text))
         line.axes += [finding.axis] if finding.axis and finding.axis not in line.axes else []
     lines = [line for level in _STYLES for line in same.values() if line.level == level]

@@ -6,10 +6,8 @@ __all__ = ["options_for"]
 
 #: What a message asks for -> the option that says it.
 _OPTIONS = (
-    (
-        r"choose one of these topics|topics are named|two topics|one for each sensor|no message '",
-        "--topic NAME",
-    ),
+    (r"one of these topics|topics are named|two topics|one for each sensor|no message '|name of a topic",
+     "--topic NAME"),
     (r"columns text|give the columns|give columns", "--columns TEXT"),
     (r"sampling rate|and the rate\b", "--rate HZ"),
     (r"(no )?unit of the gyroscope|'[^']*' of the gyroscope", "--gyro-unit UNIT"),
@@ -18,7 +16,7 @@ _OPTIONS = (
     (r"counts in m/s\^2", "--accel-scale X"),
     (r"expected header or log|another time column|column to take as time|no time column '", "--time CLOCK"),
     (r"\.msg file", "--msg FILE"),
-)
+)  # fmt: skip
 
 
 def options_for(message: str) -> str:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, TypeVar
 import click
 
 from imucal.cli._progress import reading_progress
+from imucal.cli._types import RATE, Number
 from imucal.recording import AxisSeries, Recording
 
 __all__ = ["Duration", "LogRequest", "as_typed", "describe_duration", "log_options", "quiet_option", "say"]
@@ -127,7 +128,7 @@ def log_options(command: Command) -> Callable[..., Any]:
         click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column."),
         click.option(
             "--rate",
-            type=click.FloatRange(min=0, min_open=True),
+            type=RATE,
             metavar="HZ",
             help="Sampling rate, where the log's own is missing or wrong.",
         ),
@@ -135,8 +136,18 @@ def log_options(command: Command) -> Callable[..., Any]:
             "--gyro-unit", metavar="UNIT", help="rad/s, deg/s, mdeg/s, …, where the log doesn't say."
         ),
         click.option("--accel-unit", metavar="UNIT", help="m/s^2, g, mg, …, where the log doesn't say."),
-        click.option("--gyro-scale", type=float, metavar="X", help="rad/s per count, for raw counts."),
-        click.option("--accel-scale", type=float, metavar="X", help="m/s^2 per count, for raw counts."),
+        click.option(
+            "--gyro-scale",
+            type=Number(min=0, min_open=True),
+            metavar="X",
+            help="rad/s per count, for raw counts.",
+        ),
+        click.option(
+            "--accel-scale",
+            type=Number(min=0, min_open=True),
+            metavar="X",
+            help="m/s^2 per count, for raw counts.",
+        ),
         click.option("--columns", metavar="TEXT", help="Columns of a table, such as t=0,g=1:4,a=4:7."),
         click.option(
             "--msg",

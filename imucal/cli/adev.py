@@ -1,7 +1,6 @@
 """``imucal adev``: the curves alone."""
 
 import json
-import re
 from collections.abc import Sequence
 
 import click
@@ -9,13 +8,11 @@ import click
 from imucal._version import __version__
 from imucal.cli._findings import has_warning, print_findings
 from imucal.cli._options import Duration, LogRequest, log_options, say
+from imucal.cli._types import LEVEL, TAU_SET
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
 
 __all__ = ["Taus", "command"]
-
-#: Written like this, averaging times are a set and not a list.
-_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
 
 
 class Taus(click.ParamType[str | tuple[float, ...]]):
@@ -27,7 +24,7 @@ class Taus(click.ParamType[str | tuple[float, ...]]):
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> str | tuple[float, ...]:
         text = str(value).strip()
-        if _SET.fullmatch(text):
+        if TAU_SET.fullmatch(text):
             return text
         try:
             seconds = tuple(Duration().convert(part, param, ctx) for part in text.split(","))
@@ -75,7 +72,7 @@ analysed (with --strict: or a warning was found)."""
 )
 @click.option(
     "--level",
-    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    type=LEVEL,
     default=0.95,
     show_default=True,
     help="Confidence level of the intervals.",
@@ -132,6 +129,9 @@ def _axis(
     from imucal.allan import allan_curve
     from imucal.allan import spectrum as spectrum_of
 
+    if series.n and not series.usable.any():
+        msg = f"{series.name}: no finite samples among {series.n}"
+        raise DataError(msg)
     curve = allan_curve(series, taus=taus, estimator=estimator, edf=edf)
     low, high = curve.confidence_interval(level)
     axis: dict[str, object] = {

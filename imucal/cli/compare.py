@@ -8,6 +8,7 @@ import click
 
 from imucal.cli._options import quiet_option, say
 from imucal.cli._report_input import read_report
+from imucal.cli._types import Number
 from imucal.compare import Comparison, Difference, compare
 from imucal.fit.result import Estimate
 from imucal.units import DatasheetUnit, datasheet_unit
@@ -34,14 +35,14 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
 @click.argument("b", type=_report, metavar="B")
 @click.option(
     "--alpha",
-    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    type=Number(0, 1, min_open=True, max_open=True),
     default=0.05,
     show_default=True,
     help="Probability of calling any term different when none is.",
 )
 @click.option(
     "--tolerance",
-    type=click.FloatRange(min=0),
+    type=Number(min=0),
     default=0.0,
     show_default=True,
     metavar="FRACTION",

@@ -7,12 +7,25 @@ import click
 from imucal.cli._findings import all_findings, has_warning, print_findings
 from imucal.cli._options import LogRequest, as_typed, log_options, say
 from imucal.cli._progress import axes_progress
+from imucal.cli._types import LEVEL, TAU_SET
 from imucal.errors import DataError
 from imucal.noise import parse_structure, structure_text
 
 __all__ = ["command", "report_folder"]
 
 _FORMATS = ("png", "svg", "pdf")
+
+
+class TauSet(click.ParamType[str]):
+    """A set of averaging times by its name."""
+
+    name = "taus"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value).strip()
+        if not TAU_SET.fullmatch(text):
+            self.fail(f"{text!r} is not octave, decade, decade:20 or all", param, ctx)
+        return text
 
 
 class Structure(click.ParamType[str]):
@@ -67,7 +80,7 @@ written, 130 interrupted."""
 )
 @click.option(
     "--level",
-    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    type=LEVEL,
     default=0.95,
     show_default=True,
     help="Confidence level of every interval.",
@@ -87,7 +100,12 @@ written, 130 interrupted."""
     help="Weights of gmwm.",
 )
 @click.option(
-    "--taus", default="octave", show_default=True, metavar="SET", help="octave, decade, decade:20 or all."
+    "--taus",
+    type=TauSet(),
+    default="octave",
+    show_default=True,
+    metavar="SET",
+    help="octave, decade, decade:20 or all.",
 )
 @click.option(
     "--edf",

@@ -9,6 +9,7 @@ import click
 
 from imucal.cli._options import Duration, quiet_option, say
 from imucal.cli._report_input import is_report, read_report
+from imucal.cli._types import LEVEL, RATE
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.plan import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
@@ -52,7 +53,7 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read."""
 @click.argument("source", metavar="MODEL_OR_REPORT")
 @click.option(
     "--rate",
-    type=click.FloatRange(min=0, min_open=True),
+    type=RATE,
     metavar="HZ",
     help="Sampling rate; needed with a model, a report has its own.",
 )
@@ -66,7 +67,7 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read."""
 )
 @click.option(
     "--level",
-    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    type=LEVEL,
     metavar="P",
     help="Confidence level of that interval.  [default: one standard deviation, 0.683]",
 )

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from imucal.cli._options import Duration, quiet_option, say
+from imucal.cli._types import RATE, Number
 from imucal.noise import NoiseModel
 from imucal.units import G0
 
@@ -62,7 +63,7 @@ Examples:
 )
 @click.option(
     "--rate",
-    type=click.FloatRange(min=0, min_open=True),
+    type=RATE,
     default=200.0,
     show_default=True,
     metavar="HZ",
@@ -86,14 +87,14 @@ Examples:
 )
 @click.option(
     "--gyro-lsb",
-    type=click.FloatRange(min=0),
+    type=Number(min=0),
     default=0.0,
     metavar="X",
     help="Resolution of the gyroscope, in rad/s.",
 )
 @click.option(
     "--accel-lsb",
-    type=click.FloatRange(min=0),
+    type=Number(min=0),
     default=0.0,
     metavar="X",
     help="Resolution of the accelerometer, in m/s^2.",

@@ -174,7 +174,7 @@ def _at_finite(temperature: FloatArray | None, series: AxisSeries) -> FloatArray
     if temperature.shape != (series.n,):
         msg = f"temperature must have shape ({series.n},) like the samples, got {temperature.shape}"
         raise ValueError(msg)
-    return temperature[np.isfinite(series.samples)]
+    return temperature[series.usable]
 
 
 def _check(method: str, criterion: str, level: float, weights: str, max_gm: int) -> None:

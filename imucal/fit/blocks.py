@@ -240,7 +240,11 @@ def _gap_findings(series: AxisSeries, runs: list[_Run], lost: int) -> tuple[Find
     if len(runs) > 1:
         parts.append(f"the likelihoods of {len(runs)} blocks between long gaps are multiplied")
     if completed:
-        parts.append(f"{completed} missing samples in short gaps are completed by their expectation")
+        samples = "one missing sample" if completed == 1 else f"{completed} missing samples"
+        verb = "is" if completed == 1 else "are"
+        parts.append(
+            f"{samples} in short gaps {verb} completed by {'its' if completed == 1 else 'their'} expectation"
+        )
     if lost:
         parts.append(f"{lost} samples in runs shorter than {_FEWEST} are left out")
     return (

@@ -134,6 +134,12 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     if options.time not in _TIMES:
         msg = f"{path}: messages have no time called {options.time!r}; expected header or log"
         raise ChoiceError(msg)
+    if options.columns is not None:
+        msg = (
+            f"{path}: messages have no columns, but {options.columns!r} was asked for; "
+            "expected the name of a topic, or nothing"
+        )
+        raise ChoiceError(msg)
     topics = find_topics(containers, options)
     choices = choose(path, topics, options, lambda topic: _live(containers, topic, options))
     streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]

@@ -5,16 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.recording import AxisSeries
+from imucal.recording import ABSURD, AxisSeries
 from imucal.screen.resolution import resolution
 from imucal.screen.stillness import disturbed, without_spikes
 from imucal.screen.welch import Density, density
 from imucal.screen.windows import Windows, cut
 
-__all__ = ["ABSURD", "Profile", "profile"]
+__all__ = ["Profile", "profile"]
 
-#: No sensor measures this, in any unit: larger values are damage, and their squares would overflow.
-ABSURD = 1e100
 #: Samples looked at in one go.
 _BLOCK = 1 << 20
 

@@ -54,8 +54,8 @@ def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
             level="warning" if share > _MANY else "info",
             code="not-finite",
             text=(
-                f"{count} samples of {series.name} ({share:.2g} of all) are NaN, infinite or absurdly large; "
-                "the screening leaves them out."
+                f"{count} {'sample' if count == 1 else 'samples'} of {series.name} ({share:.2g} of all) "
+                f"{'is' if count == 1 else 'are'} NaN, infinite or absurdly large and left out."
             ),
             advice="Look at the driver.",
             axis=series.name,

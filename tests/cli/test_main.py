@@ -54,6 +54,31 @@ def test_a_missing_log_is_a_read_error(command: str, tmp_path: Path) -> None:
     assert done.stderr.startswith("Error: nowhere.mcap: ")
 
 
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        *((name, value) for name in ("--rate", "--level", "--gyro-scale") for value in ("nan", "inf", "0")),
+        ("--rate", "1e300"),
+        ("--level", "0.9999999999999999"),
+        ("--taus", "nonsense"),
+        ("--model", "nonsense"),
+        ("--skip", "nan"),
+    ],
+)
+def test_a_number_that_makes_no_sense_is_a_usage_error(option: str, value: str, tmp_path: Path) -> None:
+    """Exit code 2, naming the option, before the log is read."""
+    done = run("fit", "nowhere.mcap", option, value, cwd=tmp_path)
+    assert done.returncode == 2
+    assert f"Error: Invalid value for '{option}': " in done.stderr
+
+
+def test_columns_of_a_log_of_messages_are_refused(tmp_path: Path) -> None:
+    """An option that would change nothing is not ignored."""
+    done = run("adev", str(SAMPLE_LOGS / "too_short.db3"), "--columns", "t=0,g=1:4,a=4:7", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "messages have no columns, but 't=0,g=1:4,a=4:7' was asked for" in done.stderr
+
+
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
     """`imucal adev LOG | head -1` prints nothing else."""
     command = f"{sys.executable} -m imucal adev -q --taus all {SAMPLE_LOGS / 'too_short.db3'} | head -1"

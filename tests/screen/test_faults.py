@@ -192,8 +192,8 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
      "accel_x is 0 in all of its 20000 samples: the driver does not fill it."),
     (without_finite, "error", "no-data", "gyro_x", "gyro_x holds no finite sample."),
     (broken, "warning", "not-finite", "gyro_x",
-     ("51 samples of gyro_x (0.0026 of all) are NaN, infinite or absurdly large; "
-     "the screening leaves them out.")),
+     ("51 samples of gyro_x (0.0026 of all) are NaN, infinite or absurdly large "
+     "and left out.")),
     (clipped, "warning", "saturated", "accel_z",
      "accel_z lies on its highest value, 9.84 m/s^2 (1003 mg), 1024 times: it is saturated, first at 0.0 s."),
     (coarse, "warning", "coarse-lsb", "gyro_x",
