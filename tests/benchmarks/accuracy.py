@@ -268,8 +268,17 @@ def settings(n: int, repeats: int, seed: int, only: list[str]) -> None:
 
 def filters(n: int, repeats: int, seed: int, only: list[str]) -> None:
     """Print the same of N + B + K behind output filters."""
+    _behind_filters("D", n, repeats, seed, only)
+
+
+def filters_gm(n: int, repeats: int, seed: int, only: list[str]) -> None:
+    """Print the same of N + GM behind output filters."""
+    _behind_filters("B", n, repeats, seed, only)
+
+
+def _behind_filters(setting: str, n: int, repeats: int, seed: int, only: list[str]) -> None:
     _header(n, repeats, "filter")
-    model = NoiseModel.parse(SETTINGS["D"])
+    model = NoiseModel.parse(SETTINGS[setting])
     for name, (top, bottom) in FILTERS.items():
         if only and name not in only:
             continue
@@ -374,7 +383,7 @@ def exact(n: int, repeats: int, seed: int, only: list[str]) -> None:
 
 def main() -> None:
     """Run one of the tables."""
-    tables = {t.__name__: t for t in (settings, filters, selection, gaps, exact)}
+    tables = {t.__name__: t for t in (settings, filters, filters_gm, selection, gaps, exact)}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("table", choices=tables)
     parser.add_argument("--n", type=lambda text: int(float(text)), default=100_000)
