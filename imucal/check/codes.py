@@ -40,6 +40,7 @@ FINDING_CODES = frozenset(
         "no-gravity",
         "no-result",
         "not-finite",
+        "other-vectors",
         "output-filter",
         "poor-fit",
         "rate-differs",
