@@ -187,6 +187,11 @@ class Source:
     message_types: tuple[str, ...] = ()
     decisions: tuple[tuple[str, str], ...] = ()
 
+    def __post_init__(self) -> None:
+        # A name of bytes that are no text can be opened, but not written to a report.
+        plain = self.path.encode("utf-8", "backslashreplace").decode()
+        object.__setattr__(self, "path", plain)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
@@ -217,7 +222,10 @@ class Recording:
         DataError
             If nothing was measured then.
         """
-        series = tuple(cut for one in self.series if (cut := one.between(start_s, end_s)).n)
+        # Axes that shared a clock share its part: one clock is one object.
+        clocks = {id(one.clock): one.between(start_s, end_s).clock for one in self.series}
+        cuts = [replace(one.between(start_s, end_s), clock=clocks[id(one.clock)]) for one in self.series]
+        series = tuple(cut for cut in cuts if cut.n)
         if not series:
             longest = max((one.duration_s for one in self.series), default=0.0)
             where = (

@@ -1,5 +1,7 @@
 """Values of a recording: clocks with gaps, series and their cuts."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.testing as npt
 import pytest
@@ -118,3 +120,13 @@ def test_absurd_samples_are_left_out_like_infinite_ones() -> None:
     series = AxisSeries.from_samples(samples, rate_hz=10.0).finite()
     assert series.samples.tolist() == [0.0, 1.0, 2.0, 3.0]
     assert series.clock.missing == 3
+
+
+def test_axes_that_share_a_clock_share_its_part() -> None:
+    """One clock stays one object, by which it is told that they were taken together."""
+    one = AxisSeries.from_samples(np.zeros(30), rate_hz=10.0, axis="x")
+    two = replace(one, axis="y")
+    recording = Recording(source=Source(path="a.csv", format="csv"), series=(one, two))
+    first, second = recording.between(1.0, 2.0).series
+    assert first.clock is second.clock
+    assert first.n == 10

@@ -1,9 +1,11 @@
 """The command line: parse, call, print. One file a command; one line a command in `COMMANDS`."""
 
+import errno
 import importlib
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NoReturn
 
 import click
@@ -11,7 +13,7 @@ from click.shell_completion import CompletionItem
 
 from imucal._version import __version__
 from imucal.cli._hints import options_for
-from imucal.errors import ChoiceError, DataError, ImucalError
+from imucal.errors import ChoiceError, DataError, ImucalError, WriteError
 
 __all__ = ["COMMANDS", "main"]
 
@@ -27,6 +29,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export": ("imucal.cli.export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),
     "completion": ("imucal.cli.completion", "Print the shell's completion script (bash, zsh, fish)."),
 }
+
+
+#: What writing to a full disk, or to a place that takes no more, ends with.
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 
 class LazyGroup(click.Group):
@@ -68,7 +74,16 @@ def imucal() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and end the process with its exit code."""
+    _fill_streams()
     sys.exit(_run(arguments))
+
+
+def _fill_streams() -> None:
+    """Give a process that was started with closed streams empty ones; Python has None for them."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            # The descriptors are free, and files opened later would take them: so these stay open.
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _run(arguments: Sequence[str] | None) -> int:
@@ -78,13 +93,24 @@ def _run(arguments: Sequence[str] | None) -> int:
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output has left, as in `imucal adev LOG | head`: nobody is there to be told.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return 141
+    except OSError as error:
+        # Files of the library's own end in a WriteError; what is left is the stream of results.
+        if error.errno not in _FULL or os.environ.get("IMUCAL_DEBUG"):
+            return _explain(error)
+        _drop_output()
+        return _explain(WriteError(f"standard output: can't be written: {error.strerror}; free some space"))
     except (Exception, KeyboardInterrupt) as error:
         if os.environ.get("IMUCAL_DEBUG"):
             raise
         return _explain(error)
     return code if isinstance(code, int) else 0
+
+
+def _drop_output() -> None:
+    """Let what is still buffered go nowhere, so that Python does not complain about it at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _explain(error: BaseException) -> int:

@@ -3,7 +3,7 @@
 import functools
 import shlex
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -69,7 +69,7 @@ class LogRequest:
             )
         if self.skip or self.take is not None:
             end = float("inf") if self.take is None else self.skip + self.take
-            recording = recording.between(self.skip, end)
+            recording = _with_own_gaps(recording.between(self.skip, end))
         _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
         return recording
 
@@ -190,6 +190,16 @@ def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> N
             say(f"  topic {topic} ({kind})", quiet=quiet)
         for question, answer in source.decisions:
             say(f"  {question}: {answer}", quiet=quiet)
+
+
+def _with_own_gaps(part: Recording) -> Recording:
+    """Return a part of a log with the finding of its own gaps, not of those that were left out."""
+    from imucal.readers.clock_notes import gap_notes
+
+    clocks = {id(series.clock): series.clock for series in part.series}
+    gaps = [note for clock in clocks.values() for note in gap_notes(clock)]
+    others = [finding for finding in part.findings if finding.code != "gaps"]
+    return replace(part, findings=tuple(dict.fromkeys([*others, *gaps])))
 
 
 def as_typed(path: Path) -> str:

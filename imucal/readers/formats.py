@@ -1,6 +1,7 @@
 """The table of formats: first bytes of a file -> module that reads it."""
 
 import importlib
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, cast
@@ -126,6 +127,9 @@ def _by_suffix(path: Path) -> Format | None:
 
 def _first_bytes(path: Path) -> bytes:
     try:
+        if stat.S_ISFIFO(path.stat().st_mode):
+            msg = f"{path}: a pipe can be read only once; expected a file, or - with text on standard input"
+            raise ReadError(msg)
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except OSError as error:

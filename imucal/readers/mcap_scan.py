@@ -57,7 +57,7 @@ def scan(file: LogFile, book: "Bookkeeping", reason: DamagedError) -> "Bookkeepi
     _count(file, book)
     lost = file.size - end
     code = "truncated" if reason.code == "damaged" and lost else reason.code
-    text = f"In reading the index, {reason}; all records were scanned instead."
+    text = f"The index can't be used ({reason}); all records were scanned instead."
     if lost:
         text += f" The last {lost} of {file.size} bytes are cut or damaged."
         code = "truncated"

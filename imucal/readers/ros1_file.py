@@ -151,7 +151,7 @@ class BagFile:
             msg = f"{self.path}: {reason}, and no whole chunk was found; expected a ROS 1 bag"
             raise ReadError(msg)
         lost = self.size - at
-        text = f"In reading the index, {reason}; all records were scanned instead."
+        text = f"The index can't be used ({reason}); all records were scanned instead."
         code = reason.code
         if lost:
             text += f" The last {lost} of {self.size} bytes are cut or damaged."

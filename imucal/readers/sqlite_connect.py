@@ -1,5 +1,6 @@
 """Connections to a SQLite file that is only read: with its write-ahead log, without, or its start."""
 
+import os
 import sqlite3
 import tempfile
 from pathlib import Path
@@ -18,7 +19,7 @@ _LONGEST = 1 << 40
 
 def connect(path: Path, findings: list[Finding]) -> sqlite3.Connection:
     """Open a database for reading; its write-ahead log is read too where it lies beside it."""
-    uri = "file:" + quote(str(path.absolute()))
+    uri = "file:" + quote(os.fsencode(path.absolute()))
     base = _open(uri + "?mode=ro")
     try:
         _look(base)
@@ -47,7 +48,7 @@ def connect_to_start(file: LogFile) -> sqlite3.Connection:
             with copy.open("wb") as target:
                 target.write(head)
                 target.truncate(max(min(pages * size, _LONGEST), len(head)))
-            source = _open("file:" + quote(str(copy)) + "?mode=ro&immutable=1")
+            source = _open("file:" + quote(os.fsencode(copy)) + "?mode=ro&immutable=1")
             try:
                 _copy_tables(source, result)
             finally:

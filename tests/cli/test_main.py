@@ -1,5 +1,8 @@
 """What every command shares: help, exit codes, one message and no traceback."""
 
+import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -87,6 +90,58 @@ def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
     )
     assert done.stderr == ""
     assert len(done.stdout.splitlines()) == 1
+
+
+@pytest.mark.parametrize("command", [f"adev -q {SAMPLE_LOGS / 'too_short.db3'}", "--help"])
+def test_a_full_disk_under_standard_output_is_said(command: str, tmp_path: Path) -> None:
+    """Exit code 5 and one message, not an internal error."""
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    done = subprocess.run(  # noqa: S602 - the shell's redirection is the point
+        f"{sys.executable} -m imucal {command} > /dev/full",
+        shell=True, cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 5
+    assert done.stderr == (
+        "Error: standard output: can't be written: No space left on device; free some space\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("redirection", "code"), [(">&-", 0), ("2>&-", 0), (">&- 2>&-", 0), ("<&-", 0), ("- <&-", 3)]
+)
+def test_closed_streams_are_no_error(redirection: str, code: int, tmp_path: Path) -> None:
+    """As a service manager starts programs; a closed standard input is an empty one."""
+    log = "" if redirection.startswith("-") else SAMPLE_LOGS / "too_short.db3"
+    done = subprocess.run(  # noqa: S602 - the shell's redirection is the point
+        f"{sys.executable} -m imucal adev -q {log} {redirection}",
+        shell=True, cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    assert "internal error" not in done.stderr
+
+
+def test_a_pipe_by_name_is_refused_instead_of_waited_for(tmp_path: Path) -> None:
+    """Its first bytes would be gone after the format was found; standard input does what is meant."""
+    os.mkfifo(tmp_path / "log.csv")
+    done = run("info", "log.csv", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (
+        3, "Error: log.csv: a pipe can be read only once; expected a file, or - with text on standard input\n"
+    )  # fmt: skip
+
+
+def test_a_name_that_is_no_text_is_read_and_reported(tmp_path: Path) -> None:
+    """Linux allows any bytes; the report holds them escaped."""
+    for source, name in (("too_short.db3", b"x\xff.db3"), ("with_gaps.csv", b"y\xfe.csv")):
+        shutil.copy(SAMPLE_LOGS / source, tmp_path / os.fsdecode(name))
+        done = subprocess.run(  # noqa: S603 - our own command
+            [sys.executable, "-m", "imucal", "fit", "-q", "--take", "5s", "--no-html", name],
+            cwd=tmp_path, capture_output=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        (folder,) = [p for p in tmp_path.iterdir() if p.is_dir() and os.fsencode(p.name).startswith(name[:1])]
+        document = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+        assert document["source"]["path"].isascii()
 
 
 def test_an_interrupted_command_leaves_nothing_and_says_so(tmp_path: Path) -> None:

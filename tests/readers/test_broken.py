@@ -82,7 +82,8 @@ def test_says_how_much_of_a_cut_file_is_lost(tmp_path: Path) -> None:
     finding = read(copy).findings[0]
     assert finding.code == "truncated"
     assert finding.text.startswith(
-        "In reading the index, the end of the file is missing; all records were scanned instead. The last "
+        "The index can't be used (the end of the file is missing); all records were scanned instead. "
+        "The last "
     )
     assert finding.text.endswith(f" of {copy.stat().st_size} bytes are cut or damaged.")
 
@@ -192,7 +193,7 @@ def test_reads_an_unindexed_bag(tmp_path: Path) -> None:
     assert np.array_equal(rows(recording), TRUTH.all)
     assert recording.findings[0].code == "unindexed"
     assert recording.findings[0].text == (
-        "In reading the index, the bag was not closed and has no index; all records were scanned instead."
+        "The index can't be used (the bag was not closed and has no index); all records were scanned instead."
     )
 
 
