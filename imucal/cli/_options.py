@@ -123,7 +123,14 @@ def log_options(command: Command) -> Callable[..., Any]:
         return command(request=request, **values)
 
     options = (
-        click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(allow_dash=True)),
+        # Whether a log can be read is for its reader to say, with the exit code of that.
+        click.argument(
+            "logs",
+            metavar="LOG...",
+            nargs=-1,
+            required=True,
+            type=click.Path(allow_dash=True, readable=False),
+        ),
         click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor."),
         click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column."),
         click.option(

@@ -22,6 +22,7 @@ __all__ = ["SCHEMA", "command"]
 SCHEMA = "imucal/info/1"
 
 _WIDTH = 80
+STANDARD_INPUT = "-"
 #: Level, code and sentence of a finding: what it says, whatever axis it is about.
 _Words: TypeAlias = tuple[str, str, str]
 #: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
@@ -59,7 +60,8 @@ def command(logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, msg: Pat
     for log in logs:
         contents = describe(log, ReadOptions(message_definition=msg))
         small = contents.size_bytes is not None and contents.size_bytes <= _SMALL
-        wanted = small if gaps is None else gaps
+        # Standard input is gone once it was described.
+        wanted = (small if gaps is None else gaps) and log != STANDARD_INPUT
         found = _read_topics(contents, msg) if wanted else {}
         if as_json:
             entries.append(as_json_value(contents, found))
@@ -95,7 +97,9 @@ def _lines(contents: LogContents, found: dict[str, TopicReading], *, looked: boo
         yield from _what_was_read(topic, found.get(topic.name), said)
     if contents.imu_topics and not looked:
         yield ""
-        yield from _wrapped("Gaps are not looked for in a large log; --gaps reads all samples.")
+        stream = contents.path == STANDARD_INPUT
+        where = "on standard input" if stream else "in a large log; --gaps reads all samples"
+        yield from _wrapped(f"Gaps are not looked for {where}.")
     if not contents.imu_topics:
         yield ""
         yield from _nothing(contents)

@@ -12,6 +12,9 @@ from imucal.units import G0
 
 __all__ = ["command"]
 
+#: Samples of the longest log: six axes of them are 48 GB.
+_MOST = 1e9
+
 
 class Model(click.ParamType[NoiseModel]):
     """A noise model text with values."""
@@ -132,6 +135,9 @@ def command(
     from imucal.log_files import write_log
     from imucal.simulation import SensorTruth, simulate_recording
 
+    if not 1 <= duration * rate <= _MOST:
+        msg = f"{duration:g} s at {rate:g} Hz are {duration * rate:.3g} samples; expected 1 to {_MOST:g}"
+        raise click.UsageError(msg)
     gyroscope = SensorTruth(model=model, mean=(0.0, 0.0, 0.0), lsb=gyro_lsb)
     accelerometer = SensorTruth(model=accel or model, mean=(0.0, 0.0, G0), lsb=accel_lsb)
     try:

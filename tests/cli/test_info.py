@@ -128,3 +128,13 @@ def test_units_of_a_table_stand_once(tmp_path: Path) -> None:
 def test_jitter_is_in_the_unit_of_its_size(seconds: float, text: str) -> None:
     """Not 7.16e-05 ms."""
     assert _jitter(seconds) == text
+
+
+def test_standard_input_is_described_but_not_read_twice(tmp_path: Path) -> None:
+    """Its samples are gone; --gaps can't bring them back."""
+    rows = "\n".join(f"{0.01 * i:.2f},0.1,0.2,0.{i % 7},1,2,9.8{i % 3}" for i in range(200))
+    text = f"t [s],gx [rad/s],gy [rad/s],gz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]\n{rows}\n"
+    for options in ((), ("--gaps",)):
+        done = run("info", *options, "-", cwd=tmp_path, text=text)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "Gaps are not looked for on standard input.\n" in done.stdout
