@@ -1,5 +1,6 @@
 """The table that a run prints: both sensors side by side, every number with its interval."""
 
+import re
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -101,7 +102,10 @@ def _heading(axes: list[AxisReport]) -> _Block:
         text = f"{axis.rate_hz:.6g} Hz, {axis.samples} samples, {numbers.hours(axis.duration_s)}"
         clocks.setdefault(text, []).append(axis.axis)
     for text, names in clocks.items():
-        lines += textwrap.wrap(text if len(clocks) == 1 else f"{','.join(names)}: {text}", _COLUMN)
+        text = text if len(clocks) == 1 else f"{','.join(names)}: {text}"
+        # A number keeps its unit: lines break after commas and before brackets.
+        kept = re.sub(r"(?<=\d) (?=[A-Za-z])", "\N{NO-BREAK SPACE}", text)
+        lines += [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, _COLUMN)]
     return lines
 
 

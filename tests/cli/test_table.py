@@ -73,6 +73,14 @@ def test_gauss_markov_terms_have_their_correlation_time() -> None:
     )
 
 
+def test_a_heading_keeps_numbers_with_their_units() -> None:
+    """A short log's hours are not torn from their h."""
+    report = consumer_report()
+    axes = [replace(axis, rate_hz=508.281, samples=14992, duration_s=29.3) for axis in report.axes]
+    lines = summary_table(replace(report, axes=tuple(axes)), datasheet=True).splitlines()
+    assert [line[:39].rstrip() for line in lines[1:3]] == ["508.281 Hz, 14992 samples, 29.3 s", "(0.00814 h)"]
+
+
 def test_axes_with_different_clocks_are_told_apart() -> None:
     """A missing axis, another rate: the heading says which is which."""
     report = consumer_report()
