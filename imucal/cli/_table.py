@@ -102,9 +102,9 @@ def _heading(axes: list[AxisReport]) -> _Block:
         text = f"{axis.rate_hz:.6g} Hz, {axis.samples} samples, {numbers.hours(axis.duration_s)}"
         clocks.setdefault(text, []).append(axis.axis)
     for text, names in clocks.items():
-        text = text if len(clocks) == 1 else f"{','.join(names)}: {text}"
+        shown = text if len(clocks) == 1 else f"{','.join(names)}: {text}"
         # A number keeps its unit: lines break after commas and before brackets.
-        kept = re.sub(r"(?<=\d) (?=[A-Za-z])", "\N{NO-BREAK SPACE}", text)
+        kept = re.sub(r"(?<=\d) (?=[A-Za-z])", "\N{NO-BREAK SPACE}", shown)
         lines += [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, _COLUMN)]
     return lines
 
