@@ -18,6 +18,8 @@ from imucal.recording import AxisSeries
 
 __all__ = ["Block", "Blocks", "make_blocks", "scale_of"]
 
+#: Bends of a straight line, as a part of its steps: rounding, not noise.
+_STRAIGHT = 1e-9
 #: Fewest samples of a record and of a block.
 _FEWEST = 64
 #: A gap of more samples than this parts two blocks; a shorter one is completed.
@@ -113,7 +115,7 @@ def scale_of(series: AxisSeries) -> float:
     Raises
     ------
     DataError
-        If there are too few samples, or all of them are equal.
+        If there are too few samples, all of them are equal, or they hold no noise beside a ramp.
     """
     samples = series.samples
     if samples.size < _FEWEST:
@@ -129,6 +131,13 @@ def scale_of(series: AxisSeries) -> float:
         msg = (
             f"{series.name}: all {samples.size} samples are equal, expected noise; "
             "check that the sensor was on and that its resolution shows its noise"
+        )
+        raise DataError(msg)
+    bends = float(np.max(np.abs(np.diff(steps))))
+    if bends <= max(_STRAIGHT * size / largest, 8 * np.finfo(np.float64).eps):
+        msg = (
+            f"{series.name}: all {samples.size} samples lie on one straight line, expected noise; "
+            "check that the column holds a measurement and not a counter"
         )
         raise DataError(msg)
     return float(2.0 ** np.round(np.log2(size)))

@@ -123,7 +123,9 @@ def _inferred_gyro(work: Work, entry: Unscaled, accel_unit: str | None) -> tuple
         raise ChoiceError(msg)
     if not found.sure:
         text = f"The unit of the gyroscope is taken to be {found.unit}: {found.reason}."
-        advice = "Give its unit if that is wrong: deg/s instead of rad/s changes every result by 57."
+        advice = (
+            "Give its unit if that is wrong: deg/s instead of rad/s changes every result by a factor of 57."
+        )
         work.findings.append(
             Finding(level="warning", code="unit-assumed", axis="gyro", text=text, advice=advice)
         )

@@ -214,3 +214,14 @@ def test_used_points_are_those_the_band_lets_see() -> None:
     """Without a filter the fit uses the whole curve."""
     series = AxisSeries.from_samples(simulated("N=1", 5000, 13), rate_hz=1.0)
     npt.assert_array_equal(fitted(series).used, [0, 1])
+
+
+@pytest.mark.parametrize(("offset", "slope"), [(0.0, 1.0), (9.8, 1e-3), (0.0, 7.7)])
+def test_a_straight_line_is_no_measurement(offset: float, slope: float) -> None:
+    """A counter taken for an axis holds no noise; the message says so, whatever its step."""
+    with pytest.raises(DataError) as caught:
+        fitted(offset + slope * np.arange(2000.0))
+    assert str(caught.value) == (
+        "gyro_x: all 2000 samples lie on one straight line, expected noise; "
+        "check that the column holds a measurement and not a counter"
+    )

@@ -104,7 +104,8 @@ def test_assumed_unit_is_a_warning(tmp_path: Path) -> None:
         "beside it."
     )
     assert (
-        finding.advice == "Give its unit if that is wrong: deg/s instead of rad/s changes every result by 57."
+        finding.advice
+        == "Give its unit if that is wrong: deg/s instead of rad/s changes every result by a factor of 57."
     )
     assert read(path, ReadOptions(gyro_unit="rad/s")).findings == ()
 

@@ -40,6 +40,8 @@ def topic(numbers: Numbers) -> tuple[str, str]:
     source = numbers.report.source
     if not source.message_types:
         return "/imu0", "the log names no topic; set yours"
+    # An IMU of a message that holds several is chosen as /topic:part; only the topic is ROS's.
+    topic = source.topics[0].partition(":")[0]
     if len(source.topics) > 1:
-        return source.topics[0], f"one of {', '.join(source.topics)}; set the topic that holds both sensors"
-    return source.topics[0], "the log's topic"
+        return topic, f"one of {', '.join(source.topics)}; set the topic that holds both sensors"
+    return topic, "the log's topic"
