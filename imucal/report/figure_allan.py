@@ -117,8 +117,9 @@ def _points(axes: "Axes", axis: AxisReport, shown: IntArray) -> list[Any]:
     used, unused = np.intersect1d(shown, axis.fit.used), np.setdiff1d(shown, axis.fit.used)
     if used.size:
         name = f"Allan deviation ({curve.estimator})"
+        # Above the labels' white boxes: no label hides a part of a point.
         entries += axes.plot(
-            curve.tau[used], curve.adev[used], color=DATA.light, zorder=7, label=name, **dots
+            curve.tau[used], curve.adev[used], color=DATA.light, zorder=21, label=name, **dots
         )
     if known.size:
         name = f"its {100 * axis.fit.level:.4g} % interval"
