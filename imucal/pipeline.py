@@ -7,12 +7,13 @@ from typing import TypeAlias
 import numpy as np
 
 from imucal._version import __version__
-from imucal.allan import allan_curve, spectrum
+from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fit import fit
 from imucal.fit.hausman import second_opinion
+from imucal.fit.result import NoiseFit
 from imucal.plan import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
 from imucal.report.overview import overview
@@ -135,8 +136,7 @@ def _characterize_axis(
     )
     found = result.findings + resolution_findings(result, finite.duration_s)
     if settings.second_opinion and settings.method == "mle":
-        other = fit(finite, model=str(result.model), method="gmwm", level=settings.level, curve=curve)
-        found += second_opinion(result, other)
+        found += _second_opinion(finite, result, curve)
     findings = [finding for finding in screened if finding.axis == series.name]
     findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
@@ -154,6 +154,18 @@ def _characterize_axis(
         fit=result,
         findings=_without_repeats(findings),
     )
+
+
+def _second_opinion(series: AxisSeries, first: NoiseFit, curve: AllanCurve) -> tuple[Finding, ...]:
+    """Return where a fit of the curve disagrees; that it can't be made costs no axis its result."""
+    if not first.model.terms:
+        return ()
+    try:
+        other = fit(series, model=str(first.model), method="gmwm", level=first.level, curve=curve)
+    except DataError as error:
+        text = f"The Allan curve gives no second opinion: {str(error).removeprefix(f'{series.name}: ')}."
+        return (Finding(level="warning", code="second-opinion", text=text),)
+    return second_opinion(first, other)
 
 
 def _moments(samples: FloatArray) -> tuple[float, float]:

@@ -96,3 +96,16 @@ def test_a_report_does_not_depend_on_the_unit_of_the_samples() -> None:
     assert str(fits[0].model) == str(fits[1].model)
     for symbol in ("N", "B", "K"):
         assert fits[1][symbol].high == pytest.approx(fits[0][symbol].high * 1e-9, rel=1e-4)
+
+
+def test_an_axis_keeps_its_result_when_there_is_no_second_opinion() -> None:
+    """Samples that alternate have a curve that no noise has; the finding says why gmwm could not judge."""
+    rng = np.random.default_rng(2)
+    samples = np.where(np.arange(400) % 2, 1.0, -1.0) + 1e-9 * rng.normal(size=400)
+    report = characterize(recording_of(AxisSeries.from_samples(samples, rate_hz=100.0)))
+    (finding,) = [f for f in report.axes[0].findings if f.code == "second-opinion"]
+    assert finding.axis == "gyro_x"
+    assert finding.text == (
+        "The Allan curve gives no second opinion: the Allan variances fall or rise as those of no noise do, "
+        "so their covariance has no inverse; expected noise, look at the samples."
+    )

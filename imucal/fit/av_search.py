@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
+from imucal.errors import DataError
 from imucal.fit.av_points import columns
 
 __all__ = ["Solution", "Weight", "minimise", "non_negative", "time_grid"]
@@ -34,12 +35,24 @@ class Weight:
 
         The covariance is known to some 1e-3 (its lags are summed on a grid), so a nugget of 1e-6
         of each variance changes nothing and keeps the factorisation safe.
+
+        Raises
+        ------
+        DataError
+            If the covariance is of no noise, as that of a curve that falls by many decades.
         """
         from scipy.linalg import solve_triangular
 
         deviation = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(deviation, deviation) + 1e-6 * np.eye(deviation.size)
-        factor = np.linalg.cholesky(correlation)
+        try:
+            factor = np.linalg.cholesky(correlation)
+        except np.linalg.LinAlgError as error:
+            msg = (
+                "the Allan variances fall or rise as those of no noise do, so their covariance has no "
+                "inverse; expected noise, look at the samples"
+            )
+            raise DataError(msg) from error
         inverse = solve_triangular(factor, np.diag(1 / deviation), lower=True)
         return cls(whiten=np.asarray(inverse, dtype=np.float64))
 
