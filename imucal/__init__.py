@@ -13,27 +13,25 @@ The public names are loaded on first use (as PEP 562 does).
 """
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 from imucal._version import __version__
 
 if TYPE_CHECKING:
     from imucal.allan import AllanCurve, Spectrum, allan_curve, spectrum
-    from imucal.compare import compare
+    from imucal.comparison import compare
     from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, WriteError
     from imucal.findings import Finding
-    from imucal.fit import fit
-    from imucal.fit.result import NoiseFit
+    from imucal.fitting import fit
+    from imucal.fitting.noise_fit import NoiseFit
     from imucal.noise import NoiseModel
     from imucal.pipeline import Settings, characterize
-    from imucal.plan import plan
+    from imucal.planning import plan
     from imucal.readers import read
     from imucal.recording import AxisSeries, Clock, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
     from imucal.report.exports import export
-    from imucal.screen import screen
+    from imucal.screening import screen
 
 __all__ = [
     "AllanCurve",
@@ -77,7 +75,7 @@ _HOMES = {
     "DataError": "imucal.errors",
     "Finding": "imucal.findings",
     "ImucalError": "imucal.errors",
-    "NoiseFit": "imucal.fit.result",
+    "NoiseFit": "imucal.fitting.noise_fit",
     "NoiseModel": "imucal.noise",
     "ReadError": "imucal.errors",
     "Recording": "imucal.recording",
@@ -88,13 +86,13 @@ _HOMES = {
     "WriteError": "imucal.errors",
     "allan_curve": "imucal.allan",
     "characterize": "imucal.pipeline",
-    "compare": "imucal.compare",
+    "compare": "imucal.comparison",
     "export": "imucal.report.exports",
-    "fit": "imucal.fit",
+    "fit": "imucal.fitting",
     "load_report": "imucal.report",
-    "plan": "imucal.plan",
+    "plan": "imucal.planning",
     "read": "imucal.readers",
-    "screen": "imucal.screen",
+    "screen": "imucal.screening",
     "spectrum": "imucal.allan",
     "write_report": "imucal.report",
 }
@@ -111,18 +109,3 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return list(__all__)
-
-
-class _Facade(ModuleType):
-    """A module whose public functions keep their names.
-
-    `imucal.fit` is a function and a stage's folder, as are `screen`, `plan` and `compare`. Importing the
-    folder would put the module in the function's place; ``from imucal.fit import …`` needs no such place.
-    """
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if not (isinstance(value, ModuleType) and name in _HOMES):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Facade

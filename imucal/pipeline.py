@@ -11,14 +11,14 @@ from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fit import fit
-from imucal.fit.hausman import second_opinion
-from imucal.fit.result import NoiseFit
-from imucal.plan import resolution_findings
+from imucal.fitting import fit
+from imucal.fitting.hausman import second_opinion
+from imucal.fitting.noise_fit import NoiseFit
+from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
 from imucal.report.overview import overview
 from imucal.report.result import AxisReport, Report
-from imucal.screen import screen
+from imucal.screening import screen
 
 __all__ = ["Progress", "Settings", "characterize"]
 

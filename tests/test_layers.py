@@ -25,18 +25,18 @@ BELOW: dict[str, set[str]] = {
 BASE = set(BELOW)
 BELOW |= {
     "readers": BASE,
-    "screen": BASE,
+    "screening": BASE,
     "allan": BASE,
     "noise": BASE,
-    "fit": BASE | {"allan", "noise", "screen"},
+    "fitting": BASE | {"allan", "noise", "screening"},
     "simulation": BASE | {"noise"},
     "log_files": BASE,
-    "report": BASE | {"allan", "noise", "fit"},
+    "report": BASE | {"allan", "noise", "fitting"},
 }
-BELOW["plan"] = BASE | {"allan", "noise", "fit", "report"}
-BELOW["compare"] = BELOW["plan"]
-BELOW["check"] = BELOW["plan"]
-BELOW["pipeline"] = BASE | {"allan", "noise", "fit", "screen", "report", "plan"}
+BELOW["planning"] = BASE | {"allan", "noise", "fitting", "report"}
+BELOW["comparison"] = BELOW["planning"]
+BELOW["checking"] = BELOW["planning"]
+BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

@@ -4,7 +4,7 @@ import importlib
 import pkgutil
 import subprocess
 import sys
-from types import FunctionType, ModuleType
+from types import ModuleType
 
 import pytest
 
@@ -22,13 +22,6 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
     assert not isinstance(value, ModuleType)
     if name != "__version__":
         assert value.__doc__
-
-
-def test_functions_keep_their_names_when_their_folders_are_imported() -> None:
-    """`imucal.fit` stays a function though `imucal/fit/` is a folder."""
-    for folder in ("fit", "screen", "plan", "compare"):
-        importlib.import_module(f"imucal.{folder}")
-        assert isinstance(getattr(imucal, folder), FunctionType)
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import click
 
+from imucal.allan.adev_table import is_adev_table, read_adev_table
+from imucal.allan.deviation_table import NamedCurve, read_curve
 from imucal.cli._options import say
-from imucal.fit import fit
-from imucal.fit.adev_table import is_adev_table, read_adev_table
-from imucal.fit.result import Estimate, NoiseFit
-from imucal.fit.table import NamedCurve, read_curve
+from imucal.fitting import fit
+from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 

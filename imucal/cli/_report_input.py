@@ -66,7 +66,7 @@ def is_report(path: Path) -> bool:
 
 
 def _characterise(request: LogRequest) -> Report:
-    from imucal.cli._findings import all_findings, print_findings
+    from imucal.cli._finding_lines import all_findings, print_findings
     from imucal.cli._progress import axes_progress
     from imucal.pipeline import Settings, characterize
 

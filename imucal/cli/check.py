@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from imucal.check import Baseline, CheckResult, FindingRules, Limits, Row, Verdict
+from imucal.checking import Baseline, CheckResult, FindingRules, Limits, Row, Verdict
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
 from imucal.report.result import Report
@@ -84,7 +84,7 @@ def command(
     limit lies inside the interval it is undecided: the record is too short to tell. Undecided
     limits don't fail the check unless --undecided fail, or the limits file, says so.
     """
-    from imucal.check import check, github_annotations, junit_xml, to_document
+    from imucal.checking import check, github_annotations, junit_xml, to_document
 
     limits = _limits(limits_file, baseline)
     if undecided is not None:
@@ -110,7 +110,7 @@ def command(
 
 
 def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
-    from imucal.check import read_limits
+    from imucal.checking import read_limits
 
     if limits_file is None and baseline is None:
         msg = "nothing to check against; give --limits FILE, --baseline REPORT, or both"

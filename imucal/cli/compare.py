@@ -9,13 +9,13 @@ import click
 from imucal.cli._options import quiet_option, say
 from imucal.cli._report_input import read_report
 from imucal.cli._types import Number
-from imucal.compare import Comparison, Difference, compare
-from imucal.fit.result import Estimate
+from imucal.comparison import Comparison, Difference, compare
+from imucal.fitting.noise_fit import Estimate
 from imucal.units import DatasheetUnit, datasheet_unit
 
 __all__ = ["command", "to_document"]
 
-SCHEMA = "imucal/compare/1"
+SCHEMA = "imucal/comparison/1"
 
 _report = click.Path(path_type=Path)
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._findings import all_findings, has_warning, print_findings
+from imucal.cli._finding_lines import all_findings, has_warning, print_findings
 from imucal.cli._options import LogRequest, as_typed, log_options, say
 from imucal.cli._progress import axes_progress
 from imucal.cli._types import LEVEL, TAU_SET
@@ -173,7 +173,7 @@ def command(
         )
         say("A table of deviations has no report folder; --json has all numbers.", quiet=request.quiet)
         return
-    from imucal.cli._table import summary_table
+    from imucal.cli._result_table import summary_table
     from imucal.pipeline import Settings, characterize
     from imucal.report.json_file import dumps, to_document
     from imucal.report.writer import check_folder, write_report

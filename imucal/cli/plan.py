@@ -12,13 +12,13 @@ from imucal.cli._report_input import is_report, read_report
 from imucal.cli._types import LEVEL, RATE
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
-from imucal.plan import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
+from imucal.planning import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
 from imucal.units import DatasheetUnit, datasheet_unit
 
 __all__ = ["Fraction", "command", "to_document"]
 
-SCHEMA = "imucal/plan/1"
+SCHEMA = "imucal/planning/1"
 
 
 class Fraction(click.ParamType[float]):

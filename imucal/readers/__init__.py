@@ -9,7 +9,7 @@ from pathlib import Path
 
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.formats import FORMATS, Format, detect, load
-from imucal.readers.options import Progress, ReadOptions
+from imucal.readers.read_options import Progress, ReadOptions
 from imucal.recording import Recording
 
 __all__ = [

@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
-from imucal.readers.choice import Choice, choose
-from imucal.readers.clock import LOG_TIME, ClockReading, clock_from_stamps
-from imucal.readers.container import Container
+from imucal.readers.clocks.from_stamps import LOG_TIME, ClockReading, clock_from_stamps
+from imucal.readers.clocks.order import in_time_order
+from imucal.readers.clocks.two_clocks import compare_clocks
+from imucal.readers.containers.container import Container
+from imucal.readers.containers.loader import Decoding, decode
+from imucal.readers.containers.store import Columns
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.engine import Decoding, decode
 from imucal.readers.losses import DAMAGE, loss_findings
-from imucal.readers.options import ReadOptions
-from imucal.readers.order import in_time_order
-from imucal.readers.store import Columns
-from imucal.readers.temperature import read_temperature
-from imucal.readers.topics import Topic, find_topics, stream_of
-from imucal.readers.two_clocks import compare_clocks
+from imucal.readers.messages.choice import Choice, choose
+from imucal.readers.messages.temperature_topic import read_temperature
+from imucal.readers.messages.topics import Topic, find_topics, stream_of
+from imucal.readers.read_options import ReadOptions
 from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
 from imucal.units import SAMPLE_UNITS
 

@@ -8,7 +8,7 @@ from typing import Protocol, cast
 
 from imucal.errors import ReadError
 from imucal.readers.contents import LogContents
-from imucal.readers.options import ReadOptions
+from imucal.readers.read_options import ReadOptions
 from imucal.recording import Recording
 
 __all__ = ["FORMATS", "STDIN", "Format", "Reader", "detect", "load"]
@@ -46,29 +46,39 @@ class Format:
 
 #: In the order in which they are tried; the last one takes all text.
 FORMATS: tuple[Format, ...] = (
-    Format(name="mcap", module="imucal.readers.mcap_log", magic=(b"\x89MCAP0\r\n",), suffixes=(".mcap",)),
+    Format(
+        name="mcap",
+        module="imucal.readers.containers.mcap_log",
+        magic=(b"\x89MCAP0\r\n",),
+        suffixes=(".mcap",),
+    ),
     Format(
         name="ROS 1 bag",
-        module="imucal.readers.ros1_bag",
+        module="imucal.readers.containers.ros1_bag",
         magic=(b"#ROSBAG V",),
         suffixes=(".bag", ".bag.active"),
     ),
     Format(
         name="ROS 2 bag",
-        module="imucal.readers.ros2_bag",
+        module="imucal.readers.containers.ros2_bag",
         magic=(b"SQLite format 3\x00",),
         suffixes=(".db3", ".db3.zstd", ".mcap.zstd"),
     ),
     Format(
-        name="PX4 ULog", module="imucal.readers.ulog_log", magic=(b"ULog\x01\x12\x35",), suffixes=(".ulg",)
+        name="PX4 ULog",
+        module="imucal.readers.ulog.ulog_log",
+        magic=(b"ULog\x01\x12\x35",),
+        suffixes=(".ulg",),
     ),
     Format(
         name="table",
-        module="imucal.readers.table",
+        module="imucal.readers.tables.typed_table",
         magic=(b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"\x89HDF\r\n\x1a\n"),
         suffixes=(".parquet", ".npz", ".npy", ".mat"),
     ),
-    Format(name="text", module="imucal.readers.csv_log", suffixes=(".csv", ".tsv", ".txt", ".log", ".dat")),
+    Format(
+        name="text", module="imucal.readers.tables.csv_log", suffixes=(".csv", ".tsv", ".txt", ".log", ".dat")
+    ),
 )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from imucal.findings import Finding
-from imucal.readers.batch import Loss
+from imucal.readers.containers.batch import Loss
 
 __all__ = ["DAMAGE", "loss_findings"]
 

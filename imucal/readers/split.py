@@ -9,14 +9,14 @@ import numpy as np
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.assemble import read_logs
-from imucal.readers.container import Container
-from imucal.readers.csv_log import read_many
+from imucal.readers.containers.container import Container
+from imucal.readers.containers.mcap_file import McapFile
+from imucal.readers.containers.ros1_file import BagFile
+from imucal.readers.containers.ros2_bag import open_files
+from imucal.readers.containers.rosbag2_folder import natural
 from imucal.readers.formats import detect, load
-from imucal.readers.mcap_file import McapFile
-from imucal.readers.options import ReadOptions
-from imucal.readers.ros1_file import BagFile
-from imucal.readers.ros2_bag import open_files
-from imucal.readers.rosbag2_folder import natural
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.csv_log import read_many
 from imucal.recording import AxisSeries, Clock, Recording, Segment
 
 __all__ = ["read_all"]

@@ -12,7 +12,7 @@ from pathlib import PurePath
 import numpy as np
 
 from imucal.findings import Finding
-from imucal.fit.result import Estimate, Goodness, NoiseFit
+from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.recording import Sensor, Source
 from imucal.report import numbers
 from imucal.report.markov import gauss_markov_term

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fit.result import Estimate
+from imucal.fitting.noise_fit import Estimate
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import GaussMarkov, NoiseTerm
 from imucal.recording import Sensor

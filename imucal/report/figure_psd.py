@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fit.result import Line
+from imucal.fitting.noise_fit import Line
 from imucal.report.figure_parts import (
     LEGEND_SIZE,
     Drawn,

@@ -2,7 +2,7 @@
 
 import math
 
-from imucal.fit.result import Estimate, NoiseFit
+from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.noise.terms import GaussMarkov
 
 __all__ = ["gauss_markov_term"]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.fit.result import Estimate, Interval
+from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport

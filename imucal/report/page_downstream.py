@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from imucal.errors import DataError
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.exports.numbers import Choices, Number, Numbers
+from imucal.report.exports.config_numbers import Choices, Number, Numbers
 from imucal.report.markup import Markup, element, join, row, table
 from imucal.report.result import Report
 from imucal.units import pretty

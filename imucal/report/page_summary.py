@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from imucal.findings import Finding
-from imucal.fit.result import Estimate
+from imucal.fitting.noise_fit import Estimate
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.markov import gauss_markov_term

@@ -3,7 +3,7 @@
 import json
 import math
 
-from imucal.fit.result import Goodness
+from imucal.fitting.noise_fit import Goodness
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.markup import Markup, element, join, row, table

@@ -8,7 +8,7 @@ import numpy as np
 from imucal.allan.spectrum import Spectrum
 from imucal.arrays import FloatArray, read_only
 from imucal.findings import Finding
-from imucal.fit.result import NoiseFit
+from imucal.fitting.noise_fit import NoiseFit
 from imucal.recording import Axis, Gap, Sensor, Source
 
 __all__ = ["AxisReport", "Overview", "Report"]

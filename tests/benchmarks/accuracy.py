@@ -21,14 +21,14 @@ from scipy import signal
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
-from imucal.fit.information import covariance
-from imucal.fit.likelihood import evaluate
-from imucal.fit.mle import fit_mle, spectral_view
-from imucal.fit.ordinates import LAWS
-from imucal.fit.result import NoiseFit
-from imucal.fit.selection import choose
-from imucal.fit.structures import candidates_of, parameter_columns
-from imucal.fit.transform import ordinates_of
+from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.spectral.information import covariance
+from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.mle import fit_mle, spectral_view
+from imucal.fitting.spectral.ordinates import LAWS
+from imucal.fitting.spectral.selection import choose
+from imucal.fitting.spectral.structures import candidates_of, parameter_columns
+from imucal.fitting.spectral.transform import ordinates_of
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.noise.terms import GaussMarkov, PowerLawTerm
 from imucal.recording import AxisSeries
@@ -364,7 +364,7 @@ def _missing(name: str, n: int, rng: np.random.Generator) -> np.typing.NDArray[n
 
 def exact(n: int, repeats: int, seed: int, only: list[str]) -> None:
     """Print how far the exact likelihood's maximum is, in standard errors."""
-    from imucal.fit.verify import distances
+    from imucal.fitting.verify import distances
 
     print(f"\nn = {n}, {repeats} repeats\n\n| setting | median | greatest |\n|---|---|---|")
     for name, text in SETTINGS.items():

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from imucal.readers.csv_log import read
-from imucal.readers.options import ReadOptions
-from imucal.readers.text import open_text
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.csv_log import read
+from imucal.readers.tables.text import open_text
 
 HEADER = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"

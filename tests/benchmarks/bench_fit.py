@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from imucal.allan import allan_curve
-from imucal.fit import fit
+from imucal.fitting import fit
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 

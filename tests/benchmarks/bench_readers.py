@@ -219,9 +219,9 @@ def _decompress_mcap(path: Path) -> None:
 
 
 def _decompress_bag(path: Path) -> None:
+    from imucal.readers.containers.ros1_chunks import BagChunkTask, unpack
+    from imucal.readers.containers.ros1_file import BagFile
     from imucal.readers.files import LogFile, Scratch
-    from imucal.readers.ros1_chunks import BagChunkTask, unpack
-    from imucal.readers.ros1_file import BagFile
 
     bag, scratch = BagFile(path), Scratch()
     with LogFile(path) as file:
@@ -275,9 +275,9 @@ def measure(reader: str, path: Path, n: int) -> tuple[float, float, float]:
 
 def one(reader: str, path: Path, n: int) -> None:
     """Read once in this process; imports are not counted."""
-    import imucal.readers.mcap_log
-    import imucal.readers.ros1_bag
-    import imucal.readers.ros2_bag  # noqa: F401
+    import imucal.readers.containers.mcap_log
+    import imucal.readers.containers.ros1_bag
+    import imucal.readers.containers.ros2_bag  # noqa: F401
 
     cpu, wall = time.process_time(), time.perf_counter()
     found = READERS[reader](path, n)

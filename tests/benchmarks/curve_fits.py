@@ -3,7 +3,7 @@
     python -m tests.benchmarks.curve_fits --samples 100000 --records 300 --weights full
 
 Settings A-F are those of the documentation (per-sample units). Errors are compared with the
-Cramér-Rao bound of `imucal.fit.precision`. Seed 77, never tuned. One record costs about 0.3 s of
+Cramér-Rao bound of `imucal.fitting.spectral.precision`. Seed 77, never tuned. One record costs about 0.3 s of
 CPU, most of it the covariance of the curve.
 """
 
@@ -12,11 +12,11 @@ import time
 
 import numpy as np
 
-from imucal.fit.gmwm import fit_gmwm
-from imucal.fit.precision import relative_deviations
-from imucal.fit.result import NoiseFit
+from imucal.fitting.moments.gmwm import fit_gmwm
+from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.spectral.precision import relative_deviations
 from imucal.noise.model import NoiseModel
-from tests.fit.curves import simulated_curve
+from tests.fitting.moments.curves import simulated_curve
 
 SETTINGS = {
     "A": "N=1 + K=1e-3",

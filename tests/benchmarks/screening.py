@@ -8,8 +8,8 @@ Run as ``python -m tests.benchmarks.screening [LOGS] [SAMPLES]``.
 import sys
 from collections import Counter
 
-from imucal.screen import screen
-from tests.screen.still import KINDS, recording, still, unrelated_temperature
+from imucal.screening import screen
+from tests.screening.still import KINDS, recording, still, unrelated_temperature
 
 
 def main() -> None:

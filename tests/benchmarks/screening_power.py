@@ -9,8 +9,8 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.recording import Sensor
-from imucal.screen import screen
-from tests.screen.still import NOISE, recording, still
+from imucal.screening import screen
+from tests.screening.still import NOISE, recording, still
 
 N, RATE = 20_000, 100.0
 T = np.arange(N) / RATE

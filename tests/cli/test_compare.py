@@ -45,7 +45,7 @@ def test_json_has_every_number_in_si(tmp_path: Path) -> None:
     done = run("compare", "a", "b", "--json", "-q", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (1, "")
     document = json.loads(done.stdout)
-    assert (document["schema"], document["tested"], document["significant"]) == ("imucal/compare/1", 21, 1)
+    assert (document["schema"], document["tested"], document["significant"]) == ("imucal/comparison/1", 21, 1)
     first = document["differences"][0]
     assert (first["axis"], first["term"], first["outcome"]) == ("gyro_x", "N", "differs")
     assert (first["a"]["value"], first["b"]["value"]) == (1.2e-4, 1.6e-4)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from imucal.cli._findings import has_warning, print_findings
+from imucal.cli._finding_lines import has_warning, print_findings
 from imucal.findings import Finding
 
 

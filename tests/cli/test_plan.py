@@ -42,7 +42,7 @@ def test_json_is_the_plan(tmp_path: Path) -> None:
     """SI, with null where no record is long enough."""
     done = run("plan", "N=1 + K=1e-9", "--rate", "100", "--json", "-q", cwd=tmp_path)
     document = json.loads(done.stdout)
-    assert document["schema"] == "imucal/plan/1"
+    assert document["schema"] == "imucal/planning/1"
     assert document["precision"] == 0.1
     assert document["needed_s"] is None
     (axis,) = document["axes"]

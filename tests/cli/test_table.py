@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from imucal.cli._table import summary_table
+from imucal.cli._result_table import summary_table
 from imucal.report.result import Report
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 

@@ -7,7 +7,7 @@ import pytest
 
 from imucal.errors import ReadError
 from imucal.readers import describe, read
-from imucal.readers.rosbag2_folder import natural, parse_metadata
+from imucal.readers.containers.rosbag2_folder import natural, parse_metadata
 from imucal.recording import Recording
 from tests.readers.logs import TOPIC, Samples, imu_messages, samples, write_bag, write_db3, write_mcap
 

@@ -11,7 +11,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.allan.spectrum import Spectrum
 from imucal.findings import Finding
-from imucal.fit.result import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
+from imucal.fitting.noise_fit import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import GaussMarkov, NoiseTerm
 from imucal.recording import Axis, Gap, Sensor, Source

@@ -14,7 +14,7 @@ from matplotlib.transforms import Bbox
 from PIL import Image
 
 from imucal.allan.spectrum import Spectrum
-from imucal.fit.result import Line, Response
+from imucal.fitting.noise_fit import Line, Response
 from imucal.noise.model import NoiseModel
 from imucal.recording import Axis, Sensor
 from imucal.report import palette

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucal.fit.result import Estimate
+from imucal.fitting.noise_fit import Estimate
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.numbers import Quantity, compact, with_interval, with_uncertainty

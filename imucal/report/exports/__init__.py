@@ -23,7 +23,7 @@ from imucal.report.exports import (
     ros,
     vins,
 )
-from imucal.report.exports.numbers import INFLATABLE, AxisPolicy, Choices, Numbers, Unidentified
+from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Choices, Numbers, Unidentified
 from imucal.report.exports.target import Target
 from imucal.report.result import Report
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from imucal.recording import Sensor
-from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.config_numbers import Number, Numbers
 
 __all__ = ["Densities", "densities", "topic"]
 

@@ -6,11 +6,11 @@ Source: Burri et al. (2016), "The EuRoC micro aerial vehicle datasets"; ``mav0/i
 import numpy as np
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.spelling import comment, quoted, real, vector
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, quoted, real, vector
 
 __all__ = ["TARGET"]
 

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 
 from imucal.noise.terms import GaussMarkov
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.spelling import comment, real
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, real
 from imucal.report.result import AxisReport
 
 __all__ = ["TARGET", "flicker_bank"]

@@ -10,11 +10,11 @@ import math
 from xml.etree import ElementTree as ET
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Number, Numbers
 from imucal.report.exports.slow import SlowNoise, slow_noise
+from imucal.report.exports.spelling import plain, real
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import plain, real
 from imucal.report.result import AxisReport
 
 __all__ = ["TARGET"]

@@ -5,11 +5,11 @@ names. Source: GTSAM, ``gtsam/navigation/PreintegrationCombinedParams.h``.
 """
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.densities import densities
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.spelling import comment, real
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, real
 from imucal.units import G0
 
 __all__ = ["TARGET"]

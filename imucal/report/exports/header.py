@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from imucal.recording import Sensor
-from imucal.report.exports.numbers import INFLATABLE, Number, Numbers
+from imucal.report.exports.config_numbers import INFLATABLE, Number, Numbers
 from imucal.report.result import AxisReport
 
 __all__ = ["header"]

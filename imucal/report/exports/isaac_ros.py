@@ -5,11 +5,11 @@ Source: Isaac ROS documentation, ``isaac_ros_visual_slam``, parameters.
 """
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.spelling import comment, real
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, real
 
 __all__ = ["TARGET"]
 

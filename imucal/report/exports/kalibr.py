@@ -6,11 +6,11 @@ Source: Kalibr, ``aslam_offline_calibration/kalibr/python/kalibr_common/ConfigRe
 """
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities, topic
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.spelling import comment, plain, quoted, real
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, plain, quoted, real
 
 __all__ = ["FORMULA", "KIND", "TARGET"]
 

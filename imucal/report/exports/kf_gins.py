@@ -7,11 +7,11 @@ serves both sensors. Source: KF-GINS, ``dataset/kf-gins.yaml``, ``src/kf-gins/gi
 import math
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Number, Numbers
 from imucal.report.exports.slow import SlowNoise, slow_noise
+from imucal.report.exports.spelling import comment, real, vector
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, real, vector
 from imucal.units import datasheet_unit
 
 __all__ = ["TARGET"]

@@ -4,11 +4,11 @@ Continuous densities: they are squared and handed to GTSAM's preintegration.
 Source: LIO-SAM, ``config/params.yaml``, ``src/imuPreintegration.cpp``.
 """
 
+from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.spelling import comment, real
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, real
 from imucal.units import G0
 
 __all__ = ["TARGET"]

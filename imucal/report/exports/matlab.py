@@ -6,10 +6,10 @@ Source: MathWorks documentation, gyroparams, accelparams, imuSensor.
 """
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.spelling import comment, real, vector
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, real, vector
 
 __all__ = ["TARGET"]
 

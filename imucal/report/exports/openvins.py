@@ -6,12 +6,12 @@ Source: OpenVINS, ``config/euroc_mav/kalibr_imu_chain.yaml``, ``ov_core/src/util
 import numpy as np
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities, topic
 from imucal.report.exports.header import header
 from imucal.report.exports.kalibr import FORMULA
-from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.spelling import comment, matrix, plain, quoted, real
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, matrix, plain, quoted, real
 
 __all__ = ["TARGET"]
 

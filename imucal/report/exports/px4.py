@@ -7,11 +7,11 @@ vibration dominates in flight. Source: PX4, ``src/modules/ekf2/EKF/covariance.cp
 
 import math
 
+from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.densities import densities
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.spelling import comment, decimal
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, decimal
 
 __all__ = ["TARGET"]
 

@@ -8,10 +8,10 @@ Source: ``sensor_msgs/msg/Imu.msg``.
 import numpy as np
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.spelling import comment, vector
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, vector
 
 __all__ = ["TARGET"]
 

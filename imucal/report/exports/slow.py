@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from imucal.report.exports.numbers import Number, Numbers
+from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.result import AxisReport
 
 __all__ = ["NOMINAL_TIME_S", "SlowNoise", "slow_noise"]

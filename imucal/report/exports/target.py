@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.config_numbers import Numbers
 
 __all__ = ["Target"]
 

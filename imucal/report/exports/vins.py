@@ -9,11 +9,11 @@ Source: VINS-Mono, ``vins_estimator/src/factor/integration_base.h``.
 import math
 
 from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
 from imucal.report.exports.header import header
-from imucal.report.exports.numbers import Numbers
+from imucal.report.exports.spelling import comment, real
 from imucal.report.exports.target import Target
-from imucal.report.exports.text import comment, real
 from imucal.units import G0
 
 __all__ = ["TARGET"]

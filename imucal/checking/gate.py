@@ -1,0 +1,182 @@
+"""check: a report against limits -> verdicts."""
+
+from collections.abc import Container, Iterable, Iterator
+from itertools import chain
+
+from imucal.checking.limit_units import LOG_QUANTITIES
+from imucal.checking.limits import Baseline, Limit, Limits
+from imucal.checking.measure import axes_of, measure, relative, same_everywhere, sensors_of
+from imucal.checking.verdict import CheckResult, Row, judge
+from imucal.errors import LimitsError
+from imucal.recording import Sensor
+from imucal.report.json_file import load
+from imucal.report.result import AxisReport, Report
+
+__all__ = ["check"]
+
+
+def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> CheckResult:
+    """Judge a report.
+
+    Parameters
+    ----------
+    report
+        What was found.
+    limits
+        What is allowed; `read_limits` reads them from a file.
+    baseline
+        An older report to compare with, for limits with a baseline; None loads the one they name.
+
+    Returns
+    -------
+    CheckResult
+        A row for each limit and axis, and for each forbidden finding.
+
+    Raises
+    ------
+    LimitsError
+        If the limits ask for a baseline, and neither they nor the caller name one.
+    ReadError
+        If the baseline that the limits name can't be read.
+    """
+    rows = [
+        *_axes_there(report, limits),
+        *chain.from_iterable(_limit(report, limit) for limit in limits.limits),
+        *_findings(report, limits),
+    ]
+    if limits.baseline is not None:
+        rows += _baseline(report, baseline or _older(limits.baseline), limits.baseline)
+    return CheckResult(
+        source=report.source.path,
+        level=report.axes[0].fit.level if report.axes else 0.95,
+        rows=tuple(rows),
+        undecided_fails=limits.undecided == "fail",
+        version=report.version,
+    )
+
+
+def _older(rules: Baseline) -> Report:
+    if rules.report is None:
+        msg = "the limits have a baseline, but no older report was given; name one in the limits file"
+        raise LimitsError(msg)
+    return load(rules.report)
+
+
+def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
+    """Fail for an axis that is asked for and missing, so that nothing passes by not being there."""
+    there = {axis.name for axis in report.axes}
+    wanted = [f"{sensor.short}_{axis}" for sensor, axes in limits.required.items() for axis in axes]
+    wanted += [limit.where for limit in limits.limits if "_" in limit.where]
+    sections = {limit.where for limit in limits.limits}
+    for finding in chain(report.findings, *(axis.findings for axis in report.axes)):
+        if finding.level == "error" and finding.axis and _asked(finding.axis, sections):
+            wanted.append(finding.axis)
+    for name in dict.fromkeys(wanted):
+        if name not in there:
+            yield _fails(name, "axes", f"{name}: the report has no such axis; found {_names(report.axes)}")
+    for name in dict.fromkeys(limit.where for limit in limits.limits):
+        if "_" not in name and not axes_of(report, name):
+            found = _names(report.axes)
+            yield _fails(_short(name), "axes", f"{name}: the report has no axis of it; found {found}")
+    for sensor in limits.required:
+        asked = {f"{sensor.short}_{axis}" for axis in limits.required[sensor]}
+        if asked <= there:
+            yield Row(
+                where=sensor.short,
+                subject="axes",
+                verdict="pass",
+                text=f"{sensor}: {', '.join(sorted(asked))} are there",
+            )
+
+
+def _asked(name: str, sections: Container[str]) -> bool:
+    """Return whether the sensor of an axis has limits; a finding may also be about a sensor as a whole."""
+    return any(name.startswith(f"{sensor.short}_") and sensor in sections for sensor in Sensor)
+
+
+def _limit(report: Report, limit: Limit) -> Iterator[Row]:
+    axes = axes_of(report, limit.where)
+    if limit.quantity not in LOG_QUANTITIES:
+        for axis in axes:
+            yield from _axis_limit(axis, axis.name, limit)
+        return
+    for sensor in sensors_of(axes):
+        group = [axis for axis in axes if axis.sensor is sensor]
+        if len(group) > 1 and same_everywhere(group, limit.quantity):
+            yield from _axis_limit(group[0], sensor.short, limit)
+            continue
+        for axis in group:
+            yield from _axis_limit(axis, axis.name, limit)
+
+
+def _axis_limit(axis: AxisReport, where: str, limit: Limit) -> Iterator[Row]:
+    measured = measure(axis, limit.quantity)
+    if not measured:
+        said = (
+            f"the model has no {limit.quantity}, and no bound on it; fit a model with it, or remove the limit"
+        )
+        yield Row(
+            where=where,
+            subject=limit.quantity,
+            side=limit.side,
+            limit=limit.value,
+            unit=limit.unit,
+            verdict="undecided",
+            text=f"{where}: {said}",
+        )
+    for key, value in measured:
+        yield judge(
+            where, key, value.scaled(1 / limit.factor), side=limit.side, limit=limit.value, unit=limit.unit
+        )
+
+
+def _findings(report: Report, limits: Limits) -> Iterator[Row]:
+    found = chain(report.findings, *(axis.findings for axis in report.axes))
+    forbidden = [
+        finding for finding in dict.fromkeys(found) if limits.findings.forbids(finding.level, finding.code)
+    ]
+    for finding in forbidden:
+        where = finding.axis or "log"
+        yield _fails(
+            where, finding.code, f"{where}: forbidden {finding.level} [{finding.code}]: {finding.text}"
+        )
+    if not forbidden and (limits.findings.level != "none" or limits.findings.forbid):
+        yield Row(where="log", subject="findings", verdict="pass", text="log: no forbidden finding")
+
+
+def _baseline(report: Report, before: Report, rules: Baseline) -> Iterator[Row]:
+    there = {axis.name: axis for axis in report.axes}
+    for old in before.axes:
+        if old.name not in there:
+            yield _fails(old.name, "axes", f"{old.name}: in the baseline, but not in the report")
+            continue
+        for symbol in rules.terms:
+            yield from _changes(there[old.name], old, symbol, rules)
+
+
+def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) -> Iterator[Row]:
+    old = dict(measure(before, symbol))
+    for key, measured in measure(now, symbol):
+        if key not in old:
+            text = f"{now.name}: {key} is not in the baseline's model"
+            yield Row(where=now.name, subject=f"{key} / baseline", verdict="undecided", text=text)
+            continue
+        ratio = relative(measured, old[key])
+        if rules.max_increase is not None:
+            limit = 1 + rules.max_increase
+            yield judge(now.name, f"{key} / baseline", ratio, side="max", limit=limit)
+        if rules.max_decrease is not None:
+            limit = 1 - rules.max_decrease
+            yield judge(now.name, f"{key} / baseline", ratio, side="min", limit=limit)
+
+
+def _fails(where: str, subject: str, text: str) -> Row:
+    return Row(where=where, subject=subject, verdict="fail", text=text)
+
+
+def _short(where: str) -> str:
+    return Sensor(where).short if where in tuple(Sensor) else where
+
+
+def _names(axes: Iterable[AxisReport]) -> str:
+    return ", ".join(axis.name for axis in axes) or "none"

@@ -1,0 +1,131 @@
+"""The table that a run prints: both sensors side by side, every number with its interval."""
+
+import re
+import sys
+import textwrap
+from collections.abc import Iterator, Sequence
+from itertools import zip_longest
+
+from imucal.fitting.noise_fit import Estimate
+from imucal.noise.terms import TERMS
+from imucal.recording import Sensor
+from imucal.report import numbers
+from imucal.report.numbers import Quantity
+from imucal.report.result import AxisReport, Report
+from imucal.units import pretty
+
+__all__ = ["summary_table"]
+
+#: Two columns and the space between them make 80.
+_COLUMN, _SPACE = 39, 2
+_Block = list[str]
+
+
+def summary_table(report: Report, *, datasheet: bool, encoding: str | None = None) -> str:
+    """Return the table as text of at most 80 columns, without a newline at its end.
+
+    Parameters
+    ----------
+    report
+        What to show; an axis that could not be analysed is missing.
+    datasheet
+        Data-sheet units, else SI.
+    encoding
+        Of the place it is printed to; by default standard output's. Where it can't hold signs
+        such as √ the units are written in ASCII.
+    """
+    plain = not _can_print(encoding or sys.stdout.encoding or "ascii")
+    columns = []
+    for sensor in Sensor:
+        axes = [axis for axis in report.axes if axis.sensor is sensor]
+        if axes:
+            columns.append(dict(_blocks(axes, datasheet=datasheet, plain=plain)))
+    lines: list[str] = []
+    for key in _order(columns):
+        sides = [column.get(key, []) for column in columns]
+        lines += [_side_by_side(row) for row in zip_longest(*sides, fillvalue="")]
+        lines.append("")
+    levels = {axis.fit.level for axis in report.axes}
+    shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
+    lines.append(f"[low, high]: {shown} interval; < high: not shown by the data, upper bound")
+    return "\n".join(lines)
+
+
+def _can_print(encoding: str) -> bool:
+    try:
+        "√²³µ".encode(encoding)
+    except (UnicodeEncodeError, LookupError):
+        return False
+    return True
+
+
+def _order(columns: Sequence[dict[str, _Block]]) -> list[str]:
+    """Return the keys of all blocks: the heading, the terms by rising slope, the minimum."""
+    keys = {key for column in columns for key in column}
+    first = [
+        "",
+        *(f"{symbol}{n}{part}" for symbol in TERMS for n in ("", *"123456789") for part in ("", " T")),
+    ]
+    return [key for key in first if key in keys] + ["minimum"]
+
+
+def _side_by_side(row: Sequence[str]) -> str:
+    return (" " * _SPACE).join(f"{text:{_COLUMN}}" for text in row).rstrip()
+
+
+def _blocks(axes: list[AxisReport], *, datasheet: bool, plain: bool) -> Iterator[tuple[str, _Block]]:
+    """Yield each block of a sensor's column with its key."""
+    sensor = axes[0].sensor
+    yield "", _heading(axes)
+    for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
+        found = [(axis, next((e for e in axis.fit.estimates if e.key == key), None)) for axis in axes]
+        some = [(axis, estimate) for axis, estimate in found if estimate]
+        name = numbers.term_name(some[0][1].symbol, sensor).replace("acceleration", "accel.")
+        unit = numbers.datasheet if datasheet else numbers.si
+        yield key, _block(f"{key}  {name}", [(a, unit(e, sensor), "") for a, e in some], plain=plain)
+        times = [(a, _time(e), "") for a, e in some]
+        known = [(a, t, note) for a, t, note in times if t]
+        if known:
+            yield f"{key} T", _block(f"{key}  correlation time", known, plain=plain)
+    lowest = []
+    for axis in axes:
+        quantity = numbers.minimum(axis)[datasheet]
+        lowest.append((axis, quantity, f"at {numbers.seconds(axis.fit.curve.minimum[1])}"))
+    yield "minimum", _block("minimum of the curve", lowest, plain=plain)
+
+
+def _heading(axes: list[AxisReport]) -> _Block:
+    """Return sensor, rate, duration and samples; one line for axes that share a clock."""
+    lines = [str(axes[0].sensor).upper()]
+    clocks: dict[str, list[str]] = {}
+    for axis in axes:
+        text = f"{axis.rate_hz:.6g} Hz, {axis.samples} samples, {numbers.hours(axis.duration_s)}"
+        clocks.setdefault(text, []).append(axis.axis)
+    for text, names in clocks.items():
+        shown = text if len(clocks) == 1 else f"{','.join(names)}: {text}"
+        # A number keeps its unit: lines break after commas and before brackets.
+        kept = re.sub(r"(?<=\d) (?=[A-Za-z])", "\N{NO-BREAK SPACE}", shown)
+        lines += [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, _COLUMN)]
+    return lines
+
+
+def _time(estimate: Estimate) -> Quantity | None:
+    time = estimate.correlation_time
+    return None if time is None else numbers.correlation_time(time)
+
+
+def _block(title: str, rows: list[tuple[AxisReport, Quantity, str]], *, plain: bool) -> _Block:
+    """Return a title with its unit and one line an axis, all in the same power of ten."""
+    quantities = [quantity for _, quantity, _ in rows]
+    exponent = numbers.engineering_exponent(quantities)
+    unit = quantities[0].unit if plain else pretty(quantities[0].unit)
+    unit = f"1e{exponent} {unit}" if exponent else unit
+    head = f"{title}  {unit}"
+    lines = [head] if len(head) <= _COLUMN else [title, f"   in {unit}"]
+    texts = [numbers.compact(quantity, exponent=exponent) for quantity in quantities]
+    widest = max(len(value) for value, _ in texts)
+    for (axis, _, note), (value, interval) in zip(rows, texts, strict=True):
+        line = f"{axis.axis}  {value:{widest}}  {interval}{'  ' if note else ''}{note}".rstrip()
+        fits = len(line) <= _COLUMN
+        lines += [line] if fits else [line.removesuffix(note).rstrip(), *([f"   {note}"] if note else [])]
+    return lines

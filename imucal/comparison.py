@@ -1,0 +1,270 @@
+"""compare: two reports -> which terms differ, and how sure that is.
+
+Each term of each axis gets the score of its difference and a two-sided p-value. The standard
+deviation of a difference comes from the limits that face each other: the lower one of the larger
+value, the upper one of the smaller (Zou & Donner 2008, the MOVER method), so that lopsided
+intervals are taken as they are. p-values are adjusted for the number of terms that were tested
+(Holm 1979): of two reports of the same sensor, a fraction `alpha` shows any difference at all.
+
+A term that one report estimates and the other bounds is tested against zero with the bound's
+width; two bounds can't be told apart.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+from imucal.errors import DataError
+from imucal.fitting.noise_fit import Estimate
+from imucal.noise.terms import TERMS
+from imucal.recording import Sensor
+from imucal.report.result import AxisReport, Report
+
+__all__ = ["Comparison", "Difference", "Outcome", "compare"]
+
+#: ``differs``; ``same``: no significant difference; ``bounded``: neither report shows the term;
+#: ``only-a``, ``only-b``: the other report has no such term or axis.
+Outcome: TypeAlias = Literal["differs", "same", "bounded", "only-a", "only-b"]
+
+#: End of the key of a correlation time.
+_TIME = ".T"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Difference:
+    """One term of one axis in both reports.
+
+    Attributes
+    ----------
+    axis, key, symbol, sensor, unit
+        Such as ``gyro_x``, ``GM1`` (or ``GM1.T``, its correlation time), ``GM``; the unit is SI.
+    a, b
+        The estimates; None where a report has none.
+    ratio
+        b / a; None where either is bounded or missing.
+    z
+        Score of ``b - a``, less the tolerance; None where nothing was tested.
+    p
+        Two-sided p-value of z.
+    p_adjusted
+        p after Holm's adjustment for all terms tested.
+    outcome
+        What follows.
+    """
+
+    axis: str
+    key: str
+    symbol: str
+    sensor: Sensor
+    unit: str
+    a: Estimate | None
+    b: Estimate | None
+    ratio: float | None
+    z: float | None
+    p: float | None
+    p_adjusted: float | None
+    outcome: Outcome
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """What came of comparing two reports.
+
+    Attributes
+    ----------
+    a, b
+        Paths of the logs.
+    alpha
+        Probability of calling any term different when none is.
+    tolerance
+        Relative difference that doesn't count.
+    differences
+        A row for each term of each axis.
+    notes
+        What else may make the reports differ, in sentences.
+    """
+
+    a: str
+    b: str
+    alpha: float
+    tolerance: float
+    differences: tuple[Difference, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def tested(self) -> int:
+        """How many terms were tested."""
+        return sum(difference.p is not None for difference in self.differences)
+
+    @property
+    def significant(self) -> tuple[Difference, ...]:
+        """The terms that differ."""
+        return tuple(difference for difference in self.differences if difference.outcome == "differs")
+
+
+def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0) -> Comparison:
+    """Compare two reports, axis by axis and term by term.
+
+    Parameters
+    ----------
+    a, b
+        The reports; b is judged against a.
+    alpha
+        Probability of calling any term different when none is.
+    tolerance
+        Relative difference, such as 0.05, that doesn't count: only what is significantly beyond it
+        differs. Two runs of one sensor differ by more than their intervals, which know the noise
+        of one record alone.
+
+    Raises
+    ------
+    DataError
+        If the reports have no axis in common.
+    ValueError
+        If `alpha` isn't between 0 and 1, or `tolerance` is negative.
+    """
+    if not 0 < alpha < 1:
+        msg = f"alpha must be between 0 and 1, got {alpha}"
+        raise ValueError(msg)
+    if not (tolerance >= 0 and math.isfinite(tolerance)):
+        msg = f"tolerance must be 0 or more, got {tolerance}"
+        raise ValueError(msg)
+    axes_a, axes_b = ({axis.name: axis for axis in report.axes} for report in (a, b))
+    if not axes_a.keys() & axes_b.keys():
+        msg = (
+            f"{a.source.path} and {b.source.path} have no axis in common: the first has "
+            f"{', '.join(axes_a) or 'none'}, the second {', '.join(axes_b) or 'none'}; "
+            "compare logs of the same sensor"
+        )
+        raise DataError(msg)
+    differences = [
+        difference
+        for name in dict.fromkeys([*axes_a, *axes_b])
+        for difference in _axis(axes_a.get(name), axes_b.get(name), tolerance)
+    ]
+    return Comparison(
+        a=a.source.path,
+        b=b.source.path,
+        alpha=alpha,
+        tolerance=tolerance,
+        differences=_holm(differences, alpha),
+        notes=tuple(_notes(axes_a, axes_b)),
+    )
+
+
+def _notes(a: Mapping[str, AxisReport], b: Mapping[str, AxisReport]) -> Iterator[str]:
+    """Say where the two were not made alike."""
+    both = [(a[name], b[name]) for name in a if name in b]
+    pairs = {
+        "fitted by": {(one.fit.method, other.fit.method) for one, other in both},
+        "sampled at": {(f"{one.rate_hz:.4g} Hz", f"{other.rate_hz:.4g} Hz") for one, other in both},
+    }
+    for what, found in pairs.items():
+        for one, other in sorted(found):
+            if one != other:
+                yield f"A was {what} {one}, B {what} {other}; differences may come from that"
+
+
+def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[Difference]:
+    axis = a or b
+    assert axis is not None  # noqa: S101 - the name came from one of them
+    in_a, in_b = _estimates(a), _estimates(b)
+    differences = []
+    for key in sorted(in_a.keys() | in_b.keys(), key=_place):
+        first, second = in_a.get(key), in_b.get(key)
+        symbol = _symbol(key)
+        z = None
+        if a is not None and b is not None and first is not None and second is not None:
+            z = _score(first, second, (a.fit.level, b.fit.level), tolerance)
+        unit = TERMS[symbol].units[axis.sensor is Sensor.ACCELEROMETER]
+        differences.append(
+            Difference(
+                axis=axis.name,
+                key=key,
+                symbol=symbol,
+                sensor=axis.sensor,
+                unit="s" if key.endswith(_TIME) else unit,
+                a=first,
+                b=second,
+                ratio=_ratio(first, second),
+                z=z,
+                p=None if z is None else math.erfc(abs(z) / math.sqrt(2)),
+                p_adjusted=None,
+                outcome="only-b" if first is None else "only-a" if second is None else "bounded",
+            )
+        )
+    return differences
+
+
+def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:
+    """Return an axis's estimates by key; correlation times are estimates of their own, ``GM.T``."""
+    found: dict[str, Estimate] = {}
+    for estimate in () if axis is None else axis.fit.estimates:
+        found[estimate.key] = estimate
+        if (time := estimate.correlation_time) is not None:
+            key = estimate.key + _TIME
+            found[key] = Estimate(
+                key=key, symbol="GM", status="estimated", value=time.value, low=time.low, high=time.high
+            )
+    return found
+
+
+def _symbol(key: str) -> str:
+    """Return ``GM`` for ``GM2.T``."""
+    return key.removesuffix(_TIME).rstrip("0123456789")
+
+
+def _place(key: str) -> tuple[int, str]:
+    return list(TERMS).index(_symbol(key)), key
+
+
+def _ratio(a: Estimate | None, b: Estimate | None) -> float | None:
+    if a is None or b is None or not a.value or b.value is None:
+        return None
+    return b.value / a.value
+
+
+def _score(a: Estimate, b: Estimate, levels: tuple[float, float], tolerance: float) -> float | None:
+    """Return the score of b - a beyond the tolerance; None where both are bounds."""
+    if a.value is None and b.value is None:
+        return None
+    first, second = a.value or 0.0, b.value or 0.0
+    beyond = abs(second - first) - tolerance * abs(first)
+    if beyond <= 0:
+        return 0.0
+    larger, smaller = (b, a) if second > first else (a, b)
+    level_larger, level_smaller = levels[::-1] if second > first else levels
+    down = ((larger.value or 0.0) - larger.low) / _quantile(level_larger)
+    # A bound is one-sided: all of its tail is above.
+    one_sided = smaller.value is None and level_smaller > 0.5
+    up = (smaller.high - (smaller.value or 0.0)) / _quantile(
+        2 * level_smaller - 1 if one_sided else level_smaller
+    )
+    deviation = math.hypot(down, up)
+    if math.isnan(deviation):
+        return None
+    score = beyond / deviation if deviation > 0 else math.inf
+    return math.copysign(score, second - first)
+
+
+def _quantile(level: float) -> float:
+    """Return the number of standard deviations from the middle to a two-sided limit."""
+    from statistics import NormalDist
+
+    return NormalDist().inv_cdf((1 + level) / 2)
+
+
+def _holm(differences: Sequence[Difference], alpha: float) -> tuple[Difference, ...]:
+    """Return the differences with adjusted p-values and outcomes.
+
+    Source: Holm (1979), Scandinavian Journal of Statistics 6, pp. 65-70.
+    """
+    tested = sorted((difference.p, i) for i, difference in enumerate(differences) if difference.p is not None)
+    adjusted = list(differences)
+    largest = 0.0
+    for rank, (p, i) in enumerate(tested):
+        largest = max(largest, min(1.0, (len(tested) - rank) * p))
+        outcome: Outcome = "differs" if largest < alpha else "same"
+        adjusted[i] = replace(differences[i], p_adjusted=largest, outcome=outcome)
+    return tuple(adjusted)

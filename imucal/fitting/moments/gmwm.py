@@ -1,0 +1,227 @@
+"""GMWM: the noise model whose Allan variances are nearest to the measured ones.
+
+The generalised method of wavelet moments on the overlapping Allan variance, with the exact Allan
+variance of every sampled term. ``full`` weighs by the inverse covariance of the curve in closed
+form, in steps: of a fit of everything at once first, then of the model itself until nothing moves.
+``eta3`` weighs by the widths of the published intervals, a diagonal that ignores how averaging
+times hang together; its minimum is found all the same, and its intervals know the covariance.
+
+Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-based estimation for
+composite stochastic processes", JASA 108, 1021; the full covariance: `imucal.fitting.moments.av_covariance`.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray, read_only
+from imucal.errors import DataError
+from imucal.findings import Finding
+from imucal.fitting.moments.av_band import MISFIT, Fitted, Search, best_band, ranked
+from imucal.fitting.moments.av_estimates import curve_estimates, model_of
+from imucal.fitting.moments.av_goodness import goodness
+from imucal.fitting.moments.av_intervals import CurveSpread
+from imucal.fitting.moments.av_points import AvarPoints, avar_points
+from imucal.fitting.moments.av_search import Solution, Weight
+from imucal.fitting.moments.av_select import dictionary
+from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
+from imucal.noise.model import structure_text
+from imucal.noise.terms import TERMS
+from imucal.recording import AxisSeries
+
+__all__ = ["fit_gmwm"]
+
+#: Models within so much of the best criterion are reported.
+_REPORTED = 6.0
+
+
+def fit_gmwm(
+    series: AxisSeries | None,
+    curve: AllanCurve,
+    structure: tuple[str, ...] | None,
+    *,
+    level: float = 0.95,
+    criterion: str = "bic",
+    weights: str = "full",
+    max_gm: int = 2,
+) -> NoiseFit:
+    """Fit a noise model to an Allan curve.
+
+    Parameters
+    ----------
+    series
+        The samples that the curve was made of; None where only the curve is left.
+    curve
+        Allan variances, overlapping or standard.
+    structure
+        Symbols of the terms; None chooses them.
+    level
+        Confidence level of the intervals.
+    criterion
+        ``bic``, ``hq`` or ``aic``; see `imucal.fitting.moments.av_select`.
+    weights
+        ``full`` or ``eta3``.
+    max_gm
+        Most Gauss-Markov terms to choose.
+
+    Returns
+    -------
+    NoiseFit
+        With N, B and K always among the estimates. With full weights, the shortest averaging times
+        are left out where an output filter keeps every model from describing them; a finding says so.
+
+    Raises
+    ------
+    DataError
+        If the curve has too few averaging times for the model, or is not of Allan variances.
+    """
+    points = avar_points(series, curve)
+    if structure is not None:
+        _require_points(series, points, structure)
+    eta3 = Weight.of_deviations(_eta3_widths(points))
+    if weights == "eta3":
+        ranking = ranked(points, eta3, structure, criterion, max_gm)
+        kept, fitted = points, Fitted(ranking, ranking[0][1], eta3, 0.0)
+    else:
+        rough = dictionary(points, eta3)
+        spread = CurveSpread.of_terms(points, rough.laws, rough.times)
+        kept, fitted = best_band(points, Search(spread, rough, structure, criterion, max_gm))
+    return _result(
+        series,
+        curve,
+        points=kept,
+        dropped=points.size - kept.size,
+        fitted=fitted,
+        level=level,
+        criterion=criterion if structure is None else "given",
+        weights=weights,
+    )
+
+
+def _require_points(series: AxisSeries | None, points: AvarPoints, structure: tuple[str, ...]) -> None:
+    needed = len(structure) + structure.count("GM")
+    if points.size < needed:
+        where = series.name if series is not None else "the curve"
+        msg = (
+            f"{where}: {points.size} averaging times can't tell the {needed} parameters of "
+            f"{structure_text(structure)}; record for longer or leave terms out"
+        )
+        raise DataError(msg)
+
+
+def _eta3_widths(points: AvarPoints) -> FloatArray:
+    """Return the widths of the 95 % chi-squared intervals with eta3 degrees of freedom, shape (k,).
+
+    Source: Percival & Walden (2000), "Wavelet methods for time series analysis", eq. (314c).
+    """
+    from scipy.special import chdtri
+
+    terms = points.n - 2 * points.m + 1
+    edf = np.maximum(terms / (2 * points.m), 1.0)
+    width = edf * points.avar * (1 / chdtri(edf, 0.975) - 1 / chdtri(edf, 0.025))
+    return np.asarray(width, dtype=np.float64)
+
+
+def _result(
+    series: AxisSeries | None,
+    curve: AllanCurve,
+    *,
+    points: AvarPoints,
+    dropped: int,
+    fitted: Fitted,
+    level: float,
+    criterion: str,
+    weights: str,
+) -> NoiseFit:
+    solution = fitted.solution
+    found = curve_estimates(points, solution, fitted.weight, level=level)
+    fit = goodness(points, solution, found.curve_covariance)
+    return NoiseFit(
+        method="gmwm",
+        sensor=series.sensor if series is not None else None,
+        rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
+        level=level,
+        model=model_of(points, solution),
+        estimates=found.estimates,
+        parameters=found.parameters,
+        covariance=read_only(found.covariance),
+        goodness=fit,
+        curve=_with_edf(curve, points, solution, found.curve_covariance),
+        used=points.used,
+        candidates=_candidates(fitted.ranking),
+        criterion=criterion,
+        findings=_findings(series, points, fit, dropped, _text(solution)),
+        settings={"weights": weights},
+    )
+
+
+def _with_edf(
+    curve: AllanCurve, points: AvarPoints, solution: Solution, covariance: FloatArray
+) -> AllanCurve:
+    """Return the curve with the model's degrees of freedom, where it came without."""
+    if np.any(np.isfinite(curve.edf)):
+        return curve
+    edf = 2 * solution.avar(points.m) ** 2 / np.diag(covariance)
+    every = np.interp(np.log(curve.m), np.log(points.m), np.log(edf))
+    return replace(curve, edf=np.maximum(np.exp(every), 1.0), edf_method="model")
+
+
+def _candidates(ranking: list[tuple[float, Solution]]) -> tuple[Candidate, ...]:
+    reported = [(delta, s) for delta, s in ranking if delta <= _REPORTED]
+    return tuple(Candidate(structure=_text(solution), delta=delta) for delta, solution in reported)
+
+
+def _text(solution: Solution) -> str:
+    symbols = [*solution.laws, *["GM"] * solution.times.size]
+    return structure_text(sorted(symbols, key=list(TERMS).index))
+
+
+def _findings(
+    series: AxisSeries | None, points: AvarPoints, fit: Goodness, dropped: int, text: str
+) -> tuple[Finding, ...]:
+    axis = series.name if series is not None else None
+    findings = []
+    first, last = fit.tau_s or (0.0, 0.0)
+    if not points.known_n:
+        findings.append(
+            Finding(
+                level="info",
+                code="record-length-unknown",
+                axis=axis,
+                text=f"How long the record was is not known; intervals take it to be {2 * last:.4g} s, "
+                "the least that gives the longest averaging time.",
+                advice="Give the number of samples for narrower intervals.",
+            )
+        )
+    if dropped:
+        findings.append(
+            Finding(
+                level="warning",
+                code="short-times",
+                axis=axis,
+                text=f"No model describes averaging times below {first:.4g} s, as behind an output filter; "
+                "the curve was fitted from there.",
+            )
+        )
+    if fit.statistic >= MISFIT:
+        findings.append(
+            Finding(
+                level="warning",
+                code="poor-fit",
+                axis=axis,
+                text=f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f} "
+                "times what noise gives.",
+                advice="Look at the curve and the spectrum before using the numbers.",
+            )
+        )
+    if series is not None and series.clock.missing:
+        findings.append(
+            Finding(
+                level="info",
+                code="gaps-in-curve",
+                axis=axis,
+                text="The intervals of a fit of the curve count missing samples, not where they are missing.",
+            )
+        )
+    return tuple(findings)

@@ -1,0 +1,224 @@
+"""The classical reading of slopes: each term where the Allan deviation runs at its slope.
+
+N is read on the line of slope -1/2 at tau = 1 s, K on slope +1/2 at 3 s, B at the floor over 0.664,
+Q and R on slopes -1 and +1; always with the exact Allan variance of the sampled term. Two things
+make a reading unsure, and its interval holds both: the scatter of the points, whose covariance is
+known, and what the other terms add to them, which is as much as their own readings say or, where
+they have none, as the curve allows.
+
+Source: IEEE Std 952-1997, Annex C.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray, read_only
+from imucal.fitting.moments.av_goodness import goodness
+from imucal.fitting.moments.av_intervals import CurveSpread
+from imucal.fitting.moments.av_points import AvarPoints, avar_points, columns
+from imucal.fitting.moments.av_search import Solution, Weight
+from imucal.fitting.moments.av_select import dictionary
+from imucal.fitting.moments.slope_lines import LEAST_POINTS, SLOPES, Reading, read_term
+from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
+from imucal.noise.model import NoiseModel
+from imucal.recording import AxisSeries
+
+__all__ = ["SLOPES", "fit_slope"]
+
+_UNREAD = Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
+
+
+def fit_slope(
+    series: AxisSeries | None,
+    curve: AllanCurve,
+    structure: tuple[str, ...] | None,
+    *,
+    level: float = 0.95,
+    windows: Mapping[str, tuple[float, float]] | None = None,
+) -> NoiseFit:
+    """Read the terms of an Allan curve off its slopes.
+
+    Parameters
+    ----------
+    series
+        The samples that the curve was made of; None where only the curve is left.
+    curve
+        Allan variances, overlapping or standard.
+    structure
+        Symbols of the terms to read; None reads all that have their slope somewhere.
+    level
+        Confidence level of the intervals.
+    windows
+        Symbol -> first and last averaging time, in s, of the line it is read on, instead of the
+        window found.
+
+    Returns
+    -------
+    NoiseFit
+        With N, B and K always among the estimates. A term without its slope, or one that the others
+        explain, is bounded: alone it would lie above the curve.
+
+    Raises
+    ------
+    ValueError
+        If the structure holds GM, or a window holds no point.
+    DataError
+        If the curve has fewer than 2 averaging times, or is not of Allan variances.
+    """
+    if structure is not None and "GM" in structure:
+        msg = "a Gauss-Markov term has no slope of its own to read; leave GM out or use method 'gmwm'"
+        raise ValueError(msg)
+    points = avar_points(series, curve)
+    covariance = _log_covariance(points)
+    wanted = [s for s in SLOPES if structure is None or s in structure]
+    readings = [
+        reading
+        for symbol in wanted
+        if (reading := read_term(points, covariance, symbol, windows)) is not None
+    ]
+    estimates, shown = _estimates(points, covariance, readings, structure, level)
+    solution = Solution(
+        laws="".join(r.symbol for r in shown),
+        times=np.zeros(0),
+        variances=np.exp(2 * np.array([r.log_value for r in shown])),
+        objective=float("nan"),
+    )
+    values = np.array([points.coefficient(r.symbol, float(np.exp(2 * r.log_value))) for r in shown])
+    design = np.zeros((len(shown), points.size))
+    for row, reading in zip(design, shown, strict=True):
+        row[reading.places] = reading.weights
+    logs = design @ covariance @ design.T
+    fit = (
+        goodness(points, solution, covariance * 4 * np.outer(points.avar, points.avar)) if shown else _UNREAD
+    )
+    return NoiseFit(
+        method="slope",
+        sensor=series.sensor if series is not None else None,
+        rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
+        level=level,
+        model=NoiseModel(terms=tuple(points.term(r.symbol, float(np.exp(2 * r.log_value))) for r in shown)),
+        estimates=estimates,
+        parameters=tuple(r.symbol for r in shown),
+        covariance=read_only(logs * np.outer(values, values)),
+        goodness=fit,
+        curve=curve,
+        used=np.unique(np.concatenate([points.used[:0], *(points.used[r.places] for r in shown)])),
+        settings={
+            "windows": {
+                r.symbol: [float(points.m[r.places[k]] * points.tau0) for k in (0, -1)] for r in shown
+            }
+        },
+    )
+
+
+def _log_covariance(points: AvarPoints) -> FloatArray:
+    """Return the covariance of the logarithms of the deviations, of whatever noise fits the curve."""
+    rough = dictionary(points, Weight.of_deviations(points.avar))
+    spread = CurveSpread.of_terms(points, rough.laws, rough.times).at(rough.variances)
+    model = rough.avar(points.m)
+    return np.asarray(spread / (4 * np.outer(model, model)))
+
+
+def _estimates(
+    points: AvarPoints,
+    covariance: FloatArray,
+    readings: list[Reading],
+    structure: tuple[str, ...] | None,
+    level: float,
+) -> tuple[tuple[Estimate, ...], list[Reading]]:
+    """Return the estimates and the readings that are not explained by the others."""
+    from scipy.special import ndtri
+
+    quantile = float(ndtri((1 + level) / 2))
+    found = {reading.symbol: reading for reading in readings}
+    # A term that was not read may still be as large as the curve lets it.
+    tops = {symbol: _ceiling(points, covariance, symbol, level) for symbol in SLOPES}
+    names = [s for s in SLOPES if s in found or s in "NBK" or (structure is not None and s in structure)]
+    estimates, shown = [], []
+    for symbol in names:
+        reading = found.get(symbol)
+        share = 0.0 if reading is None else _share_of_others(points, covariance, reading, found, tops)
+        if reading is None or share >= 1:
+            high = points.coefficient(symbol, float(np.exp(2 * tops[symbol])))
+            estimates.append(
+                Estimate(key=symbol, symbol=symbol, status="bounded", value=None, low=0.0, high=high)
+            )
+            continue
+        spread = quantile * _spread(covariance, reading)
+        value = points.coefficient(symbol, float(np.exp(2 * reading.log_value)))
+        estimates.append(
+            Estimate(
+                key=symbol,
+                symbol=symbol,
+                status="estimated",
+                value=value,
+                low=value * float(np.sqrt(1 - share) * np.exp(-spread)),
+                high=value * float(np.exp(spread)),
+            )
+        )
+        shown.append(reading)
+    return tuple(estimates), shown
+
+
+def _spread(covariance: FloatArray, reading: Reading) -> float:
+    """Return the standard error of the logarithm of a reading."""
+    places = reading.places
+    return float(np.sqrt(reading.weights @ covariance[np.ix_(places, places)] @ reading.weights))
+
+
+def _share_of_others(
+    points: AvarPoints,
+    covariance: FloatArray,
+    reading: Reading,
+    found: Mapping[str, Reading],
+    tops: Mapping[str, float],
+) -> float:
+    """Return how much of the Allan variance on a term's line the others may explain.
+
+    A term that was read counts two standard errors above its reading.
+    """
+    places = reading.places
+    share = np.zeros(places.size)
+    for symbol in SLOPES:
+        if symbol == reading.symbol:
+            continue
+        alone = columns(points.m[places], symbol, np.zeros(0))[:, 0]
+        if symbol in found:
+            variance = np.exp(2 * (found[symbol].log_value + 2 * _spread(covariance, found[symbol])))
+        else:
+            variance = min(np.exp(2 * tops[symbol]), _beside(points, covariance, reading, alone))
+        share += variance * alone / points.avar[places]
+    return float(reading.weights @ share)
+
+
+def _beside(points: AvarPoints, covariance: FloatArray, reading: Reading, alone: FloatArray) -> float:
+    """Return how large a second term may be beside a reading: the points of the line limit its bend.
+
+    Two standard errors above its estimate from those points; infinite for fewer than three.
+    """
+    places = reading.places
+    if places.size < LEAST_POINTS:
+        return float("inf")
+    avar = points.avar[places]
+    own = columns(points.m[places], reading.symbol, np.zeros(0))[:, 0]
+    design = np.stack([own, alone], axis=1) / avar[:, np.newaxis]
+    inverse = np.linalg.inv(4 * covariance[np.ix_(places, places)])
+    spread = np.linalg.inv(design.T @ inverse @ design)
+    estimate = float((spread @ design.T @ inverse @ np.ones(places.size))[1])
+    return max(estimate, 0.0) + 2 * float(np.sqrt(spread[1, 1]))
+
+
+def _ceiling(points: AvarPoints, covariance: FloatArray, symbol: str, level: float) -> float:
+    """Return the logarithm of the largest coefficient whose term alone stays below the curve's limits.
+
+    The limits are of a chi-squared law and hold for all points together (Bonferroni).
+    """
+    from scipy.special import chdtri
+
+    edf = 1 / (2 * np.diag(covariance))
+    tail = (1 - level) / (2 * points.size)
+    shape = columns(points.m, symbol, np.zeros(0))[:, 0]
+    high = np.log(points.avar / shape * edf / chdtri(edf, 1 - tail)) / 2
+    return float(high.min())

@@ -1,0 +1,3 @@
+"""Maximum likelihood on the spectrum of the samples."""
+
+__all__: list[str] = []

@@ -1,0 +1,267 @@
+"""Which part of the spectrum a model can describe, and the output filter that shapes it.
+
+Sensors filter their output. A model of noise alone can't describe a filtered spectrum, and a fit of
+the whole band is then wrong in every term. Two remedies are tried together: a narrower band, and a
+response that multiplies the spectrum,
+
+    |H|² = (1 - lam/4)^z / (1 + a_1 x + … + a_j x^j),   x = lam / top,  lam = 4 sin²(theta/2),
+
+which every all-pole filter of order j has exactly (z = 0: one-pole, cascades, resonances), and every
+Butterworth filter by the bilinear transform (z = j); any other smooth low-pass is close to one
+below its corner. DC gain is 1, so that N keeps its meaning.
+
+A description is sound when the misfit is within chance and the next orders of the response add
+nothing. Among the sound ones the one that tells N best is taken, and then one order more than it
+needs, so that what the response can't follow does not bias N.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+from imucal.fitting.spectral.goodness import misfit
+from imucal.fitting.spectral.information import covariance
+from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.ordinates import Ordinates, coarser
+from imucal.fitting.spectral.response_start import Order, start_response
+from imucal.fitting.spectral.scoring import Maximum, maximize
+from imucal.fitting.spectral.starts import find_starts
+from imucal.fitting.spectral.structures import Structure, candidates_of
+
+__all__ = ["BANDS", "Band", "find_band"]
+
+#: Bands that are tried, as fractions of Nyquist.
+BANDS = (1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125)
+#: Misfit score below which a description is sound.
+_SOUND = 3.0
+#: The same for the whole band without a response, where no response would help.
+_SOUND_FLAT = 4.0
+#: Twice the log-likelihood that one, or two more orders of the response may gain by chance. A
+#: filter where there is none costs N a factor of two, so the flat band has the benefit of the doubt.
+_GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
+#: Quantization noise and a response bend the same part of the spectrum: where quantization explains
+#: it, a filter instead needs strong reasons.
+_GAIN_QUANTIZED, _QUANTIZED = (30.0, 33.0), 0.2
+#: Highest number of poles.
+_ORDERS = 5
+#: Above this fraction of Nyquist a response's zeros show; at Nyquist itself they leave nothing.
+_NARROW = 0.4
+_ALL_POLES: list[Order] = [(poles, 0) for poles in range(_ORDERS + 1)]
+_WITH_ZEROS: list[Order] = [
+    *_ALL_POLES,
+    *((z + more, z) for z in (1, 2, 3, 4) for more in (0, 1, 2) if z + more <= _ORDERS),
+]
+#: A band needs so many bins.
+_FEWEST = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Band:
+    """The part of the spectrum to fit, and the response there.
+
+    Attributes
+    ----------
+    fraction
+        Its upper end as a fraction of Nyquist.
+    order
+        Poles and zeros of the simplest response that is sound.
+    poles, zeros
+        Order of the response to fit, 0 where it is flat: one more than the simplest.
+    response
+        Its coefficients a, shape (poles,).
+    sound
+        Whether the description is within chance.
+    statistic
+        Misfit score of the richest model.
+    """
+
+    fraction: float
+    order: Order
+    poles: int
+    zeros: int
+    response: FloatArray
+    sound: bool
+    statistic: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Trial:
+    """One description: band, order, fit, and how it does."""
+
+    fraction: float
+    order: Order
+    maximum: Maximum
+    statistic: float
+    deviation: float
+
+    def band(self, *, sound: bool, width: int, simplest: Order | None = None) -> Band:
+        return Band(
+            fraction=self.fraction,
+            order=simplest or self.order,
+            poles=self.order[0],
+            zeros=self.order[1],
+            response=self.maximum.theta[0, width : width + self.order[0]],
+            sound=sound,
+            statistic=self.statistic,
+        )
+
+
+def find_band(
+    ordinates: Ordinates,
+    rich: Structure,
+    *,
+    shortest: float,
+    common: tuple[str, ...] = (),
+    given: Structure | None = None,
+) -> Band:
+    """Return the band, and the response in it, that a rich model describes.
+
+    Parameters
+    ----------
+    rich
+        Terms of a model that holds all the candidates; Q counts only where the response is flat,
+        because both bend the top of the spectrum.
+    shortest
+        Shortest correlation time of its Gauss-Markov terms, in samples.
+    common
+        Regressors that are in every model.
+    given
+        Terms that the caller gave: where its Gauss-Markov terms of any length describe the whole
+        band beside white noise, they are believed.
+    """
+    coarse = coarser(ordinates.below(1.0), singles=48, merge=3)
+    if given is not None and "GM" in given:
+        own = _Search(coarse, given, 2.0, common)
+        flat = own.flat()
+        if flat.sound and (own.white_at_the_top() or "N" not in given):
+            return flat
+    search = _Search(coarse, rich, shortest, common)
+    flat = search.flat()
+    if flat.sound:
+        return flat
+    plain = tuple(symbol for symbol in rich if symbol != "Q")
+    return _Search(coarse, plain, shortest, common).filtered()
+
+
+class _Search:
+    """Fits of one structure to several bands with several responses."""
+
+    def __init__(
+        self, ordinates: Ordinates, structure: Structure, shortest: float, common: tuple[str, ...]
+    ) -> None:
+        self.ordinates, self.structure = ordinates, structure
+        self.shortest, self.common = shortest, common
+        self.width = 4 + 2 * structure.count("GM")
+
+    def candidates(self, orders: list[Order]) -> Candidates:
+        return candidates_of(
+            [self.structure] * len(orders),
+            self.ordinates.names,
+            poles=[poles for poles, _ in orders],
+            zeros=[zeros for _, zeros in orders],
+            common=self.common,
+            room_poles=_ORDERS,
+        )
+
+    def blind(self, seen: Ordinates) -> FloatArray:
+        """Return parameters of the best blind fit without a response, shape (1, p)."""
+        candidate = self.candidates([(0, 0)])
+        starts = find_starts(seen, candidate, shortest=self.shortest, keep=(1, 2, 4))
+        rows = np.zeros(starts.candidate.size, dtype=np.int64)
+        found = maximize(seen, candidate.take(rows), starts.theta, shortest=self.shortest, tolerance=1e-3)
+        return found.theta[[int(np.argmin(found.objective))]]
+
+    def fit(self, seen: Ordinates, fraction: float, orders: list[Order], starts: FloatArray) -> list[_Trial]:
+        """Fit one band with some responses, each from its row of `starts`, shape (k, p)."""
+        candidates = self.candidates(orders)
+        found = maximize(seen, candidates, starts, shortest=self.shortest, tolerance=1e-3, iterations=60)
+        rows = [np.array([row]) for row in range(len(orders))]
+        return [
+            _Trial(
+                fraction=fraction,
+                order=order,
+                maximum=found.take(row),
+                statistic=misfit(seen, candidates.take(row), found.theta[row]).statistic,
+                deviation=_deviation_of_white(candidates.take(row), found.take(row)),
+            )
+            for order, row in zip(orders, rows, strict=True)
+        ]
+
+    def flat(self) -> Band:
+        """Return the whole band without a response, sound if the data do not ask for more."""
+        orders: list[Order] = [(0, 0), (1, 0), (2, 0)]
+        start = self.blind(self.ordinates)
+        trials = self.fit(self.ordinates, 1.0, orders, np.repeat(start, 3, axis=0))
+        quantization = float(np.exp(trials[0].maximum.theta[0, 0])) * self.ordinates.basis[0, -1]
+        bent = "Q" in self.structure and quantization > _QUANTIZED * self.level_at_the_top()
+        chance = _GAIN_QUANTIZED if bent else _GAIN_FLAT
+        if not _enough(trials, chance, _SOUND_FLAT):
+            # The richer fits may have found a better place for the slow terms: try it without them.
+            again = np.concatenate([t.maximum.theta for t in trials])
+            again[:, self.width :] = 0.0
+            flat = self.fit(self.ordinates, 1.0, [(0, 0)] * 3, again)
+            trials[0] = min(flat, key=lambda t: t.maximum.objective[0])
+        return trials[0].band(sound=_enough(trials, chance, _SOUND_FLAT), width=self.width)
+
+    def level_at_the_top(self) -> float:
+        """Return the mean square of the ordinates of the highest frequencies."""
+        last = slice(-8, None)
+        return float(self.ordinates.power[last].sum() / self.ordinates.size[last].sum())
+
+    def white_at_the_top(self) -> bool:
+        """Whether white noise makes most of the blind fit's power at the highest frequencies."""
+        return float(np.exp(self.blind(self.ordinates)[0, 1])) > 0.5 * self.level_at_the_top()
+
+    def filtered(self) -> Band:
+        """Return the best sound description, or the least bad one."""
+        narrow = self.ordinates.below(BANDS[-1])
+        low = self.blind(narrow if narrow.size.size >= _FEWEST else self.ordinates)
+        every: list[_Trial] = []
+        best: tuple[float, _Trial, _Trial] | None = None
+        for fraction in BANDS:
+            seen = self.ordinates.below(fraction)
+            if seen.size.size < _FEWEST:
+                break
+            if best is not None and best[0] < np.sqrt(0.5 / seen.count):
+                break
+            orders = _WITH_ZEROS if _NARROW < fraction < 1 else _ALL_POLES
+            starts = np.concatenate(
+                [start_response(seen, low, order, width=self.width, room=_ORDERS) for order in orders]
+            )
+            fits = self.fit(seen, fraction, orders, starts)
+            trials = {t.order: t for t in fits if np.isfinite(t.maximum.objective[0])}
+            every += trials.values()
+            found = self.simplest(trials)
+            if found is not None and (best is None or found[0] < best[0]):
+                best = found
+        if best is None:
+            return min(every, key=lambda t: t.statistic).band(sound=False, width=self.width)
+        _, simplest, richer = best
+        if simplest.order == (0, 0) and simplest.fraction == 1.0:
+            return simplest.band(sound=True, width=self.width)
+        return richer.band(sound=True, width=self.width, simplest=simplest.order)
+
+    @staticmethod
+    def simplest(trials: dict[Order, _Trial]) -> tuple[float, _Trial, _Trial] | None:
+        """Return the error of N of the simplest sound description of a band, it, and its next order."""
+        for poles, zeros in sorted(trials, key=lambda order: (sum(order), order)):
+            nested = [trials[o] for more in range(3) if (o := (poles + more, zeros)) in trials]
+            if len(nested) > 1 and _enough(nested):
+                return nested[0].deviation, nested[0], nested[1]
+        return None
+
+
+def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: float = _SOUND) -> bool:
+    """Whether the first of nested trials is sound and the next orders gain no more than chance."""
+    first = trials[0]
+    gains = [2 * float(first.maximum.objective[0] - t.maximum.objective[0]) for t in trials[1:]]
+    return first.statistic < sound and all(g < most for g, most in zip(gains, chance, strict=False))
+
+
+def _deviation_of_white(candidate: Candidates, maximum: Maximum) -> float:
+    """Return the relative standard error of N; infinite where it is not told."""
+    if not candidate.laws[0, 1]:
+        return float(np.inf)
+    variance = float(covariance(maximum.information[0], candidate.free[0])[1, 1])
+    return 0.5 * float(np.sqrt(variance))

@@ -1,0 +1,266 @@
+"""AxisSeries -> blocks of ordinates: long gaps part the blocks, short ones are completed."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.allan.dct import DctBins, dct_bins, dct_ordinates
+from imucal.arrays import FloatArray
+from imucal.errors import DataError
+from imucal.findings import Finding
+from imucal.fitting.noise_fit import Line
+from imucal.fitting.spectral.lines import find_lines
+from imucal.fitting.spectral.missing import complete
+from imucal.fitting.spectral.ordinates import exponential_ordinates, ramp_ordinates
+from imucal.recording import AxisSeries
+
+__all__ = ["Block", "Blocks", "make_blocks", "scale_of"]
+
+#: Bends of a straight line, as a part of its steps: rounding, not noise.
+_STRAIGHT = 1e-9
+#: Fewest samples of a record and of a block.
+_FEWEST = 64
+#: A gap of more samples than this parts two blocks; a shorter one is completed.
+_LONG = 64
+#: Most blocks; the shorter ones of more long gaps are completed too.
+_MOST = 48
+#: Up to so many blocks have bins as fine as a record without gaps.
+_FINE = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Block:
+    """The ordinates of one run of samples, in scaled units.
+
+    Attributes
+    ----------
+    offset
+        Place of its first sample on the clock's grid, from the first sample of the record.
+    bins
+        Their bins.
+    ordinates
+        X_k, shape (k,), from k = 1; as many as the bins hold.
+    variance
+        What missing samples add to the expected X_k², shape (k,); None for none.
+    kept
+        Which of them are used, shape (k,); None for all.
+    loss
+        Share of each bin's information that missing samples took, shape (b,); None for none.
+    temperature
+        Ordinates of the temperature, shape (k,), or None.
+    """
+
+    offset: int
+    bins: DctBins
+    ordinates: FloatArray
+    variance: FloatArray | None = None
+    kept: NDArray[np.bool_] | None = None
+    loss: FloatArray | None = None
+    temperature: FloatArray | None = None
+
+    def regressor(self, name: str) -> FloatArray:
+        """Return the ordinates of a regressor: ``R``, ``temperature`` or ``exp:<samples>``."""
+        count = self.ordinates.size
+        if name == "R":
+            return ramp_ordinates(self.bins.n, count)
+        if name == "temperature" and self.temperature is not None:
+            return self.temperature
+        return exponential_ordinates(self.bins.n, count, float(name.partition(":")[2]), self.offset)
+
+    def lowest(self, count: int) -> "Block":
+        """Return the block of the lowest bins only, of at least `count` ordinates in all."""
+        bins = self.bins
+        number = int(np.searchsorted(bins.first, count, side="right"))
+        stop = int(bins.first[number - 1] + bins.count[number - 1] - 1)
+        return Block(
+            offset=self.offset,
+            bins=DctBins(
+                n=bins.n, first=bins.first[:number], count=bins.count[:number], omega=bins.omega[:number]
+            ),
+            ordinates=self.ordinates[:stop],
+            variance=None if self.variance is None else self.variance[:stop],
+            kept=None if self.kept is None else self.kept[:stop],
+            loss=None if self.loss is None else self.loss[:number],
+            temperature=None if self.temperature is None else self.temperature[:stop],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Blocks:
+    """All blocks of a record.
+
+    Attributes
+    ----------
+    blocks
+        In order of time.
+    scale
+        U per scaled unit, a power of two.
+    lines
+        Spectral lines that are left out, of the longest block.
+    findings
+        What making them showed.
+    """
+
+    blocks: tuple[Block, ...]
+    scale: float
+    lines: tuple[Line, ...]
+    findings: tuple[Finding, ...]
+
+
+def scale_of(series: AxisSeries) -> float:
+    """Return a power of two near the size of the samples' steps, in U.
+
+    Raises
+    ------
+    DataError
+        If there are too few samples, all of them are equal, or they hold no noise beside a ramp.
+    """
+    samples = series.samples
+    if samples.size < _FEWEST:
+        msg = (
+            f"{series.name}: {samples.size} samples, expected at least {_FEWEST} for a noise model; "
+            "record for longer"
+        )
+        raise DataError(msg)
+    largest = float(np.max(np.abs(samples)))
+    steps = np.diff(samples / largest) if largest > 0 else np.zeros(1)
+    size = float(np.sqrt(np.mean(np.square(steps)))) * largest
+    if not (np.isfinite(size) and size > 0):
+        msg = (
+            f"{series.name}: all {samples.size} samples are equal, expected noise; "
+            "check that the sensor was on and that its resolution shows its noise"
+        )
+        raise DataError(msg)
+    bends = float(np.max(np.abs(np.diff(steps))))
+    if bends <= max(_STRAIGHT * size / largest, 8 * np.finfo(np.float64).eps):
+        msg = (
+            f"{series.name}: all {samples.size} samples lie on one straight line, expected noise; "
+            "check that the column holds a measurement and not a counter"
+        )
+        raise DataError(msg)
+    return float(2.0 ** np.round(np.log2(size)))
+
+
+def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Blocks:
+    """Return the ordinates of finite samples, gaps and lines taken care of.
+
+    Raises
+    ------
+    DataError
+        If there are too few samples, all of them are equal, or no run is long enough.
+    """
+    scale = scale_of(series)
+    runs, lost = _runs(series)
+    if not runs:
+        msg = (
+            f"{series.name}: no run of {_FEWEST} samples without a long gap among {series.n}; "
+            "expected a recording that is mostly unbroken"
+        )
+        raise DataError(msg)
+    blocks: list[Block] = []
+    lines: tuple[Line, ...] = ()
+    longest = 0
+    for run in runs:
+        block = _transform(series, run, _bins(run.size, len(runs)), scale, temperature)
+        kept, found = find_lines(block.ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
+        blocks.append(block if kept is None else _masked(block, kept))
+        if block.bins.n > longest:
+            lines, longest = found, block.bins.n
+    return Blocks(blocks=tuple(blocks), scale=scale, lines=lines, findings=_gap_findings(series, runs, lost))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Run:
+    """Segments that make one block: samples[start:stop], from place `offset` for `size` places."""
+
+    start: int
+    stop: int
+    offset: int
+    size: int
+
+
+def _runs(series: AxisSeries) -> tuple[list[_Run], int]:
+    """Return the runs of segments between long gaps, and the number of samples in runs too short."""
+    segments = series.clock.segments
+    gaps = np.array([b.offset - a.offset - a.size for a, b in pairwise(segments)])
+    order = np.argsort(-gaps, kind="stable")[: _MOST - 1] if gaps.size else np.zeros(0, dtype=np.int64)
+    cuts = sorted(int(i) for i in order if gaps[i] > _LONG)
+    runs, first = [], 0
+    for cut in [*cuts, len(segments) - 1]:
+        a, b = segments[first], segments[cut]
+        size = b.offset + b.size - a.offset
+        runs.append(_Run(start=a.start, stop=b.stop, offset=a.offset - segments[0].offset, size=size))
+        first = cut + 1
+    long = [run for run in runs if run.stop - run.start >= _FEWEST]
+    return long, sum(run.stop - run.start for run in runs if run not in long)
+
+
+def _bins(size: int, blocks: int) -> DctBins:
+    """Return the bins of a block: fewer where there are many blocks, so that the whole stays small."""
+    if blocks <= _FINE:
+        return dct_bins(size)
+    return dct_bins(size, singles=max(16, 512 // blocks), per_octave=max(10, 192 // blocks))
+
+
+def _transform(
+    series: AxisSeries, run: _Run, bins: DctBins, scale: float, temperature: FloatArray | None
+) -> Block:
+    samples = series.samples[run.start : run.stop] / scale
+    heat = None if temperature is None else temperature[run.start : run.stop]
+    if samples.size == run.size:
+        return Block(
+            offset=run.offset,
+            bins=bins,
+            ordinates=dct_ordinates(samples),
+            temperature=None if heat is None else dct_ordinates(heat),
+        )
+    grid = series.clock.grid()[run.start : run.stop] - run.offset
+    seen = np.zeros(run.size, dtype=bool)
+    seen[grid] = True
+    full = np.zeros(run.size)
+    full[grid] = samples
+    ordinates, variance, loss = complete(full, seen, bins)
+    if heat is not None:
+        heat = dct_ordinates(np.interp(np.arange(run.size), grid, heat))
+    return Block(
+        offset=run.offset, bins=bins, ordinates=ordinates, variance=variance, loss=loss, temperature=heat
+    )
+
+
+def _masked(block: Block, kept: NDArray[np.bool_]) -> Block:
+    return Block(
+        offset=block.offset,
+        bins=block.bins,
+        ordinates=block.ordinates,
+        variance=block.variance,
+        kept=kept,
+        loss=block.loss,
+        temperature=block.temperature,
+    )
+
+
+def _gap_findings(series: AxisSeries, runs: list[_Run], lost: int) -> tuple[Finding, ...]:
+    completed = sum(run.size - (run.stop - run.start) for run in runs)
+    if len(runs) == 1 and not completed and not lost:
+        return ()
+    parts = []
+    if len(runs) > 1:
+        parts.append(f"the likelihoods of {len(runs)} blocks between long gaps are multiplied")
+    if completed:
+        samples = "one missing sample" if completed == 1 else f"{completed} missing samples"
+        verb = "is" if completed == 1 else "are"
+        parts.append(
+            f"{samples} in short gaps {verb} completed by {'its' if completed == 1 else 'their'} expectation"
+        )
+    if lost:
+        parts.append(f"{lost} samples in runs shorter than {_FEWEST} are left out")
+    return (
+        Finding(
+            level="info",
+            code="gaps-in-fit",
+            axis=series.name,
+            text=f"The fit allows for gaps: {'; '.join(parts)}.",
+        ),
+    )

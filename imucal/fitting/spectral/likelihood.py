@@ -1,0 +1,254 @@
+"""The likelihood of many candidate models at once, on binned DCT ordinates.
+
+A debiased Whittle likelihood: the ordinates X_k of the DCT-II are taken as independent normal
+with variance S_k, the exact expectation of X_k² for the sampled, finite series:
+
+    -log L = 1/2 sum_k [log S_k + (X_k - c_k beta)² / S_k]
+
+exact for white noise plus random walk plus ramp. beta (ramp, temperature …) is the generalised
+least-squares solution. Source: Sykulski et al. (2019), Biometrika 106, "The debiased Whittle
+likelihood", on the DCT instead of the Fourier transform, which removes its leakage.
+
+Parameters of a candidate stand in one row, the same place for every candidate:
+
+    log variances of Q, N, B, K | log variances of GM 1 … g | logs of their times | response a_1 … a_j
+
+with the response of the output filter |H|² = (1 - lam/4)^zeros / (1 + sum a_i (lam/top)^i).
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.fitting.spectral.gauss_markov import gauss_markov_dct
+from imucal.fitting.spectral.ordinates import Ordinates
+
+__all__ = ["Candidates", "Evaluation", "evaluate"]
+
+BoolArray = NDArray[np.bool_]
+
+#: Added to the diagonal of the regressors' correlation.
+_RIDGE = 1e-10
+
+#: Places in a band, lam / top, where a response must be positive whatever the bins are.
+_BETWEEN = np.linspace(0.4, 1.0, 25)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidates:
+    """Which terms each of c candidates has.
+
+    Attributes
+    ----------
+    laws
+        Whether Q, N, B, K are in it, shape (c, 4).
+    markov
+        Number of Gauss-Markov terms, shape (c,).
+    poles, zeros
+        Order of the response's denominator and numerator, shape (c,).
+    regressors
+        Which of the ordinates' regressors are in it, shape (c, r).
+    room_markov, room_poles
+        Columns kept for each: the greatest of `markov` and `poles`, or more.
+    """
+
+    laws: BoolArray
+    markov: IntArray
+    poles: IntArray
+    zeros: IntArray
+    regressors: BoolArray
+    room_markov: int
+    room_poles: int
+
+    @property
+    def count(self) -> int:
+        """Number of candidates, c."""
+        return self.markov.size
+
+    @property
+    def width(self) -> int:
+        """Number of parameters in a row, p."""
+        return 4 + 2 * self.room_markov + self.room_poles
+
+    @property
+    def free(self) -> BoolArray:
+        """Which parameters each candidate has, shape (c, p)."""
+        has_markov = np.arange(self.room_markov) < self.markov[:, None]
+        has_pole = np.arange(self.room_poles) < self.poles[:, None]
+        return np.concatenate([self.laws, has_markov, has_markov, has_pole], axis=1)
+
+    @property
+    def parameters(self) -> IntArray:
+        """Number of parameters of each candidate, regressors included, shape (c,)."""
+        total: IntArray = self.free.sum(axis=1) + self.regressors.sum(axis=1)
+        return total
+
+    def take(self, index: IntArray | BoolArray) -> "Candidates":
+        """Return some of the candidates; an index may stand more than once."""
+        return Candidates(
+            laws=self.laws[index],
+            markov=self.markov[index],
+            poles=self.poles[index],
+            zeros=self.zeros[index],
+            regressors=self.regressors[index],
+            room_markov=self.room_markov,
+            room_poles=self.room_poles,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evaluation:
+    """The likelihood at one row of parameters for each candidate.
+
+    Attributes
+    ----------
+    objective
+        -log L less a constant, shape (c,); infinite where the response is not positive.
+    score
+        Its gradient, shape (c, p).
+    information
+        Expected Fisher information, shape (c, p, p).
+    beta
+        Regressors' coefficients, shape (c, r); 0 for those a candidate does not have.
+    beta_covariance
+        Their covariance given the spectrum, shape (c, r, r).
+    spectrum
+        S, shape (c, b).
+    """
+
+    objective: FloatArray
+    score: FloatArray
+    information: FloatArray
+    beta: FloatArray
+    beta_covariance: FloatArray
+    spectrum: FloatArray
+
+
+def evaluate(
+    ordinates: Ordinates,
+    candidates: Candidates,
+    theta: FloatArray,
+    *,
+    ramp: FloatArray | None = None,
+) -> Evaluation:
+    """Return objective, score and information of each candidate at `theta`, shape (c, p).
+
+    With `ramp`, shape (c,), the first regressor's coefficient is held at it where not NaN.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        spectrum, slopes = _spectrum(ordinates, candidates, theta)
+        beta, covariance, rest = _regress(ordinates, candidates, spectrum, ramp)
+        ratio = rest / spectrum
+        # einsum, not @: these products are too small for the threads of a linear algebra library.
+        objective = 0.5 * (np.einsum("cb,b->c", np.log(spectrum), ordinates.size) + ratio.sum(axis=1))
+        residual = 0.5 * (ordinates.size - ratio)
+        score = np.einsum("cpb,cb->cp", slopes, residual)
+        slopes *= np.sqrt(0.5 * ordinates.size)
+        information = np.matmul(slopes, slopes.transpose(0, 2, 1))
+    objective[~np.isfinite(objective)] = np.inf
+    return Evaluation(
+        objective=objective,
+        score=score,
+        information=information,
+        beta=beta,
+        beta_covariance=covariance,
+        spectrum=spectrum,
+    )
+
+
+def _spectrum(
+    ordinates: Ordinates, candidates: Candidates, theta: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return S, shape (c, b), and its logarithmic derivatives, shape (c, p, b)."""
+    room, bins = candidates.room_markov, ordinates.size.size
+    slopes = np.zeros((candidates.count, candidates.width, bins))
+    variance = np.where(candidates.laws, np.exp(theta[:, :4]), 0.0)
+    np.multiply(variance[:, :, None], ordinates.basis, out=slopes[:, :4])
+    for index in range(room):
+        rows = np.flatnonzero(candidates.markov > index)
+        if not rows.size:
+            continue
+        shape, slope = gauss_markov_dct(
+            theta[rows, 4 + room + index][:, None], ordinates.lam, ordinates.length, ordinates.sign
+        )
+        level = np.exp(theta[rows, 4 + index])[:, None]
+        slopes[rows, 4 + index] = level * shape
+        slopes[rows, 4 + room + index] = level * slope
+    spectrum = slopes[:, : 4 + room].sum(axis=1)
+    slopes[:, : 4 + 2 * room] /= spectrum[:, None, :]
+    if candidates.room_poles:
+        _filter(ordinates, candidates, theta, spectrum, slopes)
+    return spectrum, slopes
+
+
+def _filter(
+    ordinates: Ordinates,
+    candidates: Candidates,
+    theta: FloatArray,
+    spectrum: FloatArray,
+    slopes: FloatArray,
+) -> None:
+    """Multiply the spectrum by the response and add its slopes, in place."""
+    first = 4 + 2 * candidates.room_markov
+    rows = np.flatnonzero((candidates.poles > 0) | (candidates.zeros > 0))
+    if not rows.size:
+        return
+    x = ordinates.lam / ordinates.top
+    powers = x ** np.arange(1, candidates.room_poles + 1)[:, None]
+    use = np.arange(candidates.room_poles) < candidates.poles[rows, None]
+    response = np.where(use, theta[rows, first:], 0.0)
+    denominator = 1 + response @ powers
+    # It must be positive also between the bins and up to the very end of the band.
+    between = _BETWEEN ** np.arange(1, candidates.room_poles + 1)[:, None]
+    negative = np.any(denominator <= 0, axis=1) | np.any(1 + response @ between <= 0, axis=1)
+    denominator[negative] = np.nan
+    numerator = np.maximum(1 - ordinates.lam / 4, 1e-12) ** candidates.zeros[rows, None]
+    spectrum[rows] *= numerator / denominator
+    slopes[rows, first:] = np.where(use[:, :, None], -powers / denominator[:, None, :], 0.0)
+
+
+def _regress(
+    ordinates: Ordinates,
+    candidates: Candidates,
+    spectrum: FloatArray,
+    ramp: FloatArray | None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return beta (c, r), its covariance (c, r, r) and the squares it leaves in each bin (c, b)."""
+    beta = np.zeros(candidates.regressors.shape)
+    number = len(ordinates.names)
+    covariance = np.zeros((candidates.count, number, number))
+    rest = np.broadcast_to(ordinates.power, spectrum.shape)
+    rows = np.flatnonzero(candidates.regressors.any(axis=1))
+    if not rows.size:
+        return beta, covariance, rest
+    use = candidates.regressors[rows]
+    weight = 1 / spectrum[rows]
+    gram = np.einsum("cb,ijb->cij", weight, ordinates.gram)
+    cross = np.einsum("cb,ib->ci", weight, ordinates.cross)
+    if ramp is not None:
+        held = np.isfinite(ramp[rows]) & use[:, 0]
+        value = np.where(held, ramp[rows], 0.0)
+        cross -= gram[:, :, 0] * value[:, None]
+        use = use.copy()
+        use[held, 0] = False
+    gram = np.where(use[:, :, None] & use[:, None, :], gram, 0.0)
+    cross = np.where(use, cross, 0.0)
+    gram += np.where(use, 0.0, 1.0)[:, :, None] * np.eye(number)
+    gram[~np.isfinite(gram).all(axis=(1, 2))] = np.eye(number)
+    size = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
+    both = size[:, :, None] * size[:, None, :]
+    # The ridge is far below any error; it only keeps regressors that are alike from being singular.
+    inverse = np.linalg.inv(gram / both + _RIDGE * np.eye(number)) / both
+    covariance[rows] = np.where(use[:, :, None] & use[:, None, :], inverse, 0.0)
+    solution = np.matmul(inverse, cross[:, :, None])[:, :, 0]
+    if ramp is not None:
+        solution[held, 0] = value[held]
+    beta[rows] = solution
+    rest = np.array(rest)
+    rest[rows] -= 2 * np.einsum("ci,ib->cb", solution, ordinates.cross)
+    for i, j in product(range(number), repeat=2):
+        rest[rows] += (solution[:, i] * solution[:, j])[:, None] * ordinates.gram[i, j]
+    return beta, covariance, rest

@@ -1,0 +1,141 @@
+"""Spectral lines: which ordinates to leave out, and what they are.
+
+An ordinate whose square is beyond what chance gives anywhere in the record, against the level of
+its surroundings, belongs to a line (a motor, mains, a clock); it and its neighbours are left out.
+The lowest ordinates are never left out: they carry the random walk and the drift.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.allan.dct import DctBins
+from imucal.arrays import FloatArray, IntArray
+from imucal.fitting.noise_fit import Line
+
+__all__ = ["find_lines"]
+
+#: Chance that a record without lines has one found.
+_CHANCE = 0.01
+#: Ordinates that are never left out, and half the number of bins that make the local level.
+_LOWEST, _NEIGHBOURS = 24, 8
+#: Degrees of freedom of a median per ordinate it is made of: 0.64 for many, 0.5 for single ones.
+_MEDIAN_EFFICIENCY = 0.5
+#: A line's tail is left out until it is this part of the level.
+_TAIL = 0.05
+#: Fewest neighbours left out on each side, and most, as a share of the frequency.
+_LEAST, _MOST = 3, 0.02
+
+
+def find_lines(
+    ordinates: FloatArray, bins: DctBins, *, scale: float, rate_hz: float
+) -> tuple[NDArray[np.bool_] | None, tuple[Line, ...]]:
+    """Return which ordinates to keep, shape (n-1,), or None for all; and the lines, strongest first.
+
+    Parameters
+    ----------
+    ordinates
+        X_k for k = 1 … n-1, shape (n-1,), in scaled units.
+    scale
+        U per scaled unit, for the lines' amplitudes.
+    """
+    size = ordinates.size
+    square = ordinates * ordinates
+    starts = bins.first - 1
+    peaks = np.maximum.reduceat(square, starts)
+    kept: NDArray[np.bool_] | None = None
+    for _ in range(2):
+        level, sureness = _level(square, kept, bins)
+        limit = level * _limit(sureness, _CHANCE / max(size, 1))
+        suspects = np.flatnonzero(peaks > limit)
+        found = _beyond(square, bins, suspects, limit)
+        found = found[found >= _LOWEST]
+        if not found.size:
+            break
+        of_bin = np.searchsorted(starts, found, side="right") - 1
+        excess = square[found] / level[of_bin]
+        reach = np.ceil(np.sqrt(excess / _TAIL) / np.pi)
+        reach = np.minimum(np.maximum(reach, _LEAST), np.maximum(_LEAST, _MOST * found)).astype(np.int64)
+        kept = _without(found, reach, size)
+    if kept is None:
+        return None, ()
+    return kept, _describe(square, kept, level, bins, scale=scale, rate_hz=rate_hz)
+
+
+def _limit(sureness: FloatArray, chance: float) -> FloatArray:
+    """Return how far above the local level a square lies with a probability of `chance`.
+
+    The level is itself estimated: the ratio follows F(1, dof of the level), whose tail is far
+    heavier than chi-squared's where few ordinates make the level.
+    """
+    from scipy.special import fdtri
+
+    limit: FloatArray = fdtri(1.0, sureness, 1.0 - chance)
+    return limit
+
+
+def _level(
+    square: FloatArray, kept: NDArray[np.bool_] | None, bins: DctBins
+) -> tuple[FloatArray, FloatArray]:
+    """Return the local level of the squares for each bin and its degrees of freedom.
+
+    The level is a median of the neighbouring bins' means.
+    """
+    starts = bins.first - 1
+    if kept is None:
+        count = bins.count.astype(np.float64)
+        total = np.add.reduceat(square, starts)
+    else:
+        count = np.add.reduceat(kept.astype(np.float64), starts)
+        total = np.add.reduceat(np.where(kept, square, 0.0), starts)
+    mean = np.log(np.maximum(total, 1e-300) / np.maximum(count, 1.0))
+    known = np.flatnonzero(count > 0)
+    mean = np.interp(np.arange(mean.size), known, mean[known])
+    # The median of one squared normal is 0.455 of its mean; of many it is the mean.
+    mean -= np.where(bins.count == 1, np.log(0.4549), 0.0)
+    padded = np.pad(mean, _NEIGHBOURS, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1)
+    level: FloatArray = np.exp(np.median(windows, axis=1))
+    ordinates = np.convolve(np.pad(count, _NEIGHBOURS, mode="edge"), np.ones(2 * _NEIGHBOURS + 1), "valid")
+    return level, np.maximum(_MEDIAN_EFFICIENCY * ordinates, 1.0)
+
+
+def _beyond(square: FloatArray, bins: DctBins, suspects: IntArray, limit: FloatArray) -> IntArray:
+    """Return the ordinates beyond the limit of their bin, looking only into suspect bins."""
+    found = [
+        start + np.flatnonzero(square[start : start + count] > limit[at])
+        for at, start, count in zip(
+            suspects.tolist(), (bins.first[suspects] - 1).tolist(), bins.count[suspects].tolist(), strict=True
+        )
+    ]
+    return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+
+
+def _without(found: IntArray, reach: IntArray, size: int) -> NDArray[np.bool_]:
+    """Return a mask without the found ordinates and so many neighbours on each side."""
+    steps = np.zeros(size + 1, dtype=np.int64)
+    np.add.at(steps, np.maximum(found - reach, _LOWEST), 1)
+    np.add.at(steps, np.minimum(found + reach + 1, size), -1)
+    free: NDArray[np.bool_] = np.cumsum(steps[:size]) == 0
+    return free
+
+
+def _describe(
+    square: FloatArray,
+    kept: NDArray[np.bool_],
+    level: FloatArray,
+    bins: DctBins,
+    *,
+    scale: float,
+    rate_hz: float,
+) -> tuple[Line, ...]:
+    """Return frequency and amplitude of each run of ordinates that was left out."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], kept, [True]]).astype(np.int8)))
+    lines = []
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        top = start + int(np.argmax(square[start:stop]))
+        at = int(np.searchsorted(bins.first - 1, top, side="right")) - 1
+        power = max(float(square[start:stop].sum()) - (stop - start) * float(level[at]), 0.0)
+        # A sine of amplitude A has a sum of squares n A²/2.
+        amplitude = scale * float(np.sqrt(2 * power / bins.n))
+        lines.append(Line(frequency_hz=(top + 1) * rate_hz / (2 * bins.n), amplitude=amplitude))
+    return tuple(sorted(lines, key=lambda line: -line.amplitude))

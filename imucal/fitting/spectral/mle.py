@@ -1,0 +1,228 @@
+"""Maximum likelihood on the spectrum of the samples: the default method."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray, IntArray
+from imucal.findings import Finding
+from imucal.fitting.noise_fit import Goodness, Line, NoiseFit
+from imucal.fitting.robust import resolution_effect
+from imucal.fitting.spectral.band import Band, find_band
+from imucal.fitting.spectral.blocks import Blocks, make_blocks
+from imucal.fitting.spectral.confusion import choice_findings, near_candidates
+from imucal.fitting.spectral.estimates import Scales, covariance_of, model_of
+from imucal.fitting.spectral.goodness import Misfit, misfit
+from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.regressors import choose_regressors
+from imucal.fitting.spectral.response import filter_finding, response_of
+from imucal.fitting.spectral.selection import choose
+from imucal.fitting.spectral.settle import Setting, numbered, settle
+from imucal.fitting.spectral.structures import Structure, all_structures
+from imucal.fitting.spectral.tails import heavy_tails
+from imucal.fitting.spectral.transform import bin_blocks
+from imucal.noise.terms import TERMS
+from imucal.recording import AxisSeries
+
+__all__ = ["View", "fit_mle", "spectral_view"]
+
+#: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
+#: shorter is the sensor's output filter.
+_SHORTEST = 10.0
+#: Shortest of a given model.
+_SHORTEST_GIVEN = 2.0
+#: Misfit score above which the model does not describe the axis.
+_MISFIT = 3.0
+#: Lines named in a finding.
+_NAMED = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class View:
+    """What part of the spectrum is fitted, and with what beside the noise."""
+
+    blocks: Blocks
+    band: Band
+    ordinates: Ordinates
+    common: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+
+def fit_mle(
+    series: AxisSeries,
+    curve: AllanCurve,
+    structure: Structure | None,
+    *,
+    level: float,
+    criterion: str,
+    max_gm: int,
+    temperature: FloatArray | None = None,
+    verify: bool = False,
+) -> NoiseFit:
+    """Fit a noise model to an axis by maximum likelihood.
+
+    Parameters
+    ----------
+    series
+        Finite samples; gaps are allowed.
+    curve
+        Their Allan curve, for the picture; the fit does not use it.
+    structure
+        Terms of the model; None to choose them by `criterion`.
+    level
+        Confidence level of the intervals.
+    max_gm
+        Most Gauss-Markov terms to choose from.
+    temperature
+        In degrees Celsius at the samples, shape (n,), or None.
+    verify
+        Compare with the exact state-space likelihood.
+
+    Raises
+    ------
+    DataError
+        If there are too few samples, or they are all equal.
+    """
+    view = spectral_view(series, structure, max_gm, temperature)
+    shortest = _SHORTEST if structure is None else _SHORTEST_GIVEN
+    band = view.band
+    choice = choose(
+        view.ordinates,
+        _structures(structure, max_gm, filtered=band.poles > 0),
+        criterion=criterion,
+        poles=band.poles,
+        zeros=band.zeros,
+        response=band.response,
+        common=view.common,
+        shortest=shortest,
+    )
+    scales = Scales(unit=view.blocks.scale, tau0=series.tau0, widening={"N": heavy_tails(series.samples)})
+    setting = Setting(level=level, shortest=shortest, common=view.common, scales=scales)
+    fitted, estimates = settle(view.ordinates, choice, setting)
+    found = misfit(view.ordinates, fitted.candidate, fitted.maximum.theta)
+    response = response_of(view.ordinates, fitted, band, series.rate_hz)
+    names, covariance = covariance_of(fitted, estimates, scales)
+    model = model_of(estimates, fitted, scales)
+    estimates, names = numbered(estimates, names)
+    findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
+    findings += filter_finding(
+        view.ordinates, fitted, band, response, rate_hz=series.rate_hz, axis=series.name
+    )
+    findings += _misfit_findings(found, str(model), series.name)
+    if structure is None:
+        findings += choice_findings(choice, series.name)
+    white = next(e for e in estimates if e.key == "N")
+    findings += resolution_effect(series, white.value or 0.0)
+    if verify:
+        from imucal.fitting.verify import verify_findings
+
+        findings += verify_findings(series, model, names, covariance)
+    nyquist = series.rate_hz / 2
+    return NoiseFit(
+        method="mle",
+        sensor=series.sensor,
+        rate_hz=series.rate_hz,
+        level=level,
+        model=model,
+        estimates=estimates,
+        parameters=names,
+        covariance=covariance,
+        goodness=Goodness(
+            statistic=found.statistic,
+            p_value=found.p_value,
+            chi2_per_bin=found.chi2_per_bin,
+            band_hz=(float(view.ordinates.fraction.min()) * nyquist, band.fraction * nyquist),
+            lines=view.blocks.lines,
+        ),
+        curve=curve,
+        used=_used(curve, band, response.cutoff_hz / nyquist if response else 1.0),
+        response=response,
+        candidates=near_candidates(choice),
+        criterion="given" if structure is not None else criterion,
+        findings=tuple(findings),
+        settings=_settings(band, view.common),
+    )
+
+
+def spectral_view(
+    series: AxisSeries, structure: Structure | None, max_gm: int, temperature: FloatArray | None
+) -> View:
+    """Return the part of the spectrum that a rich model describes."""
+    blocks = make_blocks(series, temperature)
+    common, findings = choose_regressors(blocks.blocks, axis=series.name, tau0=series.tau0)
+    whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
+    band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common, given=structure)
+    return View(
+        blocks=blocks,
+        band=band,
+        ordinates=whole.below(band.fraction),
+        common=common,
+        findings=blocks.findings + findings,
+    )
+
+
+def _richest(structure: Structure | None, max_gm: int) -> Structure:
+    """Return a structure that holds every candidate."""
+    if structure is None:
+        return ("Q", "N", "B", *["GM"] * max(max_gm, 1), "K", "R")
+    order = list(TERMS)
+    missing = [s for s in ("N", "B", "GM", "K") if s not in structure]
+    return tuple(sorted((*structure, *missing), key=order.index))
+
+
+def _structures(structure: Structure | None, max_gm: int, *, filtered: bool) -> list[Structure]:
+    """Return the candidates; behind a filter they have N, which the response refers to, and no Q."""
+    if structure is not None:
+        return [structure]
+    every = all_structures(max_gm, quantization=not filtered)
+    return [s for s in every if "N" in s] if filtered else every
+
+
+def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:
+    """Return the points of the curve that average over longer than the filter or the band lets see."""
+    return np.flatnonzero(curve.m * min(band.fraction, corner) >= 1 - 1e-9)
+
+
+def _settings(band: Band, common: tuple[str, ...]) -> dict[str, object]:
+    """Return what the fit decided, as JSON values."""
+    return {
+        "band_fraction": band.fraction,
+        "response_poles": band.poles,
+        "response_zeros": band.zeros,
+        "regressors": list(common),
+    }
+
+
+def _line_findings(lines: tuple[Line, ...], series: AxisSeries) -> tuple[Finding, ...]:
+    if not lines:
+        return ()
+    named = ", ".join(
+        f"{line.frequency_hz:.4g} Hz (amplitude {line.amplitude:.3g} {series.unit})"
+        for line in lines[:_NAMED]
+    )
+    more = f" and {len(lines) - _NAMED} weaker ones" if len(lines) > _NAMED else ""
+    return (
+        Finding(
+            level="info",
+            code="line",
+            axis=series.name,
+            text=f"{'Line' if len(lines) == 1 else 'Lines'} at {named}{more}; left out of the fit.",
+            advice="Look for a motor, a fan or mains near the sensor; the Allan curve still holds the lines.",
+        ),
+    )
+
+
+def _misfit_findings(found: Misfit, model: str, axis: str) -> tuple[Finding, ...]:
+    if found.statistic < _MISFIT:
+        return ()
+    return (
+        Finding(
+            level="warning",
+            code="model-misfit",
+            axis=axis,
+            text=f"{model} does not describe this axis: the squared residuals of its spectrum are "
+            f"{found.chi2_per_bin:.3g} on average where 1 is expected (score {found.statistic:.1f}).",
+            advice="Look at the spectrum for what is not noise of these kinds; the intervals are too narrow.",
+        ),
+    )

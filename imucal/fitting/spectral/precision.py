@@ -1,0 +1,113 @@
+"""How well a record of a given length tells each coefficient: the Cramér-Rao bound, by numbers.
+
+The squared DCT ordinates of a record are independent, each with the expectation S(theta), so the
+information on variance parameters is half the sum of d ln S d ln S' over all ordinates; bins of
+ordinates make that a sum of some hundred terms for a record of any length. The ramp is a mean,
+whose information is the sum of its squared ordinates over S.
+
+Source: Whittle (1953); the limits for N, K, B and R alone are in the tests.
+"""
+
+import math
+
+import numpy as np
+
+from imucal.allan.dct import DctBins, dct_bins
+from imucal.arrays import FloatArray
+from imucal.fitting.spectral.gauss_markov import gauss_markov_dct
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import GaussMarkov, PowerLawTerm, RateRamp
+
+__all__ = ["parameter_names", "relative_deviations"]
+
+
+def parameter_names(model: NoiseModel) -> tuple[str, ...]:
+    """Return the names of a model's parameters: ``N``, ``GM.sigma``, ``GM.T``; ``GM1``… by rising T."""
+    times = sorted(term.T for term in model.terms if isinstance(term, GaussMarkov))
+    names: list[str] = []
+    for term in model.terms:
+        if isinstance(term, GaussMarkov):
+            key = "GM" if len(times) == 1 else f"GM{times.index(term.T) + 1}"
+            names += [f"{key}.sigma", f"{key}.T"]
+        else:
+            names.append(term.symbol)
+    return tuple(names)
+
+
+def relative_deviations(model: NoiseModel, *, rate_hz: float, duration_s: float) -> dict[str, float]:
+    """Return the relative standard error of each parameter that a record of `duration_s` allows.
+
+    The same for every unit. Infinite for a term of coefficient 0, and for a record of fewer samples
+    than parameters.
+
+    Parameters
+    ----------
+    model
+        The noise; every term is unknown.
+    rate_hz
+        Sampling rate.
+    duration_s
+        Length of the record, in s.
+    """
+    names = parameter_names(model)
+    n = round(duration_s * rate_hz)
+    if n <= len(names) + 1:
+        return dict.fromkeys(names, math.inf)
+    bins = dct_bins(n, singles=64, per_octave=12)
+    count = bins.count.astype(np.float64)
+    slopes, spectrum = _slopes(model, bins, 1 / rate_hz)
+    moving = [i for i in range(len(names)) if np.any(slopes[i] > 0) or np.any(slopes[i] < 0)]
+    scaled = slopes[moving] / spectrum * np.sqrt(count / 2)
+    result = dict.fromkeys(names, math.inf)
+    for place, deviation in zip(moving, _deviations(scaled), strict=True):
+        result[names[place]] = deviation
+    for term in model.terms:
+        if isinstance(term, RateRamp) and term.value:
+            result["R"] = _ramp_deviation(bins, spectrum) * rate_hz / abs(term.value)
+    return result
+
+
+def _deviations(scaled: FloatArray) -> list[float]:
+    """Return the square roots of the diagonal of (scaled scaled')^-1, safe where rows are alike."""
+    if not scaled.size:
+        return []
+    length = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
+    # The QR factor of the rows has the square root of the information's condition, not its square.
+    factor = np.linalg.qr((scaled / length[:, np.newaxis]).T, mode="r")
+    if np.abs(np.diag(factor)).min() < 1e-12:
+        return [math.inf] * length.size
+    inverse = np.linalg.inv(factor)
+    return [float(d) for d in np.sqrt(np.einsum("ij,ij->i", inverse, inverse)) / length]
+
+
+def _slopes(model: NoiseModel, bins: DctBins, tau0: float) -> tuple[FloatArray, FloatArray]:
+    """Return dS/d ln parameter, shape (p, b), and S, shape (b,), the mean of each bin."""
+    rows: list[FloatArray] = []
+    spectrum = np.zeros(bins.size)
+    single = bins.count == 1
+    sign = np.where(single, np.where(bins.first % 2 == 0, 1.0, -1.0), 0.0)
+    lam = 4 * np.sin(bins.omega / 2) ** 2
+    for term in model.terms:
+        if isinstance(term, PowerLawTerm):
+            own = term.variance(tau0) * term.law.dct_spectrum(bins.n, bins.first, bins.count)
+            rows.append(2 * own)
+        elif isinstance(term, GaussMarkov):
+            log_time = np.array([[math.log(term.T / tau0)]])
+            shape, slope = gauss_markov_dct(log_time, lam, np.full(bins.size, float(bins.n)), sign)
+            own = term.sigma**2 * shape[0]
+            rows += [2 * own, term.sigma**2 * slope[0]]
+        else:
+            rows.append(np.zeros(bins.size))
+            continue
+        spectrum = spectrum + own
+    return np.array(rows), spectrum
+
+
+def _ramp_deviation(bins: DctBins, spectrum: FloatArray) -> float:
+    """Return the standard error of a ramp per sample: its ordinates are odd, and fall as 1/k^2."""
+    if not np.all(spectrum > 0):
+        return 0.0
+    half = bins.omega / 2
+    squares = 2 / bins.n * np.cos(half) ** 2 / (4 * np.sin(half) ** 4)
+    odd = np.where(bins.count == 1, bins.first % 2, bins.count / 2)
+    return float(1 / np.sqrt(np.sum(odd * squares / spectrum)))

@@ -1,0 +1,180 @@
+"""Fisher scoring with Levenberg-Marquardt damping, of many candidates side by side."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray
+from imucal.fitting.spectral.likelihood import Candidates, Evaluation, evaluate
+from imucal.fitting.spectral.ordinates import Ordinates
+
+__all__ = ["Maximum", "bounds", "maximize"]
+
+#: A term whose share of every bin is below exp(-_ABSENT) is absent.
+_ABSENT = 18.0
+#: Longest step of a parameter, in log units; of a response's, relative to 1 + its size.
+_STEP = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Maximum:
+    """Where the likelihood of each candidate is greatest.
+
+    Attributes
+    ----------
+    theta
+        Parameters, shape (c, p).
+    objective
+        -log L, shape (c,).
+    information
+        Expected information, shape (c, p, p).
+    beta
+        Regressors' coefficients, shape (c, r).
+    beta_covariance
+        Their covariance given the spectrum, shape (c, r, r).
+    converged
+        Whether scoring came to rest, shape (c,).
+    """
+
+    theta: FloatArray
+    objective: FloatArray
+    information: FloatArray
+    beta: FloatArray
+    beta_covariance: FloatArray
+    converged: NDArray[np.bool_]
+
+    def take(self, index: NDArray[np.int64]) -> "Maximum":
+        """Return some rows; an index may stand more than once."""
+        return Maximum(
+            theta=self.theta[index],
+            objective=self.objective[index],
+            information=self.information[index],
+            beta=self.beta[index],
+            beta_covariance=self.beta_covariance[index],
+            converged=self.converged[index],
+        )
+
+
+def bounds(
+    ordinates: Ordinates, candidates: Candidates, *, shortest: float = 2.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and highest values of each parameter, each of shape (p,).
+
+    A variance may fall until its term is invisible in every bin; a correlation time lies between
+    `shortest` samples and twice the record.
+    """
+    room = candidates.room_markov
+    eighths = np.arange(0, ordinates.size.size, 8)
+    power = np.add.reduceat(ordinates.power, eighths) + 1e-300
+    level = power / np.add.reduceat(ordinates.size, eighths)
+    visible = np.log(np.min(level / ordinates.basis[:, eighths], axis=1))
+    low = np.full(candidates.width, -np.inf)
+    high = np.full(candidates.width, np.inf)
+    low[:4] = visible - _ABSENT
+    low[4 : 4 + room] = np.log(level.min()) - _ABSENT - np.log(ordinates.samples)
+    low[4 + room : 4 + 2 * room] = np.log(shortest)
+    high[4 + room : 4 + 2 * room] = np.log(2 * ordinates.samples)
+    return low, high
+
+
+def maximize(
+    ordinates: Ordinates,
+    candidates: Candidates,
+    start: FloatArray,
+    *,
+    free: NDArray[np.bool_] | None = None,
+    ramp: FloatArray | None = None,
+    shortest: float = 2.0,
+    iterations: int = 100,
+    tolerance: float = 1e-7,
+) -> Maximum:
+    """Maximise the likelihood of each candidate from its row of `start`, shape (c, p).
+
+    Parameters
+    ----------
+    free
+        Parameters to move, shape (c, p); all that a candidate has by default.
+    ramp
+        Ramps to hold, see `evaluate`.
+    shortest
+        Shortest correlation time, in samples.
+    iterations
+        Most steps.
+    tolerance
+        A step that gains less log-likelihood than this ends the search.
+    """
+    low, high = bounds(ordinates, candidates, shortest=shortest)
+    moving = candidates.free if free is None else free & candidates.free
+    theta = np.clip(start, low, high)
+    state = _State(evaluate(ordinates, candidates, theta, ramp=ramp), theta)
+    damping = np.full(candidates.count, 1e-3)
+    active = np.isfinite(state.objective) & moving.any(axis=1)
+    for _ in range(iterations):
+        rows = np.flatnonzero(active)
+        if not rows.size:
+            break
+        trial = _step(state, rows, moving, damping, (low, high))
+        found = evaluate(ordinates, candidates.take(rows), trial, ramp=None if ramp is None else ramp[rows])
+        gain = state.objective[rows] - found.objective
+        noise = 1e-14 * np.abs(state.objective[rows])
+        better = gain >= -noise
+        moved = np.max(np.abs(trial - state.theta[rows]), axis=1)
+        state.accept(rows[better], trial[better], found, better)
+        damping[rows] = np.where(better, np.maximum(damping[rows] * 0.2, 1e-9), damping[rows] * 6)
+        done = (better & ((gain < tolerance) & (moved < 1e-3) | (gain < 0.01 * tolerance + noise))) | (
+            damping[rows] > 1e7
+        )
+        active[rows[done]] = False
+    return Maximum(
+        theta=state.theta,
+        objective=state.objective,
+        information=state.information,
+        beta=state.beta,
+        beta_covariance=state.beta_covariance,
+        converged=~active & np.isfinite(state.objective),
+    )
+
+
+class _State:
+    """Where every candidate stands; rows are replaced as they improve."""
+
+    def __init__(self, evaluation: Evaluation, theta: FloatArray) -> None:
+        self.theta = theta
+        self.objective = evaluation.objective
+        self.score = evaluation.score
+        self.information = evaluation.information
+        self.beta = evaluation.beta
+        self.beta_covariance = evaluation.beta_covariance
+
+    def accept(
+        self, rows: NDArray[np.int64], theta: FloatArray, found: Evaluation, better: NDArray[np.bool_]
+    ) -> None:
+        self.theta[rows] = theta
+        self.objective[rows] = found.objective[better]
+        self.score[rows] = found.score[better]
+        self.information[rows] = found.information[better]
+        self.beta[rows] = found.beta[better]
+        self.beta_covariance[rows] = found.beta_covariance[better]
+
+
+def _step(
+    state: _State,
+    rows: NDArray[np.int64],
+    moving: NDArray[np.bool_],
+    damping: FloatArray,
+    limits: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Return the damped scoring step from where the rows stand, inside the bounds."""
+    low, high = limits
+    theta, score = state.theta[rows], state.score[rows]
+    at_bound = (theta <= low) & (score > 0) | (theta >= high) & (score < 0)
+    move = moving[rows] & ~at_bound
+    matrix = np.where(move[:, :, None] & move[:, None, :], state.information[rows], 0.0)
+    index = np.arange(theta.shape[1])
+    diagonal = matrix[:, index, index]
+    added = damping[rows, None] * (diagonal + 1e-3) + 1e-12
+    matrix[:, index, index] = np.where(move, diagonal + added, 1.0)
+    step = -np.linalg.solve(matrix, np.where(move, score, 0.0)[:, :, None])[:, :, 0]
+    longest = np.where(np.isinf(low) & np.isinf(high), _STEP * (1 + np.abs(theta)), _STEP)
+    return np.clip(theta + np.clip(step, -longest, longest), low, high)

@@ -1,0 +1,164 @@
+"""Choice among structures by an information criterion."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.errors import DataError
+from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.ordinates import Ordinates, coarser
+from imucal.fitting.spectral.scoring import Maximum, maximize
+from imucal.fitting.spectral.starts import find_starts
+from imucal.fitting.spectral.structures import Structure, candidates_of
+
+__all__ = ["Choice", "choose", "penalty"]
+
+#: Candidates within this much of the best of the coarse bins are fitted on all bins.
+_REFINE = 25.0
+#: Most candidates fitted on all bins.
+_MOST = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Choice:
+    """Fitted candidates, the best first.
+
+    Attributes
+    ----------
+    structures
+        What each is made of.
+    candidates, maximum
+        The same, and where their likelihood is greatest, one row each.
+    criterion
+        Value of the information criterion, shape (c,), rising.
+    modes
+        Objective of the second best maximum of each less its best, shape (c,); inf for none.
+    """
+
+    structures: list[Structure]
+    candidates: Candidates
+    maximum: Maximum
+    criterion: FloatArray
+    modes: FloatArray
+
+
+def penalty(criterion: str, count: float) -> float:
+    """Return the price of one parameter, in units of twice the log-likelihood.
+
+    Source: Schwarz (1978), Annals of Statistics 6 (bic); Hannan & Quinn (1979), JRSS B 41 (hq);
+    Akaike (1974), IEEE TAC 19 (aic).
+    """
+    return float({"bic": np.log(count), "hq": 2 * np.log(np.log(count)), "aic": 2.0}[criterion])
+
+
+def choose(
+    ordinates: Ordinates,
+    structures: list[Structure],
+    *,
+    criterion: str,
+    poles: int = 0,
+    zeros: int = 0,
+    response: FloatArray | None = None,
+    common: tuple[str, ...] = (),
+    shortest: float = 2.0,
+) -> Choice:
+    """Fit every structure and return them by rising criterion.
+
+    Parameters
+    ----------
+    poles, zeros, response
+        Order of the output filter's response and its starting coefficients, shape (poles,).
+    common
+        Regressors that every candidate has.
+    shortest
+        Shortest correlation time of a Gauss-Markov term, in samples.
+    """
+    candidates = candidates_of(structures, ordinates.names, poles=poles, zeros=zeros, common=common)
+    coarse = coarser(ordinates, singles=48, merge=3)
+    starts = find_starts(coarse, candidates, shortest=shortest, keep=(1, 2, 3))
+    if response is not None:
+        starts.theta[:, candidates.width - poles :] = _positive(response, ordinates)
+    owner = starts.candidate
+    # The response was found with the richest model: it stays as it is in the first round.
+    free = candidates.free[owner]
+    if response is not None:
+        free[:, candidates.width - poles :] = False
+    rough = maximize(
+        coarse,
+        candidates.take(owner),
+        starts.theta,
+        free=free,
+        shortest=shortest,
+        tolerance=1e-3,
+        iterations=40,
+    )
+    if not np.isfinite(rough.objective).any():
+        msg = (
+            f"spectrum of {ordinates.count:.0f} ordinates: no model has a finite likelihood, expected noise; "
+            "look at the samples for values that are not measurements"
+        )
+        raise DataError(msg)
+    cost = penalty(criterion, ordinates.count) * candidates.parameters.astype(np.float64)
+    best = np.full(candidates.count, np.inf)
+    np.minimum.at(best, owner, 2 * rough.objective)
+    value = best + cost
+    order = np.argsort(value, kind="stable")
+    near = order[value[order] <= value[order[0]] + _REFINE][:_MOST]
+    rows = [row for index in near for row in _distinct(np.flatnonzero(owner == index), rough.objective)]
+    index = np.array(rows, dtype=np.int64)
+    fine = maximize(ordinates, candidates.take(owner[index]), rough.theta[index], shortest=shortest)
+    return _ranked(structures, candidates, fine, owner=owner[index], near=near, cost=cost)
+
+
+def _positive(response: FloatArray, ordinates: Ordinates) -> FloatArray:
+    """Return the response, made smaller until it is positive in every bin.
+
+    It was found on wider bins; next to a zero at the end of the band it may fall below zero between.
+    """
+    powers = (ordinates.lam[:, None] / ordinates.top) ** np.arange(1, response.size + 1)
+    for _ in range(60):
+        if not response.size or np.min(1 + powers @ response) > 0:
+            break
+        response = 0.9 * response
+    return response
+
+
+def _distinct(rows: IntArray, objective: FloatArray) -> list[int]:
+    """Return the best of a candidate's maxima, and the second where it is another one."""
+    order = rows[np.argsort(objective[rows], kind="stable")]
+    kept = [int(order[0])]
+    for row in order[1:].tolist():
+        if 0.02 < objective[row] - objective[kept[0]] < 10:
+            kept.append(row)
+            break
+    return kept
+
+
+def _ranked(
+    structures: list[Structure],
+    candidates: Candidates,
+    fine: Maximum,
+    *,
+    owner: IntArray,
+    near: IntArray,
+    cost: FloatArray,
+) -> Choice:
+    best, modes = [], []
+    for index in near:
+        rows = np.flatnonzero(owner == index)
+        rows = rows[np.argsort(fine.objective[rows], kind="stable")]
+        best.append(int(rows[0]))
+        others = fine.objective[rows[1:]] - fine.objective[rows[0]] if len(rows) > 1 else np.zeros(0)
+        apart = others[others > 0.02]
+        modes.append(float(apart[0]) if apart.size else np.inf)
+    value = 2 * fine.objective[best] + cost[near]
+    order = np.argsort(value, kind="stable")
+    rows = np.array(best, dtype=np.int64)[order]
+    return Choice(
+        structures=[structures[i] for i in near[order]],
+        candidates=candidates.take(near[order]),
+        maximum=fine.take(rows),
+        criterion=value[order],
+        modes=np.array(modes)[order],
+    )

@@ -1,0 +1,140 @@
+"""Blind starting values: a non-negative mixture of fixed spectra, on coarse bins.
+
+Every set of terms is a mixture of a dictionary: the four power laws and Gauss-Markov spectra on a
+grid of correlation times. Multiplicative updates of the Itakura-Saito divergence, which is the
+likelihood, find the weights of all sets at once, without a starting guess and without chance.
+
+Source: Févotte & Idier (2011), Neural Computation 23, "Algorithms for NMF with the
+beta-divergence" (the majorisation-minimisation update, exponent 1/2).
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.fitting.spectral.gauss_markov import gauss_markov_dct
+from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.ordinates import Ordinates, coarser
+
+__all__ = ["Starts", "find_starts", "time_grid"]
+
+_GRID = 16
+_ROUNDS = 50
+#: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.
+_ROWS = 96
+#: Keeps logarithms and squares of inverses finite.
+_TINY = 1e-140
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Starts:
+    """Starting values, some for each candidate.
+
+    Attributes
+    ----------
+    candidate
+        Which candidate each start belongs to, shape (s,).
+    theta
+        Parameters, shape (s, p).
+    """
+
+    candidate: IntArray
+    theta: FloatArray
+
+
+def time_grid(ordinates: Ordinates, shortest: float) -> FloatArray:
+    """Return correlation times in samples, log-spaced over what the record can show."""
+    highest = float(ordinates.fraction.max())
+    low = max(shortest, 2.0) / highest**0.5
+    high = max(ordinates.samples / 6, 2 * low)
+    return np.geomspace(low, high, _GRID)
+
+
+def find_starts(
+    ordinates: Ordinates,
+    candidates: Candidates,
+    *,
+    shortest: float = 2.0,
+    keep: tuple[int, int, int] = (1, 2, 4),
+) -> Starts:
+    """Return the best starts of each candidate: `keep` of them for 0, 1, 2 Gauss-Markov terms.
+
+    A candidate with more than two has a single start, its times spread evenly.
+    """
+    times = time_grid(ordinates, shortest)
+    plans = [_combinations(int(count)) for count in candidates.markov]
+    owner = np.repeat(np.arange(candidates.count), [len(plan) for plan in plans])
+    theta = np.empty((owner.size, candidates.width))
+    score = np.empty(owner.size)
+    ramped: NDArray[np.bool_] = np.any(candidates.regressors, axis=1)[owner]
+    for rows, seen in ((~ramped, ordinates), (ramped, ordinates.detrended())):
+        if rows.any():
+            chosen = [combo for plan in plans for combo in plan]
+            picked = [chosen[i] for i in np.flatnonzero(rows)]
+            laws = candidates.laws[owner[rows]]
+            theta[rows], score[rows] = _mixtures(coarser(seen), laws, picked, times, candidates)
+    best = [
+        start + np.argsort(score[start : start + len(plan)], kind="stable")[: keep[min(int(count), 2)]]
+        for start, plan, count in zip(
+            np.cumsum([0, *(len(plan) for plan in plans[:-1])]), plans, candidates.markov, strict=True
+        )
+    ]
+    index = np.concatenate(best)
+    return Starts(candidate=owner[index], theta=theta[index])
+
+
+def _combinations(count: int) -> list[tuple[int, ...]]:
+    if count > 2:
+        return [tuple(np.linspace(0, _GRID - 1, count).round().astype(int).tolist())]
+    return list(combinations(range(_GRID), count))
+
+
+def _mixtures(
+    ordinates: Ordinates,
+    laws: NDArray[np.bool_],
+    combos: list[tuple[int, ...]],
+    times: FloatArray,
+    candidates: Candidates,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the parameters of each mixture, shape (s, p), and its -log L, shape (s,)."""
+    shapes, _ = gauss_markov_dct(
+        np.log(times)[:, None], ordinates.lam, ordinates.length, np.zeros(ordinates.lam.shape)
+    )
+    dictionary = np.concatenate([ordinates.basis, shapes])
+    use = np.zeros((len(combos), 4 + times.size))
+    use[:, :4] = laws
+    for row, combo in enumerate(combos):
+        use[row, [4 + place for place in combo]] = 1.0
+    level = np.maximum(ordinates.power, _TINY) / ordinates.size
+    weights = use * np.quantile(level / dictionary, 0.2, axis=1) / use.sum(axis=1, keepdims=True)
+    objective = np.empty(len(combos))
+    for first in range(0, len(combos), _ROWS):
+        part = slice(first, first + _ROWS)
+        weights[part], objective[part] = _mix(ordinates, dictionary, weights[part])
+    room = candidates.room_markov
+    theta = np.zeros((len(combos), candidates.width))
+    logs = np.log(weights + _TINY)
+    theta[:, :4] = logs[:, :4]
+    for row, combo in enumerate(combos):
+        for column, place in enumerate(combo):
+            theta[row, 4 + column] = logs[row, 4 + place]
+            theta[row, 4 + room + column] = np.log(times[place])
+    return theta, objective
+
+
+def _mix(ordinates: Ordinates, dictionary: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the weights after some rounds of multiplicative updates, and -log L."""
+    plenty = np.ascontiguousarray((dictionary * ordinates.size).T)
+    transposed = np.ascontiguousarray(dictionary.T)
+    for _ in range(_ROUNDS):
+        inverse = 1 / (weights @ dictionary + _TINY)
+        push = inverse @ plenty
+        inverse *= inverse
+        inverse *= ordinates.power
+        weights = weights * np.sqrt((inverse @ transposed) / push)
+    spectrum = weights @ dictionary + _TINY
+    objective = 0.5 * (np.log(spectrum) * ordinates.size + ordinates.power / spectrum).sum(axis=1)
+    return weights, objective

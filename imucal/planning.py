@@ -1,0 +1,271 @@
+"""How long to record: the length that tells each term to a wanted precision, and what a record tells.
+
+Precision is relative: 0.1 means that the standard error (or, at another level, the half-width of
+the interval) is 10 % of the coefficient. All by numeric Fisher information, see
+`imucal.fitting.spectral.precision`; where it predicts more than some 30 %, real estimates scatter about 1.3
+times as much, which is included.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from imucal.findings import Finding
+from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.spectral.precision import relative_deviations
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import TERMS, GaussMarkov, NoiseTerm, PowerLawTerm, RateRamp
+from imucal.recording import Sensor
+from imucal.report.result import Report
+
+__all__ = ["ONE_DEVIATION", "AxisPlan", "Need", "Plan", "describe_time", "plan", "resolution_findings"]
+
+#: The level of an interval of one standard deviation to each side.
+ONE_DEVIATION = math.erf(math.sqrt(0.5))
+#: Nobody records for longer, in s: ten years. Longer needs are infinite.
+_LONGEST = 10 * 365.25 * 86400
+#: A record that is so much of a factor too short is worth a sentence.
+_WORTH_SAYING = 1.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Need:
+    """What one parameter needs.
+
+    Attributes
+    ----------
+    name
+        ``N``, ``GM.sigma``, ``GM.T``, ….
+    symbol
+        Symbol of its term.
+    value
+        Its coefficient (s for a correlation time), in SI.
+    bounded
+        Whether `value` is an upper bound: a term that large would need so much.
+    needed_s
+        Length of record for the wanted precision, in s; infinite where no record tells it.
+    reached
+        Relative precision that the record at hand gives; None where none was given.
+    """
+
+    name: str
+    symbol: str
+    value: float
+    bounded: bool
+    needed_s: float
+    reached: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisPlan:
+    """The needs of one axis; `axis` is empty and `sensor` None for a model without a log."""
+
+    axis: str
+    sensor: Sensor | None
+    model: str
+    rate_hz: float
+    duration_s: float | None
+    needs: tuple[Need, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """What records of some length tell, for a relative precision at a level."""
+
+    precision: float
+    level: float
+    axes: tuple[AxisPlan, ...]
+
+    @property
+    def needed_s(self) -> float:
+        """The length that is enough for every parameter that was seen, in s."""
+        return max((n.needed_s for a in self.axes for n in a.needs if not n.bounded), default=math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class _Ask:
+    rate_hz: float | None
+    precision: float
+    level: float
+    duration_s: float | None
+
+    @property
+    def quantile(self) -> float:
+        """Half-width of the interval, in standard deviations."""
+        from scipy.special import ndtri
+
+        return float(ndtri((1 + self.level) / 2))
+
+    def by_default(self, rate_hz: float, duration_s: float | None) -> "_Ask":
+        """Return the question with what was not given."""
+        duration = duration_s if self.duration_s is None else self.duration_s
+        return _Ask(self.rate_hz or rate_hz, self.precision, self.level, duration)
+
+
+def plan(
+    source: NoiseModel | NoiseFit | Report,
+    *,
+    rate_hz: float | None = None,
+    precision: float = 0.1,
+    level: float = ONE_DEVIATION,
+    duration_s: float | None = None,
+) -> Plan:
+    """Return how long to record for a relative precision of every term.
+
+    Parameters
+    ----------
+    source
+        The noise: a model, a fit, or a report (each of its axes).
+    rate_hz
+        Sampling rate; a fit's or report's own by default.
+    precision
+        Wanted half-width of the interval, over the coefficient.
+    level
+        Confidence level of that interval; by default one standard deviation.
+    duration_s
+        Length of a record whose precision is to be told as well; a report's own by default.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or a model comes without a rate.
+    """
+    if not (precision > 0 and 0 < level < 1):
+        msg = f"precision must be positive and level between 0 and 1, got {precision} and {level}"
+        raise ValueError(msg)
+    ask = _Ask(rate_hz, precision, level, duration_s)
+    if isinstance(source, Report):
+        axes = tuple(
+            replace(_fit_plan(axis.fit, ask.by_default(axis.rate_hz, axis.duration_s)), axis=axis.name)
+            for axis in source.axes
+        )
+    elif isinstance(source, NoiseFit):
+        axes = (_fit_plan(source, ask.by_default(source.rate_hz, None)),)
+    else:
+        if rate_hz is None:
+            msg = "a model has no sampling rate of its own; give rate_hz"
+            raise ValueError(msg)
+        axes = (_axis_plan(source, [(term, False) for term in source.terms], ask),)
+    return Plan(precision=precision, level=level, axes=axes)
+
+
+def resolution_findings(fit: NoiseFit, duration_s: float, *, precision: float = 0.1) -> tuple[Finding, ...]:
+    """Say for each term whether the record was long enough, such as ``K needs 6.2 h for ±10 %, …``.
+
+    One finding for each term of the fit that the record tells less precisely than `precision` (one
+    standard deviation); a term that was not seen is taken at its upper bound.
+    """
+    needs = _fit_plan(fit, _Ask(fit.rate_hz, precision, ONE_DEVIATION, duration_s)).needs
+    findings = []
+    for name in dict.fromkeys(need.name.partition(".")[0] for need in needs):
+        own = [need for need in needs if need.name.partition(".")[0] == name]
+        longest = max(own, key=lambda need: need.needed_s)
+        if longest.needed_s > _WORTH_SAYING * duration_s:
+            findings.append(_finding(longest, name, precision, duration_s))
+    return tuple(findings)
+
+
+def describe_time(seconds: float) -> str:
+    """Return a length of record with two digits, such as ``6.2 h``; ``more than 10 years``."""
+    if seconds > _LONGEST:
+        return "more than 10 years"
+    for unit, size, upto in (("s", 1.0, 120.0), ("min", 60.0, 7200.0), ("h", 3600.0, 48 * 3600.0)):
+        if seconds < upto:
+            return f"{_two_digits(seconds / size)} {unit}"
+    return f"{_two_digits(seconds / 86400)} days"
+
+
+def _two_digits(value: float) -> str:
+    places = max(0, 1 - math.floor(math.log10(value))) if value > 0 else 0
+    return f"{value:.{min(places, 3)}f}"
+
+
+def _finding(need: Need, name: str, precision: float, duration_s: float) -> Finding:
+    percent = f"±{100 * precision:.3g} %"
+    this = f"this is {describe_time(duration_s)}"
+    text = f"{name} needs {describe_time(need.needed_s)} for {percent}, {this}."
+    if need.bounded:
+        text = f"{name} was not seen; were it at its bound, it would need {describe_time(need.needed_s)} "
+        text += f"for {percent}, {this}."
+    return Finding(level="info", code="record-length", text=text)
+
+
+def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
+    """Return the needs of the terms that a fit estimated, and of those it bounded, at their bounds."""
+    seen = [(_term(e, e.value), False) for e in fit.estimates if e.value]
+    unseen = [
+        (_term(e, e.high), True)
+        for e in fit.estimates
+        if e.value is None and e.symbol != "GM" and 0 < e.high < math.inf
+    ]
+    model = NoiseModel(terms=tuple(term for term, _ in seen))
+    found = _axis_plan(model, seen + unseen, ask)
+    return replace(found, sensor=fit.sensor)
+
+
+def _term(estimate: Estimate, value: float) -> NoiseTerm:
+    """Return an estimate as a term of coefficient `value`."""
+    if estimate.symbol == "GM":
+        time = estimate.correlation_time
+        return GaussMarkov(sigma=value, T=time.value if time else 1.0)
+    term = TERMS[estimate.symbol]
+    return term(value=value) if issubclass(term, PowerLawTerm) else RateRamp(value=value)
+
+
+def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:
+    """Return the needs of terms, each of them in the model or, if bounded, added to it alone."""
+    rate_hz = ask.rate_hz or math.nan
+    needs: list[Need] = []
+    for term, bounded in terms:
+        whole = NoiseModel(terms=(*model.terms, term)) if bounded else model
+        for name, value in _parameters(whole, term):
+            reached = None
+            if ask.duration_s is not None:
+                reached = _deviation(whole, name, rate_hz, ask.duration_s) * ask.quantile
+            needs.append(
+                Need(
+                    name=name,
+                    symbol=term.symbol,
+                    value=value,
+                    bounded=bounded,
+                    needed_s=_needed(whole, name, rate_hz, ask.precision / ask.quantile),
+                    reached=reached,
+                )
+            )
+    order = list(TERMS)
+    return AxisPlan(
+        axis="",
+        sensor=None,
+        model=str(model),
+        rate_hz=rate_hz,
+        duration_s=ask.duration_s,
+        needs=tuple(sorted(needs, key=lambda need: order.index(need.symbol))),
+    )
+
+
+def _parameters(model: NoiseModel, term: NoiseTerm) -> list[tuple[str, float]]:
+    """Return the names and values of a term's parameters."""
+    if not isinstance(term, GaussMarkov):
+        return [(term.symbol, term.coefficient)]
+    times = sorted(t.T for t in model.terms if isinstance(t, GaussMarkov))
+    key = "GM" if len(times) == 1 else f"GM{times.index(term.T) + 1}"
+    return [(f"{key}.sigma", term.sigma), (f"{key}.T", term.T)]
+
+
+def _deviation(model: NoiseModel, name: str, rate_hz: float, duration_s: float) -> float:
+    """Return the relative standard error of a parameter, with the excess that weak terms show."""
+    bound = relative_deviations(model, rate_hz=rate_hz, duration_s=duration_s)[name]
+    return bound * (1 + 0.3 * min(max((bound - 0.2) / 0.1, 0.0), 1.0))
+
+
+def _needed(model: NoiseModel, name: str, rate_hz: float, wanted: float) -> float:
+    """Return the length of record for a relative standard error, in s, by bisection."""
+    low, high = math.log(2 / rate_hz), math.log(_LONGEST)
+    if _deviation(model, name, rate_hz, _LONGEST) > wanted:
+        return math.inf
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        if _deviation(model, name, rate_hz, math.exp(middle)) > wanted:
+            low = middle
+        else:
+            high = middle
+    return math.exp(high)

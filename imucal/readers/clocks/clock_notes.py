@@ -1,0 +1,118 @@
+"""What stamps look like, as findings."""
+
+from imucal.arrays import IntArray
+from imucal.clock import Clock
+from imucal.findings import Finding
+from imucal.readers.clocks.placing import Breaks, Steps
+from imucal.readers.clocks.rate import Period
+
+__all__ = [
+    "gap_notes",
+    "jump_notes",
+    "log_time_note",
+    "rate_note",
+    "repeated_note",
+    "stamp_notes",
+    "zero_note",
+]
+
+#: Share of missing samples up to which gaps are not worth a warning.
+_FEW = 1e-3
+
+
+def zero_note(zeros: int, n: int) -> Finding:
+    """Return the finding of a few stamps that are zero."""
+    text = f"{zeros} of {n} stamps are zero; those samples are placed between their neighbours."
+    return Finding(level="info", code="zero-stamps", text=text)
+
+
+def rate_note(given: float, measured: float) -> Finding:
+    """Return the finding of a given rate, in Hz, that the stamps contradict."""
+    text = f"The rate given, {given:g} Hz, is not the one the stamps show, {measured:.6g} Hz."
+    return Finding(level="warning", code="rate-given", text=text)
+
+
+def log_time_note(why: str) -> Finding:
+    """Return the finding of stamps that can't be used, which `why` says."""
+    text = f"{why}; the time at which messages were recorded is used instead."
+    advice = "Log time carries the delays of the computer; let the driver stamp the messages."
+    return Finding(level="warning", code="log-time-used", text=text, advice=advice)
+
+
+def repeated_note(count: int, n: int) -> Finding:
+    """Return the finding of messages recorded twice."""
+    text = f"{count} of {n} samples repeat the stamp and the values of the one before; they are dropped."
+    return Finding(level="warning", code="duplicate-stamps", text=text)
+
+
+def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
+    """Return what the stamps show apart from gaps and jumps."""
+    notes = []
+    same, back, tau = steps.same, steps.back, period.tau_ns
+    if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
+        text = (
+            f"Stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling period of "
+            f"{tau / 1e6:.4g} ms; the rate is measured over many samples."
+        )
+        notes.append(Finding(level="info", code="coarse-stamps", text=text))
+    if period.burst > 1:
+        text = (
+            f"Samples arrive in bursts of about {period.burst}; they are taken as evenly spaced at "
+            f"{1e9 / tau:.6g} Hz."
+        )
+        notes.append(Finding(level="info", code="bursts", text=text))
+    elif same and (breaks.doubled.size or period.resolution_ns < tau / 50):
+        fate = (
+            f"{breaks.doubled.size} that are one too many are dropped"
+            if breaks.doubled.size
+            else "all are kept"
+        )
+        text = f"{same} of {n} samples carry the stamp of the one before; {fate}."
+        notes.append(Finding(level="warning", code="duplicate-stamps", text=text))
+    elif breaks.doubled.size:
+        text = f"{breaks.doubled.size} of {n} samples are one too many for the clock and are dropped."
+        notes.append(Finding(level="warning", code="extra-samples", text=text))
+    if back:
+        text = f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
+        notes.append(Finding(level="info", code="stamps-out-of-order", text=text))
+    return notes
+
+
+def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
+    """Return a finding for the settings of the clock, with the largest."""
+    if not jumps:
+        return []
+    steps = {at: (int(stamps[at]) - int(stamps[at - 1])) / 1e9 for at in jumps}
+    largest = max(steps, key=lambda at: abs(steps[at]))
+    text = (
+        f"The clock was set {_times(len(jumps))}, at most by {steps[largest]:+.6g} s "
+        f"at sample {largest}; samples before and after are kept apart."
+    )
+    return [Finding(level="warning", code="clock-jump", text=text)]
+
+
+def gap_notes(clock: Clock) -> list[Finding]:
+    """Return a finding for the missing samples, with the longest gap."""
+    gaps = clock.gaps
+    if not gaps:
+        return []
+    longest = max(gaps, key=lambda gap: gap.missing)
+    share = clock.missing / clock.grid_size
+    text = (
+        f"{_samples(clock.missing, share)} missing in {_gaps(len(gaps))}; "
+        f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
+    )
+    return [Finding(level="warning" if share > _FEW else "info", code="gaps", text=text)]
+
+
+def _samples(count: int, share: float) -> str:
+    """Return ``12 samples (0.003 of all) are``."""
+    return f"{count} sample{'' if count == 1 else 's'} ({share:.2g} of all) {'is' if count == 1 else 'are'}"
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _gaps(count: int) -> str:
+    return "one gap" if count == 1 else f"{count} gaps"

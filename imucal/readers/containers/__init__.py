@@ -1,0 +1,3 @@
+"""Bytes -> messages: the files that hold them, opened and cut into chunks."""
+
+__all__: list[str] = []

@@ -1,0 +1,281 @@
+"""Chunks -> columns: every chunk into its own place, in parallel where the container allows it."""
+
+import os
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Protocol
+
+import numpy as np
+
+from imucal.readers.compression import keep_freed_memory
+from imucal.readers.containers.batch import Batch, Loss
+from imucal.readers.containers.container import Container, Task
+from imucal.readers.containers.store import Columns, drop_rows
+from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.messages.message_types import Carrier
+from imucal.readers.read_options import Progress
+
+__all__ = ["Decoder", "Decoding", "Stream", "decode"]
+
+#: More threads gain nothing: the interpreter's lock is held in between.
+_MAX_THREADS = 4
+#: Logs of more messages have chunks enough to make up for preparing the allocator.
+_LARGE = 50_000
+#: Losses kept word by word; the rest is counted.
+_MAX_LOSSES = 1000
+
+
+class Decoder(Protocol):
+    """Turns the messages of one channel into numbers; `notes` is what was found in doing so."""
+
+    notes: list[Loss]
+
+    def settle(self, batch: Batch) -> None:
+        """Look at the first messages, once."""
+
+    def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
+        """Decode messages that are all alike; False if they are not."""
+
+    def slow(self, batch: Batch, columns: Columns, first: int) -> None:
+        """Decode checked messages that may differ; raises DamagedError."""
+
+
+@dataclass(slots=True, eq=False)
+class Stream:
+    """One topic to decode: what to take, and who decodes each channel of each container."""
+
+    carrier: Carrier
+    decoders: dict[tuple[int, int], Decoder]
+
+
+@dataclass(slots=True, eq=False)
+class Decoding:
+    """What decoding a stream gave: its columns, in the order of the file, and what was lost."""
+
+    columns: Columns
+    losses: list[Loss] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class _Job:
+    """A task, and where its messages go: (stream, key) -> first place and room."""
+
+    container: int
+    task: Task
+    places: dict[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
+
+
+def decode(
+    containers: Sequence[Container],
+    streams: Sequence[Stream],
+    *,
+    limit: int | None = None,
+    progress: Progress | None = None,
+    most_chunks: int | None = None,
+) -> list[Decoding]:
+    """Decode streams from containers.
+
+    Parameters
+    ----------
+    limit
+        Bytes of samples to hold in memory before a temporary file takes them.
+    most_chunks
+        Decode only so many chunks of the first file that holds messages.
+    """
+    return _Run(containers, streams, limit, progress, most_chunks=most_chunks).go()
+
+
+class _Run:
+    """One decoding of several streams."""
+
+    def __init__(
+        self,
+        containers: Sequence[Container],
+        streams: Sequence[Stream],
+        limit: int | None,
+        progress: Progress | None,
+        *,
+        most_chunks: int | None,
+    ) -> None:
+        self.streams = streams
+        self.jobs: list[_Job] = []
+        totals = [0] * len(streams)
+        for number, container in enumerate(containers):
+            keys = frozenset(key for stream in streams for at, key in stream.decoders if at == number)
+            tasks = container.tasks(keys) if keys else iter(())
+            for task in islice(tasks, most_chunks):
+                self.jobs.append(self._job(number, task, totals))
+            if most_chunks is not None and self.jobs:
+                break
+        self.decodings = [
+            Decoding(
+                Columns(
+                    total, stream.carrier.sensors, temperature=bool(stream.carrier.temperature), limit=limit
+                )
+            )
+            for stream, total in zip(streams, totals, strict=True)
+        ]
+        self.filled: list[list[tuple[int, int]]] = [[] for _ in streams]
+        self.extra: list[list[Columns]] = [[] for _ in streams]
+        # zstd keeps its buffers itself, and what isn't compressed needs none.
+        self.allocates = any(container.compression not in {"zstd", "none"} for container in containers)
+        self.parallel = all(container.parallel for container in containers)
+        self.progress = progress
+        self.done, self.total = 0, sum(job.task.size for job in self.jobs)
+        self.lock = threading.Lock()
+        self.hopeless = False
+
+    def _job(self, number: int, task: Task, totals: list[int]) -> _Job:
+        job = _Job(number, task)
+        for place, stream in enumerate(self.streams):
+            for key, count in task.counts.items():
+                if (number, key) in stream.decoders:
+                    job.places[place, key] = (totals[place], count)
+                    totals[place] += count
+        return job
+
+    def go(self) -> list[Decoding]:
+        if self.allocates and sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
+            keep_freed_memory()
+        threads = min(_MAX_THREADS, os.cpu_count() or 1, len(self.jobs)) if self.parallel else 1
+        if threads > 1:
+            self._in_threads(threads)
+        else:
+            scratch = Scratch()
+            for job in self.jobs:
+                self._work(job, scratch)
+        for stream, decoding in zip(self.streams, self.decodings, strict=True):
+            decoding.losses += [note for decoder in stream.decoders.values() for note in decoder.notes]
+        for decoding, spans, extra in zip(self.decodings, self.filled, self.extra, strict=True):
+            drop_rows(decoding.columns, _merged(spans))
+            for more in extra:
+                decoding.columns = decoding.columns.joined(more)
+            decoding.columns.release()
+        return self.decodings
+
+    def _in_threads(self, threads: int) -> None:
+        """Each thread takes the next chunk when it is done with one, so that writes stay near each other."""
+        jobs = iter(self.jobs)
+        stop = threading.Event()
+
+        def work() -> None:
+            scratch = Scratch()
+            while not stop.is_set():
+                with self.lock:
+                    job = next(jobs, None)
+                if job is None:
+                    return
+                self._work(job, scratch)
+
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                for future in [pool.submit(work) for _ in range(threads)]:
+                    future.result()
+            finally:
+                # An error, or an interrupt of the user, ends all threads after the chunk they are in.
+                stop.set()
+
+    def _work(self, job: _Job, scratch: Scratch) -> None:
+        """Decode one chunk into every stream."""
+        seen: set[int] = set()
+        try:
+            for key, batch in job.task.load(scratch):
+                seen.add(key)
+                for place, stream in enumerate(self.streams):
+                    if (place, key) in job.places and batch.n:
+                        decoder = stream.decoders[job.container, key]
+                        self._decode(place, decoder, batch, job.places[place, key])
+        except DamagedError as error:
+            for (place, key), (_, room) in job.places.items():
+                if key not in seen:
+                    self._lose(place, Loss(code=error.code, text=str(error), messages=room))
+        if self.progress is not None:
+            with self.lock:
+                self.done += job.task.size
+                self.progress(self.done, self.total)
+
+    def _decode(self, place: int, decoder: Decoder, batch: Batch, room: tuple[int, int]) -> None:
+        columns = self.decodings[place].columns
+        first, most = room
+        try:
+            with self.lock:
+                decoder.settle(batch)
+        except DamagedError as error:
+            self._lose(place, Loss(code=error.code, text=str(error), messages=batch.n))
+            return
+        if batch.n <= most and decoder.fast(batch, columns, first):
+            self._filled(place, columns, first, batch.n)
+            return
+        try:
+            checked = batch.checked()
+        except DamagedError as error:
+            self._lose(place, Loss(code=error.code, text=str(error), messages=batch.n))
+            return
+        if checked.loss is not None:
+            self._lose(place, checked.loss)
+        if checked.n <= most:
+            self._slow(place, decoder, checked, columns, first)
+            return
+        # The index counted too few: what it left out goes behind all others.
+        more = Columns(checked.n, tuple(columns.vectors), temperature=columns.temperature is not None)
+        spans: list[tuple[int, int]] = []
+        self._slow(place, decoder, checked, more, 0, spans)
+        drop_rows(more, _merged(spans))
+        with self.lock:
+            self.extra[place].append(more)
+
+    def _slow(  # noqa: PLR0917 - what lies where, and where it goes
+        self,
+        place: int,
+        decoder: Decoder,
+        batch: Batch,
+        columns: Columns,
+        first: int,
+        spans: list[tuple[int, int]] | None = None,
+    ) -> None:
+        """Decode message by message where some are damaged: halves, down to the bad ones."""
+        if not batch.n:
+            return
+        try:
+            decoder.slow(batch, columns, first)
+        except DamagedError as error:
+            if batch.n == 1 or self.hopeless or error.code in {"encapsulation", "definition"}:
+                self._lose(place, Loss(code=error.code, text=str(error), messages=batch.n))
+                return
+            before = len(self.filled[place])
+            half = batch.n // 2
+            chosen = np.arange(batch.n)
+            self._slow(place, decoder, batch.part(chosen[:half]), columns, first, spans)
+            self._slow(place, decoder, batch.part(chosen[half:]), columns, first + half, spans)
+            nothing = len(self.filled[place]) == before and not spans
+            self.hopeless |= batch.n > 64 and nothing
+            return
+        if spans is not None:
+            spans.append((first, first + batch.n))
+        else:
+            self._filled(place, columns, first, batch.n)
+
+    def _filled(self, place: int, columns: Columns, first: int, n: int) -> None:
+        with self.lock:
+            self.filled[place].append((first, first + n))
+            columns.wrote(8 * n * len(columns.rows))
+
+    def _lose(self, place: int, loss: Loss) -> None:
+        with self.lock:
+            losses = self.decodings[place].losses
+            if len(losses) < _MAX_LOSSES:
+                losses.append(loss)
+
+
+def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Join spans that touch, in order."""
+    merged: list[tuple[int, int]] = []
+    for start, stop in sorted(spans):
+        if merged and merged[-1][1] == start:
+            merged[-1] = (merged[-1][0], stop)
+        else:
+            merged.append((start, stop))
+    return merged

@@ -1,0 +1,227 @@
+"""The chunks of a ROS 1 bag: loaded by their index records, walked where there are none."""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imucal.arrays import IntArray
+from imucal.readers.compression import decompress, decompress_prefix
+from imucal.readers.containers import ros1_records as records
+from imucal.readers.containers.batch import Batch, Guard, Loss
+from imucal.readers.containers.ros1_records import U32, header, number
+from imucal.readers.files import DamagedError, LogFile, Scratch
+
+__all__ = ["BagChunk", "BagChunkTask", "unpack", "walk"]
+
+
+@dataclass(slots=True, kw_only=True)
+class BagChunk:
+    """Where a chunk and its index records lie.
+
+    Attributes
+    ----------
+    start, size
+        From the chunk record to the end of its index records, in bytes.
+    counts
+        Connection -> messages, as the file says.
+    indexed
+        Whether index records follow.
+    cut
+        Whether the end of the file cuts the chunk.
+    """
+
+    start: int
+    size: int
+    counts: dict[int, int] = field(default_factory=dict)
+    indexed: bool = True
+    cut: bool = False
+    first_ns: int = 0
+    last_ns: int = 0
+
+
+class BagChunkTask:
+    """A chunk to load."""
+
+    def __init__(self, file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> None:
+        self._file = file
+        self._chunk = chunk
+        self.position, self.size = chunk.start, chunk.size
+        # An index entry has 12 bytes: a count beyond them is not believed.
+        most = chunk.size // 12 if chunk.indexed else chunk.size
+        self.counts = {key: min(n, most) for key, n in chunk.counts.items() if key in keys and n}
+
+    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
+        """Yield the messages of each wanted connection; see `Task`."""
+        region = scratch.buffer("chunk", self.size)
+        self._file.into(self._chunk.start, region)
+        raw, end = unpack(region, scratch, cut=self._chunk.cut)
+        indexes = self._indexes(region, end) if self._chunk.indexed else {}
+        for key in self.counts:
+            entries = indexes.get(key)
+            if entries is None:
+                loss = Loss(code="index", text="an index record is missing; its chunk was walked instead")
+                yield key, _walked(raw, key, loss if self._chunk.indexed else None)
+            else:
+                yield key, _indexed(raw, key, entries)
+
+    def _indexes(self, region: memoryview, at: int) -> dict[int, memoryview]:
+        """Return connection -> entries of its index record."""
+        found: dict[int, memoryview] = {}
+        try:
+            while at + 8 <= len(region):
+                head, end = header(region, at)
+                if head.get(b"op") != bytes([records.INDEX]):
+                    break
+                size = U32.unpack_from(region, end)[0]
+                key, count = number(head, b"conn", 4), number(head, b"count", 4)
+                data = region[end + 4 : end + 4 + size]
+                if size != 12 * count or len(data) != size:
+                    break
+                found[key] = data
+                at = end + 4 + size
+        except (DamagedError, struct.error):
+            pass
+        return found
+
+
+def unpack(region: memoryview, scratch: Scratch, *, cut: bool = False) -> tuple[memoryview, int]:
+    """Return what the chunk at the start of a region holds, and where its record ends.
+
+    Raises
+    ------
+    DamagedError
+        If it is damaged.
+    """
+    head, end = header(region, 0)
+    if head.get(b"op") != bytes([records.CHUNK]) or end + 4 > len(region):
+        msg = "a chunk's head is damaged"
+        raise DamagedError(msg)
+    kind = head.get(b"compression", b"none").decode("ascii", "replace")
+    size = number(head, b"size", 4)
+    stored = U32.unpack_from(region, end)[0]
+    data = region[end + 4 : end + 4 + stored]
+    if cut:
+        return memoryview(decompress_prefix(kind, data, size)), end + 4 + stored
+    if len(data) != stored:
+        msg = "a chunk is cut"
+        raise DamagedError(msg, code="truncated")
+    return decompress(kind, data, size, scratch), end + 4 + stored
+
+
+def walk(raw: memoryview) -> Iterator[tuple[int, int, dict[bytes, bytes], memoryview]]:
+    """Yield position, opcode, header and data of each whole record in a chunk."""
+    at = 0
+    while at + 8 <= len(raw):
+        try:
+            head, end = header(raw, at)
+            size = U32.unpack_from(raw, end)[0]
+            opcode = number(head, b"op", 1)
+        except (DamagedError, struct.error):
+            return
+        after = end + 4 + size
+        if after > len(raw):
+            return
+        yield at, opcode, head, raw[end + 4 : after]
+        at = after
+
+
+def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
+    """Return the messages that an index record lists.
+
+    All records are compared with the last one, whose header repeats but for the time; the first may have
+    the connection's own record in front.
+    """
+    table = np.frombuffer(entries, "<u4").reshape(-1, 3)
+    starts = table[:, 2].astype(np.int64)
+    log_ns = table[:, 0].astype(np.int64)
+    log_ns *= 1_000_000_000
+    log_ns += table[:, 1]
+
+    def check() -> Batch:
+        return _checked(raw, key, starts, log_ns)
+
+    if not starts.size:
+        return Batch(buffer=raw, starts=starts, header=0, sizes=0, log_ns=log_ns)
+    try:
+        head, end = header(raw, int(starts[-1]))
+        size = U32.unpack_from(raw, end)[0]
+        opcode, owner = number(head, b"op", 1), number(head, b"conn", 4)
+    except (DamagedError, struct.error):
+        return check()
+    guards = _guards(bytes(raw[int(starts[-1]) : end + 4]))
+    if opcode != records.MESSAGE or owner != key or guards is None:
+        return check()
+    return Batch(
+        buffer=raw,
+        starts=starts,
+        header=end + 4 - int(starts[-1]),
+        sizes=size,
+        log_ns=log_ns,
+        guards=guards,
+        check=check,
+    )
+
+
+def _guards(head: bytes) -> tuple[Guard, ...] | None:
+    """Return the words that cover a header, its lengths too, except the value of its time."""
+    at = head.find(b"time=") + 5
+    if at < 5:
+        return None
+    words: list[Guard] = []
+    for first, last in ((0, at), (at + 8, len(head))):
+        size = next((size for size in (8, 4, 2, 1) if size <= last - first), 1)
+        places = [*range(first, last - size + 1, size), last - size] if last > first else []
+        numbers = [int.from_bytes(head[place : place + size], "little") for place in places]
+        words += [(place, f"<u{size}", number) for place, number in zip(places, numbers, strict=True)]
+    return tuple(words)
+
+
+def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> Batch:
+    """Check the header of every record; skip connection records; walk the chunk where that fails."""
+    payloads = np.empty(starts.size, dtype=np.int64)
+    sizes = np.empty(starts.size, dtype=np.int64)
+    try:
+        for row, at in enumerate(starts.tolist()):
+            payloads[row], sizes[row] = _message(raw, key, at)
+    except (DamagedError, struct.error):
+        loss = Loss(code="index", text="an index points to other records; its chunk was walked instead")
+        return _walked(raw, key, loss)
+    return Batch(buffer=raw, starts=payloads, header=0, sizes=sizes, log_ns=log_ns)
+
+
+def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
+    """Return payload and size of the message at `at`, or behind the connection records there."""
+    while True:
+        head, end = header(raw, at)
+        size = U32.unpack_from(raw, end)[0]
+        opcode = number(head, b"op", 1)
+        if end + 4 + size > len(raw):
+            break
+        if opcode == records.MESSAGE and number(head, b"conn", 4) == key:
+            return end + 4, size
+        if opcode != records.CONNECTION:
+            break
+        at = end + 4 + size
+    msg = "an index points to another record"
+    raise DamagedError(msg, code="index")
+
+
+def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:
+    """Return the messages of a connection in a chunk, found by walking it."""
+    places, sizes, times = [], [], []
+    for at, opcode, head, data in walk(raw):
+        if opcode == records.MESSAGE and int.from_bytes(head.get(b"conn", b""), "little") == key:
+            time = head.get(b"time", bytes(8)).ljust(8, b"\0")
+            times.append(int.from_bytes(time[:4], "little") * 10**9 + int.from_bytes(time[4:8], "little"))
+            places.append(at + U32.unpack_from(raw, at)[0] + 8)
+            sizes.append(len(data))
+    return Batch(
+        buffer=raw,
+        starts=np.array(places, dtype=np.int64),
+        header=0,
+        sizes=np.array(sizes, dtype=np.int64),
+        log_ns=np.array(times, dtype=np.int64),
+        loss=loss,
+    )

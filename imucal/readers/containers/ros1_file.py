@@ -1,0 +1,264 @@
+"""A ROS 1 bag opened: its connections and chunks, from the index section or from a scan."""
+
+import contextlib
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import cast
+
+from imucal.errors import ReadError
+from imucal.findings import Finding
+from imucal.readers.compression import KINDS
+from imucal.readers.containers import ros1_records as records
+from imucal.readers.containers.container import Channel, Task
+from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack, walk
+from imucal.readers.containers.ros1_records import MAGIC, U32, Connection, connection, header, number
+from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.messages.walker import Bytes
+
+__all__ = ["BagFile"]
+
+#: The index section has a few bytes for each chunk and connection; a larger one is damage.
+_MAX_INDEX = 1 << 31
+_PAIR = struct.Struct("<II")
+_WINDOW = 1 << 12
+
+
+class BagFile:
+    """A container of the messages of a ROS 1 bag."""
+
+    format = "rosbag1"
+    parallel = True
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = LogFile(path)
+        self.size = self._file.size
+        self.findings: list[Finding] = []
+        self._connections: dict[int, Connection] = {}
+        self._chunks: list[BagChunk] = []
+        try:
+            self._open()
+            self.compression = self._compression()
+        except BaseException:
+            self.close()
+            raise
+        self.channels = self._channels()
+        firsts = [chunk.first_ns for chunk in self._chunks if chunk.first_ns]
+        lasts = [chunk.last_ns for chunk in self._chunks if chunk.last_ns]
+        self.start_ns, self.end_ns = min(firsts, default=None), max(lasts, default=None)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield the chunks that hold messages of some connections."""
+        for chunk in self._chunks:
+            task = BagChunkTask(self._file, chunk, keys)
+            if task.counts:
+                yield cast("Task", task)
+
+    def _open(self) -> None:
+        magic = bytes(self._file.read(0, min(len(MAGIC), self.size)))
+        if magic != MAGIC:
+            _refuse(self.path, magic)
+        try:
+            self._index()
+        except (DamagedError, struct.error) as error:
+            self._connections.clear()
+            self._chunks.clear()
+            reason = error if isinstance(error, DamagedError) else DamagedError("it is damaged")
+            self._scan(reason)
+
+    def _index(self) -> None:
+        """Read the index section.
+
+        Raises
+        ------
+        DamagedError
+            If there is none, or it is damaged.
+        """
+        head, _ = header(self._file.read(0, min(_WINDOW, self.size)), len(MAGIC))
+        if head.get(b"encryptor"):
+            name = head[b"encryptor"].decode("utf-8", "replace")
+            msg = f"{self.path}: the bag is encrypted by {name}; expected a plain bag, decrypt it first"
+            raise ReadError(msg)
+        start = number(head, b"index_pos", 8)
+        if not start:
+            msg = "the bag was not closed and has no index"
+            raise DamagedError(msg, code="unindexed")
+        if not len(MAGIC) <= start <= self.size or self.size - start > _MAX_INDEX:
+            msg = "the index lies beyond the end of the file"
+            raise DamagedError(msg, code="truncated")
+        section = memoryview(self._file.read(start, self.size - start))
+        at = 0
+        while at < len(section):
+            at = self._index_record(section, at)
+        chunks, connections = number(head, b"chunk_count", 4), number(head, b"conn_count", 4)
+        if len(self._chunks) < chunks or len(self._connections) < connections:
+            msg = "the index is cut"
+            raise DamagedError(msg, code="truncated")
+        self._set_ends(start)
+
+    def _index_record(self, section: memoryview, at: int) -> int:
+        """Take one record of the index section; return where it ends."""
+        head, end = header(section, at)
+        size = U32.unpack_from(section, end)[0]
+        data = section[end + 4 : end + 4 + size]
+        if len(data) != size:
+            msg = "the index is cut"
+            raise DamagedError(msg, code="truncated")
+        opcode = number(head, b"op", 1)
+        if opcode == records.CONNECTION:
+            found = connection(head, data)
+            self._connections[found.id] = found
+        elif opcode == records.CHUNK_INFO:
+            if size % 8:
+                msg = "a chunk's entry in the index is damaged"
+                raise DamagedError(msg)
+            self._chunks.append(
+                BagChunk(
+                    start=number(head, b"chunk_pos", 8),
+                    size=0,
+                    counts=dict(_PAIR.iter_unpack(data)),
+                    first_ns=_time(head.get(b"start_time", b"")),
+                    last_ns=_time(head.get(b"end_time", b"")),
+                )
+            )
+        after: int = end + 4 + size
+        return after
+
+    def _set_ends(self, index: int) -> None:
+        """Let each chunk reach to the next one, the last to the index section."""
+        starts = sorted({chunk.start for chunk in self._chunks})
+        if len(starts) != len(self._chunks):
+            msg = "the index lists chunks twice"
+            raise DamagedError(msg)
+        ends = dict(zip(starts, [*starts[1:], index], strict=True))
+        for chunk in self._chunks:
+            chunk.size = ends[chunk.start] - chunk.start
+            if chunk.size <= 0 or chunk.start < len(MAGIC):
+                msg = "the index points beyond the file"
+                raise DamagedError(msg)
+
+    # Without an index
+
+    def _scan(self, reason: DamagedError) -> None:
+        """Visit the records of the file."""
+        at = self._visit_all()
+        if not self._connections:
+            msg = f"{self.path}: {reason}, and no whole chunk was found; expected a ROS 1 bag"
+            raise ReadError(msg)
+        lost = self.size - at
+        text = f"The index can't be used ({reason}); all records were scanned instead."
+        code = reason.code
+        if lost:
+            text += f" The last {lost} of {self.size} bytes are cut or damaged."
+            code = "truncated"
+        self.findings.append(Finding(level="warning", code=code, text=text))
+
+    def _visit_all(self) -> int:
+        """Visit records up to the first that is not whole; return where that is."""
+        at = len(MAGIC)
+        while at + 8 <= self.size:
+            try:
+                window = self._file.read(at, min(_WINDOW, self.size - at))
+                size = U32.unpack_from(window, 0)[0]
+                if size + 8 > len(window):
+                    window = self._file.read(at, size + 8)
+                head, end = header(window, 0)
+                opcode = number(head, b"op", 1)
+                data = U32.unpack_from(window, end)[0]
+            except (DamagedError, struct.error):
+                return at
+            after = at + end + 4 + data
+            if after > self.size:
+                if opcode == records.CHUNK:
+                    self._add_chunk(at, self.size - at, cut=True)
+                return at
+            if opcode == records.CHUNK:
+                self._add_chunk(at, after - at, cut=False)
+            elif opcode == records.CONNECTION:
+                self._add_connection(head, self._file.read(at + end + 4, data))
+            at = after
+        return at
+
+    def _add_connection(self, head: dict[bytes, bytes], data: Bytes) -> None:
+        """Take a connection record; a damaged one is as good as none."""
+        with contextlib.suppress(DamagedError):
+            found = connection(head, data)
+            self._connections.setdefault(found.id, found)
+
+    def _add_chunk(self, at: int, size: int, *, cut: bool) -> None:
+        """Count the messages of a chunk, and learn the connections defined in it."""
+        chunk = BagChunk(start=at, size=size, indexed=False, cut=cut)
+        self._chunks.append(chunk)
+        try:
+            raw, _ = unpack(memoryview(self._file.read(at, size)), Scratch(), cut=cut)
+            for _, opcode, head, data in walk(raw):
+                if opcode == records.CONNECTION:
+                    self._add_connection(head, data)
+                elif opcode == records.MESSAGE:
+                    key, time = number(head, b"conn", 4), _time(head.get(b"time", b""))
+                    chunk.counts[key] = chunk.counts.get(key, 0) + 1
+                    chunk.first_ns = min(chunk.first_ns or time, time)
+                    chunk.last_ns = max(chunk.last_ns, time)
+        except DamagedError as error:
+            if not cut:
+                text = f"The log is damaged in one place: {error}."
+                self.findings.append(Finding(level="warning", code=error.code, text=text))
+
+    def _channels(self) -> list[Channel]:
+        counts: dict[int, int] = {}
+        spans: dict[int, tuple[int, int]] = {}
+        for chunk in self._chunks:
+            for key, count in chunk.counts.items():
+                counts[key] = counts.get(key, 0) + count
+                first, last = spans.get(key, (chunk.first_ns, chunk.last_ns))
+                spans[key] = (min(first, chunk.first_ns), max(last, chunk.last_ns))
+        return [
+            Channel(
+                key=key,
+                topic=found.topic,
+                type=found.type,
+                encoding="ros1",
+                definition=found.definition,
+                definition_kind="ros1msg" if found.definition else "",
+                count=counts.get(key, 0),
+                first_ns=spans[key][0] if key in spans else None,
+                last_ns=spans[key][1] if key in spans else None,
+            )
+            for key, found in sorted(self._connections.items())
+        ]
+
+    def _compression(self) -> str:
+        """Return how the first chunk is compressed; all chunks of a bag are written alike."""
+        if not self._chunks:
+            return "none"
+        try:
+            window = self._file.read(self._chunks[0].start, min(256, self.size - self._chunks[0].start))
+            kind = header(window, 0)[0].get(b"compression", b"none").decode("ascii", "replace")
+        except DamagedError:
+            return "unknown"
+        if kind not in KINDS:
+            msg = f"{self.path}: chunks are compressed by {kind!r}; expected none, lz4 or bz2"
+            raise ReadError(msg)
+        return kind
+
+
+def _time(value: bytes) -> int:
+    """Return a time in ns; 0 where it is not eight bytes."""
+    if len(value) != 8:
+        return 0
+    seconds, rest = _PAIR.unpack(value)
+    return int(seconds) * 1_000_000_000 + int(rest)
+
+
+def _refuse(path: Path, magic: bytes) -> None:
+    if magic.startswith(b"#ROSBAG V"):
+        version = magic[9:].split(b"\n")[0].decode("ascii", "replace")
+        msg = f"{path}: a bag of version {version}; expected 2.0, convert it with `rosbag fix`"
+        raise ReadError(msg)
+    msg = f"{path}: not a ROS 1 bag (first bytes {magic[:13]!r}); expected {MAGIC!r}"
+    raise ReadError(msg)

@@ -1,0 +1,89 @@
+"""The records of a ROS 1 bag, version 2.0: headers of name=value fields, then data.
+
+Source: https://wiki.ros.org/Bags/Format/2.0. `rosbags` reads intact bags and is the witness in the tests; it
+refuses unindexed and cut ones, and builds an object for each message when it opens a bag.
+"""
+
+import struct
+from dataclasses import dataclass
+
+from imucal.readers.files import DamagedError
+from imucal.readers.messages.walker import Bytes
+
+__all__ = [
+    "BAG", "CHUNK", "CHUNK_INFO", "CONNECTION", "INDEX", "MAGIC", "MESSAGE", "U32", "U64", "Connection",
+    "connection", "header", "number",
+]  # fmt: skip
+
+MAGIC = b"#ROSBAG V2.0\n"
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+U32, U64 = struct.Struct("<I"), struct.Struct("<Q")
+#: Longest header of a record; a connection's is its topic's length.
+_MAX_HEADER = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A publisher of a topic."""
+
+    id: int
+    topic: str
+    type: str
+    definition: str
+
+
+def header(buffer: Bytes, at: int) -> tuple[dict[bytes, bytes], int]:
+    """Return the fields of the record header at `at`, and where it ends.
+
+    Raises
+    ------
+    DamagedError
+        If there is no whole header.
+    """
+    try:
+        size = U32.unpack_from(buffer, at)[0]
+        end = at + 4 + size
+        if size > _MAX_HEADER or end > len(buffer):
+            raise _broken()
+        return fields(buffer, at + 4, end), end
+    except struct.error as error:
+        raise _broken() from error
+
+
+def fields(buffer: Bytes, at: int, end: int) -> dict[bytes, bytes]:
+    """Return name -> value of the fields between two places."""
+    found = {}
+    while at + 4 <= end:
+        size = U32.unpack_from(buffer, at)[0]
+        if at + 4 + size > end:
+            raise _broken()
+        name, equals, value = bytes(buffer[at + 4 : at + 4 + size]).partition(b"=")
+        if not equals:
+            raise _broken()
+        found[name] = value
+        at += 4 + size
+    return found
+
+
+def number(found: dict[bytes, bytes], name: bytes, size: int) -> int:
+    """Return a field that holds a little-endian number of `size` bytes."""
+    value = found.get(name)
+    if value is None or len(value) != size:
+        raise _broken()
+    return int.from_bytes(value, "little")
+
+
+def connection(found: dict[bytes, bytes], data: Bytes) -> Connection:
+    """Parse a connection record: its header, and the connection's own header as data."""
+    inner = fields(data, 0, len(data))
+    return Connection(
+        number(found, b"conn", 4),
+        found.get(b"topic", b"").decode("utf-8", "replace"),
+        inner.get(b"type", b"").decode("utf-8", "replace"),
+        inner.get(b"message_definition", b"").decode("utf-8", "replace"),
+    )
+
+
+def _broken() -> DamagedError:
+    msg = "a record header is damaged"
+    return DamagedError(msg)

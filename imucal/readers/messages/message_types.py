@@ -1,0 +1,285 @@
+"""The message types that carry IMU samples: which fields hold the time, the rates and the forces.
+
+A type is recognised by its fields, not by its name: any message with an ``angular_velocity`` or a
+``linear_acceleration`` (or the usual other spellings), at any depth. Plain vectors of ``geometry_msgs``
+are read only where the user names the topic.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imucal.readers.messages.definitions import Field, plain_type
+from imucal.recording import Sensor
+
+__all__ = ["TOP", "Carrier", "Stamp", "Vector", "find_carriers"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stamp:
+    """The time in a message: a ROS stamp (``sec``, ``nanosec``) or a count of microseconds."""
+
+    sec: str
+    nanosec: str = ""
+    #: ns of one count, where there is no `nanosec`.
+    scale: int = 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Vector:
+    """Three numbers: the paths of x, y, z, or the one path of an array of three.
+
+    Attributes
+    ----------
+    divisor
+        Path of a duration in µs that turns an increment into a rate; empty for a plain rate.
+    """
+
+    sensor: Sensor
+    paths: tuple[str, ...]
+    divisor: str = ""
+
+    @property
+    def field(self) -> str:
+        """The field it is: ``left.gyro`` of ``left.gyro.x``, ``gyro`` of ``gyro_x``."""
+        return _field_name(self.paths)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Carrier:
+    """What a message type can give.
+
+    Attributes
+    ----------
+    stamp
+        None where messages carry no time of their own.
+    vectors
+        One or two, the gyroscope first.
+    temperature
+        Path of a temperature in degrees Celsius, or empty.
+    plain
+        True for general-purpose vectors: read only where the user asks.
+    standard
+        True where the definition fixes SI units; else SI is assumed and said.
+    others
+        Fields of vectors that could be meant too, and are not read.
+    """
+
+    stamp: Stamp | None
+    vectors: tuple[Vector, ...]
+    temperature: str = ""
+    plain: bool = False
+    standard: bool = True
+    others: tuple[str, ...] = ()
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """What it measures."""
+        return tuple(vector.sensor for vector in self.vectors)
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Paths of all fields to read."""
+        paths = [path for vector in self.vectors for path in (*vector.paths, vector.divisor) if path]
+        if self.stamp is not None:
+            paths += [path for path in (self.stamp.sec, self.stamp.nanosec) if path]
+        return (*paths, self.temperature) if self.temperature else tuple(paths)
+
+
+_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+
+#: Names of a vector, best first.
+_STEMS: dict[Sensor, tuple[str, ...]] = {
+    _GYRO: ("angular_velocity", "gyro_rad", "gyro", "gyroscope", "angular_rate", "angularrate", "body_rate",
+            "rotation_rate", "gyro_rate"),
+    _ACCEL: ("linear_acceleration", "accelerometer_m_s2", "accel", "acceleration", "accelerometer", "acc",
+             "specific_force"),
+}  # fmt: skip
+#: What a message's own level is called where a field of it holds another IMU.
+TOP = "top"
+_TEMPERATURE = re.compile(r"(^|[._])(temperature|temp|imu_temperature|imu_temp)$")
+
+#: Types whose vectors may be anything: path of the vector, and its sensor (None: the topic's name says).
+_PLAIN: dict[str, tuple[tuple[str, Sensor | None], ...]] = {
+    "geometry_msgs/Vector3Stamped": (("vector", None),),
+    "geometry_msgs/Vector3": (("", None),),
+    "geometry_msgs/TwistStamped": (("twist.angular", _GYRO),),
+    "geometry_msgs/Twist": (("angular", _GYRO),),
+    "geometry_msgs/TwistWithCovarianceStamped": (("twist.twist.angular", _GYRO),),
+    "nav_msgs/Odometry": (("twist.twist.angular", _GYRO),),
+    "geometry_msgs/AccelStamped": (("accel.linear", _ACCEL),),
+    "geometry_msgs/Accel": (("linear", _ACCEL),),
+    "geometry_msgs/AccelWithCovarianceStamped": (("accel.accel.linear", _ACCEL),),
+}
+
+
+def find_carriers(
+    name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None
+) -> dict[str, Carrier]:
+    """Return what messages of a type can give: one entry for each IMU in a message.
+
+    The key is the field that holds the IMU, such as ``left``; it is empty where there is only one.
+
+    Parameters
+    ----------
+    name, fields
+        The type and its flat fields.
+    topic
+        Its topic, which tells gyroscope from accelerometer where the type doesn't.
+    sensor
+        What the caller says the topic is; None where they don't.
+    """
+    known = _plain(plain_type(name), fields, topic, sensor) or _px4(plain_type(name), fields)
+    if known is not None:
+        return {"": known}
+    found = {kind: _named(fields, stems) for kind, stems in _STEMS.items()}
+    imus = _imus(found)
+    taken = {paths for imu in imus.values() for paths in imu.values()}
+    spare = [paths for vectors in found.values() for _, paths in vectors if paths not in taken]
+    carriers = {}
+    for owner, imu in imus.items():
+        part = (owner or TOP) if len(imus) > 1 else ""
+        carriers[part] = _carrier(fields, owner, imu, spare, others=set(imus) - {owner})
+    return carriers
+
+
+def _carrier(
+    fields: Sequence[Field],
+    owner: str,
+    imu: dict[Sensor, tuple[str, ...]],
+    spare: Sequence[tuple[str, ...]],
+    *,
+    others: set[str],
+) -> Carrier:
+    """Return one IMU of a message; its stamp and temperature are its own where it has them."""
+    vectors = tuple(Vector(sensor=sensor, paths=paths) for sensor, paths in imu.items())
+    standard = all(path.split(".")[-2:-1] in (["angular_velocity"], ["linear_acceleration"])
+                   for vector in vectors for path in vector.paths)  # fmt: skip
+    theirs = tuple(other + "." for other in others if other)
+    free = [field for field in fields if not theirs or not field.path.startswith(theirs)]
+    if others:
+        free.sort(key=lambda field: not (owner and field.path.startswith(owner + ".")))
+    return Carrier(
+        stamp=_stamp(free),
+        vectors=vectors,
+        temperature=_temperature(free),
+        standard=standard,
+        others=tuple(_field_name(paths) for paths in spare),
+    )
+
+
+def sensor_of_topic(topic: str) -> Sensor | None:
+    """Return what the name of a topic says it carries."""
+    words = topic.lower()
+    gyro = re.search(r"gyr|angular|omega|(^|[/_])w($|[/_])", words)
+    accel = re.search(r"acc|force", words)
+    if bool(gyro) == bool(accel):
+        return None
+    return _GYRO if gyro else _ACCEL
+
+
+def _plain(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> Carrier | None:
+    vectors = []
+    for path, fixed in _PLAIN.get(name, ()):
+        kind = fixed or sensor or sensor_of_topic(topic)
+        paths = _xyz(fields, path + "." if path else "")
+        if kind is not None and paths:
+            vectors.append(Vector(sensor=kind, paths=paths))
+    if not vectors:
+        return None
+    return Carrier(stamp=_stamp(fields), vectors=tuple(vectors), plain=True)
+
+
+def _px4(name: str, fields: Sequence[Field]) -> Carrier | None:
+    """PX4's own types: time in µs, increments instead of rates in VehicleImu."""
+    if not name.startswith("px4_msgs/"):
+        return None
+    by_path = {field.path: field for field in fields}
+    clock = next((path for path in ("timestamp_sample", "timestamp") if path in by_path), None)
+    stamp = Stamp(sec=clock) if clock else None
+    temperature = "temperature" if "temperature" in by_path else ""
+    if {"delta_angle", "delta_velocity", "delta_angle_dt"} <= by_path.keys():
+        velocity_dt = "delta_velocity_dt" if "delta_velocity_dt" in by_path else "dt"
+        vectors: tuple[Vector, ...] = (
+            Vector(sensor=_GYRO, paths=("delta_angle",), divisor="delta_angle_dt"),
+            Vector(sensor=_ACCEL, paths=("delta_velocity",), divisor=velocity_dt),
+        )
+        return Carrier(stamp=stamp, vectors=vectors)
+    single = {"px4_msgs/SensorGyro": _GYRO, "px4_msgs/SensorAccel": _ACCEL}.get(name)
+    if single is not None and {"x", "y", "z"} <= by_path.keys():
+        return Carrier(
+            stamp=stamp, vectors=(Vector(sensor=single, paths=("x", "y", "z")),), temperature=temperature
+        )
+    if {"gyro_rad", "accelerometer_m_s2"} <= by_path.keys():
+        both = ((_GYRO, "gyro_rad"), (_ACCEL, "accelerometer_m_s2"))
+        vectors = tuple(Vector(sensor=sensor, paths=(path,)) for sensor, path in both)
+        return Carrier(stamp=Stamp(sec="timestamp"), vectors=vectors)
+    return None
+
+
+def _imus(found: dict[Sensor, list[tuple[str, tuple[str, ...]]]]) -> dict[str, dict[Sensor, tuple[str, ...]]]:
+    """Return the vectors of each IMU by the field that holds them.
+
+    Vectors that one field holds belong together. Where no field holds both sensors, each is taken from
+    where it is if it is there once, and fields are IMUs of their own if it is not.
+    """
+    owned: dict[str, dict[Sensor, tuple[str, ...]]] = {}
+    for sensor, vectors in found.items():
+        for owner, paths in vectors:
+            owned.setdefault(owner, {}).setdefault(sensor, paths)
+    whole = {owner: imu for owner, imu in owned.items() if len(imu) == len(found)}
+    if whole or not owned:
+        return whole
+    if all(len({owner for owner, _ in vectors}) <= 1 for vectors in found.values()):
+        return {"": {sensor: paths for imu in owned.values() for sensor, paths in imu.items()}}
+    return owned
+
+
+def _named(fields: Sequence[Field], stems: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
+    """Return owner and paths of the vectors of these names, at any depth, the best name first."""
+    return [vector for stem in stems for vector in _called(fields, stem)]
+
+
+def _called(fields: Sequence[Field], stem: str) -> list[tuple[str, tuple[str, ...]]]:
+    """Return the vectors called `stem` in the order of the fields: what holds them, and their paths."""
+    vectors: list[tuple[str, tuple[str, ...]]] = []
+    for field in fields:
+        owner, _, last = field.path.rpartition(".")
+        if field.code not in {"f4", "f8"}:
+            continue
+        if field.kind == "array" and field.count == 3 and last == stem:
+            vectors.append((owner, (field.path,)))
+        elif field.kind == "number" and last == "x" and owner.rpartition(".")[2] == stem:
+            paths = _xyz(fields, owner + ".")
+            vectors += [(owner.rpartition(".")[0], paths)] if paths else []
+        elif field.kind == "number" and last == stem + "_x":
+            paths = _xyz(fields, field.path.removesuffix("x"))
+            vectors += [(owner, paths)] if paths else []
+    return vectors
+
+
+def _field_name(paths: tuple[str, ...]) -> str:
+    """Return the field of a vector: ``left.gyro`` of ``left.gyro.x``, ``gyro`` of ``gyro_x``."""
+    return paths[0] if len(paths) == 1 else paths[0][:-2]
+
+
+def _xyz(fields: Sequence[Field], prefix: str) -> tuple[str, ...]:
+    """Return the paths prefix + x, y, z, or nothing."""
+    paths = tuple(prefix + axis for axis in "xyz")
+    numbers = {field.path for field in fields if field.kind == "number" and field.code in {"f4", "f8"}}
+    return paths if numbers.issuperset(paths) else ()
+
+
+def _stamp(fields: Sequence[Field]) -> Stamp | None:
+    """Return the first stamp of a header, or a time of the message's own."""
+    for field in fields:
+        owner, _, last = field.path.rpartition(".")
+        if last == "nanosec" and owner.rpartition(".")[2] in {"stamp", "timestamp", "time"}:
+            return Stamp(sec=owner + ".sec", nanosec=field.path)
+    return None
+
+
+def _temperature(fields: Sequence[Field]) -> str:
+    """Return the path of a temperature, or empty."""
+    numbers = (field for field in fields if field.kind == "number" and field.code in {"f4", "f8"})
+    return next((field.path for field in numbers if _TEMPERATURE.search(field.path)), "")

@@ -1,0 +1,146 @@
+"""The fast way: a channel whose messages all repeat the shape of the first one.
+
+Every record is compared with the first one (its head, its encapsulation, the lengths of its strings), so
+nothing is taken on trust; what differs goes to the walk.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import IntArray
+from imucal.readers.containers.batch import Batch, Guard
+from imucal.readers.containers.store import Columns
+from imucal.readers.messages.fields import adjacent, write_temperature, write_vector
+from imucal.readers.messages.message_types import Carrier, Vector
+from imucal.readers.messages.walker import Bytes, Found, Layout, Place, Position
+from imucal.recording import Sensor
+
+__all__ = ["Template", "learn"]
+
+#: Longest head of a message that is gathered at once, in bytes.
+_HEAD = 256
+_SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Template:
+    """The shape of the messages of a channel; positions count from the start of a record.
+
+    Attributes
+    ----------
+    guards
+        Those of the batch it was learnt from.
+    words
+        The guards, the encapsulation and the lengths of strings, which every record must repeat.
+    head
+        Bytes at the start of a record that hold them and the stamp.
+    end
+        Bytes of a record.
+    places
+        Path -> position and type of every wanted field.
+    carrier
+        What to take.
+    vectors
+        Sensor, position and type of those that are three plain numbers side by side.
+    others
+        The other vectors.
+    """
+
+    guards: tuple[Guard, ...]
+    words: tuple[Guard, ...]
+    head: int
+    end: int
+    places: dict[str, Place]
+    carrier: Carrier
+    vectors: tuple[tuple[Sensor, int, str], ...]
+    others: tuple[Vector, ...]
+
+    def decode(self, batch: Batch, columns: Columns, first: int) -> bool:
+        """Write the samples of a batch to the columns; False if a record has another shape."""
+        n, starts = batch.n, batch.starts
+        if int(starts.max()) + self.end > len(batch.buffer) or int(starts.min()) < 0:
+            return False
+        head = _gather(batch.buffer, starts, 0, self.head)
+
+        def word(at: int, dtype: str) -> NDArray[np.int64]:
+            return np.ndarray((n,), dtype, buffer=head, offset=at, strides=(self.head,))
+
+        if not all(bool((word(at, dtype) == value).all()) for at, dtype, value in self.words):
+            return False
+        part = slice(first, first + n)
+        columns.log[part] = batch.log_ns if batch.log_at is None else word(batch.log_at, "<i8")
+        stamp, stamps = self.carrier.stamp, columns.stamps[part]
+        if stamp is None:
+            stamps[:] = 0
+        else:
+            sec = self.places[stamp.sec]
+            scale = _SECOND if stamp.nanosec else stamp.scale
+            np.multiply(word(_fixed(sec.at), sec.dtype), scale, out=stamps, dtype=np.int64, casting="unsafe")
+            if stamp.nanosec:
+                rest = self.places[stamp.nanosec]
+                stamps += word(_fixed(rest.at), rest.dtype)
+        for sensor, at, dtype in self.vectors:
+            values = _gather(batch.buffer, starts, at, 3 * int(dtype[-1])).view(dtype).reshape(n, 3)
+            columns.vectors[sensor][:, part] = values.T
+        for vector in self.others:
+            write_vector(batch.buffer, starts, self.places, vector, columns, part)
+        write_temperature(batch.buffer, starts, self.places, self.carrier, columns, part)
+        return True
+
+
+def learn(batch: Batch, found: Found, layout: Layout, code: bytes, carrier: Carrier) -> Template | None:
+    """Return the template of a batch, from a walk of its first message.
+
+    Parameters
+    ----------
+    found
+        What the walk found, from the end of the encapsulation on.
+    code
+        The first bytes of the encapsulation, or none for ROS 1.
+
+    Returns
+    -------
+    template
+        None where the messages can't be taken at once.
+    """
+    if not isinstance(batch.sizes, int):
+        return None
+    skip = batch.header + (4 if code else 0)
+    words = list(batch.guards)
+    if code:
+        words.append((batch.header, "<u2", int.from_bytes(code, "little")))
+    words += [(skip + _fixed(at), layout.order + "u4", _fixed(length)) for at, length in found.lengths]
+    places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
+    stamp = carrier.stamp
+    times = [places[path] for path in ((stamp.sec, stamp.nanosec) if stamp else ()) if path]
+    ends = [at + int(dtype[-1]) for at, dtype, _ in words]
+    ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
+    head, end = max([*ends, (batch.log_at or 0) + 8]), batch.header + batch.sizes
+    if head > min(_HEAD, end) or skip + _fixed(found.end) > end:
+        return None
+    plain = [vector for vector in carrier.vectors if not vector.divisor and adjacent(places, vector)]
+    firsts = [(vector.sensor, places[vector.paths[0]]) for vector in plain]
+    return Template(
+        guards=batch.guards,
+        words=tuple(words),
+        head=head,
+        end=end,
+        places=places,
+        carrier=carrier,
+        vectors=tuple((sensor, _fixed(place.at), place.dtype) for sensor, place in firsts),
+        others=tuple(vector for vector in carrier.vectors if vector not in plain),
+    )
+
+
+def _gather(buffer: Bytes, starts: IntArray, at: int, width: int) -> NDArray[np.void]:
+    """Copy `width` bytes from ``starts + at``, whose bounds were checked; see `walker.gather`."""
+    count = len(buffer) - at - width + 1
+    view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, offset=at, strides=(1,))
+    return view[starts]
+
+
+def _fixed(at: Position) -> int:
+    """Return the position that a walk of one message gives."""
+    return int(np.asarray(at).reshape(-1)[0])

@@ -1,0 +1,232 @@
+"""Sets of text files that are one recording: a gyroscope's and an accelerometer's, perhaps with their times.
+
+Phones' apps write them as a zip or a folder (phyphox, Sensor Logger); simulators as files side by side.
+"""
+
+import re
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path, PurePath
+from typing import BinaryIO, cast
+
+import numpy as np
+
+from imucal.errors import ChoiceError, ImucalError, ReadError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.names import Role, parse_column
+from imucal.readers.tables.text import TextSource, open_text
+from imucal.readers.tables.text_table import EXTERNAL, ExternalTime, plan_of_head, read_table
+from imucal.readers.tables.timing import TimeChoice
+from imucal.readers.tables.vectors import sensor_of_name
+from imucal.recording import Recording, Sensor
+from imucal.units import TIME_UNITS_NS, parse_time_unit
+
+__all__ = ["is_set", "read_set", "read_together"]
+
+_ZIP = b"PK\x03\x04"
+
+_SUFFIXES = (".csv", ".tsv", ".txt")
+
+#: Names of files that are no raw sensor: an app's own estimates, other sensors, notes.
+_LEFT_OUT = re.compile(
+    r"linear|gravity|orientation|meta|annotation|magnet|baro|location|heart|pedo|step|light"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Member:
+    """A file of a set: its name and how to open it."""
+
+    name: str
+    open: Callable[[], TextSource]
+
+
+def is_set(path: Path) -> bool:
+    """Return whether a path is a zip, or a folder, of text tables."""
+    if path.is_dir():
+        return any(entry.suffix.lower() in _SUFFIXES for entry in path.iterdir())
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_ZIP)) == _ZIP
+    except OSError:
+        return False
+
+
+def read_set(path: Path, options: ReadOptions) -> Recording:
+    """Read the gyroscope and the accelerometer of a zip or a folder.
+
+    Raises
+    ------
+    ChoiceError
+        If it is not clear which files hold them.
+    ReadError
+        If a file can't be read.
+    """
+    if path.is_dir():
+        entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
+        members = [_Member(name=entry.name, open=partial(open_text, entry)) for entry in entries]
+        return _read_members(str(path), members, options)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [
+                _of_zip(archive, info, path) for info in archive.infolist() if _is_table(info.filename)
+            ]
+            return _read_members(str(path), members, options)
+    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
+        msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
+        raise ReadError(msg) from error
+
+
+def _is_table(name: str) -> bool:
+    return name.lower().endswith(_SUFFIXES) and not name.startswith("__MACOSX")
+
+
+def _of_zip(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> _Member:
+    def open_member() -> TextSource:
+        raw = cast("BinaryIO", archive.open(info))
+        return TextSource(f"{path}:{info.filename}", raw, size=None, progress=None)
+
+    return _Member(name=info.filename, open=open_member)
+
+
+def _read_members(path: str, members: Sequence[_Member], options: ReadOptions) -> Recording:
+    names = ", ".join(member.name for member in members) or "no text files"
+    if len(members) == 1:
+        return _named(_read_one(members[0], options), path)
+    gyro = _choose(path, members, Sensor.GYROSCOPE, names)
+    accel = _choose(path, members, Sensor.ACCELEROMETER, names)
+    chosen = [member for member in (gyro, accel) if member is not None]
+    if not chosen:
+        msg = (
+            f"{path}: no file is named as a gyroscope or an accelerometer; found {names}; "
+            "name the file to read"
+        )
+        raise ChoiceError(msg)
+    parts = [_read_one(member, options) for member in dict.fromkeys(chosen)]
+    return _named(_merged(parts, [member.name for member in dict.fromkeys(chosen)]), path)
+
+
+def _choose(path: str, members: Sequence[_Member], sensor: Sensor, names: str) -> _Member | None:
+    """Return the file of a sensor by its name; raw before corrected, with gravity before without."""
+    found = []
+    for member in members:
+        plain = PurePath(member.name).stem.lower()
+        if sensor_of_name(plain) is sensor and not _LEFT_OUT.search(plain):
+            found.append(member)
+    if len(found) <= 1:
+        return found[0] if found else None
+    for preferred in _PREFERRED[sensor]:
+        exact = [member for member in found if PurePath(member.name).stem.lower() == preferred]
+        if len(exact) == 1:
+            return exact[0]
+    shown = ", ".join(member.name for member in found)
+    msg = f"{path}: several files hold a {sensor} ({shown}) of {names}; unpack it and name the files to read"
+    raise ChoiceError(msg)
+
+
+#: Names of files in the order in which they are taken.
+_PREFERRED = {
+    Sensor.GYROSCOPE: ("gyroscope", "raw data", "gyroscopeuncalibrated"),
+    # Sensor Logger: Accelerometer.csv is without gravity, TotalAcceleration.csv is what the sensor measured.
+    Sensor.ACCELEROMETER: ("totalacceleration", "accelerometer", "accelerometeruncalibrated"),
+}
+
+
+def _read_one(member: _Member, options: ReadOptions) -> Recording:
+    with member.open() as source:
+        return read_table(source, options, name=PurePath(member.name).name)
+
+
+def read_together(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
+    """Read files that hold one sensor each, perhaps with a file of times; None where they are no such files.
+
+    Raises
+    ------
+    ReadError
+        If one of them can't be read.
+    """
+    times = [path for path in paths if _is_time_file(path)]
+    tables = [path for path in paths if path not in times]
+    sensors = [_sensors_of(path, options) for path in tables]
+    if len(times) > 1 or not tables or any(len(found) != 1 for found in sensors):
+        return None
+    if len({found[0] for found in sensors}) != len(tables):
+        return None
+    stamps = _read_times(times[0]) if times else None
+    parts = []
+    for path in tables:
+        with open_text(path, progress=options.progress) as source:
+            parts.append(read_table(source, options, stamps=stamps))
+    return _named(_merged(parts, [path.name for path in tables]), ", ".join(str(path) for path in paths))
+
+
+def _sensors_of(path: Path, options: ReadOptions) -> tuple[Sensor, ...]:
+    try:
+        with open_text(path) as source:
+            _, plan = plan_of_head(source.name, source.head, options, path.name)
+    except ImucalError:
+        return ()
+    return tuple(sensor.triad.sensor for sensor in plan.sensors)
+
+
+def _merged(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
+    """Return the sensors of several recordings as one; each keeps its own clock."""
+    if len(parts) == 1:
+        return parts[0]
+    series = tuple(
+        sorted((s for part in parts for s in part.series), key=lambda s: s.sensor is Sensor.ACCELEROMETER)
+    )
+    decisions = [("files", ", ".join(names))]
+    decisions += [decision for part in parts for decision in part.source.decisions]
+    findings = [finding for part in parts for finding in part.findings]
+    clocks = {series.clock for series in series if series.axis == "x"}
+    if len(clocks) == 1:
+        one = clocks.pop()
+        series = tuple(replace(entry, clock=one) for entry in series)
+    return replace(
+        parts[0],
+        source=replace(
+            parts[0].source,
+            topics=tuple(topic for part in parts for topic in part.source.topics),
+            decisions=tuple(dict.fromkeys(decisions)),
+        ),
+        series=series,
+        temperature=next((part.temperature for part in parts if part.temperature is not None), None),
+        findings=tuple(dict.fromkeys(findings)),
+    )
+
+
+def _named(recording: Recording, path: str) -> Recording:
+    return replace(recording, source=replace(recording.source, path=path))
+
+
+def _is_time_file(path: Path) -> bool:
+    """Return whether a file is one column of times with a header."""
+    try:
+        with open_text(path) as source:
+            lines = [line.strip() for line in source.head if line.strip()]
+    except ImucalError:
+        return False
+    if len(lines) < 3 or parse_column(lines[0], 0).role is not Role.TIME:
+        return False
+    return all(is_number(line) for line in lines[1:])
+
+
+def _read_times(path: Path) -> ExternalTime:
+    with open_text(path) as source:
+        text = b"".join(source.blocks()).split()
+        column = parse_column(next(line for line in source.head if line.strip()), 0)
+    values = [float(cell) for cell in text if is_number(cell.decode("utf-8", "replace"))]
+    unit = parse_time_unit(column.unit) if column.unit else None
+    choice = TimeChoice(
+        kind="stamp",
+        places=(EXTERNAL,),
+        name=column.header,
+        ns=TIME_UNITS_NS[unit] if unit else None,
+        ns_source=f"from the header of {path.name}" if unit else "",
+    )
+    return ExternalTime(path=str(path), choice=choice, values=np.array(values, dtype=np.float64))

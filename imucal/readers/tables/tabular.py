@@ -1,0 +1,204 @@
+"""Columns of numbers -> Recording: units, stamps, clocks, temperature, and how each was decided."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.errors import DataError
+from imucal.findings import Finding
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.column_plan import SensorPlan
+from imucal.readers.tables.scales import Unscaled, Work, find_scales
+from imucal.readers.tables.signatures import Signature
+from imucal.readers.tables.table_clock import Numbers, table_clock
+from imucal.recording import Axis, AxisSeries, Clock, Recording, Source, Temperature
+
+__all__ = ["SensorColumns", "assemble", "units_note"]
+
+#: Time and rows of a sensor -> its clock and the samples to keep: two sensors of one table share them.
+_Clocks: TypeAlias = dict[tuple[Any, ...], tuple[Clock, IntArray | None]]
+
+_AXES: tuple[Axis, ...] = ("x", "y", "z")
+
+#: Temperatures in which electronics work, in degrees Celsius; others are raw counts.
+_TEMPERATURES = (-80.0, 200.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SensorColumns:
+    """The columns of one sensor, as read.
+
+    Attributes
+    ----------
+    plan
+        Which columns they are.
+    axes
+        x, y and z, in the unit of the log; shape (n,) each.
+    time, log_time
+        The columns of the plan's times; empty where there are none.
+    temperature
+        The temperature of the same rows, or None.
+    sparse
+        Whether rows with no value of the sensor belong to other sensors.
+    """
+
+    plan: SensorPlan
+    axes: tuple[FloatArray, FloatArray, FloatArray]
+    time: tuple[Numbers, ...] = ()
+    log_time: tuple[Numbers, ...] = ()
+    temperature: FloatArray | None = None
+    sparse: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Timed:
+    """A sensor's samples with their clock, still in the unit of the log."""
+
+    columns: SensorColumns
+    axes: list[FloatArray]
+    clock: Clock
+    temperature: FloatArray | None
+
+
+def assemble(
+    source: Source,
+    sensors: Sequence[SensorColumns],
+    options: ReadOptions,
+    *,
+    signature: Signature | None = None,
+    rate_hz: float | None = None,
+    findings: Sequence[Finding] = (),
+) -> Recording:
+    """Put a recording together.
+
+    Parameters
+    ----------
+    source
+        Path, format and the decisions so far.
+    sensors
+        Columns of the gyroscope, the accelerometer, or both.
+    options
+        What the user said.
+    signature
+        The format that the column names show.
+    rate_hz
+        Sampling rate that the log itself states.
+    findings
+        What reading has shown so far.
+
+    Raises
+    ------
+    ChoiceError
+        If a unit or the time of the samples is open.
+    DataError
+        If there are no samples, or no rate.
+    """
+    clocks: _Clocks = {}
+    work = Work(path=source.path, options=options, signature=signature, rate_hz=rate_hz)
+    work.decisions.extend(source.decisions)
+    work.findings.extend(findings)
+    timed = [_timed(work, columns, clocks) for columns in sensors]
+    scales = find_scales(work, [_unscaled(entry) for entry in timed])
+    series = []
+    for entry in timed:
+        scale = scales[entry.columns.plan.triad.sensor]
+        for axis, samples in zip(_AXES, entry.axes, strict=True):
+            series.append(
+                AxisSeries(
+                    sensor=entry.columns.plan.triad.sensor,
+                    axis=axis,
+                    samples=_scaled(samples, scale),
+                    clock=entry.clock,
+                )
+            )
+    return Recording(
+        source=replace(source, decisions=tuple(work.decisions)),
+        series=tuple(series),
+        temperature=_temperature(work, timed),
+        findings=tuple(work.findings),
+    )
+
+
+def units_note(recording: Recording) -> str:
+    """Return the units of a recording's log and where they come from, as one short sentence."""
+    found = [(what, how) for what, how in recording.source.decisions if what.endswith("unit")]
+    return "; ".join(f"{what} {how}" for what, how in found)
+
+
+def _unscaled(entry: _Timed) -> Unscaled:
+    return Unscaled(triad=entry.columns.plan.triad, axes=entry.axes, rate_hz=entry.clock.rate_hz)
+
+
+def _scaled(samples: FloatArray, scale: float) -> FloatArray:
+    """Return samples in SI; in place where they are this reader's own memory."""
+    if scale == 1.0:
+        return samples
+    if samples.flags.writeable:
+        np.multiply(samples, scale, out=samples)
+        return samples
+    return samples * scale
+
+
+def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> _Timed:
+    """Drop rows that are none of the sensor's, and read its clock."""
+    sensor = columns.plan.triad.sensor
+    axes = list(columns.axes)
+    time, log_time, temperature = list(columns.time), list(columns.log_time), columns.temperature
+    keep = _rows_of_sensor(work, columns)
+    if keep is not None:
+        axes = [axis[keep] for axis in axes]
+        time = [column[keep] for column in time]
+        log_time = [column[keep] for column in log_time]
+        temperature = temperature[keep] if temperature is not None else None
+    if not axes[0].size:
+        names = ", ".join(columns.plan.triad.headers)
+        msg = f"{work.path}: the columns of the {sensor} ({names}) hold no samples; expected a row per sample"
+        raise DataError(msg)
+    key = (columns.plan.time, columns.plan.triad.rows, None if keep is None else keep.tobytes(), axes[0].size)
+    if key not in clocks:
+        reading = table_clock(work, columns.plan, axes, time, log_time)
+        work.findings.extend(reading.findings)
+        clocks[key] = (reading.clock, reading.order)
+    clock, order = clocks[key]
+    if order is not None:
+        axes = [axis[order] for axis in axes]
+        temperature = temperature[order] if temperature is not None else None
+    return _Timed(columns=columns, axes=axes, clock=clock, temperature=temperature)
+
+
+def _rows_of_sensor(work: Work, columns: SensorColumns) -> NDArray[np.bool_] | None:
+    """Return which rows are samples of the sensor; None where all are."""
+    keep: NDArray[np.bool_] | None = None
+    if columns.sparse:
+        keep = ~(np.isnan(columns.axes[0]) & np.isnan(columns.axes[1]) & np.isnan(columns.axes[2]))
+    for column in columns.time:
+        if column.dtype.kind == "f":
+            finite = np.isfinite(column)
+            if not finite.all():
+                lost = int(np.count_nonzero(~finite if keep is None else keep & ~finite))
+                keep = finite if keep is None else keep & finite
+                if lost:
+                    text = f"{lost} rows have no finite time; they were dropped."
+                    work.findings.append(Finding(level="warning", code="bad-rows", text=text))
+    return None if keep is None or bool(keep.all()) else keep
+
+
+def _temperature(work: Work, timed: Sequence[_Timed]) -> Temperature | None:
+    """Return the temperature, where its column holds degrees."""
+    for entry in timed:
+        if entry.temperature is None:
+            continue
+        values = np.asarray(entry.temperature, dtype=np.float64)
+        finite = values[np.isfinite(values)]
+        if not finite.size:
+            return None
+        usual = float(np.median(finite))
+        if not _TEMPERATURES[0] <= usual <= _TEMPERATURES[1]:
+            work.decide("temperature", f"left out: a median of {usual:.4g} is not in degrees Celsius")
+            return None
+        return Temperature(samples=values, clock=entry.clock)
+    return None

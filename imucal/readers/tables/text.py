@@ -1,0 +1,259 @@
+"""Text of a log in blocks of whole lines: plain or compressed, a file or standard input, in any encoding.
+
+Blocks are bytes of UTF-8 with line feeds. A log compressed a hundredfold takes no more memory than its
+blocks, and one cut in the middle gives what is whole.
+"""
+
+import codecs
+import io
+import lzma
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Self, cast
+
+from imucal.errors import ReadError
+from imucal.findings import Finding
+from imucal.readers.read_options import Progress
+from imucal.readers.tables.text_streams import compression_of, find_encoding, read_fully, unpacked
+
+__all__ = ["STANDARD_INPUT", "TextSource", "open_text"]
+
+#: The path that means standard input.
+STANDARD_INPUT = "-"
+
+#: Bytes looked at to find the layout.
+_HEAD = 1 << 18
+#: Bytes of text parsed at once: large enough for the parser, small enough for memory.
+_BLOCK = 8 << 20
+#: Bytes before the end of a block in which its last line is looked for first.
+_TAIL = 1 << 12
+#: A line longer than this is no row of a table.
+_LONGEST_LINE = 1 << 20
+
+
+class TextSource:
+    """A log of lines, opened.
+
+    Attributes
+    ----------
+    name
+        As the user named it.
+    compression
+        ``none``, ``gzip``, ``zstd``, ``bzip2``, ``xz`` or ``lz4``.
+    encoding
+        ``utf-8``, ``utf-16-le``, ``utf-16-be`` or ``latin-1``.
+    head
+        The first lines, decoded, without their ends; a line that the head cuts is left out.
+    whole
+        Whether `head` is all of the log.
+    findings
+        What reading it has shown so far: a cut end.
+    """
+
+    def __init__(self, name: str, raw: BinaryIO, *, size: int | None, progress: Progress | None) -> None:
+        self.name = name
+        self.size = size
+        self.findings: list[Finding] = []
+        self._raw = raw
+        self._progress = progress
+        start = read_fully(raw, 6)
+        self.compression = compression_of(start)
+        stream = unpacked(start, raw, self.compression)
+        # What was unpacked before a damage is kept only by reads that never wait for more.
+        self._take: Callable[[int], bytes] = getattr(stream, "read1", stream.read)
+        self._ended = False
+        head = self._read(_HEAD)
+        self.whole = self._ended
+        self.encoding = find_encoding(head, name)
+        self._decode = (
+            None if self.encoding in {"utf-8", "latin-1"} else codecs.getincrementaldecoder(self.encoding)()
+        )
+        marked = head.startswith(codecs.BOM_UTF8)
+        head = self._plain(head.removeprefix(codecs.BOM_UTF8))
+        # Where the text of `_start` begins in a plain file, whose blocks can be read one by one.
+        exact = (
+            self.compression == "none"
+            and self._decode is None
+            and b"\r" not in head
+            and isinstance(raw, io.FileIO)
+        )
+        self._exact = (len(codecs.BOM_UTF8) if marked else 0) if exact else None
+        self._return_only = b"\r" in head and b"\n" not in head
+        self._start = self._line_ends(head)
+        self.head = self._head_lines(self._start)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._raw.close()
+
+    @property
+    def expected_rows(self) -> int:
+        """About how many lines a plain file has, a little more than fewer; 0 where its size says nothing."""
+        if self.size is None or self.compression != "none" or not self.head:
+            return 0
+        length = sum(map(len, self.head)) / len(self.head) + 1
+        return int(1.05 * self.size / length)
+
+    def blocks(self) -> Iterator[bytes]:
+        """Yield all text, in blocks of whole lines; the last line may lack its end.
+
+        Raises
+        ------
+        ReadError
+            If a line is longer than any row of a table.
+        """
+        rest, self._start = self._start, b""
+        if self._exact is not None and not self._ended:
+            yield from self._exact_blocks(rest)
+            return
+        while True:
+            data = b"" if self._ended else self._line_ends(self._plain(self._read(_BLOCK)))
+            cut = len(data) if self._ended else data.rfind(b"\n") + 1
+            # One copy: the block is the rest of the one before and the whole lines of this one.
+            block = b"".join((rest, memoryview(data)[:cut])) if cut or self._ended else b""
+            rest = data[cut:] if block or not rest else rest + data
+            if len(rest) > _LONGEST_LINE:
+                raise self._too_long()
+            self._report()
+            if block:
+                yield block
+            if self._ended:
+                return
+
+    def _exact_blocks(self, head: bytes) -> Iterator[bytes]:
+        """Yield the blocks of a plain file, each read where it ends: nothing is copied to join them."""
+        cut = head.rfind(b"\n") + 1
+        place = (self._exact or 0) + cut
+        if cut:
+            yield head[:cut]
+        size = self._raw.seek(0, io.SEEK_END)
+        while place < size:
+            stop = min(place + _BLOCK, size)
+            if stop < size:
+                stop = self._line_end(place, stop)
+            self._raw.seek(place)
+            block = read_fully(self._raw, stop - place)
+            if not block:
+                return
+            place += len(block)
+            self._report()
+            yield self._line_ends(block)
+
+    def _line_end(self, start: int, stop: int) -> int:
+        """Return the end of the last line that ends between two places."""
+        back = _TAIL
+        while True:
+            first = max(start, stop - back)
+            self._raw.seek(first)
+            end = read_fully(self._raw, stop - first).rfind(b"\n")
+            if end >= 0:
+                return first + end + 1
+            if first == start or back > _LONGEST_LINE:
+                raise self._too_long()
+            back *= 16
+
+    def _too_long(self) -> ReadError:
+        msg = f"{self.name}: a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
+        return ReadError(msg)
+
+    def _read(self, size: int) -> bytes:
+        """Return up to `size` bytes of the unpacked stream; a cut stream ends, with a finding."""
+        pieces: list[bytes] = []
+        missing = max(size, 1)
+        try:
+            while missing > 0:
+                piece = self._take(missing)
+                if not piece:
+                    self._ended = True
+                    break
+                pieces.append(piece)
+                missing -= len(piece)
+        except (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError) as error:
+            self._ended = True
+            self._note_damage(error)
+        except Exception as error:
+            # zstandard and lz4 have error classes of their own; anything else is a bug and goes on.
+            if type(error).__module__.partition(".")[0] not in {"zstandard", "lz4", "backports"}:
+                raise
+            self._ended = True
+            self._note_damage(error)
+        return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+    def _note_damage(self, error: Exception) -> None:
+        text = f"The {self.compression} stream is cut or damaged ({error}); what could be unpacked was read."
+        self.findings.append(Finding(level="warning", code="truncated", text=text))
+
+    def _plain(self, data: bytes) -> bytes:
+        """Return bytes as UTF-8 where they are UTF-16; all other encodings share the digits."""
+        if self._decode is None:
+            return data
+        text = self._decode.decode(data, final=self._ended)
+        return text.removeprefix("\ufeff").encode("utf-8", "replace")
+
+    def _line_ends(self, data: bytes) -> bytes:
+        if b"\r" not in data:
+            return data
+        return data.replace(b"\r", b"\n") if self._return_only else data.replace(b"\r\n", b"\n")
+
+    def _head_lines(self, data: bytes) -> list[str]:
+        text = data.decode("latin-1" if self.encoding == "latin-1" else "utf-8", "replace")
+        lines = text.replace("\x00", "").split("\n")
+        # The last piece is cut by the head or by the end of the log, or empty.
+        if not self.whole or not lines[-1] or len(lines) > 3:
+            lines.pop()
+        return [line.rstrip("\r") for line in lines]
+
+    def _report(self) -> None:
+        if self._progress is not None and self.size:
+            try:
+                done = self._raw.tell()
+            except (OSError, ValueError):
+                return
+            self._progress(min(done, self.size), self.size)
+
+
+def open_text(path: Path, *, progress: Progress | None = None) -> TextSource:
+    """Open a text log; ``-`` is standard input.
+
+    Raises
+    ------
+    ReadError
+        If the file can't be opened, is empty, or is not text.
+    """
+    if str(path) == STANDARD_INPUT:
+        source = TextSource("standard input", sys.stdin.buffer, size=None, progress=None)
+    else:
+        try:
+            # Unbuffered: the blocks are the buffer.
+            raw = cast("BinaryIO", path.open("rb", buffering=0))
+            size = path.stat().st_size
+        except OSError as error:
+            msg = f"{path}: can't be opened: {error.strerror or error}"
+            raise ReadError(msg) from error
+        source = _opened(str(path), raw, size, progress)
+    if not any(line.strip() for line in source.head):
+        found = "is empty" if source.whole else "has no line end in its first 256 KiB"
+        found = f"{found} ({source.findings[0].text})" if source.findings else found
+        source.close()
+        msg = f"{source.name}: the text {found}; expected a table of numbers"
+        raise ReadError(msg)
+    return source
+
+
+def _opened(name: str, raw: BinaryIO, size: int, progress: Progress | None) -> TextSource:
+    try:
+        return TextSource(name, raw, size=size, progress=progress)
+    except BaseException:
+        raw.close()
+        raise

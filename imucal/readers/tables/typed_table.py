@@ -1,0 +1,190 @@
+"""Tables with typed columns: Parquet, NumPy's NPZ and NPY, MATLAB's MAT; chosen by their names like a CSV's.
+
+A two-dimensional array counts as columns ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z. Arrays
+of different lengths are tables of their own: the gyroscope may have one, the accelerometer another.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imucal.errors import ChoiceError, ImucalError, ReadError
+from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
+from imucal.readers.tables.stamps import parse_text_stamps
+from imucal.readers.tables.table_clock import Numbers
+from imucal.readers.tables.table_files import Column, TableFile, open_table
+from imucal.readers.tables.tabular import SensorColumns, assemble, units_note
+from imucal.recording import Recording, Sensor, Source
+
+__all__ = ["describe", "read"]
+
+#: Rows shown to the rules that choose columns.
+_HEAD = 400
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Part:
+    """Columns of one length and what was chosen of them."""
+
+    columns: tuple[Column, ...]
+    plan: TablePlan
+
+
+def read(path: Path, options: ReadOptions) -> Recording:
+    """Read a table of typed columns.
+
+    Raises
+    ------
+    ChoiceError
+        If columns, units or time are not clear.
+    ReadError
+        If the file can't be read.
+    DataError
+        If it holds no samples.
+    """
+    if options.topics:
+        msg = (
+            f"{path}: a table has no topics, but {', '.join(options.topics)} was asked for; "
+            "expected no topic, or a columns text such as t=0,g=1:4,a=4:7"
+        )
+        raise ChoiceError(msg)
+    table = open_table(path)
+    parts = _parts(path, table, options)
+    sensors = [_columns(part, sensor) for part in parts for sensor in part.plan.sensors]
+    decisions = dict.fromkeys(decision for part in parts for decision in part.plan.decisions)
+    names = (part.plan.headers[p] for part in parts for s in part.plan.sensors for p in s.triad.places)
+    source = Source(path=str(path), format=table.format, topics=tuple(names), decisions=tuple(decisions))
+    signature = next((part.plan.signature for part in parts if part.plan.signature), None)
+    return assemble(source, sensors, options, signature=signature, rate_hz=table.rate_hz)
+
+
+def describe(path: Path, options: ReadOptions) -> LogContents:
+    """Return what a table holds."""
+    size = path.stat().st_size
+    table = open_table(path)
+    shown = ", ".join(f"{column.name} ({column.size})" for column in table.columns[:60])
+    try:
+        recording = read(path, options)
+    except ImucalError as error:
+        topic = TopicContents(name=path.name, type="table", note=f"{error}; columns: {shown}")
+        return LogContents(path=str(path), format=table.format, size_bytes=size, topics=(topic,))
+    first = recording.series[0]
+    topic = TopicContents(
+        name=path.name,
+        type="table",
+        count=first.n,
+        rate_hz=first.rate_hz,
+        duration_s=first.duration_s,
+        sensors=tuple(dict.fromkeys(series.sensor for series in recording.series)),
+        note=units_note(recording),
+    )
+    return LogContents(
+        path=str(path),
+        format=table.format,
+        size_bytes=size,
+        topics=(topic,),
+        start_ns=first.clock.start_ns,
+        duration_s=first.duration_s,
+    )
+
+
+def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
+    """Choose the columns; of arrays of several lengths each length for itself."""
+    lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
+    groups = [tuple(c for c in table.columns if c.size == length) for length in lengths]
+    if not groups:
+        shown = ", ".join(column.name for column in table.columns) or "nothing"
+        msg = f"{path}: no columns of samples, found {shown}; expected arrays of a gyroscope or accelerometer"
+        raise ReadError(msg)
+    if len(groups) == 1 or options.columns is not None:
+        # The places in a columns text are those of the longest table.
+        longest = max(groups, key=lambda group: (len(group), group[0].size))
+        return [_part(path, longest, options)]
+    parts, errors = [], []
+    for group in groups:
+        try:
+            parts.append(_part(path, group, options))
+        except ChoiceError as error:
+            errors.append(error)
+    if not parts:
+        raise errors[0]
+    return _without_doubles(path, parts)
+
+
+def _without_doubles(path: Path, parts: Sequence[_Part]) -> list[_Part]:
+    """Refuse a sensor that stands in two tables."""
+    found: dict[Sensor, _Part] = {}
+    for part in parts:
+        for sensor in part.plan.sensors:
+            if sensor.triad.sensor in found:
+                names = [
+                    other.triad.headers[0]
+                    for each in (found[sensor.triad.sensor], part)
+                    for other in each.plan.sensors
+                    if other.triad.sensor is sensor.triad.sensor
+                ]
+                msg = (
+                    f"{path}: two tables hold a {sensor.triad.sensor}: {' and '.join(names)}; "
+                    "expected one; give the columns"
+                )
+                raise ChoiceError(msg)
+            found[sensor.triad.sensor] = part
+    return list(parts)
+
+
+def _part(path: Path, columns: Sequence[Column], options: ReadOptions) -> _Part:
+    cells = [column.cells(_HEAD) for column in columns]
+    plan = make_plan(
+        str(path),
+        [column.name for column in columns],
+        lambda place: cells[place],
+        options,
+        units=[column.unit for column in columns],
+        name=path.name,
+    )
+    return _Part(columns=tuple(columns), plan=plan)
+
+
+def _columns(part: _Part, sensor: SensorPlan) -> SensorColumns:
+    x, y, z = (_floats(part.columns[place]) for place in sensor.triad.places)
+    axes = (x, y, z)
+    time = _times(part, sensor.time.places, text=sensor.time.kind == "text") if sensor.time else ()
+    log = _times(part, sensor.log_time.places, text=sensor.log_time.kind == "text") if sensor.log_time else ()
+    warmth = part.plan.temperature
+    temperature = _floats(part.columns[warmth]) if warmth is not None else None
+    keep = None
+    if sensor.triad.rows is not None:
+        place, tag = sensor.triad.rows
+        keep = part.columns[place].is_text(tag)
+        axes = (x[keep], y[keep], z[keep])
+        time = tuple(column[keep] for column in time)
+        log = tuple(column[keep] for column in log)
+        temperature = temperature[keep] if temperature is not None else None
+    sparse = any(part.columns[place].has_gaps for place in sensor.triad.places)
+    return SensorColumns(
+        plan=sensor, axes=axes, time=time, log_time=log, temperature=temperature, sparse=sparse
+    )
+
+
+def _times(part: _Part, places: Sequence[int], *, text: bool) -> tuple[Numbers, ...]:
+    if text:
+        return (parse_text_stamps([str(cell) for cell in part.columns[places[0]].values()]),)
+    return tuple(_numbers(part.columns[place]) for place in places)
+
+
+def _numbers(column: Column) -> Numbers:
+    values = column.values()
+    if values.dtype.kind == "M":
+        return np.asarray(values.astype("datetime64[ns]").astype(np.int64))
+    if values.dtype.kind in "iu":
+        return values.astype(np.int64)
+    return np.asarray(values, dtype=np.float64)
+
+
+def _floats(column: Column) -> Any:  # noqa: ANN401 - numpy's astype
+    return np.array(column.values(), dtype=np.float64)

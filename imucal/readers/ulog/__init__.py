@@ -1,0 +1,3 @@
+"""PX4 ULog files."""
+
+__all__: list[str] = []

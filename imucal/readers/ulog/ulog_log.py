@@ -1,0 +1,281 @@
+"""PX4 ULog files, through pyulog: raw IMU samples of the flight controller.
+
+Messages (PX4 message definitions, `msg/`): ``sensor_combined`` (the estimator's choice),
+``sensor_gyro`` and ``sensor_accel`` (each sensor), ``sensor_gyro_fifo`` and ``sensor_accel_fifo`` (every
+sample of its buffer), ``vehicle_imu`` (integrals, divided by their time here). Times are microseconds
+since boot. One instance of a message is named ``sensor_gyro:1``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import IntArray
+from imucal.errors import ChoiceError, DataError, ReadError
+from imucal.findings import Finding
+from imucal.readers.clocks.from_stamps import ClockReading, clock_from_stamps
+from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.ulog.ulog_messages import MESSAGES, Instance, Samples, samples_of
+from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
+from imucal.units import SAMPLE_UNITS, parse_sample_unit
+
+__all__ = ["describe", "read"]
+
+_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+
+#: An instance logged at less than this share of the fastest rate is a health check, not a recording.
+_TOO_SLOW = 0.2
+
+_AXES: tuple[Axis, ...] = ("x", "y", "z")
+
+
+def read(path: Path, options: ReadOptions) -> Recording:
+    """Read the IMU of a ULog file.
+
+    Raises
+    ------
+    ReadError
+        If it is no ULog file.
+    ChoiceError
+        If several message instances could be meant, or none fits.
+    DataError
+        If there are no samples.
+    """
+    if options.columns is not None or options.time not in {None, "header"}:
+        asked = f"columns {options.columns!r}" if options.columns is not None else f"time {options.time!r}"
+        msg = (
+            f"{path}: a ULog has messages with one clock, but {asked} was asked for; "
+            "expected the names of messages such as sensor_combined or sensor_gyro:1"
+        )
+        raise ChoiceError(msg)
+    log = _load(path)
+    findings = _log_findings(log)
+    if options.strict and any(finding.level == "warning" for finding in findings):
+        msg = f"{path}: {findings[0].text} Expected an undamaged log"
+        raise ReadError(msg)
+    instances = _instances(log)
+    chosen = _choose(path, instances, options)
+    decisions = [("topics", f"{', '.join(instance.name for instance in chosen)}, {_reason(options)}")]
+    series: list[AxisSeries] = []
+    clocks: list[tuple[IntArray, ClockReading]] = []
+    temperature: Temperature | None = None
+    for instance in chosen:
+        for sensor in instance.sensors:
+            if any(entry.sensor is sensor for entry in series):
+                continue
+            samples = samples_of(instance, sensor)
+            if not samples.stamps.size:
+                msg = f"{path}: {instance.name} holds no samples of the {sensor}; expected a recording"
+                raise DataError(msg)
+            new, warmth, notes = _series(path, instance, sensor, samples, options, clocks=clocks)
+            series += new
+            temperature = temperature or warmth
+            findings += [note for note in notes if note not in findings]
+    for sensor, unit, factor in _scales(path, options):
+        series = [
+            replace(entry, samples=entry.samples * factor) if entry.sensor is sensor else entry
+            for entry in series
+        ]
+        decisions.append((f"{sensor} unit", f"{unit}, as given"))
+    given = {what for what, _ in decisions}
+    decisions += [
+        (f"{sensor} unit", f"{sensor.unit}, as PX4 logs it")
+        for sensor in (_GYRO, _ACCEL)
+        if f"{sensor} unit" not in given and any(entry.sensor is sensor for entry in series)
+    ]
+    return Recording(
+        source=Source(
+            path=str(path),
+            format="ulog",
+            topics=tuple(instance.name for instance in chosen),
+            message_types=tuple(instance.message for instance in chosen),
+            decisions=tuple(decisions),
+        ),
+        series=tuple(sorted(series, key=lambda entry: entry.sensor is _ACCEL)),
+        temperature=temperature,
+        findings=tuple(findings),
+    )
+
+
+def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 - every reader takes options
+    """Return the IMU messages of a ULog file."""
+    log = _load(path)
+    topics = [
+        TopicContents(
+            name=instance.name,
+            type=instance.message,
+            count=instance.count,
+            rate_hz=instance.rate_hz,
+            duration_s=instance.duration_s,
+            sensors=instance.sensors,
+        )
+        for instance in _instances(log)
+    ]
+    return LogContents(
+        path=str(path),
+        format="ulog",
+        size_bytes=path.stat().st_size,
+        topics=tuple(topics),
+        duration_s=max((topic.duration_s or 0.0 for topic in topics), default=None),
+        compression="none",
+        findings=tuple(_log_findings(log)),
+    )
+
+
+def _load(path: Path) -> Any:  # noqa: ANN401 - pyulog has no types
+    from pyulog import ULog
+
+    try:
+        with path.open("rb") as file:
+            return ULog(file, message_name_filter_list=list(MESSAGES))
+    except OSError as error:
+        msg = f"{path}: can't be opened: {error.strerror or error}"
+        raise ReadError(msg) from error
+    except Exception as error:
+        # pyulog raises whatever its parsing meets in a damaged file.
+        msg = f"{path}: not a readable ULog file: {type(error).__name__} {error}; expected a log of PX4"
+        raise ReadError(msg) from error
+
+
+def _log_findings(log: Any) -> list[Finding]:  # noqa: ANN401 - pyulog has no types
+    findings = []
+    if log.file_corruption:
+        text = "Parts of the log are damaged; what could be read around them was read."
+        findings.append(Finding(level="warning", code="damaged", text=text))
+    if log.dropouts:
+        lost = sum(dropout.duration for dropout in log.dropouts) / 1000
+        count = "a dropout" if len(log.dropouts) == 1 else f"{len(log.dropouts)} dropouts"
+        text = f"The logger reports {count} of {lost:.3g} s in all: its card was too slow."
+        advice = "Use a faster card or log fewer topics."
+        findings.append(Finding(level="info", code="dropouts", text=text, advice=advice))
+    return findings
+
+
+def _instances(log: Any) -> list[Instance]:  # noqa: ANN401 - pyulog has no types
+    known = [entry for entry in log.data_list if entry.name in MESSAGES and _is_whole(entry.data)]
+    names = [entry.name for entry in known]
+    return [
+        Instance(
+            message=entry.name,
+            multi=int(entry.multi_id),
+            several=names.count(entry.name) > 1,
+            data=entry.data,
+        )
+        for entry in known
+    ]
+
+
+def _is_whole(data: dict[str, NDArray[Any]]) -> bool:
+    return "timestamp" in data and data["timestamp"].size > 0
+
+
+def _choose(path: Path, instances: Sequence[Instance], options: ReadOptions) -> list[Instance]:
+    """Return the instances to read: those asked for, or the only set that was logged fast."""
+    if options.topics:
+        return _asked(path, instances, options.topics)
+    if not instances:
+        msg = (
+            f"{path}: no IMU messages; expected one of {', '.join(MESSAGES)}; "
+            "log them with the sensor profile of the logger"
+        )
+        raise ChoiceError(msg)
+    fastest = max(instance.rate_hz or 0.0 for instance in instances)
+    fast = [instance for instance in instances if (instance.rate_hz or 0.0) >= _TOO_SLOW * fastest]
+    if len(fast) == 1:
+        return fast
+    gyros = [instance for instance in fast if instance.sensors == (_GYRO,)]
+    accels = [instance for instance in fast if instance.sensors == (_ACCEL,)]
+    if len(fast) == 2 and len(gyros) == len(accels) == 1:
+        return [*gyros, *accels]
+    msg = f"{path}: several IMU messages: {_listed(fast)}; name one, or one for each sensor"
+    raise ChoiceError(msg)
+
+
+def _asked(path: Path, instances: Sequence[Instance], topics: Sequence[str]) -> list[Instance]:
+    chosen = []
+    for topic in topics:
+        found = [instance for instance in instances if instance.answers_to(topic)]
+        if not found:
+            msg = f"{path}: no message {topic!r}; found {_listed(instances) or 'no IMU messages'}"
+            raise ChoiceError(msg)
+        chosen += found
+    return chosen
+
+
+def _listed(instances: Sequence[Instance]) -> str:
+    return ", ".join(
+        f"{instance.name} ({' and '.join(instance.sensors)}, {instance.count} samples"
+        + (f", {instance.rate_hz:.4g} Hz)" if instance.rate_hz else ")")
+        for instance in instances
+    )
+
+
+def _reason(options: ReadOptions) -> str:
+    return "as asked" if options.topics else "the only ones logged at the full rate"
+
+
+def _series(
+    path: Path,
+    instance: Instance,
+    sensor: Sensor,
+    samples: Samples,
+    options: ReadOptions,
+    *,
+    clocks: list[tuple[IntArray, ClockReading]],
+) -> tuple[list[AxisSeries], Temperature | None, tuple[Finding, ...]]:
+    reading = next((old for stamps, old in clocks if np.array_equal(stamps, samples.stamps)), None)
+    if reading is None or reading.order is not None:
+        reading = _clock(path, instance, samples, options)
+        clocks.append((samples.stamps, reading))
+    vectors, temperature = samples.vectors, samples.temperature
+    if reading.order is not None:
+        vectors = vectors[reading.order]
+        temperature = temperature[reading.order] if temperature is not None else None
+    series = [
+        AxisSeries(sensor=sensor, axis=axis, samples=np.ascontiguousarray(vectors[:, i]), clock=reading.clock)
+        for i, axis in enumerate(_AXES)
+    ]
+    warmth = None
+    if temperature is not None and np.isfinite(temperature).any():
+        warmth = Temperature(samples=temperature, clock=reading.clock)
+    return series, warmth, reading.findings
+
+
+def _clock(path: Path, instance: Instance, samples: Samples, options: ReadOptions) -> ClockReading:
+    same = np.zeros(samples.stamps.size, dtype=np.bool_)
+    same[1:] = (np.diff(samples.stamps) == 0) & (samples.vectors[1:] == samples.vectors[:-1]).all(axis=1)
+    try:
+        return clock_from_stamps(
+            samples.stamps,
+            source=f"timestamp of {instance.name}",
+            rate_hz=options.rate_hz,
+            repeated=same if same.any() else None,
+        )
+    except DataError as error:
+        msg = f"{path}: {instance.name}: {error}"
+        raise DataError(msg) from error
+
+
+def _scales(path: Path, options: ReadOptions) -> list[tuple[Sensor, str, float]]:
+    """Return what a user says the samples are instead of SI."""
+    scales = []
+    given = (
+        (_GYRO, options.gyro_unit, options.gyro_scale),
+        (_ACCEL, options.accel_unit, options.accel_scale),
+    )
+    for sensor, unit, scale in given:
+        if scale is not None:
+            scales.append((sensor, f"{scale:g} {sensor.unit} per count", scale))
+        elif unit is not None:
+            parsed = parse_sample_unit(unit)
+            if parsed is None or parsed[0] is not sensor:
+                known = ", ".join(SAMPLE_UNITS[sensor])
+                msg = f"{path}: {unit!r} is no unit of the {sensor}; expected one of {known}"
+                raise ChoiceError(msg)
+            scales.append((sensor, parsed[1], SAMPLE_UNITS[sensor][parsed[1]]))
+    return scales

@@ -1,0 +1,211 @@
+"""The numbers that go into a file: chosen among the axes, bounded where unknown, inflated on request."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias, get_args
+
+from imucal.errors import DataError
+from imucal.fitting.noise_fit import Estimate
+from imucal.noise.terms import TERMS
+from imucal.recording import Axis, Sensor
+from imucal.report.result import AxisReport, Report
+
+__all__ = ["INFLATABLE", "AxisPolicy", "Choices", "Number", "Numbers", "Unidentified"]
+
+AxisPolicy: TypeAlias = Literal["worst", "rms", "x", "y", "z"]
+Unidentified: TypeAlias = Literal["bound", "refuse"]
+
+#: What can be inflated -> the symbols of the terms it multiplies.
+INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choices:
+    """What the user decides about a downstream file.
+
+    Attributes
+    ----------
+    axis_policy
+        For formats with one number a sensor: ``worst``, the largest of the axes; ``rms``, the root
+        of the mean variance; or one axis, ``x``, ``y`` or ``z``.
+    inflate
+        ``white``, ``walk`` or ``flicker`` -> factor on the coefficient (a deviation, not a variance).
+    unidentified
+        For a term that the data do not show: write its upper ``bound``, or ``refuse``.
+    topic
+        Topic to write, for formats that name one; None for the log's own.
+    """
+
+    axis_policy: AxisPolicy = "worst"
+    inflate: Mapping[str, float] = field(default_factory=dict)
+    unidentified: Unidentified = "bound"
+    topic: str | None = None
+
+    def __post_init__(self) -> None:
+        _require(self.axis_policy, get_args(AxisPolicy), "axis policy")
+        _require(self.unidentified, get_args(Unidentified), "choice for unidentified terms")
+        for name, factor in self.inflate.items():
+            _require(name, tuple(INFLATABLE), "inflation")
+            if not (math.isfinite(factor) and factor > 0):
+                msg = f"inflation of {name} must be a positive number, got {factor}"
+                raise ValueError(msg)
+
+    def factor(self, symbol: str) -> float:
+        """Return the factor on a term's coefficient; 1 where nothing was asked."""
+        for name, symbols in INFLATABLE.items():
+            if symbol in symbols:
+                return self.inflate.get(name, 1.0)
+        return 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number:
+    """One coefficient as it goes into a file.
+
+    Attributes
+    ----------
+    symbol
+        Its term.
+    value
+        The coefficient in SI, positive, inflation included.
+    axes
+        The axes it was made from: one, or all of the sensor's for ``rms``.
+    bounded
+        Those of `axes` whose upper bound stands in for a value.
+    level
+        Confidence level of the bound.
+    """
+
+    symbol: str
+    value: float
+    axes: tuple[str, ...]
+    bounded: tuple[str, ...]
+    level: float
+
+    @property
+    def note(self) -> str:
+        """Where the number comes from, for a comment beside it."""
+        origin = f"{self.symbol} of {', '.join(self.axes)}"
+        if not self.bounded:
+            return origin
+        if self.bounded == self.axes:
+            return f"{origin}, UPPER BOUND ({self.level:.0%}): the data do not show this term"
+        return f"{origin}; UPPER BOUND ({self.level:.0%}) on {', '.join(self.bounded)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Numbers:
+    """A report as a file format sees it.
+
+    Every method raises `DataError` where the report has no number to give: a sensor or an axis is
+    missing, or a term was not identified and the user refused its bound.
+    """
+
+    report: Report
+    choices: Choices
+    target: str
+
+    def axes(self, sensor: Sensor) -> tuple[AxisReport, ...]:
+        """Return the axes of a sensor; at least one."""
+        axes = tuple(axis for axis in self.report.axes if axis.sensor is sensor)
+        if not axes:
+            raise self._missing(str(sensor))
+        return axes
+
+    def axis(self, sensor: Sensor, axis: Axis) -> AxisReport:
+        """Return one axis."""
+        for candidate in self.axes(sensor):
+            if candidate.axis == axis:
+                return candidate
+        name = f"{sensor.short}_{axis}"
+        raise self._missing(name)
+
+    def triad(self, sensor: Sensor) -> tuple[AxisReport, AxisReport, AxisReport]:
+        """Return all three axes of a sensor."""
+        return self.axis(sensor, "x"), self.axis(sensor, "y"), self.axis(sensor, "z")
+
+    def rate_hz(self, sensor: Sensor) -> float:
+        """Return the sensor's sampling rate, to nine digits: no clock is known better."""
+        return float(f"{self.axes(sensor)[0].rate_hz:.9g}")
+
+    def one(self, sensor: Sensor, symbol: str) -> Number:
+        """Return one number for a sensor, by the axis policy."""
+        policy = self.choices.axis_policy
+        if policy in ("x", "y", "z"):
+            return self.of(self.axis(sensor, policy), symbol)
+        numbers = [self.of(axis, symbol) for axis in self.axes(sensor)]
+        if policy == "worst":
+            return max(numbers, key=lambda number: number.value)
+        return Number(
+            symbol=symbol,
+            value=math.sqrt(sum(number.value**2 for number in numbers) / len(numbers)),
+            axes=tuple(name for number in numbers for name in number.axes),
+            bounded=tuple(name for number in numbers for name in number.bounded),
+            level=numbers[0].level,
+        )
+
+    def each(self, sensor: Sensor, symbol: str) -> tuple[Number, Number, Number]:
+        """Return a number for each of the three axes; the axis policy plays no part."""
+        x, y, z = self.triad(sensor)
+        return self.of(x, symbol), self.of(y, symbol), self.of(z, symbol)
+
+    def of(self, axis: AxisReport, symbol: str) -> Number:
+        """Return one axis's coefficient of N, B or K, or its upper bound."""
+        estimate = axis.fit[symbol]
+        if estimate.value is None:
+            self._refuse_bound(axis, estimate)
+        coefficient = estimate.high if estimate.value is None else estimate.value
+        return Number(
+            symbol=symbol,
+            value=self._positive(coefficient * self.choices.factor(symbol), symbol, axis.name),
+            axes=(axis.name,),
+            bounded=(axis.name,) if estimate.value is None else (),
+            level=axis.fit.level,
+        )
+
+    def gauss_markov(self, axis: AxisReport) -> tuple[float, float] | None:
+        """Return sigma (inflated) and T of an axis's slowest Gauss-Markov term; None where it has none."""
+        terms = [
+            (estimate.correlation_time.value, estimate.value)
+            for estimate in axis.fit.estimates
+            if estimate.symbol == "GM" and estimate.value and estimate.correlation_time is not None
+        ]
+        if not terms:
+            return None
+        correlation_time, sigma = max(terms)
+        return sigma * self.choices.factor("GM"), correlation_time
+
+    def _refuse_bound(self, axis: AxisReport, estimate: Estimate) -> None:
+        if self.choices.unidentified != "refuse":
+            return
+        unit = TERMS[estimate.symbol].units[axis.sensor is Sensor.ACCELEROMETER]
+        msg = (
+            f"{self.report.source.path}: {axis.name}: {estimate.symbol} was not identified "
+            f"(upper bound {estimate.high:.3g} {unit}), but {self.target} needs a value; "
+            "accept the bound, choose an axis that shows the term, or record for longer"
+        )
+        raise DataError(msg)
+
+    def _positive(self, value: float, symbol: str, name: str) -> float:
+        if math.isfinite(value) and value > 0:
+            return value
+        msg = (
+            f"{self.report.source.path}: {name}: {symbol} is {value}, "
+            f"but {self.target} needs a positive number; choose another axis or fit again"
+        )
+        raise DataError(msg)
+
+    def _missing(self, what: str) -> DataError:
+        found = ", ".join(axis.name for axis in self.report.axes) or "no axis"
+        msg = (
+            f"{self.report.source.path}: no {what}, which {self.target} needs; found {found}; "
+            "use a log that holds both sensors with all their axes"
+        )
+        return DataError(msg)
+
+
+def _require(value: str, choices: tuple[str, ...], what: str) -> None:
+    if value not in choices:
+        msg = f"{what} {value!r} is not one of {', '.join(choices)}"
+        raise ValueError(msg)

@@ -1,0 +1,192 @@
+"""Was the IMU at rest: touches, motion at the start or the end, a turn to another pose."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.findings import Finding, Level
+from imucal.recording import Sensor
+from imucal.screening.profile import Profile
+from imucal.screening.stillness import usual_variance
+from imucal.screening.unit_check import gravity
+from imucal.screening.words import name_list, span, time
+
+__all__ = ["check_motion", "check_turned"]
+
+#: Disturbances closer than this are one, in s.
+_APART_S = 3.0
+#: Quiet time taken off on both sides of a disturbance, in s.
+_SETTLE_S = 1.0
+#: A shorter rest is not worth keeping, in s.
+_WORTH_S = 5.0
+#: A log disturbed for more than this part of it was not at rest.
+_MOVING = 0.2
+#: Disturbances in this part of the log from its ends are its start and its end.
+_ENDS = 0.1
+#: Gravity that points this far elsewhere, in degrees, is a turn and no drift of a bias.
+_TURN_DEG = 2.0
+#: Windows averaged for a pose, and least gravity, in U, to see one.
+_POSE_WINDOWS, _LEAST_GRAVITY = 5, 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class _Disturbance:
+    start_s: float
+    end_s: float
+    axes: tuple[str, ...]
+    factor: float
+
+    def words(self) -> str:
+        loudest = f"{self.factor:.0f} times the noise" if self.factor >= 2 else "a shift of the level"
+        return f"{span(self.start_s, self.end_s)} ({name_list(list(self.axes))}; {loudest})"
+
+
+def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return findings for what disturbs the rest, over all axes, with the part worth keeping."""
+    disturbances = _disturbances(profiles)
+    if not disturbances:
+        return ()
+    duration = max(p.series.duration_s for p in profiles)
+    keep = _longest_rest(disturbances, duration)
+    moving = sum(d.end_s - d.start_s for d in disturbances) / duration
+    if moving > _MOVING or keep is None:
+        return (_not_at_rest(disturbances, moving, keep),)
+    ends = [d for d in disturbances if d.end_s < _ENDS * duration or d.start_s > (1 - _ENDS) * duration]
+    middle = [d for d in disturbances if d not in ends]
+    findings = []
+    if ends:
+        where = {True: "start", False: "end"}
+        sides = name_list(list(dict.fromkeys(where[d.start_s < duration / 2] for d in ends)))
+        findings.append(
+            Finding(
+                level="warning",
+                code="motion",
+                text=f"The IMU was moved near the {sides} of the log: {_listed(ends)}.",
+                advice=f"Leave that out: keep {span(*keep)}.",
+                keep_s=keep,
+            )
+        )
+    if middle:
+        findings.append(
+            Finding(
+                level="warning",
+                code="touch",
+                text=f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}.",
+                advice=f"Record again undisturbed, or keep the longest quiet part, {span(*keep)}.",
+                keep_s=keep,
+            )
+        )
+    return tuple(findings)
+
+
+def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return an error when gravity points elsewhere at another time: the IMU rested in two poses."""
+    accel = [p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER]
+    if gravity(accel) is None:
+        return ()
+    rest = ~np.any([p.disturbed for p in accel], axis=0)
+    down = np.stack([p.windows.mean[rest] for p in accel], axis=1)
+    seconds = accel[0].windows.time_s[rest]
+    keep = _longest_rest(_disturbances(profiles), accel[0].series.duration_s)
+    start, end = keep or (0.0, np.inf)
+    kept = (seconds >= start) & (seconds < end)
+    if down.shape[0] < _POSE_WINDOWS or not kept.any():
+        return ()
+    even = np.full(_POSE_WINDOWS, 1 / _POSE_WINDOWS)
+    smooth = np.stack([np.convolve(column, even, "valid") for column in down.T], axis=1)
+    usual = down[kept].mean(axis=0)
+    lengths = np.linalg.norm(smooth, axis=1) * np.linalg.norm(usual)
+    if not lengths.min() > 0 or np.linalg.norm(usual) < _LEAST_GRAVITY:
+        return ()
+    angles = np.degrees(np.arccos(np.clip(smooth @ usual / lengths, -1, 1)))
+    if angles.max() < _TURN_DEG:
+        return ()
+    turn = int(np.linalg.norm(np.diff(down, axis=0), axis=1).argmax())
+    return (
+        Finding(
+            level="error",
+            code="motion",
+            text=(
+                f"The IMU was turned by up to {angles.max():.0f} degrees, mostly near "
+                f"{seconds[turn]:.1f} s: gravity points elsewhere then."
+            ),
+            advice=f"Record again in one pose{f', or keep the longest rest, {span(*keep)}' if keep else ''}.",
+            keep_s=keep,
+        ),
+    )
+
+
+def _disturbances(profiles: Sequence[Profile]) -> list[_Disturbance]:
+    """Return when any axis is disturbed, in order of time; close ones joined."""
+    spans = [
+        (float(start), float(end), profile.name, factor)
+        for profile in profiles
+        for start, end, factor in _spans(profile)
+    ]
+    joined: list[_Disturbance] = []
+    for start, end, name, factor in sorted(spans):
+        if joined and start < joined[-1].end_s + _APART_S:
+            last = joined[-1]
+            axes = tuple(dict.fromkeys((*last.axes, name)))
+            joined[-1] = _Disturbance(last.start_s, max(last.end_s, end), axes, max(last.factor, factor))
+        else:
+            joined.append(_Disturbance(start, end, (name,), factor))
+    return joined
+
+
+def _spans(profile: Profile) -> list[tuple[float, float, float]]:
+    """Return start, end and how loud each run of disturbed windows of an axis is."""
+    windows, marks = profile.windows, profile.disturbed
+    if not marks.any():
+        return []
+    firsts, lasts = _runs(marks)
+    scale = max(usual_variance(windows), (profile.lsb or 0.0) ** 2 / 12)
+    spans = []
+    for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
+        loudest = windows.variance[first : last + 1].max()
+        factor = float(np.sqrt(loudest / scale)) if scale > 0 else float("inf")
+        spans.append((windows.time_s[first], windows.end_s[last], factor))
+    return spans
+
+
+def _runs(marks: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    steps = np.diff(np.concatenate([[0], marks.astype(np.int8), [0]]))
+    return np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1
+
+
+def _longest_rest(disturbances: list[_Disturbance], duration: float) -> tuple[float, float] | None:
+    """Return the longest part without a disturbance, in s, a second clear of it; None if all are short."""
+    edges = [0.0]
+    for disturbance in disturbances:
+        edges += [max(0.0, disturbance.start_s - _SETTLE_S), disturbance.end_s + _SETTLE_S]
+    edges.append(duration)
+    rests = list(zip(edges[::2], edges[1::2], strict=True))
+    start, end = max(rests, key=lambda rest: rest[1] - rest[0])
+    return (round(start, 1), round(end, 1)) if end - start >= _WORTH_S else None
+
+
+def _not_at_rest(
+    disturbances: list[_Disturbance], moving: float, keep: tuple[float, float] | None
+) -> Finding:
+    text = f"The IMU was not at rest: it moved {_times(len(disturbances))}, {moving:.0%} of the log; "
+    advice = "Record again with the IMU on a firm, quiet surface"
+    if keep is None:
+        text += f"it never rested for {_WORTH_S:g} s."
+    else:
+        text += f"the longest rest, {span(*keep)}, lasts {time(keep[1] - keep[0])}."
+        advice += ", or keep the longest rest"
+    level: Level = "error" if moving > 0.5 or keep is None else "warning"
+    return Finding(level=level, code="motion", text=text, advice=f"{advice}.", keep_s=keep)
+
+
+def _listed(disturbances: list[_Disturbance]) -> str:
+    loudest = sorted(disturbances, key=lambda d: d.factor, reverse=True)[:3]
+    words = "; ".join(d.words() for d in sorted(loudest, key=lambda d: d.start_s))
+    more = len(disturbances) - len(loudest)
+    return f"{words}; and {more} more" if more else words
+
+
+def _times(count: int) -> str:
+    return {1: "once", 2: "twice"}.get(count, f"{count} times")

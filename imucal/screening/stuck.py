@@ -1,0 +1,181 @@
+"""Axes without data, that stop moving, that hit their limit, or that repeat their samples."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.findings import Finding
+from imucal.recording import Sensor
+from imucal.screening.profile import Profile
+from imucal.screening.resolution import excerpt
+from imucal.screening.words import amount, time
+
+__all__ = ["check_no_data", "check_not_finite", "check_repeats", "check_saturated", "check_stuck"]
+
+#: How often noise may by chance repeat one value through a window.
+_FALSE_ALARM = 1e-6
+#: A limit is hit when this many samples lie on the extreme value, and this many times the next one's.
+_LEAST_AT_LIMIT, _LIMIT_RATIO = 8, 5.0
+#: An extreme nearer to the middle than this many steps of the axis is the coarseness, not a limit.
+_LEAST_STEPS = 4.0
+#: Samples that are no numbers, beyond this part, are worth a warning.
+_MANY = 1e-3
+#: Repeated samples below this part of all are not worth a word.
+_LEAST_REPEATS = 0.005
+
+
+def check_no_data(profile: Profile) -> tuple[Finding, ...]:
+    """Return an error for an axis that holds no sample, or one value only."""
+    series = profile.series
+    if series.n == 0:
+        text = f"{series.name} holds no finite sample."
+        return (_error("no-data", text, "Look at the driver or at the choice of columns.", series.name),)
+    if not profile.windows.size or not profile.constant:
+        return ()
+    first = float(series.samples[0])
+    if first == 0:
+        text = f"{series.name} is 0 in all of its {series.n} samples: the driver does not fill it."
+        return (_error("no-data", text, "Read this sensor from another topic or column.", series.name),)
+    text = f"{series.name} never changes: all of its {series.n} samples are {first:.6g} {series.unit}."
+    return (
+        _error("stuck", text, "Look at the sensor and its driver; this axis can't be used.", series.name),
+    )
+
+
+def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
+    """Return a finding for samples that are no numbers, or none that a sensor gives."""
+    series, count = profile.series, profile.left_out
+    if not count or not series.n:
+        return ()
+    share = count / (count + series.n)
+    return (
+        Finding(
+            level="warning" if share > _MANY else "info",
+            code="not-finite",
+            text=(
+                f"{count} {'sample' if count == 1 else 'samples'} of {series.name} ({share:.2g} of all) "
+                f"{'is' if count == 1 else 'are'} NaN, infinite or absurdly large and left out."
+            ),
+            advice="Look at the driver.",
+            axis=series.name,
+        ),
+    )
+
+
+def check_stuck(profile: Profile) -> tuple[Finding, ...]:
+    """Return a finding for windows that hold one value, where noise would not by chance."""
+    windows, series = profile.windows, profile.series
+    frozen = windows.low == windows.high
+    if not frozen.any() or frozen.all():
+        return ()
+    usual = float(np.quantile(windows.repeats[~frozen], 0.9) + 1) / windows.width
+    by_chance = windows.size * min(usual, 1.0) ** (windows.width - 1)
+    if by_chance > _FALSE_ALARM:
+        return ()
+    total = frozen.sum() * windows.length_s
+    first = int(frozen.argmax())
+    return (
+        Finding(
+            level="warning",
+            code="stuck",
+            text=(
+                f"{series.name} is stuck at one value for {time(total)} in all, first at "
+                f"{windows.time_s[first]:.1f} s."
+            ),
+            advice="Look at the driver and the cable; leave these parts out.",
+            axis=series.name,
+            keep_s=_longest_false(profile, frozen.astype(bool)),
+        ),
+    )
+
+
+def _longest_false(profile: Profile, marks: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return start and end, in s, of the longest run of windows that are not marked."""
+    edges = np.flatnonzero(np.concatenate([[True], marks, [True]]))
+    lengths = np.diff(edges)
+    longest = int(lengths.argmax())
+    first, last = int(edges[longest]), int(edges[longest + 1]) - 2
+    windows = profile.windows
+    last = max(last, first)
+    return round(float(windows.time_s[first]), 1), round(float(windows.end_s[last]), 1)
+
+
+def check_saturated(profile: Profile) -> tuple[Finding, ...]:
+    """Return a finding for an axis that lies on its highest or lowest value too often to be noise."""
+    windows, series = profile.windows, profile.series
+    middle = float(np.median(windows.mean))
+    step = profile.lsb or 0.0
+    for limit, extremes, word in (
+        (float(windows.high.max()), windows.high, "highest"),
+        (float(windows.low.min()), windows.low, "lowest"),
+    ):
+        if abs(limit - middle) <= _LEAST_STEPS * step:
+            continue
+        index = np.flatnonzero(extremes == limit)
+        if index.size < 2 and windows.repeats[index].sum() < _LEAST_AT_LIMIT:
+            continue
+        at_limit, next_to_it = _counts(profile, index, limit)
+        if at_limit >= _LEAST_AT_LIMIT and at_limit > _LIMIT_RATIO * next_to_it:
+            text = (
+                f"{series.name} lies on its {word} value, {amount(limit, series.sensor)}, "
+                f"{at_limit} times: it is saturated, first at {windows.time_s[index[0]]:.1f} s."
+            )
+            advice = "Choose a larger range of the sensor, or leave these parts out."
+            return (Finding(level="warning", code="saturated", text=text, advice=advice, axis=series.name),)
+    return ()
+
+
+def _counts(profile: Profile, index: NDArray[np.intp], limit: float) -> tuple[int, int]:
+    """Return how many samples of some windows lie at the limit, and at the next value towards the middle."""
+    windows = profile.windows
+    at_limit = 0
+    nearest: dict[float, int] = {}
+    for start in windows.start[index[:1000]].tolist():
+        values, counts = np.unique(profile.series.samples[start : start + windows.width], return_counts=True)
+        at_limit += int(counts[values == limit].sum())
+        others = values != limit
+        if others.any():
+            place = int(np.abs(values[others] - limit).argmin())
+            value = float(values[others][place])
+            nearest[value] = nearest.get(value, 0) + int(counts[others][place])
+    return at_limit, max(nearest.values(), default=0)
+
+
+def check_repeats(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return a finding for each sensor whose samples repeat on all axes at once: sample and hold."""
+    findings = []
+    for sensor in Sensor:
+        group = [p for p in profiles if p.series.sensor is sensor and not p.constant]
+        if len(group) < 2 or len({p.series.n for p in group}) > 1 or group[0].series.n < 64:
+            continue
+        together, apart, least = _repeats(group)
+        if together > _LEAST_REPEATS and together - apart > 0.5 * (least - apart):
+            rate = group[0].series.rate_hz
+            findings.append(
+                Finding(
+                    level="warning",
+                    code="held-samples",
+                    text=(
+                        f"{together:.1%} of the {sensor} samples repeat the one before on all axes: the log "
+                        f"holds {rate:.4g} samples a second, about {rate * (1 - together):.3g} of them new."
+                    ),
+                    advice="Log at the sensor's own rate; a held sample shapes the curve at short times.",
+                    axis=sensor.short,
+                )
+            )
+    return tuple(findings)
+
+
+def _repeats(group: list[Profile]) -> tuple[float, float, float]:
+    """Return the share of repeats on all axes at once, that of independent axes, and the least axis's."""
+    shares = []
+    for part in excerpt(group[0].series.n):
+        equal = np.stack([np.diff(p.series.samples[part]) == 0 for p in group])
+        shares.append([equal.all(axis=0).mean(), *equal.mean(axis=1)])
+    together, *each = np.mean(shares, axis=0).tolist()
+    return together, float(np.prod(each)), min(each)
+
+
+def _error(code: str, text: str, advice: str, axis: str) -> Finding:
+    return Finding(level="error", code=code, text=text, advice=advice, axis=axis)

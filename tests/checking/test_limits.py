@@ -1,0 +1,165 @@
+"""The limits file: what it may say, and what is said when it says something else."""
+
+import math
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from imucal.checking import Limits, parse_limits, read_limits
+from imucal.checking.codes import FINDING_CODES
+from imucal.checking.limit_units import SAMPLE_QUANTITIES, TERM_QUANTITIES, plain_unit, quantity_units
+from imucal.errors import LimitsError
+from imucal.noise import TERMS
+from imucal.recording import Sensor
+from imucal.units import G0, datasheet_unit
+
+EXAMPLE = Path(__file__).parents[2] / "docs" / "limits-example.toml"
+DEGREE = math.pi / 180
+
+
+def test_the_example_of_the_documentation_is_right() -> None:
+    """It is read, and every part of it is used."""
+    limits = read_limits(EXAMPLE)
+    assert len(limits.limits) == 4 + 5 + 2 + 2
+    assert limits.required[Sensor.GYROSCOPE] == ("x", "y", "z")
+    assert limits.findings.forbid == {"motion", "saturated"}
+    assert limits.baseline is None
+    assert limits.undecided == "pass"
+
+
+def test_a_limit_is_held_in_its_own_unit_and_in_si() -> None:
+    """0.3 deg/sqrt(h) is 0.3 * pi/180/60 rad/s/sqrt(Hz)."""
+    (limit,) = parse_limits('[gyroscope]\nN = { max = 0.3, unit = "deg/sqrt(h)" }').limits
+    assert (limit.where, limit.quantity, limit.side, limit.value) == ("gyroscope", "N", "max", 0.3)
+    assert limit.value * limit.factor == pytest.approx(0.3 * DEGREE / 60)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "quantity", "unit", "si"),
+    [
+        (Sensor.GYROSCOPE, "N", "deg/s/sqrt(Hz)", DEGREE),
+        (Sensor.GYROSCOPE, "N", "°/√h", DEGREE / 60),
+        (Sensor.ACCELEROMETER, "N", "µg/√Hz", 1e-6 * G0),
+        (Sensor.ACCELEROMETER, "N", "m/s/sqrt(h)", 1 / 60),
+        (Sensor.GYROSCOPE, "B", "deg/h", DEGREE / 3600),
+        (Sensor.ACCELEROMETER, "minimum", "mg", 1e-3 * G0),
+        (Sensor.GYROSCOPE, "K", "rad/s^2/sqrt(Hz)", 1.0),
+        (Sensor.GYROSCOPE, "K", "deg/h/sqrt(h)", DEGREE / 3600 / 60),
+        (Sensor.ACCELEROMETER, "K", "m/s^3/sqrt(Hz)", 1.0),
+        (Sensor.GYROSCOPE, "R", "deg/h/h", DEGREE / 3600**2),
+        (Sensor.GYROSCOPE, "R", "deg/h^2", DEGREE / 3600**2),
+        (Sensor.GYROSCOPE, "Q", "arcsec", DEGREE / 3600),
+    ],
+)
+def test_units_of_coefficients(sensor: Sensor, quantity: str, unit: str, si: float) -> None:
+    """Each unit that data sheets and configs print, by its definition."""
+    assert quantity_units(quantity, sensor)[plain_unit(unit)] == pytest.approx(si, rel=1e-12)
+
+
+@pytest.mark.parametrize("sensor", Sensor)
+@pytest.mark.parametrize("quantity", [*TERM_QUANTITIES, *SAMPLE_QUANTITIES])
+def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, quantity: str) -> None:
+    """SI is what stands where no unit is given."""
+    units = quantity_units(quantity, sensor)
+    symbol = quantity if quantity in TERMS else "B"
+    assert next(iter(units)) == TERMS[symbol].units[sensor is Sensor.ACCELEROMETER]
+    assert next(iter(units.values())) == 1
+    assert datasheet_unit(symbol, sensor).name in units
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[gyroscope\n", "l.toml: not TOML (Expected ']' at the end of a table declaration"),
+        ("", "l.toml: no limit, write one, such as [gyroscope] N = { max = 1e-4 }"),
+        ("[gyro]\nN = { max = 1 }", "l.toml: unknown key 'gyro'; did you mean 'gyroscope'?"),
+        ("[gyroscop]\n", "l.toml: unknown key 'gyroscop'; did you mean 'gyroscope'?"),
+        (
+            "[gyroscope]\nW = { max = 1 }",
+            "l.toml: gyroscope: unknown key 'W', expected Q, N, B, GM, K, R, minimum,",
+        ),
+        ("[gyroscope]\nminimun = { max = 1 }", "gyroscope: unknown key 'minimun'; did you mean 'minimum'?"),
+        (
+            "[gyroscope]\nN = { maximum = 1 }",
+            "l.toml: gyroscope.N: unknown key 'maximum'; did you mean 'max'?",
+        ),
+        ("[gyroscope]\nN = 1", "l.toml: gyroscope.N: 1, expected a table, such as { max = 1e-4 }"),
+        ("[gyroscope]\nN = { }", "l.toml: gyroscope.N: neither min nor max, expected one of them"),
+        ('[gyroscope]\nN = { max = "1" }', "l.toml: gyroscope.N.max: '1', expected a number"),
+        ("[gyroscope]\nN = { max = nan }", "l.toml: gyroscope.N.max: nan, expected a number"),
+        ("[gyroscope]\nN = { max = true }", "l.toml: gyroscope.N.max: True, expected a number"),
+        ("[gyroscope]\nN = { min = 2, max = 1 }", "l.toml: gyroscope.N: min is above max, swap them"),
+        (
+            '[gyroscope]\nB = { max = 1, unit = "mg" }',
+            "l.toml: gyroscope.B.unit: 'mg', expected one of rad/s, mrad/s, deg/s, mdeg/s, deg/h",
+        ),
+        ("[gyroscope]\nB = { max = 1, unit = 3 }", "l.toml: gyroscope.B.unit: 3, expected text"),
+        ("[log]\nN = { max = 1 }", "l.toml: log: unknown key 'N', expected rate, duration, gaps, missing"),
+        ("[gyro_x]\naxes = []", "l.toml: gyro_x.axes: only gyroscope and accelerometer have axes, remove it"),
+        ('[gyroscope]\naxes = ["w"]', "l.toml: gyroscope.axes: unknown key 'w', expected x, y, z"),
+        ('[gyroscope]\naxes = "x"', "l.toml: gyroscope.axes: 'x', expected a list of texts"),
+        ("undecided = 1\n[gyroscope]\nN = { max = 1 }", 'l.toml: undecided: 1, expected "pass" or "fail"'),
+        (
+            '[findings]\nlevel = "grave"',
+            "l.toml: findings.level: 'grave', expected info, warning, error or none",
+        ),
+        (
+            '[findings]\nforbid = ["motoin"]',
+            "l.toml: findings.forbid: unknown code 'motoin'; did you mean 'motion'?",
+        ),
+        ('[findings]\nallow = ["?"]', "l.toml: findings.allow: unknown code '?', expected the code of a"),
+        (
+            '[findings]\nforbid = ["gaps"]\nallow = ["gaps"]',
+            "l.toml: findings: gaps both forbidden and allowed",
+        ),
+        ("[baseline]\nmax_increase = -1", "l.toml: baseline.max_increase: -1, expected 0 or more"),
+        ('[baseline]\nterms = ["W"]', "l.toml: baseline.terms: unknown key 'W', expected Q, N, B, GM, K, R"),
+        ("[baseline]\nreport = 1", "l.toml: baseline.report: 1, expected the path of a report"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_place(text: str, message: str) -> None:
+    """A typing mistake never opens the gate; exit code 2."""
+    with pytest.raises(LimitsError) as error:
+        parse_limits(text, name="l.toml")
+    assert message in str(error.value)
+    assert error.value.exit_code == 2
+
+
+def test_a_file_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
+    """Missing, and not text."""
+    with pytest.raises(LimitsError, match=r"no\.toml: can't be read \(No such file or directory\), expected"):
+        read_limits(tmp_path / "no.toml")
+    (tmp_path / "b.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(LimitsError, match=r"b\.toml: can't be read \(it is not UTF-8 text\)"):
+        read_limits(tmp_path / "b.toml")
+
+
+def test_a_baseline_is_sought_beside_the_file(tmp_path: Path) -> None:
+    """So that the check is the same from every folder."""
+    file = tmp_path / "limits.toml"
+    file.write_text('[baseline]\nreport = "golden/report.json"\nmax_decrease = 0.5\n')
+    baseline = read_limits(file).baseline
+    assert baseline is not None
+    assert baseline.report == tmp_path / "golden" / "report.json"
+    assert baseline.max_decrease == 0.5
+    assert baseline.max_increase is None  # only what is asked
+    assert parse_limits("[baseline]").baseline is not None
+
+
+def test_the_codes_are_those_of_the_page_on_findings() -> None:
+    """A new finding is added to the page, which is held to the source, and to the list."""
+    page = (EXAMPLE.parent / "findings.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\| (`[^|]*`) \|", page, re.MULTILINE)
+    assert {code for cell in cells for code in re.findall(r"`([a-z-]+)`", cell)} == FINDING_CODES
+
+
+def test_the_examples_of_the_page_are_toml() -> None:
+    """Every TOML block of the page on CI is a limits file."""
+    page = (EXAMPLE.parent / "use-in-ci.md").read_text(encoding="utf-8")
+    blocks = [block.split("```")[0] for block in page.split("```toml\n")[1:]]
+    assert len(blocks) == 2
+    for block in blocks:
+        assert tomllib.loads(block)
+        assert isinstance(parse_limits(block), Limits)

@@ -1,0 +1,71 @@
+"""Verdicts for machines: JSON, JUnit XML, GitHub annotations."""
+
+import json
+from dataclasses import replace
+
+from lxml import etree
+
+from imucal.checking import CheckResult, check, github_annotations, junit_xml, parse_limits, to_document
+from imucal.recording import Source
+from tests.report.synthetic import consumer_report
+
+LIMITS = """
+[gyroscope]
+K = { max = 1.1e-6 }
+N = { max = 1.25e-4 }
+[log]
+missing = { max = 0.1, unit = "%" }
+"""
+
+
+def _result(*, undecided: str = "pass", path: str = "a.mcap") -> CheckResult:
+    report = replace(consumer_report(), source=Source(path=path, format="mcap"))
+    return check(report, parse_limits(f'undecided = "{undecided}"\n{LIMITS}'))
+
+
+def test_json_has_every_number() -> None:
+    """And survives a strict round trip."""
+    document = json.loads(json.dumps(to_document(_result()), allow_nan=False))
+    assert document["schema"] == "imucal/checking/1"
+    assert (document["verdict"], document["passed"]) == ("fail", False)
+    assert document["counts"] == {"pass": 6, "fail": 2, "undecided": 1}
+    row = next(row for row in document["rows"] if row["verdict"] == "undecided")
+    assert (row["where"], row["subject"], row["side"], row["limit"]) == ("gyro_x", "K", "max", 1.1e-6)
+    assert row["low"] < row["limit"] < row["high"]
+
+
+def test_an_unknown_interval_is_null() -> None:
+    """The ratio of two bounds is anything; JSON knows no infinity."""
+    result = check(consumer_report(), parse_limits("[baseline]\nterms = ['K']"), baseline=consumer_report())
+    document = json.loads(json.dumps(to_document(result), allow_nan=False))
+    row = next(row for row in document["rows"] if row["where"] == "gyro_y")
+    assert (row["low"], row["high"], row["verdict"]) == (0, None, "undecided")
+
+
+def test_junit_counts_what_it_holds() -> None:
+    """A parser finds a case a row; an undecided one is skipped, or fails where it fails the check."""
+    for undecided, failures, skipped in (("pass", 2, 1), ("fail", 3, 0)):
+        root = etree.fromstring(junit_xml(_result(undecided=undecided)).encode())
+        (suite,) = root
+        assert len(suite) == int(suite.attrib["tests"]) == 9
+        assert len(suite.findall("testcase/failure")) == int(suite.attrib["failures"]) == failures
+        assert len(suite.findall("testcase/skipped")) == int(suite.attrib["skipped"]) == skipped
+    names = {(case.get("classname"), case.get("name")) for case in suite}
+    assert ("imucal.gyro_x", "K <= 1.1e-06 rad/s/sqrt(s)") in names
+
+
+def test_a_log_with_any_name_makes_good_xml() -> None:
+    """Angle brackets and control characters included."""
+    root = etree.fromstring(junit_xml(_result(path='<a>\x00&"b')).encode())
+    assert root[0].get("name") == '<a> &"b'
+
+
+def test_github_annotations_escape_what_they_must() -> None:
+    """Per cent, commas and colons would end a property; undecided is a warning."""
+    lines = github_annotations(_result(), file="ci/limits, mine.toml")
+    assert len(lines) == 3
+    place = "file=ci/limits%2C mine.toml,title=imucal"
+    assert lines[0].startswith(f"::error {place} gyro%3A missing <= 0.1 %25::gyro: missing is 1.0989 %25;")
+    assert any(line.startswith(f"::warning {place} gyro_x%3A K <= 1.1e-06 ") for line in lines)
+    assert all("\n" not in line for line in lines)
+    assert github_annotations(_result())[0].startswith("::error title=")

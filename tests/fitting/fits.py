@@ -1,0 +1,61 @@
+"""Short ways to a fit, for the tests."""
+
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray
+from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.spectral.estimates import Scales
+from imucal.fitting.spectral.mle import fit_mle
+from imucal.fitting.spectral.selection import choose
+from imucal.fitting.spectral.settle import Setting, settle
+from imucal.fitting.spectral.transform import ordinates_of
+from imucal.noise.model import NoiseModel, parse_structure
+from imucal.recording import AxisSeries
+
+__all__ = ["estimated", "fitted", "no_curve", "simulated"]
+
+
+def simulated(text: str, n: int, seed: int, *, rate_hz: float = 1.0) -> FloatArray:
+    """Return samples of a model text."""
+    return NoiseModel.parse(text).simulate(n, rate_hz=rate_hz, rng=np.random.default_rng(seed))
+
+
+def no_curve(n: int) -> AllanCurve:
+    """Return a curve in name only: maximum likelihood passes it on without a look."""
+    two = np.array([1.0, 2.0])
+    return AllanCurve(tau=two, m=np.array([1, 2]), avar=two, edf=two, n=n)
+
+
+def fitted(
+    samples: FloatArray | AxisSeries,
+    model: str = "auto",
+    *,
+    rate_hz: float = 1.0,
+    level: float = 0.95,
+    criterion: str = "bic",
+    max_gm: int = 2,
+    temperature: FloatArray | None = None,
+) -> NoiseFit:
+    """Return the maximum-likelihood fit of samples, or of a series."""
+    series = samples
+    if not isinstance(series, AxisSeries):
+        series = AxisSeries.from_samples(series, rate_hz=rate_hz).finite()
+    return fit_mle(
+        series,
+        no_curve(series.n),
+        None if model == "auto" else parse_structure(model),
+        level=level,
+        criterion=criterion,
+        max_gm=max_gm,
+        temperature=temperature,
+    )
+
+
+def estimated(samples: FloatArray, model: str, *, level: float = 0.95) -> dict[str, Estimate]:
+    """Return the estimates of a given model on the whole band, without looking for a filter."""
+    data = ordinates_of(samples)
+    choice = choose(data, [parse_structure(model)], criterion="bic")
+    scales = Scales(unit=1.0, tau0=1.0, widening={})
+    setting = Setting(level=level, shortest=2.0, common=(), scales=scales)
+    return {e.key: e for e in settle(data, choice, setting)[1]}

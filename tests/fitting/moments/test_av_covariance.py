@@ -1,0 +1,111 @@
+"""The covariance of Allan variances: against all lags, against closed forms, against simulation."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.fitting.moments import av_covariance as module
+from imucal.fitting.moments.av_covariance import Process, avar_covariance, sum_variance
+from imucal.noise.model import NoiseModel
+from imucal.powerlaw import PowerLaw
+from tests.fitting.moments.curves import octave_curve
+
+PROCESSES: list[Process] = [*PowerLaw, 5.0, 300.0]
+
+
+def _correlation(covariance: FloatArray) -> FloatArray:
+    deviation = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(deviation, deviation))
+
+
+def test_the_grid_of_lags_stands_for_all_lags(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sum on graded lags is that over every lag, to 1e-3 of the standard deviations."""
+    m = 2 ** np.arange(11)
+    quick = avar_covariance(m, 5_000, PROCESSES)
+    monkeypatch.setattr(module, "_ALL_LAGS", 10**9)
+    module._computed.cache_clear()
+    module._laws.cache_clear()
+    every = avar_covariance(m, 5_000, PROCESSES)
+    module._computed.cache_clear()
+    module._laws.cache_clear()
+    for p in range(len(PROCESSES)):
+        scale = np.sqrt(np.diag(every.quadratic[p, p]))
+        difference = (quick.quadratic[p, p] - every.quadratic[p, p]) / np.outer(scale, scale)
+        assert np.abs(difference).max() < 1e-3
+
+
+def test_white_noise_at_the_shortest_time_has_a_closed_form() -> None:
+    """At m = 1, d_t is a difference over √2: Var = 2/M (1 + 2 (1 - 1/M) / 4)."""
+    n = 1000
+    covariance = avar_covariance(np.array([1]), n, [PowerLaw.WHITE]).at(np.array([3.0]))
+    terms = n - 1
+    npt.assert_allclose(covariance, 9 * 2 / terms * (1 + (1 - 1 / terms) / 2), rtol=1e-12)
+
+
+def test_adjacent_windows_of_white_noise_have_a_closed_form() -> None:
+    """Standard Allan variances of white noise at any m are those of n/m samples at m = 1."""
+    m, n = 8, 800
+    covariance = avar_covariance(np.array([m]), n, [PowerLaw.WHITE], overlapping=False).at(np.ones(1))
+    terms = n // m - 1
+    npt.assert_allclose(covariance, 2 / terms * (1 + (1 - 1 / terms) / 2) / m**2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("overlapping", [True, False])
+@pytest.mark.parametrize(
+    ("text", "processes", "variances", "ramp"),
+    [
+        ("N=1 + K=2e-2", [PowerLaw.WHITE, PowerLaw.WALK], [1.0, 4e-4], 0.0),
+        (
+            "Q=1.5 + N=1 + B=0.3",
+            [PowerLaw.QUANTIZATION, PowerLaw.WHITE, PowerLaw.FLICKER],
+            [2.25, 1, 0.09],
+            0,
+        ),
+        ("N=1 + GM(sigma=0.3, T=20) + R=5e-4", [PowerLaw.WHITE, 20.0], [1.0, 0.09], 2.5e-7),
+    ],
+)
+def test_simulated_curves_scatter_as_predicted(
+    text: str, processes: list[Process], variances: list[float], ramp: float, *, overlapping: bool
+) -> None:
+    """Over 800 records variances agree to 5 standard errors (25 %), correlations to 0.12."""
+    rng = np.random.default_rng(2026)
+    model, n = NoiseModel.parse(text), 1024
+    curves = [
+        octave_curve(model.simulate(n, rate_hz=1.0, rng=rng), overlapping=overlapping) for _ in range(800)
+    ]
+    seen = np.cov(np.array([curve.avar for curve in curves]).T)
+    computed = avar_covariance(curves[0].m, n, processes, overlapping=overlapping)
+    predicted = computed.at(np.array(variances, dtype=np.float64), ramp)
+    npt.assert_allclose(np.diag(predicted) / np.diag(seen), 1.0, atol=0.25)
+    npt.assert_allclose(_correlation(predicted), _correlation(seen), atol=0.12)
+
+
+@pytest.mark.parametrize("time", [0.5, 10.0, 1e4, 1e8])
+def test_a_gauss_markov_sum_has_the_variance_of_its_autocovariances(time: float) -> None:
+    """V(n) is the double sum of exp(-|i-j|/T), but for a multiple of n²."""
+    n = np.arange(1.0, 40.0)
+    direct = np.array(
+        [np.exp(-np.abs(np.subtract.outer(np.arange(k), np.arange(k))) / time).sum() for k in n]
+    )
+    found = sum_variance(time, n)
+    rest = direct - found
+    npt.assert_allclose(rest, rest[-1] * (n / n[-1]) ** 2, rtol=1e-9, atol=1e-9 * np.abs(direct).max())
+
+
+def test_the_covariance_is_quadratic_in_the_variances() -> None:
+    """A noise twice as loud has variances four times as large, and covariances sixteen."""
+    found = avar_covariance(2 ** np.arange(8), 2000, [PowerLaw.WHITE, PowerLaw.WALK])
+    npt.assert_allclose(found.at(np.array([4.0, 4e-3]), 4e-6), 16 * found.at(np.array([1.0, 1e-3]), 1e-6))
+
+
+def test_the_last_points_alone_have_the_same_covariance() -> None:
+    """Leaving out the shortest times leaves the others as they were."""
+    found = avar_covariance(2 ** np.arange(8), 2000, [PowerLaw.WHITE])
+    npt.assert_array_equal(found.within(3).at(np.ones(1)), found.at(np.ones(1))[3:, 3:])
+
+
+def test_refuses_an_averaging_factor_beyond_half_the_record() -> None:
+    """The range is in the message."""
+    with pytest.raises(ValueError, match=r"averaging factors must be in 1\.\.50 for 100 samples"):
+        avar_covariance(np.array([51]), 100, [PowerLaw.WHITE])

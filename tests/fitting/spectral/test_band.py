@@ -1,0 +1,93 @@
+"""Output filters: N keeps its meaning, whatever the filter, and the filter is named."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from imucal.arrays import FloatArray
+from tests.fitting.fits import fitted, simulated
+
+TEXT = "N=1 + B=0.1 + K=2e-3"
+N = 200_000
+
+
+def filtered(top: FloatArray, bottom: FloatArray, seed: int) -> FloatArray:
+    """Return noise behind a filter that has settled."""
+    raw = simulated(TEXT, N + 2000, seed)
+    return np.asarray(signal.lfilter(top, bottom, raw - raw[0]))[2000:]
+
+
+def one_pole(corner: float) -> tuple[FloatArray, FloatArray]:
+    pole = np.exp(-np.pi * corner)
+    return np.array([1 - pole]), np.array([1.0, -pole])
+
+
+FILTERS = {
+    "one-pole": one_pole(0.15),
+    "butterworth-1": signal.butter(1, 0.35),
+    "butterworth-2": signal.butter(2, 0.25),
+    "butterworth-4": signal.butter(4, 0.6),
+    "two one-poles": (
+        np.convolve(one_pole(0.3)[0], one_pole(0.3)[0]),
+        np.convolve(one_pole(0.3)[1], one_pole(0.3)[1]),
+    ),
+    "mean of 5": (np.ones(5) / 5, np.ones(1)),
+    "resonance": (np.array([1 - 1.2 * np.cos(1.2) + 0.36]), np.array([1.0, -1.2 * np.cos(1.2), 0.36])),
+    "chebyshev": signal.cheby1(3, 0.5, 0.45),
+}
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_n_is_right_behind_a_filter(name: str) -> None:
+    """N is within 2 %, inside its interval in most records, and B inside its own."""
+    hits, errors = [], []
+    for seed in range(4):
+        result = fitted(filtered(*FILTERS[name], seed), "N + B + K")
+        assert result["N"].value is not None
+        errors.append(result["N"].value - 1)
+        hits.append(result["N"].low <= 1 <= result["N"].high)
+    # Its standard error behind these filters is up to 1 %.
+    assert np.max(np.abs(errors)) < 0.04
+    # Four hits of 95 % each: two misses or more have a chance of 1.4 %.
+    assert sum(hits) >= 3
+
+
+@pytest.mark.parametrize(("name", "corner"), [("one-pole", 0.15), ("butterworth-2", 0.25)])
+def test_names_the_filter_and_its_corner(name: str, corner: float) -> None:
+    """Kind and -3 dB corner come back, and a sentence says so."""
+    result = fitted(filtered(*FILTERS[name], 1), "N + B + K")
+    assert result.response is not None
+    assert result.response.cutoff_hz == pytest.approx(corner / 2, rel=0.05)
+    texts = [f.text for f in result.findings if f.code == "output-filter"]
+    assert len(texts) == 1
+    assert f"-3 dB at {result.response.cutoff_hz:.4g} Hz" in texts[0]
+    if name == "one-pole":
+        assert result.response.kind == "one-pole"
+
+
+def test_plain_noise_keeps_the_whole_band() -> None:
+    """Without a filter none is found, in any of ten records."""
+    for seed in range(10):
+        result = fitted(simulated(TEXT, 50_000, seed), "N + B + K")
+        assert result.response is None
+        assert result.goodness.band_hz is not None
+        assert result.goodness.band_hz[1] == 0.5
+
+
+def test_auto_keeps_n_in_the_model_behind_a_filter() -> None:
+    """White noise behind a one-pole filter is N behind a filter, not a Gauss-Markov term."""
+    result = fitted(filtered(*FILTERS["one-pole"], 2))
+    assert result["N"].status == "estimated"
+    assert result["N"].low < 1 < result["N"].high
+    assert "GM" not in str(result.model)
+
+
+def test_given_gauss_markov_terms_may_be_short() -> None:
+    """A correlation time of five samples, beside white noise, is believed where GM was asked for."""
+    result = fitted(simulated("N=1 + GM(sigma=1, T=5) + GM(sigma=1, T=200)", 100_000, 1), "N + 2*GM")
+    assert result.response is None
+    times = [e.correlation_time for e in result.estimates if e.symbol == "GM"]
+    assert times[0] is not None
+    assert times[1] is not None
+    assert times[0].low < 5 < times[0].high
+    assert times[1].low < 200 < times[1].high

@@ -1,0 +1,88 @@
+"""Records with gaps."""
+
+import numpy as np
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.errors import DataError
+from imucal.fitting.spectral.blocks import make_blocks
+from imucal.recording import AxisSeries
+from tests.fitting.fits import fitted, simulated
+
+TEXT = "N=1 + K=1e-2"
+N = 30_000
+
+
+def series_of(samples: FloatArray) -> AxisSeries:
+    return AxisSeries.from_samples(samples, rate_hz=1.0).finite()
+
+
+def with_gaps(kind: str, seed: int) -> FloatArray:
+    rng = np.random.default_rng(1000 + seed)
+    samples = simulated(TEXT, N, seed)
+    if kind == "scattered":
+        samples[1:-1][rng.random(N - 2) < 0.1] = np.nan
+    else:
+        for start in rng.integers(100, N - 1000, 6):
+            samples[start : start + 700] = np.nan
+    return samples
+
+
+@pytest.mark.parametrize("kind", ["scattered", "bursts"])
+def test_intervals_hold_the_truth_with_samples_missing(kind: str) -> None:
+    """N and K are inside their intervals in most of thirty records, without bias."""
+    hits = np.zeros(2)
+    errors = []
+    for seed in range(30):
+        result = fitted(series_of(with_gaps(kind, seed)), "N + K")
+        hits += [result[k].low <= truth <= result[k].high for k, truth in (("N", 1.0), ("K", 1e-2))]
+        errors.append([(result["N"].value or 0) - 1, 100 * (result["K"].value or 0) - 1])
+    # Three standard errors of a proportion of 0.95 in thirty.
+    assert np.all(hits / 30 >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / 30))
+    # K's standard error is some 8 %; four of them over the root of thirty.
+    assert np.all(np.abs(np.mean(errors, axis=0)) < [0.005, 0.06])
+
+
+def test_long_gaps_part_blocks_and_short_ones_are_completed() -> None:
+    """One gap of 500 samples makes two blocks; ten single samples make none."""
+    samples = simulated(TEXT, N, 1)
+    samples[10_000:10_500] = np.nan
+    samples[20_000:20_100:10] = np.nan
+    found = make_blocks(series_of(samples))
+    assert [block.bins.n for block in found.blocks] == [10_000, N - 10_500]
+    assert found.findings[0].text == (
+        "The fit allows for gaps: the likelihoods of 2 blocks between long gaps are multiplied; "
+        "10 missing samples in short gaps are completed by their expectation."
+    )
+
+
+def test_runs_that_are_too_short_are_left_out_and_counted() -> None:
+    """Thirty samples between two long gaps are not used."""
+    samples = simulated(TEXT, 5000, 2)
+    samples[1000:1500] = np.nan
+    samples[1530:2000] = np.nan
+    found = make_blocks(series_of(samples))
+    assert len(found.blocks) == 2
+    assert "30 samples in runs shorter than 64 are left out" in found.findings[0].text
+
+
+def test_refuses_a_record_of_fragments() -> None:
+    """Where no run is long enough the message says what was expected."""
+    samples = np.full(20_000, np.nan)
+    for start in range(0, 20_000, 1000):
+        samples[start : start + 30] = np.random.default_rng(start).standard_normal(30)
+    with pytest.raises(DataError) as caught:
+        make_blocks(series_of(samples))
+    assert str(caught.value) == (
+        "gyro_x: no run of 64 samples without a long gap among 600; "
+        "expected a recording that is mostly unbroken"
+    )
+
+
+def test_many_long_gaps_are_no_hindrance() -> None:
+    """More long gaps than blocks are allowed: the shorter of them are completed."""
+    samples = simulated(TEXT, 60_000, 3)
+    for start in range(500, 59_000, 1000):
+        samples[start : start + 80] = np.nan
+    result = fitted(series_of(samples), "N + K")
+    assert result["N"].value == pytest.approx(1.0, abs=0.03)

@@ -1,0 +1,72 @@
+"""Goodness of fit, tails, verification."""
+
+import numpy as np
+import pytest
+
+from imucal.fitting.spectral.goodness import misfit
+from imucal.fitting.spectral.structures import candidates_of
+from imucal.fitting.spectral.tails import heavy_tails
+from imucal.fitting.spectral.transform import ordinates_of
+from imucal.fitting.verify import distances, verify_findings
+from imucal.noise.model import parse_structure
+from imucal.recording import AxisSeries
+from tests.fitting.fits import fitted, simulated
+
+
+def test_score_of_the_truth_is_standard_normal() -> None:
+    """Over many records of white noise its mean is 0 and its spread 1."""
+    candidate = candidates_of([("N",)], ("R",))
+    scores = []
+    for seed in range(300):
+        data = ordinates_of(np.random.default_rng(seed).standard_normal(3000))
+        scores.append(misfit(data, candidate, np.zeros((1, 4))).statistic)
+    # Three standard errors of a mean and of a standard deviation; the sum is a little skew.
+    assert np.mean(scores) == pytest.approx(0, abs=3 / np.sqrt(300))
+    assert np.std(scores) == pytest.approx(1, abs=0.2)
+
+
+def test_a_wrong_model_is_found_out() -> None:
+    """White noise alone does not describe a random walk, and a finding says so."""
+    result = fitted(simulated("N=1 + GM(sigma=2, T=30)", 20_000, 1), "N + Q")
+    assert result.goodness.statistic > 3
+    assert result.goodness.p_value < 0.01
+    texts = [f.text for f in result.findings if f.code == "model-misfit"]
+    assert len(texts) == 1
+    assert "does not describe this axis" in texts[0]
+
+
+def test_normal_tails_widen_nothing() -> None:
+    """The factor is exactly 1 unless the tails are heavier than chance."""
+    assert heavy_tails(np.random.default_rng(1).standard_normal(20_000)) == 1.0
+
+
+def test_heavy_tails_widen_n() -> None:
+    """Laplace noise has excess kurtosis 3: the variance of its power is 1 + 3/2 that of normal noise."""
+    factor = heavy_tails(np.random.default_rng(2).laplace(size=400_000))
+    assert factor == pytest.approx(np.sqrt(2.5), rel=0.05)
+
+
+def test_n_of_laplace_noise_is_covered() -> None:
+    """The 95 % interval of N holds the truth with heavy tails too."""
+    hits = 0
+    for seed in range(60):
+        samples = np.random.default_rng(seed).laplace(size=4000) / np.sqrt(2)
+        result = fitted(samples, "N")
+        hits += result["N"].low <= 1 <= result["N"].high
+    # Three standard errors of a proportion of 0.95 in sixty.
+    assert hits / 60 >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / 60)
+
+
+@pytest.mark.parametrize("text", ["N=1 + K=0.02", "Q=2 + N=1 + K=0.02", "N=1 + GM(sigma=0.5, T=50)"])
+def test_maximum_is_that_of_the_exact_likelihood(text: str) -> None:
+    """The state-space likelihood's maximum is within a tenth of a standard error of it."""
+    samples = simulated(text, 20_000, 5)
+    structure = " + ".join(part.split("=")[0].split("(")[0] for part in text.split(" + "))
+    result = fitted(samples, structure)
+    series = AxisSeries.from_samples(samples, rate_hz=1.0)
+    found = distances(series, result.model, result.parameters, result.covariance)
+    assert parse_structure(structure) == tuple(term.symbol for term in result.model.terms)
+    assert max(found.values()) < 0.2 if "GM" in text else max(found.values()) < 0.1
+    finding = verify_findings(series, result.model, result.parameters, result.covariance)[0]
+    assert finding.text.startswith("The exact state-space likelihood has its maximum ")
+    assert finding.level == "info"

@@ -1,0 +1,71 @@
+"""Profile-likelihood intervals cover, also at the boundary."""
+
+import numpy as np
+import pytest
+
+from imucal.fitting.spectral.selection import choose
+from imucal.fitting.spectral.structures import all_structures
+from imucal.fitting.spectral.transform import ordinates_of
+from tests.fitting.fits import estimated, fitted, simulated
+
+REPEATS = 150
+#: Three standard errors of a proportion of 0.95.
+SLACK = 3 * np.sqrt(0.95 * 0.05 / REPEATS)
+
+
+@pytest.mark.parametrize(
+    ("text", "model"),
+    [
+        ("N=1 + K=0.03", "N + K"),
+        ("N=1 + B=0.3", "N + B"),
+        ("N=1 + GM(sigma=1, T=20)", "N + GM"),
+        ("N=1 + R=1e-3", "N + R"),
+        ("Q=2 + N=1", "Q + N"),
+    ],
+)
+def test_intervals_hold_the_truth(text: str, model: str) -> None:
+    """Of many 95 % intervals of each parameter, 95 % hold the truth within chance."""
+    hits: dict[str, int] = {}
+    for seed in range(REPEATS):
+        result = estimated(simulated(text, 2000, seed), model)
+        for part in text.split(" + "):
+            key, _, value = part.partition("=")
+            if key.startswith("GM"):
+                found = result["GM"]
+                time = found.correlation_time
+                hits["GM"] = hits.get("GM", 0) + (found.low <= 1 <= found.high)
+                hits["T"] = hits.get("T", 0) + (time is not None and time.low <= 20 <= time.high)
+            else:
+                hits[key] = hits.get(key, 0) + (result[key].low <= float(value) <= result[key].high)
+    for key, count in hits.items():
+        assert count / REPEATS == pytest.approx(0.95, abs=SLACK), key
+
+
+def test_a_bound_holds_a_truth_that_is_too_small_to_see() -> None:
+    """K below what the record can tell: its interval from 0 holds it in 95 % of records or more."""
+    truth, held, bounded = 2e-3, 0, 0
+    for seed in range(REPEATS):
+        result = estimated(simulated(f"N=1 + K={truth}", 2000, seed), "N + K")
+        held += result["K"].low <= truth <= result["K"].high
+        bounded += result["K"].status == "bounded"
+    # The likelihood ratio at a boundary is at most that of chi-squared: conservative.
+    assert held / REPEATS >= 0.95 - SLACK
+    assert bounded > REPEATS / 2
+
+
+def test_white_noise_shows_no_b_and_no_k() -> None:
+    """A wrong B or K is found in at most 5 % of records, of any model that is chosen."""
+    wrong = 0
+    for seed in range(100):
+        choice = choose(ordinates_of(simulated("N=1", 3000, seed)), all_structures(1), criterion="bic")
+        wrong += bool({"B", "K"} & set(choice.structures[0]))
+    assert wrong <= 5
+
+
+def test_a_higher_level_widens_every_interval() -> None:
+    """The 68 % interval lies inside the 99 % one."""
+    samples = simulated("N=1 + B=0.2 + K=0.01", 20_000, 1)
+    narrow, wide = (fitted(samples, "N + B + K", level=level) for level in (0.68, 0.99))
+    for inner, outer in zip(narrow.estimates, wide.estimates, strict=True):
+        assert outer.low <= inner.low
+        assert inner.high < outer.high

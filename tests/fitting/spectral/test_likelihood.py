@@ -1,0 +1,133 @@
+"""The likelihood of many candidates, its score and its information."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.fitting.spectral.likelihood import Candidates, evaluate
+from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.structures import candidates_of
+from imucal.fitting.spectral.transform import ordinates_of
+from imucal.noise.model import NoiseModel
+
+
+def ordinates(n: int = 600, text: str = "N=1 + B=0.3 + K=0.05", seed: int = 1) -> Ordinates:
+    rng = np.random.default_rng(seed)
+    return ordinates_of(NoiseModel.parse(text).simulate(n, rate_hz=1.0, rng=rng))
+
+
+def rich() -> tuple[Candidates, FloatArray]:
+    """Three candidates of different make, and parameters that are no maximum."""
+    candidates = candidates_of(
+        [("Q", "N", "B", "GM", "GM", "K", "R"), ("N", "GM", "K"), ("N", "B", "R")],
+        ("R",),
+        poles=[2, 0, 1],
+        zeros=[1, 0, 0],
+    )
+    theta = np.random.default_rng(3).normal(-1.0, 0.5, (3, candidates.width))
+    theta[:, 6:8] = np.log([[3.0, 60.0]])
+    theta[:, 8:] = [0.7, 0.4]
+    return candidates, theta
+
+
+def test_score_is_the_gradient_of_the_objective() -> None:
+    """Central differences of -log L agree for every free parameter of every candidate."""
+    data = ordinates()
+    candidates, theta = rich()
+    score = evaluate(data, candidates, theta).score
+    step = 1e-5
+    for column in range(candidates.width):
+        up, down = theta.copy(), theta.copy()
+        up[:, column] += step
+        down[:, column] -= step
+        numeric = (evaluate(data, candidates, up).objective - evaluate(data, candidates, down).objective) / (
+            2 * step
+        )
+        # Differences of objectives near 1e3 keep 1e-13 of them: 1e-5 of the slope.
+        npt.assert_allclose(score[:, column], numeric, rtol=1e-4, atol=1e-4)
+
+
+def test_information_is_the_expected_curvature() -> None:
+    """Where power equals its expectation, the information is the second derivative of -log L."""
+    data = ordinates()
+    candidates, theta = rich()
+    row = candidates.take(np.array([1]))
+    spectrum = evaluate(data, row, theta[[1]]).spectrum[0]
+    expected = Ordinates(
+        scale=1.0,
+        size=data.size,
+        power=data.size * spectrum,
+        lam=data.lam,
+        length=data.length,
+        sign=data.sign,
+        basis=data.basis,
+        names=(),
+        cross=np.zeros((0, data.size.size)),
+        gram=np.zeros((0, 0, data.size.size)),
+    )
+    plain = candidates_of([("N", "GM", "K")], (), room_markov=2, room_poles=2)
+    information = evaluate(expected, plain, theta[[1]]).information[0]
+    step = 1e-5
+    for column in np.flatnonzero(plain.free[0]):
+        up, down = theta[[1]].copy(), theta[[1]].copy()
+        up[:, column] += step
+        down[:, column] -= step
+        numeric = (evaluate(expected, plain, up).score - evaluate(expected, plain, down).score)[0] / (
+            2 * step
+        )
+        npt.assert_allclose(information[column], numeric, rtol=1e-5, atol=1e-5 * information.max())
+
+
+def dense_objective(samples: FloatArray, white: float, walk: float) -> float:
+    """-log L of the steps of white noise plus random walk, from their dense covariance."""
+    steps = np.diff(samples)
+    size = steps.size
+    matrix = (2 * white + walk) * np.eye(size) - white * (np.eye(size, k=1) + np.eye(size, k=-1))
+    _, logdet = np.linalg.slogdet(matrix)
+    return float(0.5 * (logdet + steps @ np.linalg.solve(matrix, steps)))
+
+
+@pytest.mark.parametrize("walk", [0.0, 1e-4, 0.3, 10.0])
+def test_is_the_exact_likelihood_of_white_noise_and_random_walk(walk: float) -> None:
+    """Differences of -log L are those of the dense normal density, to rounding."""
+    samples = NoiseModel.parse("N=1 + K=0.2").simulate(100, rate_hz=1.0, rng=np.random.default_rng(2))
+    data = ordinates_of(samples)
+    candidate = candidates_of([("N", "K")], data.names)
+
+    def fast(white: float, walk: float) -> float:
+        theta = np.array([[0.0, np.log(white), 0.0, np.log(walk) if walk else -700.0]])
+        return float(evaluate(data, candidate, theta).objective[0])
+
+    difference = fast(1.3, walk) - fast(0.7, 0.1)
+    dense = dense_objective(samples, 1.3, walk) - dense_objective(samples, 0.7, 0.1)
+    assert difference == pytest.approx(dense, rel=1e-9)
+
+
+def test_ramp_is_the_generalised_least_squares_solution() -> None:
+    """Beta of white noise is the slope of an ordinary straight-line fit."""
+    samples = np.random.default_rng(4).standard_normal(90) + 0.02 * np.arange(90)
+    data = ordinates_of(samples)
+    candidate = candidates_of([("N", "R")], data.names)
+    found = evaluate(data, candidate, np.zeros((1, 4)))
+    assert found.beta[0, 0] == pytest.approx(np.polyfit(np.arange(90), samples, 1)[0], rel=1e-9)
+    centred = np.arange(90) - 44.5
+    assert found.beta_covariance[0, 0, 0] == pytest.approx(1 / (centred @ centred), rel=1e-9)
+
+
+def test_a_held_ramp_costs_what_it_should() -> None:
+    """Held at its solution the ramp changes nothing; held one standard error away it costs 1/2."""
+    data = ordinates(text="N=1 + R=0.01")
+    candidate = candidates_of([("N", "R")], data.names)
+    free = evaluate(data, candidate, np.zeros((1, 4)))
+    deviation = np.sqrt(free.beta_covariance[0, 0, 0])
+    held = evaluate(data, candidate, np.zeros((1, 4)), ramp=free.beta[:, 0] + deviation)
+    assert held.objective[0] - free.objective[0] == pytest.approx(0.5, rel=1e-6)
+
+
+def test_a_response_that_is_not_positive_has_no_likelihood() -> None:
+    """The objective is infinite, so that no search goes there."""
+    data = ordinates()
+    candidate = candidates_of([("N",)], data.names, poles=1)
+    theta = np.array([[0.0, 0.0, 0.0, 0.0, -1.5]])
+    assert evaluate(data, candidate, theta).objective[0] == np.inf

@@ -1,0 +1,41 @@
+"""Scattered missing samples."""
+
+import numpy as np
+import numpy.testing as npt
+from scipy.fft import dct
+
+from imucal.allan.dct import dct_bins
+from imucal.fitting.spectral.missing import _conjugate, complete
+
+
+def test_conjugate_gradients_solve_the_system() -> None:
+    """On a well-conditioned matrix the residual is below the asked part of the noise."""
+    rng = np.random.default_rng(1)
+    matrix = np.eye(30) + 0.1 * np.cov(rng.standard_normal((30, 60)))
+    right = rng.standard_normal(30)
+    found = _conjugate(lambda x: matrix @ x, right, 1.0)
+    npt.assert_allclose(matrix @ found, right, atol=5e-3)
+
+
+def test_fills_with_what_the_neighbours_say() -> None:
+    """A smooth signal is filled to a small part of its size; observed samples stay as they are."""
+    n = 512
+    signal = np.cumsum(np.cumsum(np.random.default_rng(2).standard_normal(n))) / 50
+    seen = np.ones(n, dtype=bool)
+    seen[20:500:17] = False
+    ordinates, _, loss = complete(np.where(seen, signal, 1e9), seen, dct_bins(n))
+    filled = np.concatenate([[0.0], ordinates])
+    transform = dct(np.eye(n), axis=0, norm="ortho")
+    back = transform.T @ filled
+    npt.assert_allclose(back - back.mean(), signal - signal.mean(), atol=0.05 * signal.std())
+    assert np.all((loss >= 0) & (loss < 1))
+
+
+def test_white_noise_loses_the_missing_share() -> None:
+    """Of white noise with a fifth missing, the bins lose a fifth of their information."""
+    rng = np.random.default_rng(3)
+    seen = rng.random(20_000) > 0.2
+    ordinates, variance, loss = complete(rng.standard_normal(20_000), seen, dct_bins(20_000))
+    assert np.median(loss[200:]) == np.clip(np.median(loss[200:]), 0.15, 0.25)
+    # Mean square of the completed ordinates: 1, within four standard errors.
+    assert abs(np.mean(ordinates**2 + variance) - 1) < 4 * np.sqrt(2 / 16_000)

@@ -1,0 +1,227 @@
+"""Maximum likelihood, from samples to NoiseFit."""
+
+import json
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.errors import DataError
+from imucal.recording import AxisSeries
+from tests.fitting.fits import fitted, simulated
+
+#: Truths of two records of 2e5 samples at 100 Hz, all terms well above what the record can tell.
+PLAIN = "N=1e-3 + B=2e-3 + K=6e-4"
+RICH = "Q=1e-5 + N=1e-3 + GM(sigma=2e-3, T=3) + K=3e-4"
+
+
+@pytest.mark.parametrize("text", [PLAIN, RICH])
+def test_finds_model_and_values(text: str) -> None:
+    """The structure is found and every truth is inside four standard errors."""
+    result = fitted(simulated(text, 200_000, 1, rate_hz=100.0), rate_hz=100.0)
+    truth = dict(part.split("=") for part in text.split(" + ") if "GM" not in part)
+    assert str(result.model) == (" + ".join(p.split("=")[0].split("(")[0] for p in text.split(" + ")))
+    deviation = dict(zip(result.parameters, np.sqrt(np.diag(result.covariance)), strict=True))
+    for key, value in truth.items():
+        estimate = result[key].value
+        assert estimate is not None
+        assert abs(estimate - float(value)) < 4 * deviation[key]
+        assert result[key].low < estimate < result[key].high
+
+
+def test_gauss_markov_comes_with_both_intervals() -> None:
+    """Sigma and correlation time are inside their own intervals, of one miss in ten thousand."""
+    result = fitted(simulated(RICH, 200_000, 1, rate_hz=100.0), rate_hz=100.0, level=0.9999)
+    found = result["GM"]
+    assert found.correlation_time is not None
+    assert found.low < 2e-3 < found.high
+    assert found.correlation_time.low < 3.0 < found.correlation_time.high
+
+
+@pytest.mark.parametrize("gain", [1e-9, 1e9, -3.7])
+def test_scaling_rescales_the_estimates_and_nothing_else(gain: float) -> None:
+    """Coefficients follow the gain; model, times, goodness and bounds stay, to rounding."""
+    samples = simulated(RICH, 50_000, 2, rate_hz=100.0)
+    plain, scaled = fitted(samples, rate_hz=100.0), fitted(gain * samples, rate_hz=100.0)
+    assert str(plain.model) == str(scaled.model)
+    assert scaled.goodness.statistic == pytest.approx(plain.goodness.statistic, rel=1e-5, abs=1e-5)
+    for before, after in zip(plain.estimates, scaled.estimates, strict=True):
+        assert (before.key, before.status) == (after.key, after.status)
+        # Limits are found to a hundredth of a standard error, on a path that rounding changes.
+        npt.assert_allclose(after.high, abs(gain) * before.high, rtol=1e-3)
+        if before.value is not None:
+            assert after.value == pytest.approx(abs(gain) * before.value, rel=1e-5)
+
+
+def test_an_offset_changes_nothing() -> None:
+    """The level of the samples is free."""
+    samples = simulated(PLAIN, 30_000, 3, rate_hz=100.0)
+    plain, moved = fitted(samples, rate_hz=100.0), fitted(samples + 9.81, rate_hz=100.0)
+    npt.assert_allclose([e.high for e in moved.estimates], [e.high for e in plain.estimates], rtol=1e-4)
+
+
+def test_the_rate_only_changes_units() -> None:
+    """Ten times the rate: N is divided by the root of ten, K multiplied by it, B the same."""
+    samples = simulated(PLAIN, 100_000, 4, rate_hz=100.0)
+    slow = fitted(samples, "N + B + K", rate_hz=100.0)
+    fast = fitted(samples, "N + B + K", rate_hz=1000.0)
+    factors = {"N": 10**-0.5, "B": 1.0, "K": 10**0.5}
+    for key, factor in factors.items():
+        assert fast[key].value == pytest.approx(factor * (slow[key].value or 0.0), rel=1e-9)
+
+
+def test_is_deterministic() -> None:
+    """Two fits of the same samples are equal to the last bit."""
+    samples = simulated(RICH, 20_000, 5, rate_hz=100.0)
+    first, second = fitted(samples), fitted(samples)
+    assert first.estimates == second.estimates
+    npt.assert_array_equal(first.covariance, second.covariance)
+
+
+@pytest.mark.parametrize(
+    ("model", "keys"),
+    [
+        ("N", ["N", "B", "K"]),
+        ("N + B + K", ["N", "B", "K"]),
+        ("N + 2*GM + K", ["N", "B", "GM1", "GM2", "K"]),
+        ("Q + N + K + R", ["Q", "N", "B", "K", "R"]),
+        ("B", ["N", "B", "K"]),
+    ],
+)
+def test_a_given_model_is_fitted_and_n_b_k_are_always_there(model: str, keys: list[str]) -> None:
+    """Each term has an estimate or a bound; terms that may be zero are bounded from 0 up."""
+    result = fitted(simulated("N=1 + K=0.02 + B=0.1", 20_000, 6), model)
+    assert [e.key for e in result.estimates] == keys
+    assert result.criterion == "given"
+    for estimate in result.estimates:
+        assert np.isfinite(estimate.high)
+        assert estimate.low >= 0
+        assert (estimate.status == "bounded") == (estimate.value is None)
+
+
+def test_absent_terms_are_bounded() -> None:
+    """White noise has no B and no K, and says how large they might be."""
+    result = fitted(simulated("N=1", 50_000, 7))
+    assert str(result.model) == "N"
+    for key in ("B", "K"):
+        assert result[key].status == "bounded"
+        assert 0 < result[key].high < 0.1
+
+
+def test_a_bounded_term_of_a_given_model_leaves_the_model() -> None:
+    """A given K that the data do not show keeps its bound, and the model goes without it."""
+    result = fitted(simulated("N=1", 20_000, 8), "N + K")
+    assert str(result.model) == "N"
+    assert result["K"].status == "bounded"
+    assert result.parameters == ("N",)
+
+
+def test_of_two_terms_that_may_stand_for_one_another_one_stays() -> None:
+    """B and K are each not shown beside the other, but one of them is needed and stays."""
+    result = fitted(simulated("N=1 + K=0.012", 3000, 4), "N + B + K")
+    assert result.goodness.statistic < 3
+    assert {result["B"].status, result["K"].status} == {"estimated", "bounded"}
+
+
+def test_gauss_markov_terms_that_are_not_shown_are_numbered_too() -> None:
+    """Two given Gauss-Markov terms of white noise are bounded, each under a name of its own."""
+    result = fitted(simulated("N=1", 20_000, 15), "N + 2*GM")
+    assert [e.key for e in result.estimates] == ["N", "B", "GM1", "GM2", "K"]
+    assert str(result.model) == "N"
+    one = fitted(simulated("N=1 + GM(sigma=1, T=50)", 20_000, 15), "N + 2*GM")
+    assert one["GM1"].status == "estimated"
+    assert one.parameters[:2] == ("N", "GM1.sigma")
+
+
+def test_reports_the_models_within_reach() -> None:
+    """The chosen model comes first with delta 0, the others rise to at most 6."""
+    result = fitted(simulated("N=1 + B=0.05 + K=1e-3", 100_000, 9))
+    deltas = [c.delta for c in result.candidates]
+    assert deltas[0] == 0
+    assert deltas == sorted(deltas)
+    assert deltas[-1] <= 6
+    assert result.candidates[0].structure == str(result.model)
+
+
+def test_covariance_is_positive_and_named() -> None:
+    """One row a parameter; correlations lie within -1 and 1."""
+    result = fitted(simulated(RICH, 100_000, 10, rate_hz=100.0), "Q + N + GM + K", rate_hz=100.0)
+    assert result.parameters == ("Q", "N", "K", "GM.sigma", "GM.T")
+    assert np.all(np.linalg.eigvalsh(result.correlation) > 0)
+    assert np.all(np.abs(result.correlation) <= 1 + 1e-12)
+
+
+def test_settings_are_json_values() -> None:
+    """What the fit decided can be written to a report."""
+    result = fitted(simulated(PLAIN, 10_000, 11))
+    assert json.loads(json.dumps(dict(result.settings))) == dict(result.settings)
+
+
+def test_a_short_record_gives_what_it_can() -> None:
+    """A hundred samples give N with a wide interval, and bounds for the rest."""
+    result = fitted(simulated("N=1", 100, 12))
+    assert result["N"].low < 1 < result["N"].high
+    assert all(np.isfinite(e.high) for e in result.estimates)
+
+
+def test_refuses_too_few_samples() -> None:
+    """The message says how many there are and how many are needed."""
+    with pytest.raises(DataError) as caught:
+        fitted(np.arange(20.0))
+    assert str(caught.value) == (
+        "gyro_x: 20 samples, expected at least 64 for a noise model; record for longer"
+    )
+
+
+@pytest.mark.parametrize("level", [0.0, 9.81])
+def test_refuses_constant_samples(level: float) -> None:
+    """A sensor that does not move its last digit has no noise to model."""
+    with pytest.raises(DataError) as caught:
+        fitted(np.full(1000, level))
+    assert str(caught.value) == (
+        "gyro_x: all 1000 samples are equal, expected noise; "
+        "check that the sensor was on and that its resolution shows its noise"
+    )
+
+
+@pytest.mark.parametrize(
+    "samples",
+    [
+        np.where(np.arange(5000) % 2 == 0, 1.0, -1.0),
+        np.arange(5000.0),
+        np.sin(np.arange(5000) / 40),
+        np.concatenate([np.zeros(4000), np.ones(1000)]),
+        np.round(np.random.default_rng(1).standard_normal(5000) / 3),
+        np.random.default_rng(2).standard_cauchy(5000),
+    ],
+    ids=["alternating", "line", "sine", "step", "coarse", "cauchy"],
+)
+@pytest.mark.filterwarnings("error")
+def test_odd_samples_give_finite_numbers_or_an_error(samples: np.typing.NDArray[np.float64]) -> None:
+    """Whatever comes in, no NaN comes out."""
+    try:
+        result = fitted(samples)
+    except DataError:
+        return
+    for estimate in result.estimates:
+        assert np.isfinite(estimate.low)
+        assert not np.isnan(estimate.high)
+        assert estimate.value is None or np.isfinite(estimate.value)
+    assert np.isfinite(result.goodness.statistic)
+
+
+def test_used_points_are_those_the_band_lets_see() -> None:
+    """Without a filter the fit uses the whole curve."""
+    series = AxisSeries.from_samples(simulated("N=1", 5000, 13), rate_hz=1.0)
+    npt.assert_array_equal(fitted(series).used, [0, 1])
+
+
+@pytest.mark.parametrize(("offset", "slope"), [(0.0, 1.0), (9.8, 1e-3), (0.0, 7.7)])
+def test_a_straight_line_is_no_measurement(offset: float, slope: float) -> None:
+    """A counter taken for an axis holds no noise; the message says so, whatever its step."""
+    with pytest.raises(DataError) as caught:
+        fitted(offset + slope * np.arange(2000.0))
+    assert str(caught.value) == (
+        "gyro_x: all 2000 samples lie on one straight line, expected noise; "
+        "check that the column holds a measurement and not a counter"
+    )

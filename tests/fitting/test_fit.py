@@ -1,0 +1,89 @@
+"""The facade: fit(series) by every method."""
+
+import numpy as np
+import pytest
+
+from imucal.allan import allan_curve
+from imucal.fitting import METHODS, fit
+from imucal.recording import AxisSeries
+from tests.fitting.fits import simulated
+
+TEXT = "N=1e-3 + K=4e-4"
+N = 40_000
+
+
+def series(seed: int = 1) -> AxisSeries:
+    return AxisSeries.from_samples(simulated(TEXT, N, seed, rate_hz=100.0), rate_hz=100.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_reports_n_b_and_k(method: str) -> None:
+    """The contract of a fit: N, B and K with limits, the curve, the level, the method's name."""
+    result = fit(series(), method=method)
+    assert result.method == method
+    assert result.level == 0.95
+    assert result.curve.n == N
+    for key in ("N", "B", "K"):
+        estimate = result[key]
+        assert 0 <= estimate.low <= estimate.high
+        assert (estimate.value is None) == (estimate.status == "bounded")
+    assert result["N"].value == pytest.approx(1e-3, rel=0.05)
+
+
+def test_passes_a_curve_on() -> None:
+    """A curve that was computed already is not computed again."""
+    data = series()
+    curve = allan_curve(data, taus="decade")
+    assert fit(data, curve=curve).curve is curve
+
+
+def test_spikes_are_replaced_counted_and_gone_from_the_curve() -> None:
+    """Spikes of a hundred standard deviations change N by less than 1 %, and are reported."""
+    data = series()
+    samples = data.samples.copy()
+    places = np.random.default_rng(2).choice(N, 40, replace=False)
+    samples[places] += 1.0
+    wild = AxisSeries.from_samples(samples, rate_hz=100.0)
+    clean, dirty = fit(wild, model="N + K"), fit(wild, model="N + K", clean=False)
+    assert clean["N"].value == pytest.approx(1e-3, rel=0.02)
+    assert (dirty["N"].value or 0) > 1.5e-3
+    assert clean.findings[0].code == "spikes"
+    assert clean.curve.avar[0] < 0.5 * dirty.curve.avar[0]
+
+
+def test_a_cleaned_series_keeps_the_averaging_times_of_its_curve() -> None:
+    """The curve of the cleaned samples stands at the same times as the one that was given."""
+    data = series()
+    samples = data.samples.copy()
+    samples[1234] += 1.0
+    wild = AxisSeries.from_samples(samples, rate_hz=100.0)
+    given = allan_curve(wild, taus="decade")
+    np.testing.assert_array_equal(fit(wild, curve=given).curve.m, given.m)
+
+
+def test_temperature_goes_with_the_samples_that_are_finite() -> None:
+    """Samples that are not finite take their temperature with them."""
+    data = series()
+    samples = data.samples.copy()
+    samples[100:105] = np.nan
+    broken = AxisSeries.from_samples(samples, rate_hz=100.0)
+    result = fit(broken, temperature=np.linspace(20, 30, N))
+    assert result["N"].value == pytest.approx(1e-3, rel=0.05)
+
+
+def test_verify_adds_the_distance_of_the_exact_maximum() -> None:
+    """The finding `verified` is there when it was asked for, and only then."""
+    data = AxisSeries.from_samples(simulated(TEXT, 5000, 3, rate_hz=100.0), rate_hz=100.0)
+    assert "verified" in {f.code for f in fit(data, model="N + K", verify=True).findings}
+    assert "verified" not in {f.code for f in fit(data, model="N + K").findings}
+
+
+def test_a_line_is_named_and_left_out() -> None:
+    """A tone of the size of the noise does not change N, and its frequency is in a sentence."""
+    data = series()
+    tone = 5e-3 * np.sin(2 * np.pi * 12.34 * np.arange(N) / 100)
+    result = fit(AxisSeries.from_samples(data.samples + tone, rate_hz=100.0), model="N + K")
+    assert result["N"].value == pytest.approx(1e-3, rel=0.02)
+    assert result.goodness.lines[0].frequency_hz == pytest.approx(12.34, abs=0.01)
+    text = next(f.text for f in result.findings if f.code == "line")
+    assert text.startswith("Line at 12.34 Hz (amplitude 0.005")

@@ -1,0 +1,142 @@
+"""Spikes and rounding."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.fitting.robust import clean, resolution_effect, spikes, step_size
+from imucal.noise.model import NoiseModel
+from imucal.recording import AxisSeries
+
+
+def _series(samples: FloatArray) -> AxisSeries:
+    return AxisSeries.from_samples(samples, rate_hz=100.0)
+
+
+def _noise(n: int, seed: int) -> FloatArray:
+    return NoiseModel.parse("N=0.1 + K=1e-2").simulate(n, rate_hz=100.0, rng=np.random.default_rng(seed))
+
+
+def test_clean_data_is_returned_as_it_is() -> None:
+    """The very same object, and no finding."""
+    series = _series(_noise(100_000, 1))
+    same, findings = clean(series)
+    assert same is series
+    assert findings == ()
+
+
+def test_gaussian_noise_has_no_spikes() -> None:
+    """Of 200 records one per cent may have one; more than 8 would be beyond three standard errors."""
+    rng = np.random.default_rng(2)
+    assert sum(bool(spikes(_series(rng.standard_normal(5000))).any()) for _ in range(200)) <= 8
+
+
+@pytest.mark.parametrize(("share", "size"), [(1e-3, 10), (1e-3, 100), (1e-2, 10), (1e-2, 100), (5e-2, 10)])
+def test_spikes_do_not_reach_the_noise(share: float, size: float) -> None:
+    """White noise keeps its deviation to 1 % after cleaning, where spikes had made it up to ten times it."""
+    rng = np.random.default_rng(3)
+    samples = _noise(200_000, 4)
+    hit = rng.random(samples.size) < share
+    spoiled = samples + size * hit * rng.choice([-1.0, 1.0], samples.size)
+    cleaned, findings = clean(_series(spoiled))
+    assert np.diff(cleaned.samples).std() == pytest.approx(np.diff(samples).std(), rel=0.01)
+    assert spikes(_series(spoiled)).sum() == pytest.approx(hit.sum(), abs=2)
+    npt.assert_array_equal(
+        cleaned.samples[~hit & ~spikes(_series(spoiled))], samples[~hit & ~spikes(_series(spoiled))]
+    )
+    assert [finding.code for finding in findings] == ["spikes"]
+
+
+def test_the_finding_counts_and_warns_above_one_per_cent() -> None:
+    """Its text has the count, the share and the largest."""
+    samples = np.random.default_rng(5).standard_normal(10_000)
+    samples[1234] += 50
+    _, (finding,) = clean(_series(samples))
+    assert finding.level == "info"
+    assert finding.axis == "gyro_x"
+    assert finding.text.startswith("1 spike was replaced (0.01 % of the samples), the largest ")
+    samples[::50] += 50
+    _, (finding,) = clean(_series(samples))
+    assert finding.level == "warning"
+    assert finding.text.startswith("201 spikes were replaced (2 % of the samples), the largest ")
+    assert (
+        finding.advice == "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
+    )
+
+
+def test_cleaning_is_the_same_every_time() -> None:
+    """The noise that replaces spikes is drawn from a fixed seed."""
+    samples = _noise(10_000, 6)
+    samples[::500] += 30
+    npt.assert_array_equal(clean(_series(samples))[0].samples, clean(_series(samples))[0].samples)
+
+
+@pytest.mark.parametrize("samples", [np.zeros(1000), np.arange(5.0), np.zeros(0), np.ones(1)])
+def test_nothing_is_found_where_there_is_nothing_to_see(samples: FloatArray) -> None:
+    """Constant, few and no samples have no spikes."""
+    assert not spikes(_series(samples)).any()
+
+
+def test_a_coarse_step_is_no_spike_but_a_real_one_is() -> None:
+    """Samples that mostly stand on one value, rounded to steps of four standard deviations."""
+    samples = np.round(np.random.default_rng(7).standard_normal(20_000) / 4) * 4
+    assert not spikes(_series(samples)).any()
+    samples[100] = 400
+    assert spikes(_series(samples)).sum() == 1
+
+
+def test_a_million_samples_are_quick() -> None:
+    """No more than ten times a sort of the same samples (CPU; it is about three)."""
+    series = _series(np.random.default_rng(8).standard_normal(1_000_000))
+    begin = time.process_time()
+    np.sort(series.samples)
+    sort = time.process_time() - begin
+    begin = time.process_time()
+    clean(series)
+    assert time.process_time() - begin < 10 * sort
+
+
+@pytest.mark.parametrize("step", [0.25, 1.0, 1.5])
+def test_the_step_of_rounded_samples_is_found(step: float) -> None:
+    """Also about an offset in single precision; samples that aren't rounded have none."""
+    samples = np.round(np.random.default_rng(9).standard_normal(50_000) / step) * step
+    assert step_size(samples) == pytest.approx(step)
+    single = (samples + 9.8).astype(np.float32).astype(np.float64)
+    assert step_size(single) == pytest.approx(step, rel=1e-5)
+    assert step_size(np.random.default_rng(9).standard_normal(50_000)) is None
+
+
+@pytest.mark.parametrize(("step", "known"), [(0.5, True), (1.0, True), (1.6, True), (5.0, False)])
+def test_rounding_is_taken_out_of_n(step: float, *, known: bool) -> None:
+    """N² - LSB² tau0 / 12 is the sensor's N² to 2 % down to LSB = 1.6 sigma (Sheppard)."""
+    samples = np.round(np.random.default_rng(10).standard_normal(200_000) / step) * step
+    (finding,) = resolution_effect(_series(samples), float(samples.std()) / 10)
+    assert finding.code == "rounding"
+    if not known:
+        assert finding.level == "warning"
+        assert "is mostly rounding, and the sensor's own can't be told" in finding.text
+        return
+    assert finding.level == "info"
+    corrected = float(finding.text.rpartition("N = ")[2].split()[0])
+    assert corrected == pytest.approx(0.1, rel=0.02)
+
+
+def test_fine_steps_are_not_worth_a_word() -> None:
+    """A step of a quarter of the noise adds half a per cent to N²."""
+    samples = np.round(np.random.default_rng(11).standard_normal(50_000) * 4) / 4
+    assert resolution_effect(_series(samples), 0.1) == ()
+
+
+def test_an_accelerometer_has_its_own_unit() -> None:
+    """The text reads as a person would write it."""
+    series = _series(np.round(np.random.default_rng(12).standard_normal(100_000)))
+    series = replace(series, sensor=type(series.sensor)("accelerometer"))
+    (finding,) = resolution_effect(series, 0.1041)
+    assert finding.text == (
+        "Samples come in steps of 1 m/s², 0.96 times their noise: of N = 0.1041, rounding makes "
+        "3.9 %; without it N = 0.1 m/s²/√Hz."
+    )

@@ -1,0 +1,165 @@
+"""The exact likelihood: against the dense Gaussian, with and without gaps, and its optimum."""
+
+import time
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucal.arrays import FloatArray
+from imucal.errors import DataError
+from imucal.fitting import state_space as module
+from imucal.fitting.state_space import fit_exact, log_likelihood
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import GaussMarkov, PowerLawTerm, RateRamp
+from imucal.powerlaw import odd_harmonic
+from imucal.recording import AxisSeries
+
+N = 300
+
+
+def _covariance(model: NoiseModel, rate_hz: float) -> FloatArray:
+    """Return the covariance of N samples, up to a constant and what a flat prior on the level forgets."""
+    t = np.arange(N, dtype=np.float64)
+    lag = np.abs(np.subtract.outer(t, t))
+    total = np.zeros((N, N))
+    for term in model.terms:
+        if isinstance(term, GaussMarkov):
+            total += term.sigma**2 * np.exp(-lag / rate_hz / term.T)
+        elif isinstance(term, PowerLawTerm):
+            shape = {
+                "N": np.eye(N),
+                "Q": 2 * np.eye(N) - (lag == 1),
+                "K": 1 + np.minimum.outer(t, t),
+                "B": 40 - 2 / np.pi * odd_harmonic(lag),
+            }[term.symbol]
+            total += term.variance(1 / rate_hz) * shape
+    return total
+
+
+def dense(model: NoiseModel, samples: FloatArray, seen: NDArray[np.bool_], rate_hz: float) -> float:
+    """Return the Gaussian log-density of the seen samples, the level integrated out; O(n³)."""
+    ramp = sum(term.value for term in model.terms if isinstance(term, RateRamp))
+    rest = (samples - ramp * np.arange(N) / rate_hz)[seen]
+    covariance = _covariance(model, rate_hz)[np.ix_(seen, seen)]
+    inverse = np.linalg.inv(covariance)
+    ones = np.ones(rest.size)
+    level = float(ones @ inverse @ ones)
+    square = float(rest @ inverse @ rest) - float(ones @ inverse @ rest) ** 2 / level
+    log_det = float(np.linalg.slogdet(covariance)[1]) + np.log(level)
+    return float(-0.5 * ((rest.size - 1) * np.log(2 * np.pi) + log_det + square))
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.2])
+@pytest.mark.parametrize(
+    ("text", "tolerance"),
+    [
+        ("N=1", 1e-9),
+        ("N=1 + K=0.1", 1e-9),
+        ("N=1 + K=1e-9", 1e-6),
+        ("K=1 + N=1e-3", 1e-4),
+        ("N=1 + GM(sigma=0.5, T=20)", 1e-9),
+        ("Q=1 + N=0.5 + GM(sigma=0.5, T=20) + GM(sigma=0.3, T=2) + K=0.05 + R=0.01", 1e-8),
+        # Without white noise, so little of it is added that a sample's likelihood moves by 1e-6.
+        ("Q=1 + K=0.01", 1e-3),
+        ("GM(sigma=1, T=40)", 1e-3),
+        ("K=1", 1e-3),
+    ],
+)
+def test_equals_the_dense_gaussian(text: str, tolerance: float, missing: float) -> None:
+    """For every sum of terms, with samples missing anywhere."""
+    rng = np.random.default_rng(17)
+    model = NoiseModel.parse(text)
+    samples = model.simulate(N, rate_hz=1.0, rng=rng)
+    seen = rng.random(N) >= missing
+    seen[[0, -1]] = True
+    series = AxisSeries.from_samples(samples, rate_hz=1.0).keeping(seen)
+    assert log_likelihood(model, series) == pytest.approx(dense(model, samples, seen, 1.0), abs=tolerance)
+
+
+def test_flicker_is_nearly_its_bank() -> None:
+    """The likelihood of N + B differs by less than 0.1 from that of exact flicker."""
+    model = NoiseModel.parse("N=1 + B=0.3")
+    samples = model.simulate(N, rate_hz=10.0, rng=np.random.default_rng(18))
+    series = AxisSeries.from_samples(samples, rate_hz=10.0)
+    exact = dense(model, samples, np.ones(N, dtype=bool), 10.0)
+    assert log_likelihood(model, series) == pytest.approx(exact, abs=0.1)
+
+
+def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Passing the state on from block to block is exact."""
+    model = NoiseModel.parse("Q=1 + N=0.5 + GM(sigma=0.5, T=20) + K=0.05")
+    samples = model.simulate(1000, rate_hz=1.0, rng=np.random.default_rng(19))
+    series = AxisSeries.from_samples(samples, rate_hz=1.0)
+    whole = log_likelihood(model, series)
+    monkeypatch.setattr(module, "_BLOCK", 64)
+    assert log_likelihood(model, series) == pytest.approx(whole, abs=1e-8)
+
+
+def test_a_level_and_a_unit_change_what_they_must() -> None:
+    """An offset changes nothing; a scale factor c subtracts (n - 1) ln c."""
+    model = NoiseModel.parse("N=1 + K=0.1")
+    samples = model.simulate(N, rate_hz=1.0, rng=np.random.default_rng(20))
+    base = log_likelihood(model, AxisSeries.from_samples(samples, rate_hz=1.0))
+    assert log_likelihood(model, AxisSeries.from_samples(samples + 1e3, rate_hz=1.0)) == pytest.approx(base)
+    small = NoiseModel.parse("N=1e-6 + K=1e-7")
+    scaled = log_likelihood(small, AxisSeries.from_samples(samples * 1e-6, rate_hz=1.0))
+    assert scaled == pytest.approx(base + (N - 1) * np.log(1e6))
+
+
+def test_the_optimum_is_one() -> None:
+    """No coefficient moved by half a per cent makes the samples more likely; R is found with the rest."""
+    text = "N=1 + GM(sigma=0.4, T=30) + R=1e-3"
+    model = NoiseModel.parse(text)
+    samples = model.simulate(5000, rate_hz=1.0, rng=np.random.default_rng(21))
+    series = AxisSeries.from_samples(samples, rate_hz=1.0)
+    start = NoiseModel.parse("N=0.8 + GM(sigma=0.6, T=20) + R=0")
+    best, value = fit_exact(series, ("N", "GM", "R"), start)
+    assert value >= log_likelihood(model, series)
+    assert log_likelihood(best, series) == pytest.approx(value, abs=1e-6)
+    white, gm, ramp = best.terms
+    assert isinstance(white, PowerLawTerm)
+    assert isinstance(gm, GaussMarkov)
+    assert isinstance(ramp, RateRamp)
+    for factor in (0.995, 1.005):
+        for terms in (
+            (type(white)(value=white.value * factor), gm, ramp),
+            (white, GaussMarkov(sigma=gm.sigma * factor, T=gm.T), ramp),
+            (white, GaussMarkov(sigma=gm.sigma, T=gm.T * factor), ramp),
+            (white, gm, RateRamp(value=ramp.value * factor)),
+        ):
+            assert log_likelihood(NoiseModel(terms=terms), series) <= value + 1e-6
+    # Four standard errors: N 1 %, sigma 9 %, T 25 % at this length.
+    assert white.value == pytest.approx(1, rel=0.05)
+    assert gm.sigma == pytest.approx(0.4, rel=0.35)
+    assert ramp.value == pytest.approx(1e-3, rel=0.15)
+
+
+def test_the_cost_grows_with_the_samples_only() -> None:
+    """Ten times the samples take at most 20 times as long (CPU, best of three)."""
+    model = NoiseModel.parse("N=1 + K=1e-3")
+    seconds = []
+    for n in (50_000, 500_000):
+        samples = model.simulate(n, rate_hz=1.0, rng=np.random.default_rng(22))
+        series = AxisSeries.from_samples(samples, rate_hz=1.0)
+        runs = []
+        for _ in range(3):
+            begin = time.process_time()
+            log_likelihood(model, series)
+            runs.append(time.process_time() - begin)
+        seconds.append(min(runs))
+    assert seconds[1] < 20 * seconds[0]
+
+
+def test_refuses_a_single_sample() -> None:
+    """A likelihood of contrasts needs two."""
+    series = AxisSeries.from_samples(np.array([1.0, np.nan]), rate_hz=1.0)
+    with pytest.raises(DataError, match=r"^gyro_x: a likelihood needs at least 2 samples, got 1$"):
+        log_likelihood(NoiseModel.parse("N=1"), series)
+
+
+def test_refuses_a_start_of_other_terms() -> None:
+    """The message names both."""
+    series = AxisSeries.from_samples(np.arange(10.0), rate_hz=1.0)
+    with pytest.raises(ValueError, match=r"start must have the terms \('N', 'K'\), got N"):
+        fit_exact(series, ("N", "K"), NoiseModel.parse("N=1"))

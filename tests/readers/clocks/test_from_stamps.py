@@ -1,0 +1,287 @@
+"""Clocks from stamps with every trap of real logs: the rate is right, and the finding says what was seen."""
+
+import re
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.errors import DataError
+from imucal.readers.clocks.from_stamps import ClockReading, clock_from_stamps
+
+N = 20_000
+TAU = 5_000_000
+START = 1_700_000_000_000_000_000
+PLACE = np.arange(N, dtype=np.int64)
+EVEN = START + PLACE * TAU
+
+
+def read(stamps: IntArray, log: IntArray | None = None, rate: float | None = None) -> ClockReading:
+    """Return the clock of stamps, which are rounded to ns."""
+    whole = np.round(stamps).astype(np.int64) if stamps.dtype != np.int64 else stamps
+    return clock_from_stamps(whole, source="header stamp", log_ns=log, rate_hz=rate)
+
+
+def codes(reading: ClockReading) -> list[str]:
+    """Return the codes of the findings."""
+    return [finding.code for finding in reading.findings]
+
+
+def shifted(by: FloatArray) -> IntArray:
+    """Return even stamps with whole ns added."""
+    return EVEN + by.astype(np.int64)
+
+
+def test_even_stamps_are_one_segment() -> None:
+    """Nothing is found where nothing is wrong."""
+    reading = read(EVEN)
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-12)
+    assert [(s.start, s.stop, s.offset) for s in reading.clock.segments] == [(0, N, 0)]
+    assert reading.clock.start_ns == START
+    assert reading.clock.jitter_s == pytest.approx(0, abs=1e-12)
+    assert reading.order is None
+    assert reading.findings == ()
+
+
+@pytest.mark.parametrize("share", [0.001, 0.05, 0.2, 0.5])
+def test_jitter_neither_moves_the_rate_nor_makes_gaps(share: float) -> None:
+    """White jitter up to half a period; its standard deviation is measured."""
+    jitter = np.random.default_rng(1).normal(0, share * TAU, N)
+    reading = read(shifted(jitter))
+    # Least squares over n samples: sigma sqrt(12) / n^1.5 of a period, times four.
+    tolerance = 4 * share * np.sqrt(12) / N**1.5
+    assert reading.clock.rate_hz == pytest.approx(200, rel=max(tolerance, 1e-12))
+    assert reading.clock.missing == 0
+    assert reading.clock.n == N
+    # A standard deviation of n values is good to 1 / sqrt(2 n).
+    assert reading.clock.jitter_s == pytest.approx(share * TAU / 1e9, rel=4 / np.sqrt(2 * N))
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.02, 0.1])
+def test_finds_gaps(jitter: float) -> None:
+    """Gaps of 100, 1 and 2 samples, at their places."""
+    noise = np.random.default_rng(2).normal(0, jitter * TAU, N)
+    kept = np.delete(shifted(noise), [*range(1000, 1100), 5000, 9000, 9001])
+    reading = read(kept)
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-6)
+    assert [gap.missing for gap in reading.clock.gaps] == [100, 1, 2]
+    npt.assert_allclose([gap.start_s for gap in reading.clock.gaps], [5.0, 25.0, 45.0], rtol=1e-6)
+    assert [s.size for s in reading.clock.segments] == [1000, 3900, 3999, N - 9002]
+    (finding,) = reading.findings
+    assert finding.code == "gaps"
+    assert finding.text.startswith("103 samples (0.0052 of all) are missing in 3 gaps; the longest is 0.5 s")
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.5])
+@pytest.mark.parametrize("jitter", [0.0, 0.02])
+def test_random_losses_do_not_lower_the_rate(share: float, jitter: float) -> None:
+    """Even with every second sample lost the period is that of the sensor, and all losses are counted."""
+    rng = np.random.default_rng(3)
+    kept = rng.random(N) > share
+    kept[[0, -1]] = True
+    reading = read(shifted(rng.normal(0, jitter * TAU, N))[kept])
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-4)
+    assert reading.clock.missing == N - kept.sum()
+    npt.assert_array_equal(reading.clock.grid(), np.flatnonzero(kept))
+
+
+@pytest.mark.parametrize(("size", "inner"), [(5, 1_000_000), (10, 100_000), (5, 0), (20, 0), (2, 100_000)])
+def test_bursts_are_spread_evenly(size: int, inner: int) -> None:
+    """Samples that arrive together: the median step is wrong by any factor, the rate is not."""
+    stamps = START + PLACE // size * size * TAU + PLACE % size * inner
+    reading = read(stamps)
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-5)
+    assert len(reading.clock.segments) == 1
+    assert reading.clock.n == N
+    assert "bursts" in codes(reading)
+
+
+def test_a_gap_between_bursts_is_found() -> None:
+    """A thousand samples are missing, not one burst more or less."""
+    stamps = START + PLACE // 10 * 10 * TAU + PLACE % 10 * 100_000
+    reading = read(np.delete(stamps, np.s_[8000:9000]))
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-4)
+    (gap,) = reading.clock.gaps
+    # The place within a burst is not known.
+    assert gap.missing == pytest.approx(1000, abs=10)
+
+
+def test_a_stall_that_catches_up_is_no_gap() -> None:
+    """Two hundred samples come late and at once: they are late, none is missing."""
+    stamps = EVEN.copy()
+    stamps[3000:3200] = EVEN[3200] - np.arange(200)[::-1] * 10_000
+    reading = read(stamps)
+    assert reading.clock.n == N
+    assert reading.clock.missing == 0
+
+
+def test_doubled_stamps_are_dropped() -> None:
+    """A sample with the stamp of the one before has no place on the grid."""
+    doubled = np.sort(np.random.default_rng(4).choice(np.arange(10, N, 40), 50, replace=False))
+    stamps = np.insert(EVEN, doubled, EVEN[doubled])
+    reading = read(stamps)
+    assert reading.clock.n == N
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-9)
+    assert reading.order is not None
+    npt.assert_array_equal(stamps[reading.order], EVEN)
+    assert "duplicate-stamps" in codes(reading)
+
+
+def test_a_log_recorded_twice_is_read_once() -> None:
+    """Every message twice: the reader knows that values repeat too."""
+    stamps = np.repeat(EVEN, 2)
+    repeated = np.arange(2 * N) % 2 == 1
+    reading = clock_from_stamps(stamps, source="header stamp", repeated=repeated)
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-9)
+    npt.assert_array_equal(reading.order, np.arange(0, 2 * N, 2))
+    assert codes(reading) == ["duplicate-stamps"]
+    text = f"{N} of {2 * N} samples repeat the stamp and the values of the one before; they are dropped."
+    assert reading.findings[0].text == text
+
+
+@pytest.mark.parametrize("jump_s", [-3600, 3600, -0.5, 1.6e9])
+def test_a_clock_that_is_set_is_no_gap(jump_s: float) -> None:
+    """The log time shows that nothing is missing; samples before and after are kept apart."""
+    stamps = EVEN + (PLACE >= N // 2) * int(jump_s * 1e9)
+    reading = read(stamps, EVEN + 1000)
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-9)
+    assert [s.size for s in reading.clock.segments] == [N // 2, N // 2]
+    assert reading.clock.missing == 1
+    jump = next(finding for finding in reading.findings if finding.code == "clock-jump")
+    assert f"once, at most by {jump_s + 0.005:+.6g} s at sample {N // 2}" in jump.text
+
+
+def test_a_jump_of_years_is_no_gap_without_log_time() -> None:
+    """From 1970 to today in the middle of a log."""
+    reading = read(EVEN - START + TAU + (PLACE >= N // 2) * START)
+    assert "clock-jump" in codes(reading)
+    assert reading.clock.duration_s < 101
+
+
+@pytest.mark.parametrize("value", [0, 5])
+def test_stamps_that_never_change_are_replaced_by_log_time(value: int) -> None:
+    """And the source says so."""
+    reading = read(np.full(N, value), EVEN)
+    assert reading.clock.source == "log time"
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-12)
+    assert codes(reading) == ["log-time-used"]
+    what = "are all zero" if value == 0 else "are all the same"
+    text = f"The stamps (header stamp) {what}; the time at which messages were recorded is used instead."
+    assert reading.findings[0].text == text
+
+
+def test_some_zero_stamps_switch_to_log_time() -> None:
+    """More than one percent of zeros."""
+    stamps = np.where(PLACE % 50 == 0, 0, EVEN)
+    assert read(stamps, EVEN).clock.source == "log time"
+
+
+def test_a_single_zero_stamp_is_filled() -> None:
+    """It loses nothing but its stamp."""
+    stamps = EVEN.copy()
+    stamps[[0, 77]] = 0
+    reading = read(stamps, EVEN)
+    assert reading.clock.source == "header stamp"
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-7)
+    assert reading.clock.missing == 0
+    assert codes(reading) == ["zero-stamps"]
+
+
+@pytest.mark.parametrize("offset", [1e12, -1e12, 1e18])
+def test_a_single_wrong_stamp_moves_nothing(offset: float) -> None:
+    """One stamp is far off; its sample stays in its place."""
+    stamps = EVEN.copy()
+    stamps[4000] += int(offset)
+    reading = read(stamps)
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-6)
+    assert reading.clock.missing == 0
+    assert reading.clock.n == N
+
+
+@pytest.mark.parametrize("rate", [200, 300, 400, 600, 700, 1000, 1600, 3200])
+def test_millisecond_stamps_give_the_rate(rate: int) -> None:
+    """Stamps in whole ms, however few of them fall into a period."""
+    stamps = START + (PLACE * 1000 // rate) * 1_000_000
+    reading = read(stamps)
+    # Rounding to 1 ms over the whole log.
+    assert reading.clock.rate_hz == pytest.approx(rate, rel=2e-6 * rate / 200)
+    assert reading.clock.missing == 0
+    assert reading.clock.n == N
+    if 1000 % rate:
+        assert "coarse-stamps" in codes(reading)
+
+
+def test_swapped_stamps_keep_the_order_of_the_log() -> None:
+    """Samples are not sorted by stamps that jitter."""
+    stamps = EVEN.copy()
+    stamps[100::50], stamps[101::50] = EVEN[101::50], EVEN[100::50]
+    reading = read(stamps)
+    assert reading.order is None
+    assert reading.clock.missing == 0
+    assert codes(reading) == ["stamps-out-of-order"]
+
+
+def test_a_throttled_topic_shows_the_missing_third() -> None:
+    """Two of three samples of a 200 Hz sensor, regularly."""
+    reading = read(EVEN[PLACE % 3 != 2])
+    assert reading.clock.rate_hz == pytest.approx(200, rel=1e-9)
+    assert reading.clock.missing == len(EVEN[PLACE % 3 == 2]) - (N % 3 == 0)
+
+
+def test_a_given_rate_wins_and_a_wrong_one_is_told() -> None:
+    """The caller knows better, but is told what the stamps say."""
+    reading = read(EVEN, rate=100.0)
+    assert reading.clock.rate_hz == 100.0
+    assert reading.findings[0].text == "The rate given, 100 Hz, is not the one the stamps show, 200 Hz."
+
+
+def test_a_given_rate_makes_up_for_missing_stamps() -> None:
+    """Without any clock but with a rate."""
+    reading = read(np.zeros(10, dtype=np.int64), rate=50.0)
+    assert reading.clock.rate_hz == 50.0
+    assert reading.clock.source == "given rate"
+
+
+@pytest.mark.parametrize("n", [2, 3, 10, 31])
+def test_short_logs_have_a_rate(n: int) -> None:
+    """Two samples are enough."""
+    assert read(EVEN[:n]).clock.rate_hz == pytest.approx(200)
+
+
+def test_refuses_what_has_no_rate() -> None:
+    """No sample, one sample, stamps that stand still."""
+    with pytest.raises(
+        DataError, match=re.escape("no samples to take the header stamp of; expected at least two")
+    ):
+        read(EVEN[:0])
+    message = "one sample (header stamp); expected stamps that give a rate, or the rate itself"
+    with pytest.raises(DataError, match=re.escape(message)):
+        read(EVEN[:1])
+    message = "9 samples whose stamps do not advance (header stamp); expected stamps that give a rate"
+    with pytest.raises(DataError, match=re.escape(message)):
+        read(np.zeros(9, dtype=np.int64))
+
+
+def test_refuses_noise() -> None:
+    """Stamps that go back all the time are no clock."""
+    stamps = START + np.random.default_rng(5).integers(0, 10**15, N)
+    with pytest.raises(DataError, match="expected a clock"):
+        read(stamps)
+
+
+def test_slow_drift_makes_no_gap() -> None:
+    """Ten ppm of wander over the log."""
+    wander = np.cumsum(TAU * 1e-5 * np.sin(PLACE / 3000))
+    reading = read(shifted(wander))
+    assert reading.clock.missing == 0
+    assert reading.clock.rate_hz == pytest.approx(200, rel=2e-5)
+
+
+def test_gaps_are_found_across_blocks() -> None:
+    """Far more samples than one block of work holds."""
+    n = 300_000
+    stamps = START + np.arange(n) * TAU + np.random.default_rng(6).normal(0, 0.05 * TAU, n).astype(np.int64)
+    lost = [*range(65_530, 65_540), 131_072, 200_000]
+    reading = read(np.delete(stamps, lost))
+    assert [gap.missing for gap in reading.clock.gaps] == [10, 1, 1]

@@ -1,0 +1,361 @@
+"""Names of columns, units and columns texts: what they mean, and what is refused with which words."""
+
+from pathlib import Path
+
+import pytest
+
+from imucal.errors import ChoiceError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.columns_text import parse_columns_text
+from imucal.readers.tables.csv_log import read
+from imucal.readers.tables.names import Role, parse_column
+from imucal.recording import Sensor
+from imucal.units import SAMPLE_UNITS, parse_sample_unit, parse_time_unit
+from tests.readers.tables.texts import N, cells, lines, seconds, truth, two_ardupilots, xyz
+
+GYRO, ACCEL = Role.GYROSCOPE, Role.ACCELEROMETER
+
+
+@pytest.mark.parametrize(
+    ("header", "role", "index", "unit"),
+    [
+        ("w_RS_S_x [rad s^-1]", GYRO, 0, "rad s^-1"),
+        ("a_RS_S_z [m s^-2]", ACCEL, 2, "m s^-2"),
+        ("field.angular_velocity.y", GYRO, 1, None),
+        ("/imu/data/linear_acceleration/x", ACCEL, 0, None),
+        ("gyro_rad[2]", GYRO, 2, "rad/s"),
+        ("accelerometer_m_s2[1]", ACCEL, 1, "m/s^2"),
+        ("GyrX", GYRO, 0, None),
+        ("AccZ", ACCEL, 2, None),
+        ("Gyroscope X (deg/s)", GYRO, 0, "deg/s"),
+        ("Low_Noise_Accelerometer_Y_CAL", ACCEL, 1, None),
+        ("xRate", GYRO, 0, None),
+        ("X Accel [x8004]", ACCEL, 0, None),
+        ("gx", GYRO, 0, None),
+        ("gx_deg_s", GYRO, 0, "deg/s"),
+        ("az_g", ACCEL, 2, "g"),
+        ("wz(deg/s)", GYRO, 2, "deg/s"),
+        ("ax(g)", ACCEL, 0, "g"),
+        ("G_X [mdps]", GYRO, 0, "mdps"),
+        ("gyroy", GYRO, 1, None),
+        ("xgyro", GYRO, 0, None),
+        ("roll_rate", GYRO, 0, None),
+        ("UnCompAccX", ACCEL, 0, None),
+        ("accelerometerAccelerationX(G)", ACCEL, 0, "G"),
+        ("Acc(x)", ACCEL, 0, None),
+        ("x-axis (g)", ACCEL, 0, "g"),
+        ("x", Role.VECTOR, 0, None),
+        ("3DOF_y", Role.VECTOR, 1, None),
+        ("FreeAcc_X", Role.OTHER, 0, None),
+        ("motionUserAccelerationX(G)", Role.OTHER, 0, "G"),
+        ("Magnetometer X (G)", Role.OTHER, 0, "G"),
+        ("gyro_bias[0]", Role.OTHER, 0, None),
+        ("estLinearAccelX", Role.OTHER, 0, None),
+        ("field.angular_velocity_covariance0", Role.OTHER, None, None),
+        ("orientation.x", Role.OTHER, 0, None),
+        ("velocity_x", Role.OTHER, 0, None),
+        ("alpha_x", Role.OTHER, 0, None),
+        ("gx [g]", Role.OTHER, 0, "g"),
+        ("acc_x (deg/s)", Role.OTHER, 0, "deg/s"),
+        ("#timestamp [ns]", Role.TIME, None, "ns"),
+        ("%time", Role.TIME, None, None),
+        ("SampleTimeFine", Role.TIME, None, None),
+        ("TimeUS", Role.TIME, None, "us"),
+        ("t", Role.TIME, None, None),
+        ("T", Role.TEMPERATURE, None, None),
+        ("T(°)", Role.TEMPERATURE, None, "°"),
+        ("imu_temp", Role.TEMPERATURE, None, None),
+        ("PacketCounter", Role.COUNTER, None, None),
+        ("n_samples", Role.COUNTER, None, None),
+        ("gyro_integral_dt", Role.OTHER, None, None),
+        ("accelerometer_timestamp_relative", Role.OTHER, None, None),
+    ],
+)
+def test_names(header: str, role: Role, index: int | None, unit: str | None) -> None:
+    """A name says sensor, axis and unit; what is no raw sample of either sensor says so too."""
+    column = parse_column(header, 0)
+    assert (column.role, column.index, column.unit) == (role, index, unit)
+
+
+def test_alpha_is_an_acceleration_beside_an_omega_only() -> None:
+    """Kalibr's names make sense together."""
+    assert parse_column("alpha_x", 4, context=frozenset({"omega_x", "alpha_x"})).role is ACCEL
+    assert parse_column("p", 4, context=frozenset({"p", "q", "r"})).role is GYRO
+    assert parse_column("p", 4, context=frozenset({"p", "q"})).role is Role.OTHER
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        *(
+            (text, "rad/s")
+            for text in ("rad/s", "[rad s^-1]", "rad_s", "rads", "rad/sec", "rad·s⁻¹", "radians per second")
+        ),
+        *(
+            (text, "deg/s")
+            for text in ("deg/s", "°/s", "º/s", "Â°/s", "dps", "deg_s", "degrees/second", "[deg/s]")
+        ),
+        *((text, "mdeg/s") for text in ("mdps", "mdeg/s")),
+        *(
+            (text, "m/s^2")
+            for text in ("m/s^2", "m/s²", "m/sÂ²", "m s^-2", "m/(s^2)", "m_s2", "mps2", "m/s/s", "m·s⁻²")
+        ),
+        *((text, "g") for text in ("g", "G", "gs")),
+        *((text, "mg") for text in ("mg", "milli-g")),
+        *((text, "ug") for text in ("ug", "µg", "μg")),
+    ],
+)
+def test_units_of_samples(text: str, name: str) -> None:
+    """A unit has many spellings and one name."""
+    parsed = parse_sample_unit(text)
+    assert parsed is not None
+    assert parsed[1] == name
+    assert name in SAMPLE_UNITS[parsed[0]]
+
+
+@pytest.mark.parametrize("text", ["", "s", "uT", "deg", "rad", "m/s", "N", "V", "%"])
+def test_other_units_are_no_units_of_samples(text: str) -> None:
+    """An angle or a field is neither a rate nor an acceleration."""
+    assert parse_sample_unit(text) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("s", "s"),
+        ("(sec)", "s"),
+        ("ms", "ms"),
+        ("msec", "ms"),
+        ("µs", "us"),
+        ("usec", "us"),
+        ("[ns]", "ns"),
+        ("g", None),
+    ],
+)
+def test_units_of_time(text: str, name: str | None) -> None:
+    """Seconds and their parts."""
+    assert parse_time_unit(text) == name
+
+
+HEADERS = ["stamp", "wx", "wy", "wz", "ax", "ay", "az", "I", "temp"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t=0,g=1:4,a=4:7",
+        "t=stamp,g=wx+wy+wz,a=ax+ay+az",
+        " time = 0 , gyro = 1+2+3 , accel = 4:7 ",
+    ],
+)
+def test_columns_text(text: str) -> None:
+    """Places from 0 with the end left out, or names joined by +."""
+    asked = parse_columns_text(text, HEADERS, "log.csv")
+    assert (asked.time, asked.gyro, asked.accel) == ((0,), (1, 2, 3), (4, 5, 6))
+
+
+def test_columns_text_takes_rows_and_temperature() -> None:
+    """A tag or a column with its value chooses the rows; any order of axes can be given."""
+    asked = parse_columns_text("g=3+2+1@imu,a=4:7@I:0,temp=8,t=0+7", HEADERS, "log.csv")
+    assert (asked.gyro, asked.gyro_rows) == ((3, 2, 1), (-1, "imu"))
+    assert (asked.accel, asked.accel_rows) == ((4, 5, 6), (7, "0"))
+    assert (asked.temperature, asked.time) == (8, (0, 7))
+
+
+FOUND = (
+    "found columns: 0 stamp, 1 wx, 2 wy, 3 wz, 4 ax, 5 ay, 6 az, 7 I, 8 temp; say which are which by a "
+    "columns text such as t=0,g=1:4,a=4:7 (places from 0 with the end left out, or three names joined by +)"
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("t=0", "names neither gyroscope (g) nor accelerometer (a)"),
+        ("g=1:3", "g names 2 columns, expected 3"),
+        ("g=7:10", "there is no column 9, the last is 8"),
+        ("g=wx+wy+foo", "there is no column 'foo'"),
+        ("q=1:4", "'q=1:4' is not t=…, g=…, a=… or temp=…"),
+        ("g", "'g' is not t=…, g=…, a=… or temp=…"),
+        ("g=1:4,t=0+1+2", "t takes one or two columns, temp one"),
+        ("g=1:999999999999", "g names 12 columns, expected 3"),
+    ],
+)
+def test_wrong_columns_texts(text: str, problem: str) -> None:
+    """The message says what is wrong, which columns there are, and how it is written."""
+    with pytest.raises(ChoiceError) as caught:
+        parse_columns_text(text, HEADERS, "log.csv")
+    message = str(caught.value)
+    if "999" in text:
+        assert "there is no column" in message
+    else:
+        assert message == f"log.csv: columns text {text!r}: {problem}; {FOUND}"
+
+
+def refused(folder: Path, content: str, name: str = "log.csv", **options: object) -> str:
+    """Return the message of a refusal, the path cut off."""
+    path = folder / name
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions(**options))  # type: ignore[arg-type]
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    return message.removeprefix(f"{path}: ")
+
+
+HOW = "(places from 0 with the end left out, or three names joined by +)"
+
+
+def test_no_header(tmp_path: Path) -> None:
+    """An order is never guessed: gravity gives the proposal, the user decides."""
+    content = lines("", seconds(truth()), *xyz(truth().accel), *xyz(truth().gyro), mark=" ")
+    row = ", ".join(f"{i} {cell}" for i, cell in enumerate(content.split("\n")[0].split()))
+    assert refused(tmp_path, content) == (
+        "no header names the 7 columns, and an order is not guessed; found the row "
+        f"{row}; expected a header, or a columns text that says which are which, such as t=0,g=4:7,a=1:4 "
+        "(places from 0 with the end left out; check which is which)"
+    )
+
+
+def test_thirty_columns_are_not_always_kitti(tmp_path: Path) -> None:
+    """The width alone tells nothing."""
+    content = lines("", *[cells(truth().accel[:, 2] * 100)] * 30, mark=" ")
+    assert refused(tmp_path, content).startswith(
+        "no header names the 30 columns, and an order is not guessed;"
+    )
+
+
+def test_rows_that_name_their_sensor(tmp_path: Path) -> None:
+    """Tagged rows without a header: the proposal names the tags, and works."""
+    t = truth()
+    rows = []
+    for i in range(N):
+        for tag, values in (("Gyroscope", t.deg[i]), ("Accelerometer", t.g[i])):
+            rows.append(",".join([tag, str(1000 + 10 * i), *cells(values)]))
+    content = "\n".join(rows) + "\n"
+    proposal = "t=1,g=2:5@Gyroscope,a=2:5@Accelerometer"
+    assert f"such as {proposal} (places" in refused(tmp_path, content)
+    recording = read(tmp_path / "log.csv", ReadOptions(columns=proposal, gyro_unit="deg/s"))
+    assert [series.n for series in recording.series] == [N] * 6
+    assert recording.axis("accelerometer", "z").samples[0] == pytest.approx(t.accel[0, 2], rel=1e-12)
+
+
+def test_no_sensor(tmp_path: Path) -> None:
+    """A table of other things shows its columns."""
+    content = lines("time (s),lat,lon,alt", seconds(truth()), *xyz(truth().gyro))
+    assert refused(tmp_path, content) == (
+        "no column is named as a gyroscope or accelerometer axis (such as gyro_x, wx, accel_x, ax); "
+        "found columns: 0 time (s), 1 lat, 2 lon, 3 alt; say which are which by a columns text such as "
+        f"t=0,g=1:4,a=4:7 {HOW}"
+    )
+
+
+def test_an_axis_is_missing(tmp_path: Path) -> None:
+    """Two axes of three are not enough."""
+    content = lines("time (s),gyro_x,gyro_y,foo", seconds(truth()), *xyz(truth().gyro))
+    assert refused(tmp_path, content) == (
+        "x, y and z of one sensor are needed, found only gyro_x (gyroscope), gyro_y (gyroscope); "
+        "found columns: 0 time (s), 1 gyro_x, 2 gyro_y, 3 foo; say which are which by a columns text such as "
+        f"t=0,g=1:4,a=4:7 {HOW}"
+    )
+
+
+def test_mixed_units(tmp_path: Path) -> None:
+    """A real writer labels xRate rad/s and yRate deg/s: one of them is wrong, and nobody knows which."""
+    header = "time (s),xRate (rad/s),yRate (deg/s),zRate (deg/s)"
+    content = lines(header, seconds(truth()), *xyz(truth().gyro))
+    assert refused(tmp_path, content) == (
+        "the axes of the gyroscope carry different units (xRate (rad/s) in rad/s, yRate (deg/s) in deg/s, "
+        "zRate (deg/s) in deg/s), so at least one of them is wrong; expected one unit; give the unit of the "
+        "gyroscope, or correct the header; found columns: 0 time (s), 1 xRate (rad/s), 2 yRate (deg/s), "
+        "3 zRate (deg/s)"
+    )
+    recording = read(tmp_path / "log.csv", ReadOptions(gyro_unit="rad/s"))
+    assert recording.series[0].samples[0] == truth().gyro[0, 0]
+
+
+def test_two_gyroscopes(tmp_path: Path) -> None:
+    """Which of two sets of columns is meant is for the user to say; the texts are ready."""
+    header = "t,gyroADC[0],gyroADC[1],gyroADC[2],gyroUnfilt[0],gyroUnfilt[1],gyroUnfilt[2]"
+    content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
+    assert refused(tmp_path, content) == (
+        "2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: 0 t, 1 gyroADC[0], "
+        "2 gyroADC[1], 3 gyroADC[2], 4 gyroUnfilt[0], 5 gyroUnfilt[1], 6 gyroUnfilt[2]; say which are which "
+        f"by a columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
+    )
+
+
+def test_the_same_name_twice(tmp_path: Path) -> None:
+    """Names that repeat tell nothing."""
+    header = "time (s),gx,gy,gz,gx,gy,gz"
+    content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
+    assert refused(tmp_path, content).startswith("columns 1 and 4 are both 'gx'; found columns: 0 time (s),")
+
+
+def test_rows_of_two_sensors(tmp_path: Path) -> None:
+    """ArduPilot logs several IMUs in one table: the column I tells them apart."""
+    message = refused(tmp_path, two_ardupilots(truth()))
+    assert message.startswith(
+        "rows of 2 sensors, told apart by column I (0, 1); found columns: 0 TimeUS, 1 I, "
+    )
+    assert message.endswith(f"such as t=0,g=2:5@I:0,a=5:8@I:0 or t=0,g=2:5@I:1,a=5:8@I:1 {HOW}")
+
+
+def test_bare_axes(tmp_path: Path) -> None:
+    """x, y, z without a unit or a telling file name could be either sensor."""
+    content = lines("time,x,y,z", seconds(truth()), *xyz(truth().gyro))
+    assert refused(tmp_path, content) == (
+        "x, y and z are there (x, y, z), but not of which sensor; found columns: 0 time, 1 x, 2 y, 3 z; "
+        f"say which are which by a columns text such as t=0,g=1:4 or t=0,a=1:4 {HOW}"
+    )
+
+
+def test_linear_acceleration_beside_the_plain_one_is_left_out(tmp_path: Path) -> None:
+    """Without gravity it is the phone's estimate; alone it is what ROS calls the measurement."""
+    header = "time (s)," + ",".join(
+        f"{kind} {a} (m/s^2)" for kind in ("linear acceleration", "acceleration") for a in "XYZ"
+    )
+    content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().accel))
+    path = tmp_path / "log.csv"
+    path.write_text(content, encoding="utf-8")
+    recording = read(path, ReadOptions())
+    assert [series.name for series in recording.series] == ["accel_x", "accel_y", "accel_z"]
+    assert recording.series[0].samples[0] == truth().accel[0, 0]
+
+
+def test_time_is_never_the_temperature(tmp_path: Path) -> None:
+    """A column T beside no time is a temperature: the rate is asked for."""
+    header = "T,gx (rad/s),gy (rad/s),gz (rad/s)"
+    content = lines(header, ["25.5"] * N, *xyz(truth().gyro))
+    assert refused(tmp_path, content) == (
+        "no time column and no sampling rate for the gyroscope; expected stamps or a rate; "
+        "give the sampling rate"
+    )
+    recording = read(tmp_path / "log.csv", ReadOptions(rate_hz=100.0))
+    assert recording.temperature is not None
+
+
+def test_options_that_contradict(tmp_path: Path) -> None:
+    """A unit and a scale can't both be right; a unit must be one of the sensor."""
+    content = lines("time (s),gx,gy,gz", seconds(truth()), *xyz(truth().gyro))
+    assert refused(tmp_path, content, gyro_unit="deg/s", gyro_scale=0.1) == (
+        "both a unit (deg/s) and a scale (0.1) are given for the gyroscope; expected one of them"
+    )
+    assert refused(tmp_path, content, gyro_unit="g") == (
+        "'g' is no unit of the gyroscope; expected one of rad/s, mrad/s, deg/s, mdeg/s, deg/h"
+    )
+    assert refused(tmp_path, content, time="foo") == (
+        "there is no time column 'foo'; found columns: 0 time (s), 1 gx, 2 gy, 3 gz"
+    )
+
+
+def test_given_units_go_before_the_header(tmp_path: Path) -> None:
+    """A header may be wrong; the report says who decided."""
+    header = "time (s),gx (rad/s),gy (rad/s),gz (rad/s)"
+    path = tmp_path / "log.csv"
+    path.write_text(
+        lines(header, seconds(truth()), *[cells(truth().deg[:, i]) for i in range(3)]), encoding="utf-8"
+    )
+    recording = read(path, ReadOptions(gyro_unit="dps"))
+    assert recording.series[0].samples[0] == pytest.approx(truth().gyro[0, 0], rel=1e-12)
+    assert dict(recording.source.decisions)[f"{Sensor.GYROSCOPE} unit"] == "deg/s, as given"

@@ -1,0 +1,139 @@
+"""Units that no header states: what settles them, what is taken with a warning, what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.errors import ChoiceError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.csv_log import read
+from imucal.readers.tables.inference import infer_accel_unit, infer_gyro_unit
+from imucal.units import G0
+from tests.readers.tables.texts import N, lines, own_counts, own_plain, seconds, truth, xyz
+
+
+def at_rest(size: float, *, integers: bool = False) -> FloatArray:
+    """Return samples of an accelerometer at rest whose gravity has a size."""
+    rows = np.random.default_rng(2).normal(scale=size * 1e-3, size=(500, 3)) + np.array([0, 0.1 * size, size])
+    return np.asarray(np.round(rows) if integers else rows, dtype=np.float64)
+
+
+@pytest.mark.parametrize(
+    ("size", "unit"),
+    [
+        (9.81, "m/s^2"),
+        (9.0, "m/s^2"),
+        (10.3, "m/s^2"),
+        (1.0, "g"),
+        (0.93, "g"),
+        (1000.0, "mg"),
+        (930.0, "mg"),
+    ],
+)
+def test_gravity_settles_the_accelerometer(size: float, unit: str) -> None:
+    """The units lie a factor of ten apart, scale errors of cheap sensors do not reach that far."""
+    assert infer_accel_unit(at_rest(size)).unit == unit
+
+
+@pytest.mark.parametrize("counts", [16384, 8192, 4096, 2048])
+def test_counts_of_gravity(counts: int) -> None:
+    """Integers of a usual range give the scale."""
+    found = infer_accel_unit(at_rest(counts, integers=True))
+    assert found.unit == "count"
+    assert found.scale == pytest.approx(G0 / counts)
+
+
+@pytest.mark.parametrize(("size", "integers"), [(15000, True), (5.0, False), (0.2, False), (3000, True)])
+def test_other_sizes_are_open(size: float, integers: bool) -> None:  # noqa: FBT001 - a parameter of the case
+    """A size that is gravity in nothing is not forced into anything."""
+    assert infer_accel_unit(at_rest(size, integers=integers)).unit is None
+
+
+@pytest.mark.parametrize("step", [1 / 131, 1 / 65.5, 1 / 16.4, 2000 / 32768, 250 / 32768, 0.00875, 0.07])
+@pytest.mark.parametrize(("unit", "factor"), [("deg/s", 1.0), ("rad/s", np.pi / 180)])
+def test_steps_of_the_converter_settle_the_gyroscope(step: float, unit: str, factor: float) -> None:
+    """Rates that come in a known converter's steps tell their unit."""
+    counts = np.round(np.random.default_rng(3).normal(scale=6, size=(2000, 3)))
+    # Logs print some digits only.
+    rows = np.array([float(f"{value:.7g}") for value in (counts * step * factor).ravel()]).reshape(-1, 3)
+    found = infer_gyro_unit(rows, rate_hz=100.0, accel_unit="m/s^2")
+    assert (found.unit, found.sure) == (unit, True)
+
+
+def noise(scale: float, mean: float = 0.0) -> FloatArray:
+    return np.random.default_rng(4).normal(scale=scale, size=(5000, 3)) + mean
+
+
+@pytest.mark.parametrize(
+    ("rows", "accel", "unit", "reason"),
+    [
+        (noise(1e-3), "m/s^2", "rad/s", "nothing in the log says it; SI as the accelerometer beside it"),
+        (noise(1e-3), "g", None, "beside an accelerometer in g, deg/s is likely"),
+        (noise(1e-3), None, None, "nothing in the log says it"),
+        (
+            noise(1e-2, 0.7),
+            "m/s^2",
+            None,
+            "the median rate 1.21 is too fast for rad/s at rest, so deg/s is likely",
+        ),
+        (
+            noise(0.1),
+            "m/s^2",
+            None,
+            "a noise of 0.0099 rad/s/sqrt(Hz) is more than any gyroscope has, so deg/s is likely",
+        ),
+        (np.round(noise(30.0)), "m/s^2", None, "the rates are integer counts of an unknown scale"),
+    ],
+)
+def test_gyroscope(rows: FloatArray, accel: str | None, unit: str | None, reason: str) -> None:
+    """Only SI beside SI is taken, where rate and noise are those of a gyroscope; and never as sure."""
+    found = infer_gyro_unit(rows, rate_hz=100.0, accel_unit=accel)
+    assert (found.unit, found.sure, found.reason) == (unit, False, reason)
+
+
+def test_assumed_unit_is_a_warning(tmp_path: Path) -> None:
+    """What is taken for want of better is said, with what to do."""
+    path = tmp_path / "log.csv"
+    path.write_text(own_plain(truth()), encoding="utf-8")
+    (finding,) = read(path, ReadOptions()).findings
+    assert (finding.level, finding.code, finding.axis) == ("warning", "unit-assumed", "gyro")
+    assert finding.text == (
+        "The unit of the gyroscope is taken to be rad/s: nothing in the log says it; SI as the accelerometer "
+        "beside it."
+    )
+    assert (
+        finding.advice
+        == "Give its unit if that is wrong: deg/s instead of rad/s changes every result by a factor of 57."
+    )
+    assert read(path, ReadOptions(gyro_unit="rad/s")).findings == ()
+
+
+def test_counts_of_a_gyroscope_need_a_scale(tmp_path: Path) -> None:
+    """No test tells the scale of a gyroscope's counts."""
+    path = tmp_path / "log.csv"
+    path.write_text(own_counts(truth()), encoding="utf-8")
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions())
+    assert str(caught.value) == (
+        f"{path}: the unit of the gyroscope is open: no header says it, and the rates are integer counts of "
+        "an unknown scale; expected one of rad/s, mrad/s, deg/s, mdeg/s, deg/h; give its unit, or the scale "
+        "of its counts in rad/s per count"
+    )
+    recording = read(path, ReadOptions(gyro_scale=np.radians(1 / 131), accel_scale=G0 / 16384))
+    assert recording.axis("accelerometer", "z").samples.mean() == pytest.approx(G0, rel=1e-3)
+
+
+def test_open_accelerometer(tmp_path: Path) -> None:
+    """A magnitude that is no gravity is asked for."""
+    path = tmp_path / "log.csv"
+    path.write_text(lines("time (s),ax,ay,az", seconds(truth()), *xyz(truth().accel * 0.5)), encoding="utf-8")
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions())
+    assert str(caught.value) == (
+        f"{path}: the unit of the accelerometer is open: no header says it, and median magnitude 4.905 is "
+        "gravity in none of m/s^2, g and mg; expected one of m/s^2, g, mg, ug; give its unit, or the scale "
+        "of its counts in m/s^2 per count"
+    )
+    assert read(path, ReadOptions(accel_unit="m/s^2")).series[0].n == N

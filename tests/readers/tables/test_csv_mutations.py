@@ -1,0 +1,138 @@
+"""Damaged text: no traceback, no hang, no value that the text does not hold."""
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucal.errors import ImucalError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables import text
+from imucal.readers.tables.csv_log import read
+from tests.readers.tables.texts import STYLES, Style, write
+
+#: Cases: each changes each of these layouts by each kind of damage with each of some seeds.
+SEEDS = 18
+LAYOUTS = (
+    "EuRoC",
+    "rostopic echo -p",
+    "phyphox decimal comma",
+    "Xsens MT Manager",
+    "VectorNav $VNYMR",
+    "tagged rows",
+)
+
+Damage = Callable[[bytes, np.random.Generator], bytes]
+
+_NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?|nan|inf(?:inity)?", re.IGNORECASE)
+
+
+def flip(data: bytes, rng: np.random.Generator) -> bytes:
+    """Change some bits."""
+    damaged = bytearray(data)
+    for place in rng.integers(0, len(data), 1 + int(rng.integers(0, 12))):
+        damaged[place] ^= 1 << int(rng.integers(0, 8))
+    return bytes(damaged)
+
+
+def cut(data: bytes, rng: np.random.Generator) -> bytes:
+    """Cut the end off."""
+    return data[: int(rng.integers(0, len(data)))]
+
+
+def zero(data: bytes, rng: np.random.Generator) -> bytes:
+    """Fill a part with zeros, as a crash does."""
+    start, size = int(rng.integers(0, len(data))), int(rng.integers(1, 5000))
+    return data[:start] + bytes(min(size, len(data) - start)) + data[start + size :]
+
+
+def splice(data: bytes, rng: np.random.Generator) -> bytes:
+    """Put a part of it somewhere else."""
+    start, place = (int(value) for value in rng.integers(0, len(data), 2))
+    return data[:place] + data[start : start + int(rng.integers(1, 5000))] + data[place:]
+
+
+def drop(data: bytes, rng: np.random.Generator) -> bytes:
+    """Lose a part."""
+    start = int(rng.integers(0, len(data)))
+    return data[:start] + data[start + int(rng.integers(1, 3000)) :]
+
+
+def values_in(data: bytes) -> set[float]:
+    """Return every number of a text, and the numbers that stand in its longer digits."""
+    numbers = set()
+    for cell in re.split(r"[,;\t\s*\"$|]+", data.decode("latin-1")) + _NUMBER.findall(data.decode("latin-1")):
+        try:
+            numbers.add(float(cell.replace(",", ".").replace("_", "x")))
+        except ValueError:
+            continue
+    return numbers
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Style, bytes]]:
+    """Return the layouts, written once."""
+    folder = tmp_path_factory.mktemp("logs")
+    chosen = [style for style in STYLES if style.name in LAYOUTS]
+    return {style.name: (style, write(style, folder).read_bytes()) for style in chosen}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+@pytest.mark.parametrize("damage", [flip, cut, zero, splice, drop])
+def test_damaged_text(
+    name: str,
+    damage: Damage,
+    logs: dict[str, tuple[Style, bytes]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Every damaged log is read or refused with a message; every sample stands in the damaged text."""
+    style, data = logs[name]
+    monkeypatch.setattr(text, "_HEAD", 4096)
+    monkeypatch.setattr(text, "_BLOCK", 16_384)
+    path = tmp_path / style.file
+    # SI units are given so that a sample is a number of the text.
+    options = ReadOptions(
+        gyro_unit="rad/s",
+        accel_unit="m/s^2",
+        columns=style.options.get("columns"),  # type: ignore[arg-type]
+    )
+    for seed in range(SEEDS):
+        rng = np.random.default_rng([seed, LAYOUTS.index(name)])
+        damaged = damage(data, rng)
+        path.write_bytes(damaged)
+        try:
+            recording = read(path, options)
+        except ImucalError as error:
+            assert str(path) in str(error), f"seed {seed}: {error}"  # noqa: PT017 - the message is the point
+            continue
+        known = (
+            values_in(damaged.replace(b",", b"."))
+            if ";" in damaged[:60].decode("latin-1")
+            else values_in(damaged)
+        )
+        for series in recording.series:
+            samples = set(series.samples[np.isfinite(series.samples)].tolist())
+            strange = samples - known
+            assert not strange, f"seed {seed}: {sorted(strange)[:3]} stand nowhere in the text"
+            assert math.isfinite(series.rate_hz)
+            assert series.clock.n == series.n
+
+
+@pytest.mark.parametrize("damage", [flip, cut, zero, splice, drop])
+def test_damaged_zip(damage: Damage, tmp_path: Path) -> None:
+    """A damaged zip is read or refused with a message."""
+    style = next(style for style in STYLES if style.name == "phyphox zip")
+    path = write(style, tmp_path)
+    data = path.read_bytes()
+    for seed in range(SEEDS):
+        path.write_bytes(damage(data, np.random.default_rng(seed)))
+        try:
+            recording = read(path, ReadOptions())
+        except ImucalError as error:
+            assert str(path) in str(error), f"seed {seed}: {error}"  # noqa: PT017 - the message is the point
+        else:
+            assert recording.series

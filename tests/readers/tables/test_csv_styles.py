@@ -1,0 +1,111 @@
+"""Every header style met in the wild gives the right axes, units and rate."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.csv_log import describe, read
+from imucal.recording import Recording, Sensor
+from tests.readers.tables.texts import STYLES, N, Style, truth, write
+
+
+def options(style: Style) -> ReadOptions:
+    given: dict[str, Any] = dict(style.options)
+    return replace(ReadOptions(), **given)
+
+
+def layout_of(recording: Recording) -> str:
+    return dict(recording.source.decisions).get("layout", "").partition(",")[0]
+
+
+@pytest.mark.parametrize("style", STYLES, ids=lambda style: style.name)
+def test_style(style: Style, tmp_path: Path) -> None:
+    """Axes, units, rate and layout are those of the truth, whatever the header looks like."""
+    recording = read(write(style, tmp_path), options(style))
+    expected = [name for name, there in (("gyro", style.gyro), ("accel", style.accel)) if there]
+    assert [series.name for series in recording.series] == [f"{s}_{axis}" for s in expected for axis in "xyz"]
+    assert layout_of(recording) == style.layout
+    true = truth()
+    for series in recording.series:
+        values = true.gyro if series.sensor is Sensor.GYROSCOPE else true.accel
+        column = values[:, "xyz".index(series.axis)]
+        assert series.rate_hz == pytest.approx(style.rate, rel=1e-6)
+        assert series.clock.missing == 0
+        assert series.n == N
+        if style.tolerance == 0:
+            npt.assert_array_equal(series.samples, column)
+        else:
+            # One conversion of units there and one back, or the digits that the style writes.
+            npt.assert_allclose(series.samples, column, rtol=style.tolerance, atol=style.tolerance)
+
+
+@pytest.mark.parametrize("style", STYLES, ids=lambda style: style.name)
+def test_every_decision_has_a_source(style: Style, tmp_path: Path) -> None:
+    """The report can say of columns, time and units where they come from."""
+    recording = read(write(style, tmp_path), options(style))
+    decisions = dict(recording.source.decisions)
+    for sensor in {series.sensor for series in recording.series}:
+        assert decisions[f"{sensor} columns"]
+        assert decisions[f"{sensor} unit"]
+    assert decisions["time"]
+
+
+@pytest.mark.parametrize("name", ["EuRoC", "ArduPilot", "VectorNav $VNYMR", "WitMotion", "phyphox zip"])
+def test_describe_says_the_same(name: str, tmp_path: Path) -> None:
+    """`describe` names the layout, the count and the rate."""
+    style = next(style for style in STYLES if style.name == name)
+    contents = describe(write(style, tmp_path), options(style))
+    (topic,) = contents.topics
+    assert contents.format == "csv"
+    assert topic.type == (style.layout or "table")
+    assert topic.count == N
+    assert topic.rate_hz == pytest.approx(style.rate, rel=1e-6)
+    assert set(topic.sensors) == {Sensor.GYROSCOPE, Sensor.ACCELEROMETER}
+
+
+def test_two_clocks_of_a_phone(tmp_path: Path) -> None:
+    """SensorLog stamps each sensor itself; the time of logging is not used."""
+    style = next(style for style in STYLES if style.name == "SensorLog")
+    recording = read(write(style, tmp_path), options(style))
+    gyro, accel = recording.axis("gyroscope", "x").clock, recording.axis("accelerometer", "x").clock
+    assert gyro.source == "column gyroTimestamp_sinceReboot(s)"
+    assert accel.source == "column accelerometerTimestamp_sinceReboot(s)"
+    assert (gyro.start_ns, accel.start_ns) == (1_000_000_000_000, 1_000_003_000_000)
+
+
+def test_one_table_has_one_clock(tmp_path: Path) -> None:
+    """Sensors of the same rows share their clock."""
+    style = next(style for style in STYLES if style.name == "EuRoC")
+    recording = read(write(style, tmp_path), options(style))
+    assert len({id(series.clock) for series in recording.series}) == 1
+    assert recording.series[0].clock.start_ns == 1_700_000_000_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("ArduPilot", 31.5), ("WitMotion", 25.1), ("VectorNav INSTINCT", 21.5)]
+)
+def test_temperature(name: str, expected: float, tmp_path: Path) -> None:
+    """A temperature column becomes the recording's temperature, on the sensor's clock."""
+    style = next(style for style in STYLES if style.name == name)
+    recording = read(write(style, tmp_path), options(style))
+    assert recording.temperature is not None
+    npt.assert_array_equal(recording.temperature.samples, np.full(N, expected))
+    assert recording.temperature.clock is recording.series[0].clock
+
+
+def test_folder_is_read_like_a_zip(tmp_path: Path) -> None:
+    """A phone app's folder gives the gyroscope and the accelerometer with gravity."""
+    import zipfile
+
+    style = next(style for style in STYLES if style.name == "Sensor Logger zip")
+    folder = tmp_path / "log"
+    with zipfile.ZipFile(write(style, tmp_path)) as archive:
+        archive.extractall(folder)
+    recording = read(folder, ReadOptions())
+    npt.assert_array_equal(recording.axis("accelerometer", "z").samples, truth().accel[:, 2])
+    assert dict(recording.source.decisions)["files"] == "Gyroscope.csv, TotalAcceleration.csv"

@@ -1,0 +1,389 @@
+"""Compression, encodings, line ends, damage: the numbers stay those of the file."""
+
+import bz2
+import gzip
+import io
+import lzma
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import numpy.testing as npt
+import pytest
+import zstandard
+
+from imucal.arrays import FloatArray
+from imucal.errors import ChoiceError, DataError, ReadError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables import csv_log, text
+from imucal.readers.tables.csv_log import read
+from imucal.recording import Recording
+from tests.readers.tables.texts import N, euroc, lines, seconds, truth, xyz
+
+HEADER = "time (s),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s),acc_x (m/s^2),acc_y (m/s^2),acc_z (m/s^2)"
+
+
+def plain() -> str:
+    """Return a table in SI with stamps of its own."""
+    return lines(HEADER, seconds(truth()), *xyz(truth().gyro), *xyz(truth().accel))
+
+
+def store(folder: Path, content: str | bytes, name: str = "log.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def table(recording: Recording) -> FloatArray:
+    return np.stack([series.samples for series in recording.series], axis=1)
+
+
+def expected() -> FloatArray:
+    return np.hstack([truth().gyro, truth().accel])
+
+
+def codes(recording: Recording) -> list[str]:
+    return [finding.code for finding in recording.findings]
+
+
+def xz(data: bytes) -> bytes:
+    return lzma.compress(data)
+
+
+def zstd(data: bytes) -> bytes:
+    return zstandard.compress(data)
+
+
+def lz4_frame(data: bytes) -> bytes:
+    compressed: bytes = lz4.frame.compress(data)
+    return compressed
+
+
+@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress, xz, zstd, lz4_frame])
+def test_compressed(compress: Callable[[bytes], bytes], tmp_path: Path) -> None:
+    """Compression is seen by the first bytes, whatever the name."""
+    npt.assert_array_equal(
+        table(read(store(tmp_path, compress(plain().encode())), ReadOptions())), expected()
+    )
+
+
+def test_members_of_gzip_and_frames_of_zstd_follow_each_other(tmp_path: Path) -> None:
+    """Logs that were compressed piece by piece are read to their end."""
+    first, second = plain().encode()[:20_000], plain().encode()[20_000:]
+    for compress in (gzip.compress, zstd):
+        path = store(tmp_path, compress(first) + compress(second))
+        npt.assert_array_equal(table(read(path, ReadOptions())), expected())
+
+
+@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress, xz, zstd, lz4_frame])
+def test_cut_compressed(compress: Callable[[bytes], bytes], tmp_path: Path) -> None:
+    """A cut stream gives the rows that are whole, or says that nothing could be unpacked."""
+    samples = np.random.default_rng(1).normal(size=(6, 10 * N)) + np.array([[0, 0, 0, 0, 0, 9.8]]).T
+    content = lines(
+        HEADER, [f"{i * 0.01:.2f}" for i in range(10 * N)], *[[repr(float(v)) for v in x] for x in samples]
+    )
+    data = compress(content.encode())
+    path = store(tmp_path, data[: len(data) * 9 // 10])
+    try:
+        recording = read(path, ReadOptions())
+    except ReadError as error:
+        # A bzip2 block is one piece: all of it or nothing.
+        assert compress is bz2.compress
+        assert "The bzip2 stream is cut or damaged" in str(error)  # noqa: PT017
+    else:
+        assert codes(recording)[0] == "truncated"
+        n = recording.series[0].n
+        assert 5 * N < n < 10 * N
+        npt.assert_array_equal(table(recording), samples.T[:n])
+
+
+def test_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The path - reads standard input, compressed or not."""
+
+    class Standard:
+        buffer = io.BytesIO(gzip.compress(plain().encode()))
+
+    monkeypatch.setattr("sys.stdin", Standard())
+    recording = read(Path("-"), ReadOptions())
+    npt.assert_array_equal(table(recording), expected())
+    assert recording.source.path == "standard input"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
+def test_encodings(encoding: str, tmp_path: Path) -> None:
+    """A byte order mark, two bytes a character, or a superscript of Latin-1 change nothing."""
+    content = plain().replace("m/s^2", "m/s²").encode(encoding)
+    npt.assert_array_equal(table(read(store(tmp_path, content), ReadOptions())), expected())
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_line_ends(end: str, tmp_path: Path) -> None:
+    """Unix, Windows and old Macintosh lines."""
+    npt.assert_array_equal(
+        table(read(store(tmp_path, plain().replace("\n", end)), ReadOptions())), expected()
+    )
+
+
+@pytest.mark.parametrize("size", [1 << 10, 4321, 1 << 16])
+def test_blocks_join_without_a_seam(size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where blocks end does not show."""
+    monkeypatch.setattr(text, "_HEAD", 600)
+    monkeypatch.setattr(text, "_BLOCK", size)
+    for content in (plain(), plain().replace("\n", "\r\n"), plain().replace("\n", "\n\n")):
+        recording = read(store(tmp_path, content), ReadOptions())
+        npt.assert_array_equal(table(recording), expected())
+        assert codes(recording) == []
+
+
+def test_exact_like_python(tmp_path: Path) -> None:
+    """Numbers of all sizes and lengths are those that Python's float makes of the same text."""
+    rng = np.random.default_rng(3)
+    values = [
+        [
+            f"{v:.{int(d)}{kind}}"
+            for v, d, kind in zip(
+                rng.normal(size=N) * 10.0**p, rng.integers(1, 18, N), "gef" * N, strict=False
+            )
+        ]
+        for p in range(-3, 3)
+    ]
+    recording = read(store(tmp_path, lines(HEADER, seconds(truth()), *values)), ReadOptions())
+    npt.assert_array_equal(
+        table(recording), np.array([[float(cell) for cell in column] for column in values]).T
+    )
+
+
+def test_integer_stamps_stay_integers(tmp_path: Path) -> None:
+    """Nanoseconds since 1970 don't fit a double; a jitter of 1 ns is seen."""
+    rng = np.random.default_rng(4)
+    jitter = rng.integers(-40, 40, N)
+    stamps = [1_700_000_000_000_000_001 + i * 10_000_000 + int(jitter[i]) for i in range(N)]
+    content = lines(HEADER.replace("(s)", "[ns]", 1), stamps, *xyz(truth().gyro), *xyz(truth().accel))
+    clock = read(store(tmp_path, content), ReadOptions()).series[0].clock
+    assert clock.start_ns is not None
+    assert abs(clock.start_ns - stamps[0]) < 100
+    assert clock.jitter_s == pytest.approx(np.std(jitter) * 1e-9, rel=0.1)
+
+
+def test_stamps_that_a_spreadsheet_damaged_are_not_taken_for_times(tmp_path: Path) -> None:
+    """1.40E+18 in every row is no time."""
+    content = lines(
+        HEADER.replace("(s)", "[ns]", 1), ["1.40E+18"] * N, *xyz(truth().gyro), *xyz(truth().accel)
+    )
+    with pytest.raises(DataError, match="do not advance"):
+        read(store(tmp_path, content), ReadOptions())
+
+
+def test_cut_last_line_is_dropped_with_a_note(tmp_path: Path) -> None:
+    """A last line without an end may hold a cut number."""
+    content = plain().rstrip("\n")[:-3]
+    recording = read(store(tmp_path, content), ReadOptions())
+    npt.assert_array_equal(table(recording), expected()[:-1])
+    (finding,) = recording.findings
+    assert (finding.code, finding.level) == ("cut-line", "info")
+    assert finding.text.startswith("The last line has no line end and may be cut ('3.990000,")
+
+
+def test_whole_last_line_without_an_end_is_kept(tmp_path: Path) -> None:
+    """With a fixed number of decimals a whole last number shows."""
+    fixed = [
+        [f"{float(cell):.6f}" for cell in column] for column in (*xyz(truth().gyro), *xyz(truth().accel))
+    ]
+    recording = read(store(tmp_path, lines(HEADER, seconds(truth()), *fixed).rstrip("\n")), ReadOptions())
+    assert recording.series[0].n == N
+    assert codes(recording) == []
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "1.0,2.0",
+        "1.0,oops,1,1,1,1,1",
+        "1,1,1,1,1,1,1,1,1",
+        "\x00" * 40,
+        "0x10,0x10,0x10,0x10,0x10,0x10,0x10",
+        "1_0,1_0,1_0,1_0,1_0,1_0,1_0",
+        ",,,,,,",
+        '"1.0,2,3,4,5,6,7',
+    ],
+)
+def test_bad_rows_are_counted_and_dropped(bad: str, tmp_path: Path) -> None:
+    """A row that is no row is left out, and the report says how many were; the others stay exact."""
+    rows = plain().split("\n")
+    rows.insert(201, bad)
+    rows.insert(301, bad)
+    recording = read(store(tmp_path, "\n".join(rows)), ReadOptions())
+    npt.assert_array_equal(table(recording), expected())
+    (finding,) = recording.findings
+    assert (finding.code, finding.level) == ("bad-rows", "warning")
+    assert finding.text.startswith("2 of 402 rows are no rows of 7 numbers, the first is ")
+
+
+def test_strict_refuses_bad_rows(tmp_path: Path) -> None:
+    """With `strict` nothing is dropped."""
+    rows = plain().split("\n")
+    rows.insert(201, "1.0,oops,1,1,1,1,1")
+    path = store(tmp_path, "\n".join(rows))
+    with pytest.raises(ReadError) as caught:
+        read(path, ReadOptions(strict=True))
+    assert str(caught.value) == (
+        f"{path}: 1 of 401 rows are no rows of 7 numbers, the first is '1.0,oops,1,1,1,1,1'; "
+        "expected a table with a row per sample"
+    )
+
+
+def test_strict_refuses_a_cut_end(tmp_path: Path) -> None:
+    """With `strict` a cut line and a cut stream are errors."""
+    path = store(tmp_path, plain().rstrip("\n")[:-3])
+    with pytest.raises(
+        ReadError, match=r"the last line has no line end and may be cut .*; expected whole lines"
+    ):
+        read(path, ReadOptions(strict=True))
+    path = store(tmp_path, gzip.compress(plain().encode())[:-100])
+    with pytest.raises(ReadError, match=r"The gzip stream is cut or damaged .* Expected an undamaged log"):
+        read(path, ReadOptions(strict=True))
+
+
+def test_comments_blank_lines_and_a_second_header_are_no_rows(tmp_path: Path) -> None:
+    """A logger that was started twice repeats its header."""
+    rows = plain().split("\n")
+    rows[150:150] = ["", "# paused", "// resumed", HEADER, ""]
+    recording = read(store(tmp_path, "\n".join(rows)), ReadOptions())
+    npt.assert_array_equal(table(recording), expected())
+    assert codes(recording) == []
+
+
+def test_not_a_number_stays(tmp_path: Path) -> None:
+    """NaN and infinity in the log are values of the log."""
+    columns = [*xyz(truth().gyro), *xyz(truth().accel)]
+    columns[1][7], columns[4][9] = "nan", "-inf"
+    recording = read(store(tmp_path, lines(HEADER, seconds(truth()), *columns)), ReadOptions())
+    assert np.isnan(recording.axis("gyroscope", "y").samples[7])
+    assert recording.axis("accelerometer", "y").samples[9] == -np.inf
+    assert recording.series[0].n == N
+
+
+def test_integers_that_turn_into_decimals(tmp_path: Path) -> None:
+    """A time in ms that is whole for the first rows and then not is read as it stands."""
+    now = [str(i * 10) if i < 350 else f"{i * 10}.5" for i in range(N)]
+    content = lines(HEADER.replace("(s)", "(ms)", 1), now, *xyz(truth().gyro), *xyz(truth().accel))
+    recording = read(store(tmp_path, content), ReadOptions())
+    assert recording.series[0].n == N
+    assert recording.series[0].rate_hz == pytest.approx(100, rel=1e-4)
+
+
+def test_quoted_cells_with_delimiters(tmp_path: Path) -> None:
+    """Quotation marks hide delimiters in columns that are not read."""
+    content = lines(
+        f"note,{HEADER}", ['"a, b"'] * N, seconds(truth()), *xyz(truth().gyro), *xyz(truth().accel)
+    )
+    npt.assert_array_equal(table(read(store(tmp_path, content), ReadOptions())), expected())
+
+
+def test_above_the_memory_limit_a_file_takes_the_samples(tmp_path: Path) -> None:
+    """The samples are the same, and stand in a memory map."""
+    recording = read(store(tmp_path, euroc(truth())), ReadOptions(memory_limit=10_000))
+    npt.assert_array_equal(table(recording), expected())
+    assert backing(recording.series[0].samples)
+
+
+def backing(array: FloatArray) -> bool:
+    """Return whether an array is a view of a memory map."""
+    base: object = array
+    while isinstance(base, np.ndarray):
+        if isinstance(base, np.memmap):
+            return True
+        base = base.base
+    return False
+
+
+def test_progress(tmp_path: Path) -> None:
+    """Bytes done and bytes in all, in order, to the end."""
+    calls: list[tuple[int, int]] = []
+    path = store(tmp_path, plain())
+    read(path, ReadOptions(progress=lambda done, size: calls.append((done, size))))
+    size = path.stat().st_size
+    assert calls[-1] == (size, size)
+    assert calls == sorted(calls)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "the text is empty; expected a table of numbers"),
+        (b"\n\n \n", "the text is empty; expected a table of numbers"),
+        (bytes(range(256)) * 40, "binary data, not text; expected a table of numbers, or another format"),
+        (
+            b"hello\nworld\nagain\n",
+            (
+                "no rows of three numbers or more, the first line is 'hello'; "
+                "expected a table with a row per sample"
+            ),
+        ),
+        (
+            b"gx,gy,gz\n" + b"1,2,3,4\n" * 20,
+            (
+                "the header has 3 names and the rows 4 cells, so no name belongs to a column; found the row "
+                "1, 2, 3, 4; correct the header, or say which columns are which by a columns text such as "
+                "t=0,g=1:4,a=4:7 (places from 0 with the end left out)"
+            ),
+        ),
+    ],
+)
+def test_what_is_no_table(content: bytes, message: str, tmp_path: Path) -> None:
+    """The message says what was found and what to do."""
+    path = store(tmp_path, content)
+    with pytest.raises(ReadError) as caught:
+        read(path, ReadOptions())
+    assert str(caught.value) == f"{path}: {message}"
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    """A file that isn't there is a ReadError."""
+    with pytest.raises(ReadError, match=r"none\.csv: can't be opened: No such file or directory"):
+        read(tmp_path / "none.csv", ReadOptions())
+
+
+def test_line_without_end(tmp_path: Path) -> None:
+    """A line of megabytes is no row, and is not held in memory as one."""
+    content = plain().encode() + b"1" * (12 << 20)
+    with pytest.raises(ReadError, match="a line of more than 1048576 bytes; expected rows of a table"):
+        read(store(tmp_path, content), ReadOptions())
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_large_files_are_described_by_their_head(
+    pack: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Columns, units and rate stand in the first rows; the count does not."""
+    monkeypatch.setattr(csv_log, "_SMALL", 1000)
+    monkeypatch.setattr(text, "_HEAD", 4096)
+    contents = csv_log.describe(store(tmp_path, pack(plain().encode())), ReadOptions())
+    (topic,) = contents.topics
+    assert topic.rate_hz == pytest.approx(100)
+    assert (topic.count, topic.duration_s, len(topic.sensors)) == (None, None, 2)
+    assert "gyroscope unit rad/s, from the column header" in topic.note
+
+
+def test_a_table_that_is_not_clear_is_described_with_the_reason(tmp_path: Path) -> None:
+    """What can't be read yet still has columns; what is no table is an error."""
+    content = lines("time (s),x,y,z", seconds(truth()), *xyz(truth().gyro))
+    (topic,) = csv_log.describe(store(tmp_path, content), ReadOptions()).topics
+    assert topic.sensors == ()
+    assert topic.note.startswith(
+        "x, y and z are there (x, y, z), but not of which sensor; found columns: 0 time (s)"
+    )
+    with pytest.raises(ReadError, match="no rows of three numbers"):
+        csv_log.describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
+
+
+def test_topics_are_refused(tmp_path: Path) -> None:
+    """A table has columns, not topics: nothing that was asked for is passed over."""
+    path = store(tmp_path, plain())
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions(topics=("/imu",)))
+    assert str(caught.value) == (
+        f"{path}: a table of text has no topics, but /imu was asked for; "
+        "expected no topic, or a columns text such as t=0,g=1:4,a=4:7"
+    )

@@ -1,0 +1,237 @@
+"""Time in a table: units, joins, counters, wraps; and what is asked where it is open."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.errors import ChoiceError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.csv_log import read
+from imucal.readers.tables.stamps import infer_time_unit, parse_text_stamps, to_ns, unwrapped
+from imucal.recording import Recording
+from tests.readers.tables.texts import EPOCH, N, lines, rostopic, truth, xyz
+
+AXES = "gx (rad/s),gy (rad/s),gz (rad/s)"
+
+
+def written(folder: Path, header: str, *columns: object, preamble: str = "") -> Path:
+    path = folder / "log.csv"
+    content = preamble + lines(f"{header},{AXES}", *columns, *xyz(truth().gyro))  # type: ignore[arg-type]
+    path.write_text(content, encoding="utf-8")
+    return path
+
+
+def recorded(folder: Path, header: str, *columns: object, preamble: str = "", **options: object) -> Recording:
+    return read(written(folder, header, *columns, preamble=preamble), ReadOptions(**options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("step", "start", "unit"),
+    [
+        (0.01, 0.0, "s"),
+        (0.01, 1.7e9, "s"),
+        (5, 0, "ms"),
+        (5, 1_700_000_000_000, "ms"),
+        (5_000, 0, "us"),
+        (10_000, 1_700_000_000_000_000, "us"),
+        (10_000_000, 0, "ns"),
+        (10_000_000, EPOCH, "ns"),
+        (100, 1_700_000_000_000_000, "us"),
+        (100, 0, None),
+        (1000, 0, None),
+        (1, 0, None),
+        (100.0, 1.7e9, None),
+        (0, 5, None),
+    ],
+)
+def test_unit_of_time(step: float, start: float, unit: str | None) -> None:
+    """The unit that gives an IMU's rate; the size of a time since 1970 settles doubts, else none is taken."""
+    values = np.array([start + i * step for i in range(1000)])
+    assert infer_time_unit(values)[0] == unit
+
+
+def test_open_unit_is_asked_for(tmp_path: Path) -> None:
+    """A step of 100 is 10 Hz in ms and 10 kHz in us."""
+    path = written(tmp_path, "time", [100 * i for i in range(N)])
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions())
+    assert str(caught.value) == (
+        f"{path}: column 'time', the time of the gyroscope, has no unit, and goes on by 100 a row, which "
+        "fits us and ms; expected a unit in its name, such as time_ms; name the unit in the header, choose "
+        "another time column, or give columns without a time and the rate"
+    )
+    assert recorded(tmp_path, "time_ms", [100 * i for i in range(N)]).series[0].rate_hz == pytest.approx(10)
+    assert recorded(tmp_path, "time (us)", [100 * i for i in range(N)]).series[0].rate_hz == pytest.approx(
+        1e4
+    )
+
+
+def test_counter_needs_a_rate(tmp_path: Path) -> None:
+    """A counter is no time; with a rate it shows what is missing."""
+    counts = [*range(200), *range(205, N + 5)]
+    path = written(tmp_path, "sample", counts)
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions())
+    assert str(caught.value) == (
+        f"{path}: only a counter (sample) and no sampling rate for the gyroscope; expected stamps or a rate; "
+        "give the sampling rate"
+    )
+    clock = read(path, ReadOptions(rate_hz=50.0)).series[0].clock
+    assert (clock.rate_hz, clock.missing, clock.start_ns) == (50.0, 5, None)
+    assert clock.source == "counter sample at the given rate"
+
+
+@pytest.mark.parametrize(
+    "preamble",
+    [
+        "Fs,100\n",
+        "// Update Rate: 100.0Hz\n",
+        "# Sample rate: 0.1 kHz\n",
+        "Sampling Frequency = 100 Hz\n",
+        "sample_rate: 100\n",
+        '"Fs (Hz)";100\n',
+    ],
+)
+def test_rate_of_the_preamble(preamble: str, tmp_path: Path) -> None:
+    """A rate in the lines before the header is used, and named as the source."""
+    recording = recorded(tmp_path, "sample", list(range(N)), preamble=preamble)
+    assert recording.series[0].rate_hz == 100.0
+    assert dict(recording.source.decisions)["time"] == "100 Hz, the rate that the log states"
+
+
+def test_stamps_go_before_the_rate_of_the_preamble(tmp_path: Path) -> None:
+    """Where they contradict each other the stamps win, with a warning."""
+    recording = recorded(tmp_path, "time (s)", [f"{i * 0.01:.3f}" for i in range(N)], preamble="Fs,128\n")
+    assert recording.series[0].rate_hz == pytest.approx(100)
+    (finding,) = recording.findings
+    assert finding.code == "rate-differs"
+    assert finding.text == "The log states 128 Hz, its stamps give 100 Hz; the stamps are used."
+
+
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_wrapping_counters(bits: int) -> None:
+    """A counter that starts again at the end of its range goes on."""
+    true = np.arange(1000, dtype=np.int64) * 3 + (1 << bits) - 300
+    counts, wraps = unwrapped(true % (1 << bits))
+    npt.assert_array_equal(np.diff(counts), np.diff(true))
+    assert wraps == (int(true[-1]) >> bits) - (int(true[0]) >> bits)
+
+
+def test_a_restart_is_no_wrap() -> None:
+    """A logger that starts again from the middle of its range is left as it is."""
+    counts = np.concatenate([np.arange(1000), np.arange(1000)]) + 20_000
+    result, wraps = unwrapped(counts)
+    npt.assert_array_equal(result, counts)
+    assert wraps == 0
+
+
+def test_wrapped_time_column(tmp_path: Path) -> None:
+    """Microseconds of 32 bits, 71 minutes after the start."""
+    micros = [(2**32 - 1_000_000 + i * 10_000) % 2**32 for i in range(N)]
+    recording = recorded(tmp_path, "time_us", micros)
+    assert recording.series[0].clock.missing == 0
+    assert recording.series[0].rate_hz == pytest.approx(100)
+    assert [f.text for f in recording.findings] == [
+        "Column time_us started again 1 times at the end of its range; it was put in order."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("cell", "ns"),
+    [
+        ("1970-01-01T00:00:01Z", 10**9),
+        ("1970-01-02 00:00:00.000000001", 86_400 * 10**9 + 1),
+        ("1970-01-01T01:00:00.5+0100", 500_000_000),
+        ("1970-01-01T01:00:00.5+01:00", 500_000_000),
+        ("1970/1/1 00:00:00,25", 250_000_000),
+        ("1970-01-01 00-00-01_500", 1_500_000_000),
+        ("23:59:59.999", 86_399_999_000_000),
+        ("2024-02-29T12:00:00.123456789Z", 1_709_208_000_123_456_789),
+        ("2023-02-30 00:00:00", np.iinfo(np.int64).min),
+        ("yesterday", np.iinfo(np.int64).min),
+    ],
+)
+def test_texts(cell: str, ns: int) -> None:
+    """Dates and times of day, to the nanosecond; what is no time is none."""
+    assert parse_text_stamps([cell]).tolist() == [ns]
+
+
+def test_floats_lose_nothing_but_their_own_resolution() -> None:
+    """Seconds as doubles become the nearest ns; integers stay exact beyond 2**53."""
+    values = np.array([0.1, 1.25, 1_700_000_000.5, -0.25])
+    assert to_ns(values, 10**9).tolist() == [
+        100_000_000,
+        1_250_000_000,
+        1_700_000_000_500_000_000,
+        -250_000_000,
+    ]
+    assert to_ns(np.array([2**62 - 1, 5], dtype=np.int64), 1).tolist() == [2**62 - 1, 5]
+
+
+def test_date_in_columns(tmp_path: Path) -> None:
+    """Year, month, day, hour, minute, second and nanosecond are one time."""
+    header = "UTC_Nano,UTC_Year,UTC_Month,UTC_Day,UTC_Hour,UTC_Minute,UTC_Second"
+    nano = [(i * 10_000_000) % 10**9 for i in range(N)]
+    second = [56 + i // 100 if i < N - 1 else 59 for i in range(N)]
+    fixed = [["2024"] * N, ["2"] * N, ["29"] * N, ["23"] * N, ["59"] * N]
+    clock = recorded(tmp_path, header, nano, *fixed, second).series[0].clock
+    assert clock.rate_hz == pytest.approx(100)
+    assert clock.start_ns == int(np.datetime64("2024-02-29T23:59:56", "ns").astype(np.int64))
+
+
+def test_sensor_at_time_zero(tmp_path: Path) -> None:
+    """A device's clock may start at zero: that is a stamp like any other."""
+    clock = recorded(tmp_path, "time_ms", [10 * i for i in range(N)]).series[0].clock
+    assert (clock.start_ns, clock.n, clock.missing) == (0, N, 0)
+
+
+def test_choice_of_the_clock(tmp_path: Path) -> None:
+    """Header stamps by default, the time of recording on request, any column by its name."""
+    path = tmp_path / "log.csv"
+    path.write_text(rostopic(truth()), encoding="utf-8")
+    assert read(path, ReadOptions()).series[0].clock.source == "column field.header.stamp"
+    log = read(path, ReadOptions(time="log")).series[0].clock
+    assert (log.source, log.start_ns) == ("column %time", EPOCH + 1_234_567)
+    assert read(path, ReadOptions(time="%time")).series[0].clock.start_ns == EPOCH + 1_234_567
+
+
+def test_zero_header_stamps_give_way_to_the_log_time(tmp_path: Path) -> None:
+    """A driver that does not stamp is found out, and said."""
+    rows = rostopic(truth()).split("\n")
+    zeroed = [
+        ",".join([*row.split(",")[:2], "0", *row.split(",")[3:]]) if row[:1] == "1" else row for row in rows
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(zeroed), encoding="utf-8")
+    recording = read(path, ReadOptions())
+    assert recording.series[0].clock.start_ns == EPOCH + 1_234_567
+    assert recording.series[0].rate_hz == pytest.approx(100)
+    assert [finding.code for finding in recording.findings] == ["log-time-used"]
+
+
+def test_samples_sent_twice_are_dropped(tmp_path: Path) -> None:
+    """Some rows repeat stamp and values of the row before: once is enough."""
+    path = written(tmp_path, "time_ms", [10 * i for i in range(N)])
+    rows = path.read_text(encoding="utf-8").split("\n")
+    for place in (300, 200, 100):
+        rows.insert(place, rows[place])
+    path.write_text("\n".join(rows), encoding="utf-8")
+    recording = read(path, ReadOptions())
+    assert (recording.series[0].n, recording.series[0].clock.missing) == (N, 0)
+    npt.assert_array_equal(recording.series[0].samples, truth().gyro[:, 0])
+
+
+def test_held_samples_stay_with_a_warning(tmp_path: Path) -> None:
+    """A log written faster than the sensor is read holds every value twice; that is the log's truth."""
+    path = written(tmp_path, "time_ms", [10 * i for i in range(N)])
+    rows = path.read_text(encoding="utf-8").rstrip("\n").split("\n")
+    path.write_text("\n".join([rows[0], *(row for row in rows[1:] for _ in range(2)), ""]), encoding="utf-8")
+    recording = read(path, ReadOptions())
+    assert recording.series[0].n == 2 * N
+    finding = next(f for f in recording.findings if f.code == "held-samples")
+    assert finding.text == (
+        "50% of the rows of the gyroscope repeat the stamp and the values of the row before: "
+        "the log was written faster than the sensor was read."
+    )

@@ -1,0 +1,239 @@
+"""Parquet, NPZ, NPY and MAT: the samples and stamps of the arrays, by the rules of text tables."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.testing as npt
+import polars as pl
+import pytest
+import scipy.io
+
+from imucal.errors import ChoiceError, ImucalError, ReadError
+from imucal.readers import read as read_any
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.typed_table import describe, read
+from imucal.recording import Recording, Sensor
+from tests.readers.tables.texts import EPOCH, N, truth
+
+GYRO, ACCEL = truth().gyro, truth().accel
+STAMPS = np.array(truth().ns, dtype=np.int64) + EPOCH
+
+
+def named() -> dict[str, Any]:
+    columns: dict[str, Any] = {"timestamp": STAMPS}
+    columns |= {f"gyro_{axis}_rads": GYRO[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"accel_{axis}": ACCEL[:, i] for i, axis in enumerate("xyz")}
+    return columns
+
+
+def parquet(path: Path) -> None:
+    pl.DataFrame(named()).write_parquet(path)
+
+
+def parquet_dates(path: Path) -> None:
+    stamp = pl.col("timestamp").cast(pl.Datetime("ns")).cast(pl.Datetime("us"))
+    pl.DataFrame(named()).with_columns(stamp).write_parquet(path)
+
+
+def parquet_lists(path: Path) -> None:
+    pl.DataFrame({"timestamp": STAMPS, "gyro": GYRO.tolist(), "accel": ACCEL.tolist()}).write_parquet(path)
+
+
+def parquet_structs(path: Path) -> None:
+    def rows(values: Any) -> list[dict[str, float]]:  # noqa: ANN401 - an array
+        return [dict(zip("xyz", row, strict=True)) for row in values.tolist()]
+
+    columns = {"stamp": STAMPS, "angular_velocity": rows(GYRO), "linear_acceleration": rows(ACCEL)}
+    pl.DataFrame(columns).write_parquet(path)
+
+
+def npz(path: Path) -> None:
+    np.savez(path, t=STAMPS, gyro=GYRO, accel=ACCEL)
+
+
+def npz_columns(path: Path) -> None:
+    np.savez_compressed(path, **named())
+
+
+def npz_lying(path: Path) -> None:
+    np.savez(path, t=STAMPS, gyro=GYRO.T, accel=ACCEL.T, serial=np.array(17))
+
+
+def npy_records(path: Path) -> None:
+    table = np.zeros(N, dtype=[("time_ns", "<i8"), *((f"{s}{axis}", "<f8") for s in "ga" for axis in "xyz")])
+    table["time_ns"] = STAMPS
+    for i, axis in enumerate("xyz"):
+        table[f"g{axis}"], table[f"a{axis}"] = GYRO[:, i], ACCEL[:, i]
+    np.save(path, table)
+
+
+def npy_dates(path: Path) -> None:
+    table = np.zeros(N, dtype=[("time", "M8[ns]"), ("gyro", "<f8", 3), ("accel", "<f8", 3)])
+    table["time"], table["gyro"], table["accel"] = STAMPS.view("M8[ns]"), GYRO, ACCEL
+    np.save(path, table)
+
+
+def mat(path: Path) -> None:
+    scipy.io.savemat(path, {"stamp_ns": STAMPS, "gyro": GYRO, "accel": ACCEL})
+
+
+WRITERS: tuple[tuple[str, Callable[[Path], None]], ...] = (
+    ("log.parquet", parquet),
+    ("dates.parquet", parquet_dates),
+    ("lists.parquet", parquet_lists),
+    ("structs.parquet", parquet_structs),
+    ("log.npz", npz),
+    ("columns.npz", npz_columns),
+    ("lying.npz", npz_lying),
+    ("records.npy", npy_records),
+    ("dates.npy", npy_dates),
+    ("log.mat", mat),
+)
+
+
+def check(recording: Recording) -> None:
+    """Compare all samples with the truth, bit by bit."""
+    for series in recording.series:
+        true = GYRO if series.sensor is Sensor.GYROSCOPE else ACCEL
+        npt.assert_array_equal(series.samples, true[:, "xyz".index(series.axis)])
+    assert len(recording.series) == 6
+
+
+@pytest.mark.parametrize(("name", "writer"), WRITERS, ids=[name for name, _ in WRITERS])
+def test_table(name: str, writer: Callable[[Path], None], tmp_path: Path) -> None:
+    """Samples are bit-equal, stamps are integers, through the facade too."""
+    path = tmp_path / name
+    writer(path)
+    recording = read(path, ReadOptions())
+    check(recording)
+    check(read_any(path))
+    assert recording.source.format == path.suffix[1:]
+    assert recording.series[0].rate_hz == pytest.approx(100)
+    assert recording.series[0].clock.start_ns == EPOCH
+    contents = describe(path, ReadOptions())
+    assert (contents.topics[0].count, contents.start_ns) == (N, EPOCH)
+
+
+def test_navego(tmp_path: Path) -> None:
+    """NaveGo's structure: fb in m/s^2, wb in rad/s, t in s, freq in Hz."""
+    path = tmp_path / "imu.mat"
+    scipy.io.savemat(
+        path, {"imu": {"t": np.array(truth().ns) * 1e-9, "fb": ACCEL, "wb": GYRO, "freq": 100.0}}
+    )
+    recording = read(path, ReadOptions())
+    check(recording)
+    assert recording.findings == ()
+
+
+def test_rate_beside_the_samples(tmp_path: Path) -> None:
+    """Without stamps the file's own rate is used, and named as the source."""
+    path = tmp_path / "log.npz"
+    np.savez(path, gyro=GYRO, accel=ACCEL, fs=250.0)
+    recording = read(path, ReadOptions())
+    check(recording)
+    assert recording.series[0].clock.source == "rate that the log states"
+    assert recording.series[0].rate_hz == 250.0
+
+
+def test_two_rates(tmp_path: Path) -> None:
+    """Arrays of two lengths are two tables: each sensor has its own clock."""
+    path = tmp_path / "log.npz"
+    np.savez(path, gyro_t=STAMPS, gyro=GYRO, accel_t=STAMPS[::2], accel=ACCEL[::2])
+    recording = read(path, ReadOptions(gyro_unit="rad/s"))
+    assert [(s.n, round(s.rate_hz)) for s in recording.series if s.axis == "x"] == [(N, 100), (N // 2, 50)]
+    npt.assert_array_equal(recording.axis("accelerometer", "z").samples, ACCEL[::2, 2])
+
+
+def test_matrix_without_names(tmp_path: Path) -> None:
+    """A bare matrix has columns by place only: the user says which are which."""
+    path = tmp_path / "log.npy"
+    np.save(path, np.column_stack([STAMPS * 1e-9, GYRO, ACCEL]))
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions())
+    assert str(caught.value) == (
+        f"{path}: no header names the 7 columns, and their order is not guessed; found columns: 0 (no name), "
+        "1 (no name), 2 (no name), 3 (no name), 4 (no name), 5 (no name), 6 (no name); say which are which "
+        "by a columns text such as t=0,g=1:4,a=4:7 (places from 0 with the end left out, or three names "
+        "joined by +)"
+    )
+    check(read(path, ReadOptions(columns="t=0,g=1:4,a=4:7")))
+
+
+def test_gaps_in_parquet(tmp_path: Path) -> None:
+    """Empty cells of a sensor are rows of another topic."""
+    path = tmp_path / "log.parquet"
+    table = pl.DataFrame(named())
+    other = pl.DataFrame({"timestamp": STAMPS + 3_000_000})
+    pl.concat([table, other], how="diagonal").sort("timestamp").write_parquet(path)
+    check(read(path, ReadOptions()))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("log.parquet", b"PAR1 and no more", "not a readable Parquet file"),
+        ("log.npy", b"\x93NUMPY\x01\x00", "not a readable NPY file"),
+        ("log.npz", b"PK\x03\x04 and no more", "not a readable NPZ file"),
+        ("log.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "not a readable MAT file"),
+        (
+            "log.mat",
+            b"\x89HDF\r\n\x1a\n" + bytes(8),
+            "a MATLAB 7.3 or HDF5 file; expected MAT up to version 7; save it in MATLAB with ",
+        ),
+        ("log.foo", b"neither", "first bytes 6e 65 69 74 68 65 72; expected Parquet, NPZ, NPY or MAT"),
+    ],
+)
+def test_broken(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+    """A damaged file is refused with its name, never with a traceback."""
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(ReadError) as caught:
+        read(path, ReadOptions())
+    assert str(caught.value).startswith(f"{path}: {message}")
+
+
+def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
+    """An array of objects could run code when it is loaded."""
+    path = tmp_path / "log.npz"
+    np.savez(path, gyro=np.array([{"x": 1}] * 3, dtype=object))
+    with pytest.raises(ReadError, match="not a readable NPZ file: Object arrays cannot be loaded"):
+        read(path, ReadOptions())
+
+
+def test_no_samples(tmp_path: Path) -> None:
+    """Single numbers are no samples."""
+    path = tmp_path / "log.npz"
+    np.savez(path, a=1.0, b=2.0)
+    with pytest.raises(ReadError) as caught:
+        read(path, ReadOptions())
+    assert str(caught.value) == (
+        f"{path}: no columns of samples, found nothing; expected arrays of a gyroscope or accelerometer"
+    )
+
+
+@pytest.mark.parametrize(("name", "writer"), WRITERS, ids=[name for name, _ in WRITERS])
+def test_damage(name: str, writer: Callable[[Path], None], tmp_path: Path) -> None:
+    """Flipped, cut and zeroed files are read or refused with a message."""
+    path = tmp_path / name
+    writer(path)
+    data = path.read_bytes()
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        damaged = bytearray(data)
+        places = rng.integers(0, len(data), 4)
+        if seed % 3 == 0:
+            damaged = damaged[: int(places[0])]
+        elif seed % 3 == 1:
+            for place in places:
+                damaged[place] ^= 1 << int(rng.integers(0, 8))
+        else:
+            damaged[int(places[0]) : int(places[0]) + 64] = bytes(min(64, len(data) - int(places[0])))
+        path.write_bytes(bytes(damaged))
+        try:
+            recording = read(path, ReadOptions(gyro_unit="rad/s", accel_unit="m/s^2"))
+        except ImucalError as error:
+            assert str(path) in str(error)  # noqa: PT017 - the message is the point
+        else:
+            assert recording.series

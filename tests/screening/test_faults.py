@@ -1,0 +1,327 @@
+"""Faults put into a log at rest: each is found, said in full, and nothing else is."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.findings import Finding
+from imucal.screening import screen
+from imucal.units import G0
+from tests.screening.still import recording, still
+
+N = 20_000
+T = np.arange(N) / 100.0
+Tables = tuple[FloatArray, FloatArray]
+
+
+def found(gyro: FloatArray, accel: FloatArray, temperature: FloatArray | None = None) -> tuple[Finding, ...]:
+    return tuple(f for f in screen(recording(gyro, accel, temperature=temperature)) if f.code != "roll-off")
+
+
+def one(findings: tuple[Finding, ...]) -> Finding:
+    assert len(findings) == 1, [f.text for f in findings]
+    return findings[0]
+
+
+def knocked(gyro: FloatArray, accel: FloatArray) -> Tables:
+    accel[:, 9000:9020] += 0.3 * np.sin(np.arange(20))
+    return gyro, accel
+
+
+def picked_up(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[:, :300] += 0.3 * np.sin(9 * T[:300])
+    return gyro, accel
+
+
+def put_away(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[:, -200:] += 0.1
+    return gyro, accel
+
+
+def handled(gyro: FloatArray, accel: FloatArray) -> Tables:
+    for start in range(2000, 18_000, 2000):
+        gyro[0, start : start + 900] += 0.05 * np.sin(5 * T[:900])
+    return gyro, accel
+
+
+def turned(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[0, 9000:9100] += np.pi / 2
+    accel[2, 9000:] -= G0
+    accel[1, 9000:] += G0
+    return gyro, accel
+
+
+def held(gyro: FloatArray, accel: FloatArray) -> Tables:
+    from scipy.signal import butter, sosfilt
+
+    rng = np.random.default_rng(5)
+    shake = sosfilt(butter(2, [1, 6], "bandpass", fs=100, output="sos"), 0.03 * rng.normal(size=(3, N)))
+    return gyro + shake, accel
+
+
+def tilted(gyro: FloatArray, accel: FloatArray) -> Tables:
+    accel[0, 12_000:] += 0.02
+    return gyro, accel
+
+
+def warming(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[2] += 2e-3 * np.exp(-T / 20)
+    return gyro, accel
+
+
+def still_warming(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[2] += 6e-3 * np.exp(-T / 60)
+    return gyro, accel
+
+
+def stuck(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[1, 500:900] = gyro[1, 500]
+    return gyro, accel
+
+
+def dead(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[1] = 0.1
+    return gyro, accel
+
+
+def unfilled(gyro: FloatArray, accel: FloatArray) -> Tables:
+    accel[0] = 0
+    return gyro, accel
+
+
+def without_finite(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[0] = np.nan
+    return gyro, accel
+
+
+def broken(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[0, ::400] = np.nan
+    gyro[0, 7] = -1e300
+    return gyro, accel
+
+
+def clipped(gyro: FloatArray, accel: FloatArray) -> Tables:
+    accel[2] = np.minimum(np.round(accel[2], 3), 9.84)
+    return gyro, accel
+
+
+def coarse(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[0] = np.round(gyro[0] / 4e-3) * 4e-3
+    return gyro, accel
+
+
+def in_g(gyro: FloatArray, accel: FloatArray) -> Tables:
+    return gyro, accel / G0
+
+
+def in_mg(gyro: FloatArray, accel: FloatArray) -> Tables:
+    return gyro, accel / G0 * 1e3
+
+
+def in_deg(gyro: FloatArray, accel: FloatArray) -> Tables:
+    return np.degrees(gyro), accel
+
+
+def in_deg_of_131(gyro: FloatArray, accel: FloatArray) -> Tables:
+    return np.round(np.degrees(gyro) * 131) / 131, accel
+
+
+def as_counts(gyro: FloatArray, accel: FloatArray) -> Tables:
+    return np.round(np.degrees(gyro) * 131), accel
+
+
+def biased_in_deg(gyro: FloatArray, accel: FloatArray) -> Tables:
+    return gyro + 0.5, accel
+
+
+def swapped(gyro: FloatArray, accel: FloatArray) -> Tables:
+    return accel, gyro
+
+
+def copied(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[2] = 0.1 - gyro[0]
+    return gyro, accel
+
+
+def humming(gyro: FloatArray, accel: FloatArray) -> Tables:
+    gyro[2] += 1e-3 * np.sin(2 * np.pi * 31.25 * T)
+    return gyro, accel
+
+
+def repeated(gyro: FloatArray, accel: FloatArray) -> Tables:
+    return np.repeat(gyro[:, ::2], 2, axis=1), accel
+
+
+def weightless(gyro: FloatArray, accel: FloatArray) -> Tables:
+    accel[2] -= G0
+    return gyro, accel
+
+
+#: What was done, the level, code and axis it is found by, and the whole text.
+Fault = Callable[[FloatArray, FloatArray], Tables]
+FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
+    (knocked, "warning", "touch", None,
+     ("Something touched or shook the IMU once: 90.0 to 90.5 s (accel_x, accel_y and accel_z; "
+     "7 times the noise).")),
+    (picked_up, "warning", "motion", None,
+     ("The IMU was moved near the start of the log: 0.0 to 3.5 s (gyro_x, gyro_y and gyro_z; "
+     "160 times the noise).")),
+    (put_away, "warning", "motion", None,
+     ("The IMU was moved near the end of the log: 197.5 to 198.5 s (gyro_x, gyro_y and gyro_z; "
+     "a shift of the level).")),
+    (handled, "warning", "motion", None,
+     ("The IMU was not at rest: it moved 8 times, 40% of the log; the longest rest, "
+     "170.5 to 200.0 s, lasts 29.5 s.")),
+    (turned, "error", "motion", None,
+     "The IMU was turned by up to 90 degrees, mostly near 89.0 s: gravity points elsewhere then."),
+    (held, "error", "motion", None,
+     ("The IMU was not at rest: between 0.5 and 10 Hz gyro_y moves by 0.00982 rad/s (0.562 deg/s) rms, "
+     "as in a hand or on a running machine.")),
+    (tilted, "warning", "step", "accel_x",
+     "The level of accel_x jumps by 0.0194 m/s^2 (1.98 mg) at 120.0 s and stays there."),
+    (warming, "warning", "warm-up", "gyro_z",
+     "gyro_z drifts by 0.00176 rad/s (0.101 deg/s) during the first 48.5 s, then settles: a warm-up."),
+    (still_warming, "warning", "warm-up", "gyro_z",
+     "gyro_z drifts by 0.00542 rad/s (0.311 deg/s) from the start and has not settled by the end."),
+    (stuck, "warning", "stuck", "gyro_y", "gyro_y is stuck at one value for 4 s in all, first at 5.0 s."),
+    (dead, "error", "stuck", "gyro_y", "gyro_y never changes: all of its 20000 samples are 0.1 rad/s."),
+    (unfilled, "error", "no-data", "accel_x",
+     "accel_x is 0 in all of its 20000 samples: the driver does not fill it."),
+    (without_finite, "error", "no-data", "gyro_x", "gyro_x holds no finite sample."),
+    (broken, "warning", "not-finite", "gyro_x",
+     ("51 samples of gyro_x (0.0026 of all) are NaN, infinite or absurdly large "
+     "and left out.")),
+    (clipped, "warning", "saturated", "accel_z",
+     "accel_z lies on its highest value, 9.84 m/s^2 (1003 mg), 1024 times: it is saturated, first at 0.0 s."),
+    (coarse, "warning", "coarse-lsb", "gyro_x",
+     ("The steps of gyro_x, 0.004 rad/s (0.229 deg/s), are coarse: its noise is about 0.4 LSB, and rounding "
+     "distorts N and hides slow changes.")),
+    (in_g, "warning", "unit-suspect", "accel",
+     "|a| is 1 at rest, where m/s^2 would give 9.8: the unit looks like g."),
+    (in_mg, "warning", "unit-suspect", "accel",
+     "|a| is 1000 at rest, where m/s^2 would give 9.8: the unit looks like mg."),
+    (in_deg, "warning", "unit-suspect", "gyro",
+     ("The gyroscope may not be in rad/s: its noise, 0.0086 rad/s/sqrt(Hz), is more than gyroscopes have; "
+     "in deg/s it would be 0.00015 rad/s/sqrt(Hz).")),
+    (in_deg_of_131, "warning", "unit-suspect", "gyro",
+     "The gyroscope may not be in rad/s: its steps of 0.0076336 are a usual LSB in deg/s."),
+    (as_counts, "warning", "unit-suspect", "gyro",
+     "The gyroscope may not be in rad/s: all its values are whole numbers, as raw counts are."),
+    (biased_in_deg, "warning", "unit-suspect", "gyro",
+     "The gyroscope may not be in rad/s: it shows 0.87 at rest, 50 deg/s if in rad/s."),
+    (swapped, "error", "swapped-sensors", None,
+     "At rest the gyroscope shows 9.81, as gravity would, and the accelerometer 0.011: the two are swapped."),
+    (copied, "error", "duplicate-axes", None,
+     "gyro_x and gyro_z hold the same samples with the sign turned (correlation -1.000)."),
+    (humming, "warning", "tone", "gyro_z",
+     ("gyro_z holds a tone, which bends the Allan curve: 0.00102 rad/s (0.0585 deg/s) at 31.25 Hz, "
+     "perhaps a fan or motor at 1875 rpm, or a folded higher tone.")),
+    (repeated, "warning", "held-samples", "gyro",
+     ("50.0% of the gyroscope samples repeat the one before on all axes: the log holds 100 samples a second, "
+     "about 50 of them new.")),
+    (weightless, "info", "no-gravity", "accel",
+     "The accelerometer shows no gravity: |a| is 0.0045 m/s^2."),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("fault", "level", "code", "axis", "text"), FAULTS, ids=[fault[0].__name__ for fault in FAULTS]
+)
+def test_a_fault_is_found_and_said(fault: Fault, level: str, code: str, axis: str | None, text: str) -> None:
+    """One fault, one finding, with its figures."""
+    finding = one(found(*fault(*still(N, 1))))
+    assert (finding.level, finding.code, finding.axis) == (level, code, axis)
+    assert finding.text == text
+
+
+@pytest.mark.parametrize(
+    ("fault", "keep"),
+    [(knocked, (91.5, 200.0)), (picked_up, (4.5, 200.0)), (put_away, (0.0, 196.5)), (tilted, (0.0, 119.0)),
+     (warming, (48.5, 200.0)), (stuck, (9.0, 200.0)), (turned, (92.5, 200.0))],
+)  # fmt: skip
+def test_what_is_left_to_keep_is_suggested(fault: Fault, keep: tuple[float, float]) -> None:
+    """The longest part without the fault, a second clear of it; the log is 200 s long."""
+    assert one(found(*fault(*still(N, 1)))).keep_s == keep
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("fault", "kinds"),
+    [
+        (knocked, ("flicker", "random walk")),
+        (picked_up, ("flicker", "random walk")),
+        (stuck, ("flicker", "random walk")),
+        (clipped, ("flicker", "random walk")),
+        (coarse, ("flicker", "random walk")),
+        (humming, ("flicker", "random walk")),
+        # Flicker and random walk of that strength wander as far by themselves.
+        (tilted, ("white", "rounded")),
+        (warming, ("white", "rounded")),
+    ],
+)
+def test_faults_are_found_whatever_the_noise(fault: Fault, kinds: tuple[str, ...], seed: int) -> None:
+    """The code of the fault is there in other noise too."""
+    code = next(row[2] for row in FAULTS if row[0] is fault)
+    for kind in kinds:
+        assert code in {f.code for f in found(*fault(*still(N, 100 + seed, kind)))}
+
+
+def test_the_keep_suggestion_cures() -> None:
+    """A log cut to what the finding suggests has no finding any more."""
+    log = recording(*picked_up(*still(N, 3)))
+    keep = one(screen(log)).keep_s
+    assert keep is not None
+    cut = tuple(series.between(*keep) for series in log.series)
+    assert screen(replace(log, series=cut)) == ()
+
+
+def test_temperature_dependence_is_found_with_its_slope() -> None:
+    """An axis that follows the temperature, and no other one."""
+    warmth = 30 + 5 * (1 - np.exp(-T / 60)) + 0.02 * np.random.default_rng(0).normal(size=N)
+    gyro, accel = still(N, 1)
+    gyro[2] += 5e-4 * (warmth - 30)
+    findings = [f for f in found(gyro, accel, warmth) if f.code == "temperature"]
+    assert one(tuple(findings)).text == (
+        "gyro_z follows the temperature: 0.000497 rad/s (0.0285 deg/s) per degree C, over 4.8 degrees C."
+    )
+
+
+def test_a_large_change_of_temperature_is_noted() -> None:
+    """Nothing follows it: a note, no warning."""
+    warmth = 30 + 5 * (1 - np.exp(-T / 60)) + 0.02 * np.random.default_rng(0).normal(size=N)
+    finding = one(found(*still(N, 1), warmth))
+    assert (finding.level, finding.code, finding.axis) == ("info", "temperature", None)
+    assert finding.text == "The temperature changes by 4.8 degrees C during the log; no axis follows it."
+
+
+def test_spikes_are_no_touch() -> None:
+    """Single wild samples are errors of the data; the fit cleans and counts them."""
+    gyro, accel = still(N, 1)
+    gyro[0, 5000] += 1.0
+    accel[1, 7000:7002] += 5.0
+    assert found(gyro, accel) == ()
+
+
+def test_worst_findings_come_first() -> None:
+    """Errors, then warnings, then notes."""
+    gyro, accel = humming(*still(N, 1))
+    accel[0] = 0
+    levels = [f.level for f in screen(recording(gyro, accel))]
+    assert levels == sorted(levels, key=["error", "warning", "info"].index)
+    assert levels[0] == "error"
+
+
+def test_a_log_that_never_rests_is_not_cut() -> None:
+    """A knock every few seconds: an error, and no part worth keeping."""
+    gyro, accel = still(N, 1)
+    for start in range(100, N, 600):
+        accel[:, start : start + 60] += 0.5 * np.sin(np.arange(60))
+    finding = one(found(gyro, accel))
+    assert (finding.level, finding.code, finding.keep_s) == ("error", "motion", None)
+    assert (
+        finding.text == "The IMU was not at rest: it moved 34 times, 17% of the log; it never rested for 5 s."
+    )
+    assert finding.advice == "Record again with the IMU on a firm, quiet surface."
