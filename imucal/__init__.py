@@ -19,6 +19,7 @@ from imucal._version import __version__
 
 if TYPE_CHECKING:
     from imucal.allan import AllanCurve, Spectrum, allan_curve, spectrum
+    from imucal.clock import Clock
     from imucal.comparison import compare
     from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, WriteError
     from imucal.findings import Finding
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from imucal.pipeline import Settings, characterize
     from imucal.planning import plan
     from imucal.readers import read
-    from imucal.recording import AxisSeries, Clock, Recording, Sensor
+    from imucal.recording import AxisSeries, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
     from imucal.report.exports import export
     from imucal.screening import screen
@@ -71,7 +72,7 @@ _HOMES = {
     "AxisReport": "imucal.report",
     "AxisSeries": "imucal.recording",
     "ChoiceError": "imucal.errors",
-    "Clock": "imucal.recording",
+    "Clock": "imucal.clock",
     "DataError": "imucal.errors",
     "Finding": "imucal.findings",
     "ImucalError": "imucal.errors",

@@ -9,8 +9,6 @@ from tempfile import mkdtemp
 
 from imucal.errors import WriteError
 
-__all__ = ["replacing"]
-
 #: How much of an existing file is searched for the words that make it ours, in bytes.
 _START = 4096
 

@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Clock", "Gap", "Segment"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Segment:

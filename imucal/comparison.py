@@ -21,8 +21,6 @@ from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport, Report
 
-__all__ = ["Comparison", "Difference", "Outcome", "compare"]
-
 #: ``differs``; ``same``: no significant difference; ``bounded``: neither report shows the term;
 #: ``only-a``, ``only-b``: the other report has no such term or axis.
 Outcome: TypeAlias = Literal["differs", "same", "bounded", "only-a", "only-b"]

@@ -15,8 +15,6 @@ A caller's mistake (an argument out of range) is a plain `ValueError`.
 
 from typing import ClassVar
 
-__all__ = ["ChoiceError", "DataError", "ImucalError", "LimitsError", "ReadError", "WriteError"]
-
 
 class ImucalError(Exception):
     """Anything imucal can't do with what it was given."""

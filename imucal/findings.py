@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-__all__ = ["Finding", "Level"]
-
 Level: TypeAlias = Literal["info", "warning", "error"]
 
 

@@ -16,8 +16,6 @@ from imucal.atomic import replacing
 from imucal.errors import WriteError
 from imucal.recording import Recording
 
-__all__ = ["WRITERS", "write_log"]
-
 _TOPIC = "/imu/data_raw"
 _EUROC_HEADER = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"

@@ -2,8 +2,6 @@
 
 import os
 
-__all__ = ["memory_limit"]
-
 _UNKNOWN = 2_000_000_000
 
 

@@ -20,8 +20,6 @@ from imucal.report.overview import overview
 from imucal.report.result import AxisReport, Report
 from imucal.screening import screen
 
-__all__ = ["Progress", "Settings", "characterize"]
-
 #: Samples looked at at once.
 _BLOCK = 1 << 20
 #: A remark of the screening, and the finding of the fit that says the same with more.

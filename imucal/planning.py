@@ -17,8 +17,6 @@ from imucal.noise.terms import TERMS, GaussMarkov, NoiseTerm, PowerLawTerm, Rate
 from imucal.recording import Sensor
 from imucal.report.result import Report
 
-__all__ = ["ONE_DEVIATION", "AxisPlan", "Need", "Plan", "describe_time", "plan", "resolution_findings"]
-
 #: The level of an interval of one standard deviation to each side.
 ONE_DEVIATION = math.erf(math.sqrt(0.5))
 #: Nobody records for longer, in s: ten years. Longer needs are infinite.

@@ -23,8 +23,6 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
 
-__all__ = ["PowerLaw", "odd_harmonic"]
-
 
 def odd_harmonic(n: FloatArray) -> FloatArray:
     """Return O_n = sum of 1/(2j-1) for j = 1 … n; O_0 = 0."""

@@ -8,22 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, read_only
-from imucal.clock import Clock, Gap, Segment
+from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.findings import Finding
-
-__all__ = [
-    "ABSURD",
-    "Axis",
-    "AxisSeries",
-    "Clock",
-    "Gap",
-    "Recording",
-    "Segment",
-    "Sensor",
-    "Source",
-    "Temperature",
-]
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 

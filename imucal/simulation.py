@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.clock import Clock
 from imucal.noise import NoiseModel
-from imucal.recording import Axis, AxisSeries, Clock, Recording, Sensor, Source
-
-__all__ = ["START_NS", "SensorTruth", "simulate_recording"]
+from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source
 
 #: Time of the first simulated sample: 2026-01-01 00:00 UTC, in ns.
 START_NS = 1_767_225_600_000_000_000

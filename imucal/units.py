@@ -6,19 +6,6 @@ from dataclasses import dataclass
 
 from imucal.recording import Sensor
 
-__all__ = [
-    "DATASHEET",
-    "G0",
-    "SAMPLE_UNITS",
-    "TIME_UNITS_NS",
-    "DatasheetUnit",
-    "datasheet_unit",
-    "is_unit",
-    "parse_sample_unit",
-    "parse_time_unit",
-    "pretty",
-]
-
 #: Standard gravity, in m/s². Source: CGPM 1901.
 G0 = 9.80665
 

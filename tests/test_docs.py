@@ -150,7 +150,7 @@ def test_every_exit_code_is_in_the_table() -> None:
 
     page = (DOCS / "exit-codes.md").read_text(encoding="utf-8")
     rows = {int(code) for code in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)}
-    own = {getattr(errors, name).exit_code for name in errors.__all__}
+    own = {value.exit_code for value in vars(errors).values() if hasattr(value, "exit_code")}
     assert own | {0, 2, 70, 130, 141} == rows
 
 

@@ -25,14 +25,19 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_every_module_says_what_it_offers(name: str) -> None:
-    """Each has a docstring, and an `__all__` whose names exist."""
+def test_every_module_says_what_it_is(name: str) -> None:
+    """Each has a docstring; a folder names what it offers, and offers it."""
     module = importlib.import_module(name)
     assert module.__doc__
-    if name == "imucal._version":
-        return
-    for public in module.__all__:
+    for public in getattr(module, "__all__", ()):
         assert hasattr(module, public) or f"{name}.{public}" in MODULES
+
+
+def test_no_two_modules_share_a_name() -> None:
+    """A file is found by its name alone; `_options` counts as `options`, a folder as a module."""
+    names = [name.rsplit(".", 1)[-1].lstrip("_") for name in MODULES]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    assert not twice, f"these names stand twice in the package; give each file one of its own: {twice}"
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from imucal.clock import Clock, Gap, Segment
 from imucal.errors import DataError
-from imucal.recording import AxisSeries, Clock, Gap, Recording, Segment, Sensor, Source
+from imucal.recording import AxisSeries, Recording, Sensor, Source
 
 KEEP = st.lists(st.booleans(), min_size=1, max_size=60).filter(any)
 

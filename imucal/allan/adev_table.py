@@ -10,8 +10,6 @@ from imucal.allan.deviation_table import NamedCurve
 from imucal.errors import ReadError
 from imucal.recording import Sensor
 
-__all__ = ["COLUMNS", "is_adev_table", "read_adev_table"]
-
 COLUMNS = ("axis", "tau", "m", "adev", "low", "high", "edf")
 
 

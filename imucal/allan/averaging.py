@@ -8,8 +8,6 @@ import numpy as np
 from imucal.arrays import IntArray
 from imucal.errors import DataError
 
-__all__ = ["averaging_factors"]
-
 _DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?")
 
 #: Points per decade of ``decade``; ten is what data sheets draw.

@@ -16,8 +16,6 @@ from imucal.allan.variance import SquareSum
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
 
-__all__ = ["Cascade"]
-
 #: Level 0 serves the factors below twice this, every other level those from this up.
 _BASE = 128
 

@@ -29,14 +29,6 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 
-__all__ = [
-    "EDF_METHODS",
-    "degrees_of_freedom",
-    "excess_kurtosis",
-    "gappy_degrees_of_freedom",
-    "spectral_edf",
-]
-
 #: Up to n / 256 the spectrum has enough ordinates in the passband to need no model.
 _CROSSOVER = 256
 

@@ -21,8 +21,6 @@ from imucal.allan.estimators import Estimator
 from imucal.arrays import FloatArray, IntArray
 from imucal.powerlaw import PowerLaw
 
-__all__ = ["GenericModel", "model_edf"]
-
 #: Up to so many lags are summed one by one; beyond, on a graded grid.
 _ALL_LAGS = 1024
 

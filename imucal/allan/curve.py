@@ -6,8 +6,6 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, read_only
 
-__all__ = ["AllanCurve"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AllanCurve:

@@ -13,8 +13,6 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.errors import DataError
 
-__all__ = ["DctBins", "bin_power", "dct_bins", "dct_ordinates", "fast_length"]
-
 #: Ordinates that are squared at a time.
 _BLOCK = 65536
 

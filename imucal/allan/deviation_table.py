@@ -14,8 +14,6 @@ from imucal.findings import Finding
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, pretty
 
-__all__ = ["NamedCurve", "read_curve"]
-
 _TAU = re.compile(r"(tau|taus|time|t|averaging[ _]?time|cluster[ _]?time)\b", re.IGNORECASE)
 _VARIANCE = re.compile(r"avar|variance", re.IGNORECASE)
 _OTHER = re.compile(

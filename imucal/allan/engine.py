@@ -17,8 +17,6 @@ from imucal.errors import DataError
 from imucal.memory import memory_limit
 from imucal.recording import AxisSeries
 
-__all__ = ["allan_curve"]
-
 #: Bytes per sample that the exact curve works in: the integral and the transform of the intervals.
 _WORK = 32
 #: Samples of a mapped file that are looked at at once.

@@ -15,8 +15,6 @@ x is a third difference of z), 22 (overlapping Hadamard).
 
 from dataclasses import dataclass
 
-__all__ = ["ESTIMATORS", "Estimator", "estimator_named"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimator:

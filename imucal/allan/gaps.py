@@ -21,9 +21,8 @@ import numpy as np
 from imucal.allan.estimators import Estimator
 from imucal.allan.variance import square_sums, sum_of_squares
 from imucal.arrays import FloatArray, IntArray
-from imucal.recording import AxisSeries, Clock
-
-__all__ = ["GappyVariances", "longest_run", "run_variances", "window_variances"]
+from imucal.clock import Clock
+from imucal.recording import AxisSeries
 
 #: Elements of a work array.
 _BLOCK = 32768

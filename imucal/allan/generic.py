@@ -11,8 +11,6 @@ from imucal.allan.dct import DctBins
 from imucal.arrays import FloatArray
 from imucal.powerlaw import PowerLaw
 
-__all__ = ["fit_curve", "fit_spectrum"]
-
 #: A drift has zero mean beyond this ordinate, to 1e-6 of its squares.
 _DRIFT_ORDINATES = 128
 

@@ -13,8 +13,6 @@ from imucal.allan.variance import sum_of_squares
 from imucal.arrays import FloatArray, IntArray
 from imucal.powerlaw import PowerLaw
 
-__all__ = ["named_laws"]
-
 #: Fewer averages than this name no law; the one named at the averaging time before stays.
 _FEWEST = 30
 

@@ -8,8 +8,6 @@ from imucal.allan.dct import DctBins
 from imucal.allan.estimators import Estimator
 from imucal.arrays import FloatArray
 
-__all__ = ["power_response"]
-
 
 def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
     """Return an estimator's response H and its square, averaged over each bin, shape (b,).

@@ -9,8 +9,6 @@ from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
 
-__all__ = ["Spectrum", "spectrum"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spectrum:

@@ -11,8 +11,6 @@ import numpy as np
 from imucal.allan.estimators import Estimator
 from imucal.arrays import FloatArray, IntArray
 
-__all__ = ["SquareSum", "square_sums", "sum_of_squares", "variances"]
-
 #: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
 _BLOCK = 32768
 

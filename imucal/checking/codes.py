@@ -1,7 +1,5 @@
 """The codes of findings, so that a limits file can't forbid one that doesn't exist."""
 
-__all__ = ["FINDING_CODES"]
-
 #: Every code that a finding may have; described in ``docs/findings.md``.
 FINDING_CODES = frozenset(
     [

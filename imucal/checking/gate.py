@@ -12,8 +12,6 @@ from imucal.recording import Sensor
 from imucal.report.json_file import load
 from imucal.report.result import AxisReport, Report
 
-__all__ = ["check"]
-
 
 def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> CheckResult:
     """Judge a report.

@@ -4,8 +4,6 @@ from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, datasheet_unit
 
-__all__ = ["LOG_QUANTITIES", "SAMPLE_QUANTITIES", "TERM_QUANTITIES", "plain_unit", "quantity_units"]
-
 #: Terms of the model: their coefficients, sigma for GM.
 TERM_QUANTITIES = tuple(TERMS)
 #: Quantities in the unit of the samples: the curve's lowest deviation, mean and spread of the samples.

@@ -7,8 +7,6 @@ from typing import Literal, TypeAlias
 
 from imucal.recording import Axis, Sensor
 
-__all__ = ["GRAVE", "Baseline", "FindingRules", "Limit", "Limits", "Undecided"]
-
 Undecided: TypeAlias = Literal["pass", "fail"]
 
 #: Levels of findings, the gravest last.

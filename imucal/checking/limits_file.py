@@ -45,8 +45,6 @@ from imucal.checking.limits import GRAVE, Baseline, FindingRules, Limit, Limits,
 from imucal.errors import LimitsError
 from imucal.recording import Axis, Sensor
 
-__all__ = ["parse_limits", "read_limits"]
-
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
 _AXIS_NAMES = {f"{sensor.short}_{axis}": sensor for sensor in Sensor for axis in _AXES}
 _SENSORS = tuple(sensor.value for sensor in Sensor)

@@ -8,8 +8,6 @@ from imucal.fitting.noise_fit import Estimate
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport, Report
 
-__all__ = ["axes_of", "measure", "relative", "same_everywhere", "sensors_of"]
-
 
 def axes_of(report: Report, where: str) -> tuple[AxisReport, ...]:
     """Return the axes that ``log``, a sensor or an axis name stands for."""

@@ -5,8 +5,6 @@ from xml.etree import ElementTree as ET
 
 from imucal.checking.verdict import CheckResult, Measured, Row
 
-__all__ = ["SCHEMA", "github_annotations", "junit_xml", "to_document"]
-
 SCHEMA = "imucal/checking/1"
 
 

@@ -9,8 +9,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-__all__ = ["CheckResult", "Measured", "Row", "Verdict", "judge", "worst_first"]
-
 Verdict: TypeAlias = Literal["pass", "fail", "undecided"]
 
 

@@ -13,8 +13,6 @@ from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 
-__all__ = ["fit_curves", "is_curve_table"]
-
 
 def is_curve_table(path: Path) -> bool:
     """Say whether a file's heading names an averaging time, as a table of deviations does."""

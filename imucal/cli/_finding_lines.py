@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 from imucal.findings import Finding, Level
 from imucal.report.result import Report
 
-__all__ = ["all_findings", "has_warning", "print_findings"]
-
 _STYLES: dict[Level, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 
 

@@ -2,8 +2,6 @@
 
 import re
 
-__all__ = ["options_for"]
-
 #: What a message asks for -> the option that says it.
 _OPTIONS = (
     (r"one of these topics|topics are named|two topics|one for each sensor|no message '|name of a topic",

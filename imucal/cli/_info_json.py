@@ -6,8 +6,6 @@ from imucal.findings import Finding
 from imucal.readers import LogContents, TopicContents
 from imucal.recording import Recording
 
-__all__ = ["TopicReading", "as_json_value"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicReading:

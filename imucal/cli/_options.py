@@ -13,8 +13,6 @@ from imucal.cli._progress import reading_progress
 from imucal.cli._types import RATE, Number
 from imucal.recording import AxisSeries, Recording
 
-__all__ = ["Duration", "LogRequest", "as_typed", "describe_duration", "log_options", "quiet_option", "say"]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 quiet_option = click.option(

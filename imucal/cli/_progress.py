@@ -4,8 +4,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-__all__ = ["axes_progress", "reading_progress"]
-
 
 @contextmanager
 def reading_progress(*, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:

@@ -10,8 +10,6 @@ from imucal.cli._options import LogRequest, as_typed, log_options, say
 from imucal.errors import ReadError
 from imucal.report.result import Report
 
-__all__ = ["REPORT", "load_report", "report_or_log"]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 #: What a REPORT is, for the help of an option that takes no log.

@@ -14,8 +14,6 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from imucal.units import pretty
 
-__all__ = ["summary_table"]
-
 #: Two columns and the space between them make 80.
 _COLUMN, _SPACE = 39, 2
 _Block = list[str]

@@ -5,8 +5,6 @@ import re
 
 import click
 
-__all__ = ["LEVEL", "RATE", "TAU_SET", "Number"]
-
 
 class Number(click.FloatRange):
     """A finite number in a range: click lets nan and infinity through."""

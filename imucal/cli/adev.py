@@ -12,8 +12,6 @@ from imucal.cli._types import LEVEL, TAU_SET
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
 
-__all__ = ["Taus", "command"]
-
 
 class Taus(click.ParamType[str | tuple[float, ...]]):
     """A set of averaging times by name, or a list of durations."""

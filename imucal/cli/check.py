@@ -12,8 +12,6 @@ from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
 from imucal.report.result import Report
 
-__all__ = ["command"]
-
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
 _WIDTH = 80
 

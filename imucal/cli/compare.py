@@ -13,8 +13,6 @@ from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.units import DatasheetUnit, datasheet_unit
 
-__all__ = ["command", "to_document"]
-
 SCHEMA = "imucal/comparison/1"
 
 _report = click.Path(path_type=Path)

@@ -13,8 +13,6 @@ from imucal.errors import WriteError
 from imucal.report.exports import INFLATABLE, TARGETS, AxisPolicy, Unidentified, export, find_target, render
 from imucal.report.result import Report
 
-__all__ = ["command"]
-
 _FOLDER = Path("imucal-exports")
 
 

@@ -11,8 +11,6 @@ from imucal.cli._types import LEVEL, TAU_SET
 from imucal.errors import DataError
 from imucal.noise import parse_structure, structure_text
 
-__all__ = ["command", "report_folder"]
-
 _FORMATS = ("png", "svg", "pdf")
 
 
@@ -175,7 +173,8 @@ def command(
         return
     from imucal.cli._result_table import summary_table
     from imucal.pipeline import Settings, characterize
-    from imucal.report.json_file import dumps, to_document
+    from imucal.report.document import to_document
+    from imucal.report.json_file import dumps
     from imucal.report.writer import check_folder, write_report
 
     folder = out or report_folder(request.logs[0])

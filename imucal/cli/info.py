@@ -16,8 +16,6 @@ from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.readers import LogContents, ReadOptions, TopicContents, describe, read
 
-__all__ = ["SCHEMA", "command"]
-
 #: What ``--json`` prints follows this.
 SCHEMA = "imucal/info/1"
 

@@ -16,8 +16,6 @@ from imucal.planning import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, 
 from imucal.recording import Sensor
 from imucal.units import DatasheetUnit, datasheet_unit
 
-__all__ = ["Fraction", "command", "to_document"]
-
 SCHEMA = "imucal/planning/1"
 
 

@@ -10,8 +10,6 @@ from imucal.cli._types import RATE, Number
 from imucal.noise import NoiseModel
 from imucal.units import G0
 
-__all__ = ["command"]
-
 #: Samples of the longest log: six axes of them are 48 GB.
 _MOST = 1e9
 

@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 
-__all__ = ["second_opinion"]
-
 #: Estimates further apart than so many standard deviations are reported.
 _DISAGREEMENT = 3.0
 #: Standard deviation, relative, below which a difference is of no use to anybody.

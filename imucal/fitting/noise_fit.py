@@ -12,8 +12,6 @@ from imucal.findings import Finding
 from imucal.noise.model import NoiseModel
 from imucal.recording import Sensor
 
-__all__ = ["Candidate", "Estimate", "Goodness", "Interval", "Line", "NoiseFit", "Response", "Status"]
-
 Status: TypeAlias = Literal["estimated", "bounded"]
 
 

@@ -16,8 +16,6 @@ from imucal.noise.terms import AngleRandomWalk
 from imucal.recording import AxisSeries, Sensor
 from imucal.units import pretty
 
-__all__ = ["clean", "resolution_effect", "spikes", "step_size"]
-
 #: Samples in a block, whose median is a point of the baseline.
 _BLOCK = 100
 #: A sample this many standard deviations from the baseline may be a spike.

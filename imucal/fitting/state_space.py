@@ -27,8 +27,6 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import AngleRandomWalk, GaussMarkov, PowerLawTerm, RateRamp
 from imucal.recording import AxisSeries
 
-__all__ = ["StateSpace", "fit_exact", "log_likelihood", "profile", "state_space"]
-
 #: Columns of the banded matrix in a block.
 _BLOCK = 1 << 18
 #: Correlation times a decade in a bank for flicker: its density ripples by 0.65 %.

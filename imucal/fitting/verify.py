@@ -9,8 +9,6 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import GaussMarkov
 from imucal.recording import AxisSeries
 
-__all__ = ["distances", "verify_findings"]
-
 #: Distance of the two maxima, in standard errors, that is reported as a warning.
 _FAR = 0.5
 

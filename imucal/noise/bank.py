@@ -12,8 +12,6 @@ import math
 
 from imucal.noise.terms import GaussMarkov
 
-__all__ = ["gauss_markov_bank"]
-
 
 def gauss_markov_bank(
     B: float, t_min: float, t_max: float, per_decade: float = 2.0

@@ -5,8 +5,6 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.powerlaw import odd_harmonic
 
-__all__ = ["draw_flicker", "gauss_markov_avar", "gauss_markov_sum"]
-
 
 def gauss_markov_avar(m: FloatArray, a: float) -> FloatArray:
     """Return the Allan variance of a unit-variance AR1 with phi = exp(-a).

@@ -18,8 +18,6 @@ from imucal.noise.terms import (
     RateRandomWalk,
 )
 
-__all__ = ["NoiseModel", "parse_structure", "structure_text"]
-
 _SIMPLE = {c.symbol: c for c in (Quantization, AngleRandomWalk, BiasInstability, RateRandomWalk, RateRamp)}
 _TERM = re.compile(r"\s*(?:(?P<count>[1-9]\d*)\s*\*\s*)?(?P<symbol>[A-Z]+)\s*")
 _VALUED = re.compile(r"\s*(?P<symbol>[A-Z]+)\s*=\s*(?P<value>[^\s()]+)\s*")

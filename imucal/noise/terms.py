@@ -16,17 +16,6 @@ from imucal.arrays import FloatArray
 from imucal.noise.formulas import draw_flicker, gauss_markov_avar, gauss_markov_sum
 from imucal.powerlaw import PowerLaw
 
-__all__ = [
-    "TERMS",
-    "AngleRandomWalk",
-    "BiasInstability",
-    "GaussMarkov",
-    "NoiseTerm",
-    "Quantization",
-    "RateRamp",
-    "RateRandomWalk",
-]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseTerm(ABC):

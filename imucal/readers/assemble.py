@@ -25,8 +25,6 @@ from imucal.readers.read_options import ReadOptions
 from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
 from imucal.units import SAMPLE_UNITS
 
-__all__ = ["HEADER", "describe_logs", "read_logs"]
-
 #: Name of the time in the messages.
 HEADER = "header stamp"
 

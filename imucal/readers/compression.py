@@ -12,8 +12,6 @@ from typing import IO
 
 from imucal.readers.files import DamagedError, Scratch
 
-__all__ = ["KINDS", "check_crc", "decompress", "decompress_prefix", "keep_freed_memory", "unpack_file"]
-
 #: Sizes up to this are taken as they come, in bytes.
 _SMALL = 1 << 26
 #: Above, data may grow by this factor.

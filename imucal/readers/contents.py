@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from imucal.findings import Finding
 from imucal.recording import Sensor
 
-__all__ = ["LogContents", "TopicContents"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicContents:

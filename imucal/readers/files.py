@@ -8,8 +8,6 @@ from typing import Self
 
 from imucal.errors import ReadError
 
-__all__ = ["DamagedError", "LogFile", "Scratch"]
-
 
 class DamagedError(Exception):
     """A part of a log can't be decoded; `code` is the finding it leads to. Never leaves the readers."""

@@ -11,8 +11,6 @@ from imucal.readers.contents import LogContents
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Recording
 
-__all__ = ["FORMATS", "STDIN", "Format", "Reader", "detect", "load"]
-
 #: The name that stands for standard input.
 STDIN = "-"
 

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from imucal.findings import Finding
 from imucal.readers.containers.batch import Loss
 
-__all__ = ["DAMAGE", "loss_findings"]
-
 #: Codes of findings that say a log is damaged.
 DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
                     "definition"})  # fmt: skip

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-__all__ = ["Progress", "ReadOptions"]
-
 #: Called with bytes done and bytes in all, now and then, from the reading thread.
 Progress: TypeAlias = Callable[[int, int], None]
 

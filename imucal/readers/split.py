@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imucal.clock import Clock, Segment
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.assemble import read_logs
@@ -17,9 +18,7 @@ from imucal.readers.containers.rosbag2_folder import natural
 from imucal.readers.formats import detect, load
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.csv_log import read_many
-from imucal.recording import AxisSeries, Clock, Recording, Segment
-
-__all__ = ["read_all"]
+from imucal.recording import AxisSeries, Recording
 
 #: Two files of one recording may differ this much in their measured rates.
 _SAME_RATE = 0.01

@@ -18,8 +18,6 @@ from imucal.report import numbers
 from imucal.report.markov import gauss_markov_term
 from imucal.report.result import AxisReport, Report
 
-__all__ = ["SCHEMA", "Json", "axis_document", "plain", "to_document"]
-
 #: Name and number of the layout.
 SCHEMA = "imucal/report/1"
 

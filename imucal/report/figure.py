@@ -18,8 +18,6 @@ from imucal.report.result import AxisReport, Report
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "axis_figure", "axis_title", "render", "sensor_figure"]
-
 #: What `render` can make.
 FORMATS = ("png", "svg", "pdf")
 

@@ -25,8 +25,6 @@ from imucal.units import pretty
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["MARKERS", "draw_allan", "draw_allan_overview", "shown_points"]
-
 #: The vertical axis reaches this far below the curve to show a read-off, never further.
 _DEEPEST = 40.0
 #: Axis -> its marker in an overview.

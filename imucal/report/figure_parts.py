@@ -22,22 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "LABEL_SIZE",
-    "LEGEND_SIZE",
-    "SMALL_SIZE",
-    "TITLE_SIZE",
-    "Drawn",
-    "dashes",
-    "density_unit",
-    "drawn_terms",
-    "estimate_text",
-    "limits",
-    "new_figure",
-    "style_axes",
-    "term_entries",
-]
-
 #: Text sizes in points, for a figure 10 inches wide.
 TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 8.5
 

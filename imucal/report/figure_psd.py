@@ -22,8 +22,6 @@ from imucal.report.result import AxisReport
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_psd", "draw_psd_overview"]
-
 #: At most this many lines are named, the strongest first; all are marked.
 _NAMED_LINES = 3
 

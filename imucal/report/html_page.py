@@ -20,8 +20,6 @@ from imucal.report.page_words import glossary_section, method_section
 from imucal.report.result import AxisReport, Report
 from imucal.units import pretty
 
-__all__ = ["render_page"]
-
 
 def render_page(report: Report) -> str:
     """Return the page; the same report always gives the same text."""

@@ -8,17 +8,16 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.spectrum import Spectrum
+from imucal.clock import Gap
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
-from imucal.recording import Axis, Gap, Sensor, Source
-from imucal.report.document import SCHEMA, axis_document, to_document
+from imucal.recording import Axis, Sensor, Source
+from imucal.report.document import SCHEMA
 from imucal.report.reading import Node
 from imucal.report.result import AxisReport, Overview, Report
-
-__all__ = ["SCHEMA", "axis_document", "dumps", "from_document", "load", "schema", "to_document"]
 
 _INDENT = "  "
 _AXES: dict[str, Axis] = {"x": "x", "y": "y", "z": "z"}

@@ -12,8 +12,6 @@ from imucal.report.palette import FRAME, GRID, INK
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_ticks", "tick_label", "tick_places"]
-
 _SIZE = 9.0
 #: Length of a minor tick, in parts of the plot.
 _MINOR = 0.006

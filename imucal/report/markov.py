@@ -5,8 +5,6 @@ import math
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.noise.terms import GaussMarkov
 
-__all__ = ["gauss_markov_term"]
-
 
 def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
     """Return the term whose correlation time is the estimate's; None where the model has none."""

@@ -4,8 +4,6 @@ from collections.abc import Iterable
 from html import escape
 from typing import TypeAlias
 
-__all__ = ["Child", "Markup", "element", "join", "row", "table"]
-
 _VOID = frozenset({"br", "hr", "input", "link", "meta"})
 
 

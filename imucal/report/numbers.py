@@ -16,24 +16,6 @@ from imucal.recording import Sensor
 from imucal.report.result import AxisReport
 from imucal.units import datasheet_unit, pretty
 
-__all__ = [
-    "Quantity",
-    "comfortable",
-    "compact",
-    "correlation_time",
-    "datasheet",
-    "decimals",
-    "engineering_exponent",
-    "hours",
-    "minimum",
-    "power_of_ten",
-    "seconds",
-    "si",
-    "term_name",
-    "with_interval",
-    "with_uncertainty",
-]
-
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 #: Beyond this ratio of its two sides an interval is printed, not a symmetric uncertainty.
 _ASYMMETRY = 1.25

@@ -5,8 +5,6 @@ import numpy as np
 from imucal.recording import AxisSeries
 from imucal.report.result import Overview
 
-__all__ = ["overview"]
-
 
 def overview(series: AxisSeries, *, stretches: int = 1000) -> Overview:
     """Return the lowest and highest sample of each of at most `stretches` equal stretches of time.

@@ -14,8 +14,6 @@ from imucal.report.palette import DATA, LEFT_OUT, MODEL, TERMS, UNUSED
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.units import datasheet_unit, pretty
 
-__all__ = ["page_data", "standing_out"]
-
 #: Points of a smooth line, per plot.
 _FINE = 60
 #: Gaps nearer to each other than this part of the recording are drawn as one.

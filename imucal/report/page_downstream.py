@@ -11,8 +11,6 @@ from imucal.report.markup import Markup, element, join, row, table
 from imucal.report.result import Report
 from imucal.units import pretty
 
-__all__ = ["downstream_section"]
-
 #: PX4's EKF2 runs at this period, in s, whatever the rate of the IMU.
 _PX4_PERIOD = 0.01
 

@@ -15,8 +15,6 @@ from imucal.report.palette import TERMS
 from imucal.report.result import AxisReport, Report
 from imucal.units import pretty
 
-__all__ = ["both_units", "findings_section", "summary_section"]
-
 #: Level, code, advice and the part worth keeping: what findings have in common.
 _Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
 _LEVELS = ("error", "warning", "info")

@@ -10,8 +10,6 @@ from imucal.report.markup import Markup, element, join, row, table
 from imucal.report.result import AxisReport, Report
 from imucal.units import datasheet_unit, pretty
 
-__all__ = ["glossary_section", "method_section"]
-
 _METHODS = {
     "mle": "maximum likelihood on the discrete cosine transform of the samples: each coefficient's square is "
     "compared with its exact expectation under the model",

@@ -6,8 +6,6 @@ white (contrast above 4.5); every colour comes with its own line style or marker
 
 from dataclasses import dataclass
 
-__all__ = ["AXES", "DATA", "FADED", "FRAME", "GRID", "INK", "LEFT_OUT", "MODEL", "TERMS", "UNUSED", "Stroke"]
-
 
 @dataclass(frozen=True, slots=True)
 class Stroke:

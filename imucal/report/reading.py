@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ReadError
 
-__all__ = ["Node"]
-
 _SHOWN = 40
 
 A = TypeVar("A")

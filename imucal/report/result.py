@@ -7,11 +7,10 @@ import numpy as np
 
 from imucal.allan.spectrum import Spectrum
 from imucal.arrays import FloatArray, read_only
+from imucal.clock import Gap
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.recording import Axis, Gap, Sensor, Source
-
-__all__ = ["AxisReport", "Overview", "Report"]
+from imucal.recording import Axis, Sensor, Source
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

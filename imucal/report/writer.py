@@ -24,8 +24,6 @@ from imucal.report.document import axis_document, to_document
 from imucal.report.json_file import dumps
 from imucal.report.result import AxisReport, Report
 
-__all__ = ["check_folder", "write_report"]
-
 _REPORT = "report.json"
 #: Files this module writes, in any version and with any settings.
 _OURS = re.compile(r"report\.(json|html)|(gyro|accel)(_[xyz])?\.(json|png|svg|pdf)")

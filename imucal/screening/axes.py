@@ -11,8 +11,6 @@ from imucal.screening.profile import Profile
 from imucal.screening.resolution import excerpt
 from imucal.screening.unit_check import gravity, swapped
 
-__all__ = ["check_duplicates", "check_swapped"]
-
 #: White noise of two axes never correlates like this; a mixed-up column does.
 _COPY = 0.999
 #: Fewest samples to judge by.

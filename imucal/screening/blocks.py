@@ -7,8 +7,6 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.screening.profile import Profile
 
-__all__ = ["Blocks", "blocks"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Blocks:

@@ -10,8 +10,6 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 
-__all__ = ["chi_square_quantile", "normal_quantile", "variance_limit"]
-
 
 def variance_limit(variances: FloatArray, p_above: float) -> float:
     """Return what the variance of a quiet window exceeds with a probability of at most about `p_above`.

@@ -13,8 +13,6 @@ from imucal.screening.stillness import usual_variance
 from imucal.screening.unit_check import gravity
 from imucal.screening.words import name_list, span, time
 
-__all__ = ["check_motion", "check_turned"]
-
 #: Disturbances closer than this are one, in s.
 _APART_S = 3.0
 #: Quiet time taken off on both sides of a disturbance, in s.

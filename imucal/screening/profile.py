@@ -11,8 +11,6 @@ from imucal.screening.stillness import disturbed, without_spikes
 from imucal.screening.welch import Density, density
 from imucal.screening.windows import Windows, cut
 
-__all__ = ["Profile", "profile"]
-
 #: Samples looked at in one go.
 _BLOCK = 1 << 20
 

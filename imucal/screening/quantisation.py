@@ -4,8 +4,6 @@ from imucal.findings import Finding
 from imucal.screening.profile import Profile
 from imucal.screening.words import amount
 
-__all__ = ["check_lsb"]
-
 #: Noise below this many LSB no longer dithers the rounding: N can't be corrected by LSB^2/12 any more.
 _COARSE = 0.5
 

@@ -5,8 +5,6 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.recording import AxisSeries
 
-__all__ = ["excerpt", "resolution"]
-
 #: Samples looked at, in stretches spread over the log.
 _STRETCHES, _STRETCH = 16, 2048
 #: Steps of more LSB than this say little about the LSB.

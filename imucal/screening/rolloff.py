@@ -7,8 +7,6 @@ from imucal.findings import Finding
 from imucal.screening.profile import Profile
 from imucal.screening.welch import Density
 
-__all__ = ["check_roll_off", "corner"]
-
 #: Bands of equal width that the density is averaged in.
 _BANDS = 64
 #: The end must fall below this part of the plateau, surely.

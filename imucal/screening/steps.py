@@ -9,8 +9,6 @@ from imucal.findings import Finding
 from imucal.screening.profile import Profile
 from imucal.screening.words import amount
 
-__all__ = ["check_steps"]
-
 #: A step must stand out by this many robust deviations: chance gives 5 once in a million.
 _LIMIT = 9.0
 #: Steps are looked for between means of 2^j windows, while this many of them fit into the log.

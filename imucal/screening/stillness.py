@@ -10,8 +10,6 @@ from imucal.recording import AxisSeries
 from imucal.screening.chance import normal_quantile, variance_limit
 from imucal.screening.windows import Windows
 
-__all__ = ["disturbed", "usual_variance", "without_spikes"]
-
 #: How often an axis at rest may have one disturbed window, by chance.
 _FALSE_ALARM = 1e-4
 #: Real noise breathes with the temperature: a variance or a jump must pass the limit by this much.

@@ -11,8 +11,6 @@ from imucal.screening.profile import Profile
 from imucal.screening.resolution import excerpt
 from imucal.screening.words import amount, time
 
-__all__ = ["check_no_data", "check_not_finite", "check_repeats", "check_saturated", "check_stuck"]
-
 #: How often noise may by chance repeat one value through a window.
 _FALSE_ALARM = 1e-6
 #: A limit is hit when this many samples lie on the extreme value, and this many times the next one's.

@@ -11,8 +11,6 @@ from imucal.screening.blocks import blocks
 from imucal.screening.profile import Profile
 from imucal.screening.words import amount
 
-__all__ = ["check_temperature"]
-
 #: Means compared with the temperature.
 _BLOCKS = 64
 #: Random walk in a block over the white noise of its mean, in variance, that are tried.

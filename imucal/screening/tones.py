@@ -11,8 +11,6 @@ from imucal.screening.profile import Profile
 from imucal.screening.welch import Density
 from imucal.screening.words import amount
 
-__all__ = ["Tone", "check_tones", "likely_cause", "tones"]
-
 #: How often an axis without a tone may show one.
 _FALSE_ALARM = 1e-4
 #: Error of the floor, which is the median of some dozen neighbours.

@@ -9,8 +9,6 @@ from imucal.recording import Sensor
 from imucal.screening.profile import Profile
 from imucal.screening.words import amount
 
-__all__ = ["check_tremor"]
-
 #: The band of a hand, a walking person or an engine, in Hz.
 _BAND_HZ = (0.5, 10.0)
 #: Rate in it, in rad/s rms, that no gyroscope shows at rest: ten times what a poor one does.

@@ -10,8 +10,6 @@ from imucal.recording import Sensor
 from imucal.screening.profile import Profile
 from imucal.units import G0
 
-__all__ = ["check_accelerometer_unit", "check_gyroscope_unit", "gravity", "swapped"]
-
 #: Gravity as an uncalibrated accelerometer may show it, in m/s²: 20 % off at most.
 _GRAVITY = (0.8 * G0, 1.2 * G0)
 #: Below this, in m/s², there is no gravity in the figures, whatever their unit.

@@ -8,8 +8,6 @@ from imucal.screening.blocks import Blocks, blocks
 from imucal.screening.profile import Profile
 from imucal.screening.words import amount, time
 
-__all__ = ["check_warm_up"]
-
 #: Numbers of means tried: many see a quick warm-up, few average more noise away. With each, how many
 #: deviations of the wander over as long a span the drift must be; few means know that wander less well.
 _LIMITS = {64: 7.0, 32: 9.0}

@@ -7,8 +7,6 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.recording import AxisSeries
 
-__all__ = ["Density", "density"]
-
 #: Shortest and longest stretch that is transformed, in samples.
 _SHORTEST, _LONGEST = 256, 16384
 #: Stretches wanted of a short log; the most that are taken of a long one, spread evenly over it.

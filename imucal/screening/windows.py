@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, read_only
-from imucal.recording import AxisSeries, Segment
-
-__all__ = ["Windows", "cut"]
+from imucal.clock import Segment
+from imucal.recording import AxisSeries
 
 #: Length of a window, in s: long against a knock's ringing, short against what one wants to keep.
 _LENGTH_S = 0.5

@@ -5,8 +5,6 @@ import math
 from imucal.recording import Sensor
 from imucal.units import G0
 
-__all__ = ["amount", "name_list", "span", "time"]
-
 
 def time(seconds: float) -> str:
     """Return ``12.3 s``, ``4.5 min`` or ``2.25 h``.

@@ -6,8 +6,9 @@ import pytest
 
 from imucal.allan import AllanCurve, allan_curve
 from imucal.allan.estimators import ESTIMATORS
+from imucal.clock import Clock, Segment
 from imucal.errors import DataError
-from imucal.recording import AxisSeries, Clock, Segment, Sensor
+from imucal.recording import AxisSeries, Sensor
 from tests.allan.witness import naive_moav
 
 SAMPLES = np.random.default_rng(0).standard_normal(1000) + 9.8

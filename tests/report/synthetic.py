@@ -10,11 +10,12 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.spectrum import Spectrum
+from imucal.clock import Gap
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import GaussMarkov, NoiseTerm
-from imucal.recording import Axis, Gap, Sensor, Source
+from imucal.recording import Axis, Sensor, Source
 from imucal.report.result import AxisReport, Overview, Report
 
 __all__ = ["axis_report", "consumer_report", "shortest_report", "small_report"]

@@ -18,10 +18,11 @@ from imucal.findings import Finding
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import BiasInstability, GaussMarkov
 from imucal.recording import Axis, Sensor, Source
+from imucal.report.document import to_document
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
 from imucal.report.exports.gauss_markov import flicker_bank
 from imucal.report.exports.spelling import comment, decimal, real
-from imucal.report.json_file import dumps, from_document, to_document
+from imucal.report.json_file import dumps, from_document
 from imucal.report.result import Report
 from tests.report.downstream import READERS, opencv
 from tests.report.synthetic import axis_report, consumer_report, small_report

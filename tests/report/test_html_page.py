@@ -13,7 +13,7 @@ import pytest
 from lxml import html
 
 from imucal.allan.spectrum import Spectrum
-from imucal.recording import Gap
+from imucal.clock import Gap
 from imucal.report.html_page import render_page
 from imucal.report.markup import Markup, element
 from imucal.report.page_data import page_data, standing_out

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.clock import Clock
 from imucal.powerlaw import PowerLaw
-from imucal.recording import Axis, AxisSeries, Clock, Recording, Sensor, Source, Temperature
+from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
 from imucal.units import G0
 
 __all__ = ["KINDS", "flicker", "recording", "still", "unrelated_temperature", "with_samples"]

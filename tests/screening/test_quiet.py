@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.recording import AxisSeries, Clock, Recording, Source
+from imucal.clock import Clock
+from imucal.recording import AxisSeries, Recording, Source
 from imucal.screening import screen
 from tests.screening.still import KINDS, recording, still, unrelated_temperature
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
+from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.recording import Clock
 from imucal.screening import screen
 from imucal.units import G0
 from tests.real_data import real_data

@@ -6,7 +6,8 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.recording import AxisSeries, Clock, Segment, Sensor
+from imucal.clock import Clock, Segment
+from imucal.recording import AxisSeries, Sensor
 from imucal.screening.windows import cut
 
 

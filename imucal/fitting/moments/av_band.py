@@ -11,8 +11,6 @@ from imucal.fitting.moments.av_points import AvarPoints
 from imucal.fitting.moments.av_search import Solution, Weight, minimise
 from imucal.fitting.moments.av_select import choose
 
-__all__ = ["MISFIT", "Fitted", "Search", "best_band", "ranked"]
-
 #: A misfit above so many standard deviations means that the model does not describe the curve.
 MISFIT = 3.0
 #: A misfit of all averaging times above this makes the fit look whether the shortest are to blame.

@@ -25,8 +25,6 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.powerlaw import PowerLaw
 
-__all__ = ["AvarCovariance", "Process", "avar_covariance", "sum_variance"]
-
 #: A power law, or the correlation time in samples of a Gauss-Markov process of unit variance.
 Process: TypeAlias = PowerLaw | float
 

@@ -12,8 +12,6 @@ from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 
-__all__ = ["CurveEstimates", "curve_estimates", "model_of"]
-
 _ALWAYS = "NBK"
 _ORDER = "QNBKR"
 

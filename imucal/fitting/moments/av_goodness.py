@@ -7,8 +7,6 @@ from imucal.fitting.moments.av_points import AvarPoints
 from imucal.fitting.moments.av_search import Solution
 from imucal.fitting.noise_fit import Goodness
 
-__all__ = ["goodness"]
-
 
 def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> Goodness:
     """Return how well a model describes the points, whose covariance it is given.

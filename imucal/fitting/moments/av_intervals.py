@@ -20,8 +20,6 @@ from imucal.fitting.moments.av_covariance import AvarCovariance, avar_covariance
 from imucal.fitting.moments.av_points import AvarPoints, columns, processes
 from imucal.fitting.moments.av_search import Solution, Weight
 
-__all__ = ["CurveSpread", "Spread", "limits"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CurveSpread:

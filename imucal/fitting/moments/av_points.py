@@ -16,8 +16,6 @@ from imucal.noise.terms import TERMS, GaussMarkov, NoiseTerm, PowerLawTerm, Rate
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 
-__all__ = ["AvarPoints", "avar_points", "columns", "processes"]
-
 #: Averaging times that a fit uses lie at least so far apart; closer ones say almost the same.
 _LEAST_RATIO = 1.9
 

@@ -15,8 +15,6 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.fitting.moments.av_points import columns
 
-__all__ = ["Solution", "Weight", "minimise", "non_negative", "time_grid"]
-
 #: Correlation times a decade in the grid.
 _PER_DECADE = 5
 #: Places of the grid from which a search is refined.

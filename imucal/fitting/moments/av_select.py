@@ -17,8 +17,6 @@ from imucal.arrays import FloatArray
 from imucal.fitting.moments.av_points import AvarPoints, columns
 from imucal.fitting.moments.av_search import Solution, Weight, minimise, time_grid
 
-__all__ = ["choose", "dictionary", "penalty"]
-
 _LAWS = "QNBKR"
 #: Models whose screened criterion is within so much of the best are computed in full, at most so many.
 _WITHIN, _AT_MOST = 10.0, 10

@@ -30,8 +30,6 @@ from imucal.noise.model import structure_text
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
-__all__ = ["fit_gmwm"]
-
 #: Models within so much of the best criterion are reported.
 _REPORTED = 6.0
 

@@ -25,8 +25,6 @@ from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 
-__all__ = ["SLOPES", "fit_slope"]
-
 _UNREAD = Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
 
 

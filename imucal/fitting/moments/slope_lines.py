@@ -8,8 +8,6 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.moments.av_points import AvarPoints, columns
 
-__all__ = ["LEAST_POINTS", "SLOPES", "Reading", "read_term"]
-
 #: Slope of the Allan deviation of each term that can be read.
 SLOPES = {"Q": -1.0, "N": -0.5, "B": 0.0, "K": 0.5, "R": 1.0}
 #: A run of points has a slope if its line is within so much of it, half the way to the next slope at most.

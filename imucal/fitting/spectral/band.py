@@ -29,8 +29,6 @@ from imucal.fitting.spectral.scoring import Maximum, maximize
 from imucal.fitting.spectral.starts import find_starts
 from imucal.fitting.spectral.structures import Structure, candidates_of
 
-__all__ = ["BANDS", "Band", "find_band"]
-
 #: Bands that are tried, as fractions of Nyquist.
 BANDS = (1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125)
 #: Misfit score below which a description is sound.

@@ -16,8 +16,6 @@ from imucal.fitting.spectral.missing import complete
 from imucal.fitting.spectral.ordinates import exponential_ordinates, ramp_ordinates
 from imucal.recording import AxisSeries
 
-__all__ = ["Block", "Blocks", "make_blocks", "scale_of"]
-
 #: Bends of a straight line, as a part of its steps: rounding, not noise.
 _STRAIGHT = 1e-9
 #: Fewest samples of a record and of a block.

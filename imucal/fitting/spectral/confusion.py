@@ -5,8 +5,6 @@ from imucal.fitting.noise_fit import Candidate
 from imucal.fitting.spectral.selection import Choice
 from imucal.noise.model import structure_text
 
-__all__ = ["choice_findings", "near_candidates"]
-
 #: Models whose criterion is within this of the best are listed.
 _NEAR = 6.0
 #: Twice the log-likelihood below which a second maximum is as good as the first.

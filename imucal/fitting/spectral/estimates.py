@@ -15,8 +15,6 @@ from imucal.fitting.spectral.structures import Structure, candidates_of, paramet
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, GaussMarkov, NoiseTerm, PowerLawTerm, RateRamp
 
-__all__ = ["Fitted", "Scales", "add_term", "drop_terms", "estimate", "upper_bound"]
-
 _COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 
 

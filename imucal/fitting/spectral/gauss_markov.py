@@ -4,8 +4,6 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 
-__all__ = ["gauss_markov_dct"]
-
 
 def gauss_markov_dct(
     log_time: FloatArray, lam: FloatArray, length: FloatArray, sign: FloatArray

@@ -8,8 +8,6 @@ from imucal.arrays import FloatArray
 from imucal.fitting.spectral.likelihood import Candidates, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates
 
-__all__ = ["Misfit", "misfit"]
-
 #: Neighbouring bins are joined until they hold so many degrees of freedom.
 _JOIN = 8.0
 

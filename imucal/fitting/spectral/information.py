@@ -5,8 +5,6 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
 
-__all__ = ["covariance"]
-
 #: A parameter with less information than this is not told at all.
 _NONE = 1e-8
 

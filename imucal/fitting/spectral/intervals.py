@@ -16,8 +16,6 @@ from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum, bounds, maximize
 
-__all__ = ["RAMP", "Limits", "profile_limits", "quantile"]
-
 #: Column of the ramp, which is a regressor and not a parameter of the spectrum.
 RAMP = -1
 

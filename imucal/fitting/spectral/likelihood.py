@@ -26,8 +26,6 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.spectral.gauss_markov import gauss_markov_dct
 from imucal.fitting.spectral.ordinates import Ordinates
 
-__all__ = ["Candidates", "Evaluation", "evaluate"]
-
 BoolArray = NDArray[np.bool_]
 
 #: Added to the diagonal of the regressors' correlation.

@@ -12,8 +12,6 @@ from imucal.allan.dct import DctBins
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.noise_fit import Line
 
-__all__ = ["find_lines"]
-
 #: Chance that a record without lines has one found.
 _CHANCE = 0.01
 #: Ordinates that are never left out, and half the number of bins that make the local level.

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from imucal.allan.dct import DctBins
 from imucal.arrays import FloatArray
 
-__all__ = ["complete"]
-
 _ROUNDS = 3
 _STEPS = 40
 _CLOSE = 1e-3

@@ -25,8 +25,6 @@ from imucal.fitting.spectral.transform import bin_blocks
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
-__all__ = ["View", "fit_mle", "spectral_view"]
-
 #: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
 #: shorter is the sensor's output filter.
 _SHORTEST = 10.0

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray
 from imucal.powerlaw import PowerLaw
 
-__all__ = ["LAWS", "Ordinates", "coarser", "exponential_ordinates", "ramp_ordinates"]
-
 #: The power-law terms, in the order of a rising slope.
 LAWS = (PowerLaw.QUANTIZATION, PowerLaw.WHITE, PowerLaw.FLICKER, PowerLaw.WALK)
 

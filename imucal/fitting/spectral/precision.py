@@ -18,8 +18,6 @@ from imucal.fitting.spectral.gauss_markov import gauss_markov_dct
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import GaussMarkov, PowerLawTerm, RateRamp
 
-__all__ = ["parameter_names", "relative_deviations"]
-
 
 def parameter_names(model: NoiseModel) -> tuple[str, ...]:
     """Return the names of a model's parameters: ``N``, ``GM.sigma``, ``GM.T``; ``GM1``… by rising T."""

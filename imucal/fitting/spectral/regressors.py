@@ -16,8 +16,6 @@ from imucal.fitting.spectral.starts import find_starts
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.fitting.spectral.transform import bin_blocks
 
-__all__ = ["choose_regressors"]
-
 #: Ordinates that such slow shapes live in.
 _LOWEST = 4000
 #: Time constants of a warm-up, as parts of the record.

@@ -9,8 +9,6 @@ from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.estimates import Fitted
 from imucal.fitting.spectral.ordinates import Ordinates
 
-__all__ = ["filter_finding", "response_of"]
-
 _NUMBER = ("no", "one", "two", "three", "four", "five")
 #: Largest difference of |H|² from a Butterworth filter's that is called one.
 _ALIKE = 0.02

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.ordinates import Ordinates
 
-__all__ = ["Order", "start_response"]
-
 #: Poles and zeros of a response.
 Order: TypeAlias = tuple[int, int]
 

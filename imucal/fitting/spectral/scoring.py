@@ -9,8 +9,6 @@ from imucal.arrays import FloatArray
 from imucal.fitting.spectral.likelihood import Candidates, Evaluation, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates
 
-__all__ = ["Maximum", "bounds", "maximize"]
-
 #: A term whose share of every bin is below exp(-_ABSENT) is absent.
 _ABSENT = 18.0
 #: Longest step of a parameter, in log units; of a response's, relative to 1 + its size.

@@ -12,8 +12,6 @@ from imucal.fitting.spectral.scoring import Maximum, maximize
 from imucal.fitting.spectral.starts import find_starts
 from imucal.fitting.spectral.structures import Structure, candidates_of
 
-__all__ = ["Choice", "choose", "penalty"]
-
 #: Candidates within this much of the best of the coarse bins are fitted on all bins.
 _REFINE = 25.0
 #: Most candidates fitted on all bins.

@@ -18,8 +18,6 @@ from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.selection import Choice
 from imucal.noise.terms import TERMS
 
-__all__ = ["Setting", "numbered", "settle"]
-
 #: Terms that every fit reports.
 _ALWAYS = ("N", "B", "K")
 #: Models within this of the best have a say in an absent term's bound, and how many at most.

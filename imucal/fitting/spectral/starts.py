@@ -19,8 +19,6 @@ from imucal.fitting.spectral.gauss_markov import gauss_markov_dct
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
 
-__all__ = ["Starts", "find_starts", "time_grid"]
-
 _GRID = 16
 _ROUNDS = 50
 #: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.

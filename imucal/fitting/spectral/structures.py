@@ -8,8 +8,6 @@ import numpy as np
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import LAWS
 
-__all__ = ["Structure", "all_structures", "candidates_of", "parameter_columns"]
-
 #: Symbols of a model's terms in the order of `imucal.noise.TERMS`, GM once for each.
 Structure = tuple[str, ...]
 

@@ -4,8 +4,6 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 
-__all__ = ["heavy_tails"]
-
 
 def heavy_tails(samples: FloatArray) -> float:
     """Return the factor by which heavy tails widen N's interval, at least 1.

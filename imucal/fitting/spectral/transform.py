@@ -9,8 +9,6 @@ from imucal.arrays import FloatArray
 from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import LAWS, Ordinates
 
-__all__ = ["bin_blocks", "ordinates_of"]
-
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
 

@@ -6,16 +6,6 @@ from imucal.findings import Finding
 from imucal.readers.clocks.placing import Breaks, Steps
 from imucal.readers.clocks.rate import Period
 
-__all__ = [
-    "gap_notes",
-    "jump_notes",
-    "log_time_note",
-    "rate_note",
-    "repeated_note",
-    "stamp_notes",
-    "zero_note",
-]
-
 #: Share of missing samples up to which gaps are not worth a warning.
 _FEW = 1e-3
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
+from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.readers.clocks.clock_notes import (
@@ -25,9 +26,6 @@ from imucal.readers.clocks.clock_notes import (
 )
 from imucal.readers.clocks.placing import NO_BREAKS, Breaks, find_breaks, fit_period, look_at_steps
 from imucal.readers.clocks.rate import Period, estimate_period
-from imucal.recording import Clock, Segment
-
-__all__ = ["LOG_TIME", "ClockReading", "clock_from_stamps"]
 
 #: Name of the time at which a message was recorded.
 LOG_TIME = "log time"

@@ -5,8 +5,6 @@ import numpy as np
 from imucal.findings import Finding
 from imucal.readers.containers.store import Columns, reorder
 
-__all__ = ["in_time_order"]
-
 
 def in_time_order(columns: Columns) -> list[Finding]:
     """Sort samples by log time where the file does not hold them in that order, in place.

@@ -14,8 +14,6 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.readers.clocks.rate import Period
 
-__all__ = ["NO_BREAKS", "Breaks", "Steps", "find_breaks", "fit_period", "look_at_steps"]
-
 #: Samples worked on at once: what fits the processor's cache.
 _BLOCK = 1 << 16
 #: Samples that may catch up after a pause, at most.

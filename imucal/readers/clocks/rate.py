@@ -13,8 +13,6 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
 
-__all__ = ["Period", "estimate_period", "resolution"]
-
 #: Blocks of neighbouring samples looked at, and samples in each; all samples where there are fewer.
 _BLOCKS = 10
 _BLOCK = 4096

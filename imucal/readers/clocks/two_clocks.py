@@ -5,8 +5,6 @@ import numpy as np
 from imucal.arrays import IntArray
 from imucal.findings import Finding
 
-__all__ = ["compare_clocks"]
-
 #: Samples looked at, evenly spread.
 _MOST = 100_000
 #: Shortest log whose clocks are compared, in s, and difference worth a word, as a fraction.

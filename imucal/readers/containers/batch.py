@@ -8,8 +8,6 @@ import numpy as np
 from imucal.arrays import IntArray
 from imucal.readers.messages.walker import Bytes
 
-__all__ = ["Batch", "Guard", "Loss"]
-
 #: A position from the start of a record, a NumPy type, and the number that every record has there.
 Guard = tuple[int, str, int]
 

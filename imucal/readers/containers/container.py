@@ -9,8 +9,6 @@ from imucal.findings import Finding
 from imucal.readers.containers.batch import Batch
 from imucal.readers.files import Scratch
 
-__all__ = ["Channel", "Container", "Task"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Channel:

@@ -18,8 +18,6 @@ from imucal.readers.files import DamagedError, Scratch
 from imucal.readers.messages.message_types import Carrier
 from imucal.readers.read_options import Progress
 
-__all__ = ["Decoder", "Decoding", "Stream", "decode"]
-
 #: More threads gain nothing: the interpreter's lock is held in between.
 _MAX_THREADS = 4
 #: Logs of more messages have chunks enough to make up for preparing the allocator.

@@ -15,8 +15,6 @@ from imucal.readers.containers.mcap_records import HEAD, ChunkIndex
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from imucal.readers.messages.walker import Bytes, gather
 
-__all__ = ["ChunkTask", "LooseTask", "batch_of", "index_count", "unpack", "walk_records"]
-
 #: Opcode, length, channel and so on of a Message record: its payload starts here.
 _MESSAGE = 31
 _RECORD = struct.Struct("<BQH")

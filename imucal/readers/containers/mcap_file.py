@@ -15,8 +15,6 @@ from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChannelRecord, C
 from imucal.readers.containers.mcap_scan import scan
 from imucal.readers.files import DamagedError, LogFile
 
-__all__ = ["Bookkeeping", "McapFile"]
-
 _FOOTER_SIZE = 9 + 20 + 8
 #: Ids of channels and schemas have 16 bits; a summary larger than this can only be damage, in bytes.
 _MAX_SUMMARY = 1 << 31

@@ -11,8 +11,6 @@ from imucal.readers.contents import LogContents
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Recording
 
-__all__ = ["describe", "read"]
-
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the IMU topic of an MCAP file.

@@ -10,12 +10,6 @@ from dataclasses import dataclass
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.walker import Bytes
 
-__all__ = [
-    "CHANNEL", "CHUNK", "CHUNK_INDEX", "DATA_END", "FOOTER", "HEAD", "MAGIC", "MESSAGE", "MESSAGE_INDEX",
-    "SCHEMA", "STATISTICS", "ChannelRecord", "ChunkHead", "ChunkIndex", "Schema", "channel", "chunk_head",
-    "chunk_index", "schema", "statistics",
-]  # fmt: skip
-
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 2, 3, 4, 5, 6, 7, 8
 STATISTICS, DATA_END = 0x0B, 0x0F

@@ -15,8 +15,6 @@ from imucal.readers.files import DamagedError, LogFile, Scratch
 if TYPE_CHECKING:
     from imucal.readers.containers.mcap_file import Bookkeeping
 
-__all__ = ["scan"]
-
 #: Messages outside chunks are loaded in parts of this many bytes.
 _PART = 1 << 22
 #: Schemas and channels are read whole; a longer one is damage.

@@ -13,8 +13,6 @@ from imucal.readers.containers.batch import Batch, Guard, Loss
 from imucal.readers.containers.ros1_records import U32, header, number
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
-__all__ = ["BagChunk", "BagChunkTask", "unpack", "walk"]
-
 
 @dataclass(slots=True, kw_only=True)
 class BagChunk:

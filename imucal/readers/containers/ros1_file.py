@@ -16,8 +16,6 @@ from imucal.readers.containers.ros1_records import MAGIC, U32, Connection, conne
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from imucal.readers.messages.walker import Bytes
 
-__all__ = ["BagFile"]
-
 #: The index section has a few bytes for each chunk and connection; a larger one is damage.
 _MAX_INDEX = 1 << 31
 _PAIR = struct.Struct("<II")

@@ -10,11 +10,6 @@ from dataclasses import dataclass
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.walker import Bytes
 
-__all__ = [
-    "BAG", "CHUNK", "CHUNK_INFO", "CONNECTION", "INDEX", "MAGIC", "MESSAGE", "U32", "U64", "Connection",
-    "connection", "header", "number",
-]  # fmt: skip
-
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 U32, U64 = struct.Struct("<I"), struct.Struct("<Q")

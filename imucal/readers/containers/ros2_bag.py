@@ -19,8 +19,6 @@ from imucal.readers.files import DamagedError
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.recording import Recording
 
-__all__ = ["describe", "open_files", "read"]
-
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the IMU topic of a bag.

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from imucal.errors import ReadError
 
-__all__ = ["Folder", "natural", "open_folder", "parse_metadata"]
-
 #: Endings of the files of a bag.
 ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.zst", ".db3.zst")
 

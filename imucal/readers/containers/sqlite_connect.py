@@ -9,8 +9,6 @@ from urllib.parse import quote
 from imucal.findings import Finding
 from imucal.readers.files import LogFile
 
-__all__ = ["connect", "connect_to_start"]
-
 #: A bag's topics and definitions are written first: they lie in the first pages, in bytes.
 _START = 1 << 22
 #: Longest file that a cut database is made up to, in bytes; it is sparse.

@@ -25,8 +25,6 @@ from imucal.readers.containers.sqlite_pages import (
 )
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
-__all__ = ["SqliteFile", "SqliteTask", "batch_of_blobs"]
-
 #: Rows of one task.
 _RANGE = 1 << 14
 #: Columns of `messages`, in the order that the pages are read in.

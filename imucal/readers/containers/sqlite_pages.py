@@ -18,8 +18,6 @@ from imucal.readers.containers.batch import Batch, Loss
 from imucal.readers.containers.sqlite_rows import LEAF, Rows, parse_rows, varint
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
-__all__ = ["Fetch", "Leaves", "PageTask", "find_leaves", "page_size", "scan_leaves"]
-
 _INTERIOR = 0x05
 #: Leaf pages of one task: about 2 MB of the usual 4 kB pages.
 _GROUP = 512

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.readers.messages.walker import gather
 
-__all__ = ["LEAF", "Rows", "parse_rows", "varint"]
-
 #: Type of a page that holds rows of a table.
 LEAF = 0x0D
 #: Bytes of a column by its serial type, up to 9; blobs and texts have 12 and more.

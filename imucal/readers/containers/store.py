@@ -12,8 +12,6 @@ from imucal.errors import ReadError
 from imucal.memory import memory_limit
 from imucal.recording import Sensor
 
-__all__ = ["Columns", "drop_rows", "reorder"]
-
 #: Bytes written before their pages are given back to the system.
 _FLUSH = 1 << 25
 

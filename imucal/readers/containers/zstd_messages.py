@@ -8,8 +8,6 @@ from imucal.readers.containers.container import Container, Task
 from imucal.readers.containers.sqlite_file import batch_of_blobs
 from imucal.readers.files import DamagedError, Scratch
 
-__all__ = ["MAGIC", "ZstdMessages"]
-
 #: First bytes of a zstd frame.
 MAGIC = b"\x28\xb5\x2f\xfd"
 #: A message that claims more than this is damaged, in bytes.

@@ -10,8 +10,6 @@ from imucal.readers.messages.topics import Topic
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 
-__all__ = ["Choice", "choose", "table"]
-
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 #: Topics listed in a message.
 _MOST = 24

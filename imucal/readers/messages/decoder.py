@@ -15,8 +15,6 @@ from imucal.readers.messages.message_types import Carrier
 from imucal.readers.messages.template import Template, learn
 from imucal.readers.messages.walker import Found, Layout, Walker, gather
 
-__all__ = ["BinaryDecoder", "Shape"]
-
 #: Encapsulation, as a big-endian number -> layout. Source: OMG DDS-XTypes 1.3, table 60; DDSI-RTPS 10.2.
 _ENCAPSULATIONS = {
     0x0000: Layout(order=">", align=8),

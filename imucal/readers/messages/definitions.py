@@ -4,8 +4,6 @@ import re
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-__all__ = ["BUILT_IN", "DefinitionError", "Field", "Kind", "built_in", "flatten", "plain_type"]
-
 #: What a field is: one number, a fixed array, a string, a sequence of numbers, or anything else.
 Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
 

@@ -8,8 +8,6 @@ from imucal.readers.containers.store import Columns
 from imucal.readers.messages.message_types import Carrier, Stamp, Vector
 from imucal.readers.messages.walker import Bytes, Place, Position, gather
 
-__all__ = ["adjacent", "write_fields", "write_temperature", "write_vector"]
-
 
 def write_fields(  # noqa: PLR0917 - what lies where, and where it goes
     buffer: Bytes,

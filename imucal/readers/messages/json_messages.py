@@ -13,8 +13,6 @@ from imucal.readers.files import DamagedError
 from imucal.readers.messages.message_types import Carrier, Stamp, Vector
 from imucal.recording import Sensor
 
-__all__ = ["JSON_CARRIER", "JsonDecoder"]
-
 #: What a JSON message of an IMU is taken to hold.
 JSON_CARRIER = Carrier(
     stamp=Stamp(sec="sec", nanosec="nanosec"),

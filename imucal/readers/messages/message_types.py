@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from imucal.readers.messages.definitions import Field, plain_type
 from imucal.recording import Sensor
 
-__all__ = ["TOP", "Carrier", "Stamp", "Vector", "find_carriers"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stamp:

@@ -12,8 +12,6 @@ from imucal.readers.messages.message_types import Carrier, Stamp
 from imucal.readers.messages.topics import Topic
 from imucal.recording import Temperature
 
-__all__ = ["read_temperature"]
-
 _TYPE = "sensor_msgs/Temperature"
 _CARRIER = Carrier(
     stamp=Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec"), vectors=(), temperature="temperature"

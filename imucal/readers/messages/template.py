@@ -17,8 +17,6 @@ from imucal.readers.messages.message_types import Carrier, Vector
 from imucal.readers.messages.walker import Bytes, Found, Layout, Place, Position
 from imucal.recording import Sensor
 
-__all__ = ["Template", "learn"]
-
 #: Longest head of a message that is gathered at once, in bytes.
 _HEAD = 256
 _SECOND = 1_000_000_000

@@ -13,8 +13,6 @@ from imucal.readers.messages.message_types import Carrier, find_carriers
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 
-__all__ = ["Topic", "find_topics", "stream_of"]
-
 _ENCODINGS = ("cdr", "ros1", "json")
 
 

@@ -18,8 +18,6 @@ from imucal.arrays import IntArray
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.definitions import Field
 
-__all__ = ["Bytes", "Layout", "Place", "Position", "Walker", "gather"]
-
 Bytes: TypeAlias = bytes | bytearray | memoryview
 #: From the start of the payload: the same for all messages, or one for each.
 Position: TypeAlias = int | IntArray

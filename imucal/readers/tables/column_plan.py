@@ -22,8 +22,6 @@ from imucal.readers.tables.vectors import of_vector
 from imucal.recording import Sensor
 from imucal.units import parse_sample_unit
 
-__all__ = ["SensorPlan", "TablePlan", "make_plan"]
-
 #: Names of the two clocks of a message; for a table they are not columns.
 _CLOCKS = ("header", "log")
 

@@ -10,18 +10,6 @@ from imucal.readers.tables.names import Column, Role
 from imucal.recording import Sensor
 from imucal.units import parse_sample_unit
 
-__all__ = [
-    "Rows",
-    "Triad",
-    "ask",
-    "columns_text",
-    "find_temperature",
-    "find_triads",
-    "find_vector",
-    "list_columns",
-    "pick",
-]
-
 #: Rows of a sensor: the place of a column and the text its cells must hold; None for all rows.
 Rows: TypeAlias = tuple[int, str] | None
 

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 from imucal.readers.tables.columns import Rows, ask
 
-__all__ = ["Asked", "parse_columns_text", "place_of"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:

@@ -19,8 +19,6 @@ from imucal.readers.tables.text import STANDARD_INPUT, TextSource, open_text
 from imucal.readers.tables.text_table import read_table
 from imucal.recording import Recording
 
-__all__ = ["describe", "read", "read_many"]
-
 #: Files up to this size are read to be described: they take less than half a second.
 _SMALL = 64 << 20
 

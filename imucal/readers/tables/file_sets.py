@@ -25,8 +25,6 @@ from imucal.readers.tables.vectors import sensor_of_name
 from imucal.recording import Recording, Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
-__all__ = ["is_set", "read_set", "read_together"]
-
 _ZIP = b"PK\x03\x04"
 
 _SUFFIXES = (".csv", ".tsv", ".txt")

@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GrowingColumn"]
-
 #: Values that a column has room for at first.
 _FIRST = 1 << 16
 

@@ -15,8 +15,6 @@ from imucal.readers.tables.columns import Rows
 from imucal.readers.tables.layout import BLANKS, Layout, find_layout, is_number, split_line
 from imucal.units import G0
 
-__all__ = ["named_columns", "propose_columns", "rows_of_tag", "tagged_layout"]
-
 #: A columns text that shows how one is written.
 _EXAMPLE = "t=0,g=1:4,a=4:7"
 

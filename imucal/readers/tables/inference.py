@@ -13,8 +13,6 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.units import G0
 
-__all__ = ["AccelUnit", "GyroUnit", "infer_accel_unit", "infer_gyro_unit", "sample_of"]
-
 #: Counts per g of 16 bit converters at 2, 4, 8 and 16 g.
 _COUNTS_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from imucal.units import is_unit
 
-__all__ = ["BLANKS", "Layout", "find_layout", "is_number"]
-
 #: The delimiter that stands for runs of blanks and tabs.
 BLANKS = " "
 

@@ -7,8 +7,6 @@ from enum import StrEnum
 from imucal.recording import Sensor
 from imucal.units import is_unit, parse_sample_unit, parse_time_unit
 
-__all__ = ["Column", "Role", "parse_column"]
-
 
 class Role(StrEnum):
     """What a column holds, as far as its name tells."""

@@ -13,8 +13,6 @@ from imucal.readers.tables.growing import GrowingColumn
 from imucal.readers.tables.layout import BLANKS, Layout, split_line
 from imucal.readers.tables.stamps import parse_text_stamps
 
-__all__ = ["BlockReader", "Kind", "RowCounts"]
-
 #: What the cells of a column are read as.
 Kind: TypeAlias = Literal["integer", "float", "text"]
 

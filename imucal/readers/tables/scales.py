@@ -13,8 +13,6 @@ from imucal.readers.tables.signatures import Signature
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, parse_sample_unit
 
-__all__ = ["Unscaled", "Work", "find_scales"]
-
 
 @dataclass(slots=True, kw_only=True)
 class Work:

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["SIGNATURES", "Signature", "find_signature"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signature:

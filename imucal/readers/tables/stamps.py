@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray
 from imucal.units import TIME_UNITS_NS
 
-__all__ = ["date_stamps", "infer_time_unit", "is_text_stamp", "parse_text_stamps", "to_ns", "unwrapped"]
-
 #: ns of a text that is no time.
 _NO_STAMP = int(np.iinfo(np.int64).min)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
+from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.readers.clocks.from_stamps import ClockReading, clock_from_stamps
@@ -22,10 +23,8 @@ from imucal.readers.tables.stamps import (
     week_rolled,
 )
 from imucal.readers.tables.timing import TimeChoice
-from imucal.recording import Clock, Sensor
+from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS
-
-__all__ = ["Numbers", "table_clock"]
 
 #: A column of counts or values.
 Numbers: TypeAlias = NDArray[np.int64] | FloatArray

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from imucal.errors import ReadError
 
-__all__ = ["Column", "TableFile", "open_table"]
-
 #: Columns of a matrix beyond which it is no matrix of samples.
 _WIDEST = 64
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
+from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
@@ -15,9 +16,7 @@ from imucal.readers.tables.column_plan import SensorPlan
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.readers.tables.signatures import Signature
 from imucal.readers.tables.table_clock import Numbers, table_clock
-from imucal.recording import Axis, AxisSeries, Clock, Recording, Source, Temperature
-
-__all__ = ["SensorColumns", "assemble", "units_note"]
+from imucal.recording import Axis, AxisSeries, Recording, Source, Temperature
 
 #: Time and rows of a sensor -> its clock and the samples to keep: two sensors of one table share them.
 _Clocks: TypeAlias = dict[tuple[Any, ...], tuple[Clock, IntArray | None]]

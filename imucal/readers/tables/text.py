@@ -19,8 +19,6 @@ from imucal.findings import Finding
 from imucal.readers.read_options import Progress
 from imucal.readers.tables.text_streams import compression_of, find_encoding, read_fully, unpacked
 
-__all__ = ["STANDARD_INPUT", "TextSource", "open_text"]
-
 #: The path that means standard input.
 STANDARD_INPUT = "-"
 

@@ -10,8 +10,6 @@ from imucal.readers.tables.headless import named_columns, propose_columns, tagge
 from imucal.readers.tables.layout import Layout, find_layout
 from imucal.readers.tables.vectornav import find_vectornav, good_sentences
 
-__all__ = ["TextLayout", "lay_out"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextLayout:

@@ -9,8 +9,6 @@ from typing import BinaryIO, cast
 
 from imucal.errors import ReadError
 
-__all__ = ["compression_of", "find_encoding", "read_fully", "unpacked"]
-
 #: First bytes -> compression.
 _MAGIC: dict[bytes, str] = {
     b"\x1f\x8b": "gzip",

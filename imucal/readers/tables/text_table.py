@@ -24,8 +24,6 @@ from imucal.readers.tables.text_layout import TextLayout, lay_out
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording, Source
 
-__all__ = ["plan_of_head", "read_table"]
-
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
 

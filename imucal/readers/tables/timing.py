@@ -15,8 +15,6 @@ from imucal.readers.tables.stamps import is_text_stamp
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
-__all__ = ["TimeChoice", "choose_times", "time_of_place", "time_of_places"]
-
 TimeKind: TypeAlias = Literal["stamp", "pair", "week", "date", "text", "counter"]
 
 #: First cells of a column, by place.

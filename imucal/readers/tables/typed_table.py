@@ -21,8 +21,6 @@ from imucal.readers.tables.table_files import Column, TableFile, open_table
 from imucal.readers.tables.tabular import SensorColumns, assemble, units_note
 from imucal.recording import Recording, Sensor, Source
 
-__all__ = ["describe", "read"]
-
 #: Rows shown to the rules that choose columns.
 _HEAD = 400
 

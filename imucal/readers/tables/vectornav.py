@@ -10,8 +10,6 @@ import numpy as np
 
 from imucal.readers.tables.layout import Layout, is_number, split_line
 
-__all__ = ["find_vectornav", "good_sentences"]
-
 #: Message -> names of its fields.
 _FIELDS: dict[str, tuple[str, ...]] = {
     "VNYMR": (

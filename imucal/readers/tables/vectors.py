@@ -10,8 +10,6 @@ from imucal.readers.tables.names import Column
 from imucal.readers.tables.timing import Cells
 from imucal.recording import Sensor
 
-__all__ = ["of_vector", "sensor_of_name"]
-
 #: Text of a row's tag for the gyroscope -> for the accelerometer.
 _PARTNERS = {
     "gyro": "accel",

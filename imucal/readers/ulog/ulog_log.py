@@ -24,8 +24,6 @@ from imucal.readers.ulog.ulog_messages import MESSAGES, Instance, Samples, sampl
 from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
 from imucal.units import SAMPLE_UNITS, parse_sample_unit
 
-__all__ = ["describe", "read"]
-
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 
 #: An instance logged at less than this share of the fastest rate is a health check, not a recording.

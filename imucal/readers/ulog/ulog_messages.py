@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray
 from imucal.recording import Sensor
 
-__all__ = ["MESSAGES", "Instance", "Samples", "samples_of"]
-
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 
 _AXES = ("x", "y", "z")

@@ -11,8 +11,6 @@ from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
 from imucal.report.result import AxisReport, Report
 
-__all__ = ["INFLATABLE", "AxisPolicy", "Choices", "Number", "Numbers", "Unidentified"]
-
 AxisPolicy: TypeAlias = Literal["worst", "rms", "x", "y", "z"]
 Unidentified: TypeAlias = Literal["bound", "refuse"]
 

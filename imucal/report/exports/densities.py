@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
 
-__all__ = ["Densities", "densities", "topic"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Densities:

@@ -18,8 +18,6 @@ from imucal.report.exports.spelling import comment, real
 from imucal.report.exports.target import Target
 from imucal.report.result import AxisReport
 
-__all__ = ["TARGET", "flicker_bank"]
-
 #: States a decade of correlation time.
 _PER_DECADE = 1.5
 #: How far the bank reaches below the time at which flicker and white noise are equal.

@@ -17,8 +17,6 @@ from imucal.report.exports.spelling import plain, real
 from imucal.report.exports.target import Target
 from imucal.report.result import AxisReport
 
-__all__ = ["TARGET"]
-
 _ELEMENTS = {Sensor.GYROSCOPE: "angular_velocity", Sensor.ACCELEROMETER: "linear_acceleration"}
 
 

@@ -12,8 +12,6 @@ from imucal.report.exports.spelling import comment, real
 from imucal.report.exports.target import Target
 from imucal.units import G0
 
-__all__ = ["TARGET"]
-
 #: Covariance of the integration itself: GTSAM's own default of 1 would drown the sensor's.
 _INTEGRATION = 1e-8
 

@@ -7,8 +7,6 @@ from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import INFLATABLE, Number, Numbers
 from imucal.report.result import AxisReport
 
-__all__ = ["header"]
-
 _POLICIES = {
     "worst": "worst: the largest of the sensor's axes",
     "rms": "rms: the root of the mean variance of the sensor's axes",

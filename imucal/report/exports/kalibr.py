@@ -12,8 +12,6 @@ from imucal.report.exports.header import header
 from imucal.report.exports.spelling import comment, plain, quoted, real
 from imucal.report.exports.target import Target
 
-__all__ = ["FORMULA", "KIND", "TARGET"]
-
 KIND = "continuous-time densities, SI; Kalibr makes them discrete with update_rate"
 FORMULA = "noise_density = N (white noise), random_walk = K (of the bias); no factor of the rate"
 

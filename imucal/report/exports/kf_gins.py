@@ -14,8 +14,6 @@ from imucal.report.exports.spelling import comment, real, vector
 from imucal.report.exports.target import Target
 from imucal.units import datasheet_unit
 
-__all__ = ["TARGET"]
-
 #: m/s^2 in a mGal.
 _MGAL = 1e-5
 _HOUR = 3600.0

@@ -11,8 +11,6 @@ from imucal.report.exports.header import header
 from imucal.report.exports.spelling import comment, real, vector
 from imucal.report.exports.target import Target
 
-__all__ = ["TARGET"]
-
 _KEYS = {"NoiseDensity": "N", "BiasInstability": "B", "RandomWalk": "K"}
 
 

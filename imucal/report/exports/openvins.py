@@ -13,8 +13,6 @@ from imucal.report.exports.kalibr import FORMULA
 from imucal.report.exports.spelling import comment, matrix, plain, quoted, real
 from imucal.report.exports.target import Target
 
-__all__ = ["TARGET"]
-
 _KIND = "continuous-time densities, SI; OpenVINS makes them discrete with the stamps of the messages"
 
 

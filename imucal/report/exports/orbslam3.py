@@ -12,8 +12,6 @@ from imucal.report.exports.header import header
 from imucal.report.exports.spelling import comment, real
 from imucal.report.exports.target import Target
 
-__all__ = ["TARGET"]
-
 
 def _render(numbers: Numbers) -> str:
     values = densities(numbers)

@@ -13,8 +13,6 @@ from imucal.report.exports.header import header
 from imucal.report.exports.spelling import comment, decimal
 from imucal.report.exports.target import Target
 
-__all__ = ["TARGET"]
-
 #: Period of EKF2's prediction, in s (EKF2_PREDICT_US = 10000).
 _PERIOD_S = 0.01
 

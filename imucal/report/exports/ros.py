@@ -13,8 +13,6 @@ from imucal.report.exports.header import header
 from imucal.report.exports.spelling import comment, vector
 from imucal.report.exports.target import Target
 
-__all__ = ["TARGET"]
-
 
 def _render(numbers: Numbers) -> str:
     gyro = numbers.each(Sensor.GYROSCOPE, "N")

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.result import AxisReport
 
-__all__ = ["NOMINAL_TIME_S", "SlowNoise", "slow_noise"]
-
 #: Correlation time where none was measured, in s: long against the record, so that a walk stays one.
 NOMINAL_TIME_S = 3600.0
 

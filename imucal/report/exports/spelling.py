@@ -5,8 +5,6 @@ import math
 from collections.abc import Iterable, Sequence
 from decimal import Decimal
 
-__all__ = ["comment", "decimal", "matrix", "plain", "quoted", "real", "vector"]
-
 
 def real(value: float) -> str:
     """Return a number with a decimal point that reads back exactly: ``200.0``, ``1.0e-05``.

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 from imucal.report.exports.config_numbers import Numbers
 
-__all__ = ["Target"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:

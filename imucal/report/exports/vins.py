@@ -16,8 +16,6 @@ from imucal.report.exports.spelling import comment, real
 from imucal.report.exports.target import Target
 from imucal.units import G0
 
-__all__ = ["TARGET"]
-
 
 def _render(numbers: Numbers) -> str:
     values = densities(numbers)
