@@ -175,7 +175,7 @@ def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[
         z = None
         if a is not None and b is not None and first is not None and second is not None:
             z = _score(first, second, (a.fit.level, b.fit.level), tolerance)
-        unit = TERMS[symbol].units[axis.sensor is Sensor.ACCELEROMETER]
+        unit = TERMS[symbol].unit(axis.sensor)
         differences.append(
             Difference(
                 axis=axis.name,

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, NoiseFit
-from imucal.fitting.spectral.precision import relative_deviations
+from imucal.fitting.spectral.precision import named_terms, relative_deviations
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import TERMS, GaussMarkov, NoiseTerm, PowerLawTerm, RateRamp
+from imucal.noise.term import NoiseTerm
+from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.result import Report
 
@@ -193,7 +194,7 @@ def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
     unseen = [
         (_term(e, e.high), True)
         for e in fit.estimates
-        if e.value is None and e.symbol != "GM" and 0 < e.high < math.inf
+        if e.value is None and not TERMS[e.symbol].repeatable and 0 < e.high < math.inf
     ]
     model = NoiseModel(terms=tuple(term for term, _ in seen))
     found = _axis_plan(model, seen + unseen, ask)
@@ -202,11 +203,8 @@ def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
 
 def _term(estimate: Estimate, value: float) -> NoiseTerm:
     """Return an estimate as a term of coefficient `value`."""
-    if estimate.symbol == "GM":
-        time = estimate.correlation_time
-        return GaussMarkov(sigma=value, T=time.value if time else 1.0)
-    term = TERMS[estimate.symbol]
-    return term(value=value) if issubclass(term, PowerLawTerm) else RateRamp(value=value)
+    time = estimate.correlation_time
+    return TERMS[estimate.symbol].of(value, *([time.value] if time else []))
 
 
 def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:
@@ -242,11 +240,8 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
 
 def _parameters(model: NoiseModel, term: NoiseTerm) -> list[tuple[str, float]]:
     """Return the names and values of a term's parameters."""
-    if not isinstance(term, GaussMarkov):
-        return [(term.symbol, term.coefficient)]
-    times = sorted(t.T for t in model.terms if isinstance(t, GaussMarkov))
-    key = "GM" if len(times) == 1 else f"GM{times.index(term.T) + 1}"
-    return [(f"{key}.sigma", term.sigma), (f"{key}.T", term.T)]
+    names = next(own for other, own in named_terms(model) if other is term)
+    return list(zip(names, term.values, strict=True))
 
 
 def _deviation(model: NoiseModel, name: str, rate_hz: float, duration_s: float) -> float:

@@ -112,24 +112,24 @@ class DatasheetUnit:
     factor: float
 
 
-#: Symbol of a term -> its data-sheet unit for a gyroscope and for an accelerometer.
-DATASHEET: dict[str, tuple[DatasheetUnit, DatasheetUnit]] = {
-    "Q": (DatasheetUnit("arcsec", _HOUR / _DEGREE), DatasheetUnit("m/s", 1.0)),
-    "N": (DatasheetUnit("deg/sqrt(h)", 60 / _DEGREE), DatasheetUnit("m/s/sqrt(h)", 60.0)),
-    "B": (DatasheetUnit("deg/h", _HOUR / _DEGREE), DatasheetUnit("mg", 1e3 / G0)),
-    "GM": (DatasheetUnit("deg/h", _HOUR / _DEGREE), DatasheetUnit("mg", 1e3 / G0)),
-    "K": (
-        DatasheetUnit("deg/h/sqrt(h)", _HOUR / _DEGREE * 60),
-        DatasheetUnit("m/s^2/sqrt(h)", 60.0),
-    ),
-    "R": (DatasheetUnit("deg/h^2", _HOUR**2 / _DEGREE), DatasheetUnit("m/s^2/h", _HOUR)),
+#: What data sheets print coefficients in -> factor that turns SI into it.
+DATASHEET_UNITS: dict[str, float] = {
+    "arcsec": _HOUR / _DEGREE,
+    "m/s": 1.0,
+    "deg/sqrt(h)": 60 / _DEGREE,
+    "m/s/sqrt(h)": 60.0,
+    "deg/h": _HOUR / _DEGREE,
+    "mg": 1e3 / G0,
+    "deg/h/sqrt(h)": _HOUR / _DEGREE * 60,
+    "m/s^2/sqrt(h)": 60.0,
+    "deg/h^2": _HOUR**2 / _DEGREE,
+    "m/s^2/h": _HOUR,
 }
 
 
-def datasheet_unit(symbol: str, sensor: Sensor) -> DatasheetUnit:
-    """Return the data-sheet unit of a term's coefficient."""
-    gyroscope, accelerometer = DATASHEET[symbol]
-    return gyroscope if sensor is Sensor.GYROSCOPE else accelerometer
+def datasheet_unit(name: str) -> DatasheetUnit:
+    """Return the data-sheet unit of that name."""
+    return DatasheetUnit(name, DATASHEET_UNITS[name])
 
 
 def pretty(unit: str) -> str:

@@ -2,7 +2,7 @@
 
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
-from imucal.units import SAMPLE_UNITS, datasheet_unit
+from imucal.units import SAMPLE_UNITS
 
 #: Terms of the model: their coefficients, sigma for GM.
 TERM_QUANTITIES = tuple(TERMS)
@@ -16,22 +16,6 @@ _LOG_UNITS: dict[str, dict[str, float]] = {
     "duration": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
     "gaps": {"": 1.0},
     "missing": {"": 1.0, "%": 0.01, "ppm": 1e-6},
-}
-
-#: What a sample unit is divided by in the unit of a coefficient -> the factor that this is in SI.
-_OVER: dict[str, dict[str, float]] = {
-    "Q": {},
-    "N": {"/sqrt(Hz)": 1.0},
-    "B": {"": 1.0},
-    "GM": {"": 1.0},
-    "K": {"/sqrt(s)": 1.0, "/sqrt(h)": 1 / 60},
-    "R": {"/s": 1.0, "/h": 1 / 3600},
-}
-
-#: Other spellings of the SI unit of K, as Kalibr and OpenVINS have it.
-_ALIASES = {
-    "K": {Sensor.GYROSCOPE: "rad/s^2/sqrt(Hz)", Sensor.ACCELEROMETER: "m/s^3/sqrt(Hz)"},
-    "Q": {Sensor.GYROSCOPE: "rad", Sensor.ACCELEROMETER: "m/s"},
 }
 
 _SIGNS = (
@@ -50,17 +34,17 @@ def quantity_units(quantity: str, sensor: Sensor) -> dict[str, float]:
     if quantity in LOG_QUANTITIES:
         return _LOG_UNITS[quantity]
     symbol = "B" if quantity in SAMPLE_QUANTITIES else quantity
-    si = TERMS[symbol].units[sensor is Sensor.ACCELEROMETER]
-    units = {si: 1.0}
+    term = TERMS[symbol]
+    units = {term.unit(sensor): 1.0}
     units |= {
         f"{name}{over}": factor * divisor
         for name, factor in SAMPLE_UNITS[sensor].items()
-        for over, divisor in _OVER[symbol].items()
+        for over, divisor in term.divisors.items()
     }
-    datasheet = datasheet_unit(symbol, sensor)
+    datasheet = term.datasheet_unit(sensor)
     units[datasheet.name] = 1 / datasheet.factor
-    if symbol in _ALIASES:
-        units[_ALIASES[symbol][sensor]] = 1.0
+    if term.spellings:
+        units[term.spellings[sensor is Sensor.ACCELEROMETER]] = 1.0
     return units
 
 

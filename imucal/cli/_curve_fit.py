@@ -11,7 +11,6 @@ from imucal.cli._options import say
 from imucal.fitting import fit
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.noise.terms import TERMS
-from imucal.recording import Sensor
 
 
 def is_curve_table(path: Path) -> bool:
@@ -66,8 +65,7 @@ def _unit(named: NamedCurve, symbol: str) -> str:
     """Return the SI unit of a coefficient, or nothing where the table doesn't say what it holds."""
     if not named.unit or named.sensor is None:
         return ""
-    gyroscope, accelerometer = TERMS[symbol].units
-    return gyroscope if named.sensor is Sensor.GYROSCOPE else accelerometer
+    return TERMS[symbol].unit(named.sensor)
 
 
 def _table(named: NamedCurve, result: NoiseFit) -> str:

@@ -78,7 +78,7 @@ def _blocks(axes: list[AxisReport], *, datasheet: bool, plain: bool) -> Iterator
     for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
         found = [(axis, next((e for e in axis.fit.estimates if e.key == key), None)) for axis in axes]
         some = [(axis, estimate) for axis, estimate in found if estimate]
-        name = numbers.term_name(some[0][1].symbol, sensor).replace("acceleration", "accel.")
+        name = TERMS[some[0][1].symbol].name(sensor).replace("acceleration", "accel.")
         unit = numbers.datasheet if datasheet else numbers.si
         yield key, _block(f"{key}  {name}", [(a, unit(e, sensor), "") for a, e in some], plain=plain)
         times = [(a, _time(e), "") for a, e in some]

@@ -11,7 +11,8 @@ from imucal.cli._report_input import read_report
 from imucal.cli._types import Number
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
-from imucal.units import DatasheetUnit, datasheet_unit
+from imucal.noise.terms import TERMS
+from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/comparison/1"
 
@@ -141,7 +142,7 @@ def _table(result: Comparison, *, datasheet: bool) -> str:
 def _line(difference: Difference, *, datasheet: bool) -> str:
     unit = DatasheetUnit(difference.unit, 1.0)
     if datasheet and difference.unit != "s":
-        unit = datasheet_unit(difference.symbol, difference.sensor)
+        unit = TERMS[difference.symbol].datasheet_unit(difference.sensor)
     ratio = "" if difference.ratio is None else f"{difference.ratio:.4g}"
     p = "" if difference.p_adjusted is None else _probability(difference.p_adjusted)
     numbers = f"{_cell(difference.a, unit):>11}{_cell(difference.b, unit):>11}{ratio:>8}{p:>9}"

@@ -14,7 +14,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.planning import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
-from imucal.units import DatasheetUnit, datasheet_unit
+from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/planning/1"
 
@@ -191,8 +191,8 @@ def _unit(sensor: Sensor | None, need: Need, *, datasheet: bool) -> DatasheetUni
     if sensor is None:
         return DatasheetUnit("SI", 1.0)
     if datasheet:
-        return datasheet_unit(need.symbol, sensor)
-    return DatasheetUnit(TERMS[need.symbol].units[sensor is Sensor.ACCELEROMETER], 1.0)
+        return TERMS[need.symbol].datasheet_unit(sensor)
+    return DatasheetUnit(TERMS[need.symbol].unit(sensor), 1.0)
 
 
 def _finite(value: float | None) -> float | None:

@@ -9,6 +9,7 @@ from imucal.allan import AllanCurve, allan_curve
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.noise.model import parse_structure
+from imucal.noise.terms import require_fittable
 from imucal.recording import AxisSeries
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ def fit(
     """
     _check(method, criterion, level, weights, max_gm)
     structure = None if model == "auto" else parse_structure(model)
+    require_fittable(structure or (), method)
     if isinstance(series, AllanCurve):
         if method == "mle":
             msg = "maximum likelihood needs the samples, got an Allan curve; use method 'gmwm' or 'slope'"

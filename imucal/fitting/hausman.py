@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.noise.terms import TERMS
 
 #: Estimates further apart than so many standard deviations are reported.
 _DISAGREEMENT = 3.0
@@ -65,7 +66,7 @@ def _distance(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) 
 
 def _relative_variance(fit: NoiseFit, estimate: Estimate) -> float:
     """Return the squared relative standard error of a coefficient; NaN where it is not known."""
-    name = estimate.key if estimate.symbol != "GM" else f"{estimate.key}.sigma"
+    name = TERMS[estimate.symbol].parameter_names(estimate.key)[0]
     if name not in fit.parameters or not estimate.value:
         return math.nan
     place = fit.parameters.index(name)

@@ -6,7 +6,7 @@ from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.state_space import fit_exact
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import GaussMarkov
+from imucal.noise.terms import term_keys
 from imucal.recording import AxisSeries
 
 #: Distance of the two maxima, in standard errors, that is reported as a warning.
@@ -54,14 +54,9 @@ def distances(
 
 def _values(model: NoiseModel) -> dict[str, float]:
     """Return the model's parameters under the names that a fit's covariance uses."""
-    values: dict[str, float] = {}
-    count = sum(isinstance(term, GaussMarkov) for term in model.terms)
-    seen = 0
-    for term in model.terms:
-        if isinstance(term, GaussMarkov):
-            seen += 1
-            key = "GM" if count == 1 else f"GM{seen}"
-            values |= {f"{key}.sigma": term.sigma, f"{key}.T": term.T}
-        else:
-            values[term.symbol] = abs(term.coefficient)
-    return values
+    keys = term_keys(term.symbol for term in model.terms)
+    return {
+        name: abs(value)
+        for term, key in zip(model.terms, keys, strict=True)
+        for name, value in zip(term.parameter_names(key), term.values, strict=True)
+    }

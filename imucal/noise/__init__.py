@@ -1,27 +1,15 @@
 """The mathematics of noise: what can explain a curve."""
 
 from imucal.noise.model import NoiseModel, parse_structure, structure_text
-from imucal.noise.terms import (
-    TERMS,
-    AngleRandomWalk,
-    BiasInstability,
-    GaussMarkov,
-    NoiseTerm,
-    Quantization,
-    RateRamp,
-    RateRandomWalk,
-)
+from imucal.noise.term import NoiseTerm, Stroke
+from imucal.noise.terms import TERMS, GaussMarkov
 
 __all__ = [
     "TERMS",
-    "AngleRandomWalk",
-    "BiasInstability",
     "GaussMarkov",
     "NoiseModel",
     "NoiseTerm",
-    "Quantization",
-    "RateRamp",
-    "RateRandomWalk",
+    "Stroke",
     "parse_structure",
     "structure_text",
 ]

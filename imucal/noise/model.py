@@ -7,23 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.noise.terms import (
-    TERMS,
-    AngleRandomWalk,
-    BiasInstability,
-    GaussMarkov,
-    NoiseTerm,
-    Quantization,
-    RateRamp,
-    RateRandomWalk,
-)
+from imucal.noise.term import NoiseTerm
+from imucal.noise.terms import TERMS, in_order
 
-_SIMPLE = {c.symbol: c for c in (Quantization, AngleRandomWalk, BiasInstability, RateRandomWalk, RateRamp)}
 _TERM = re.compile(r"\s*(?:(?P<count>[1-9]\d*)\s*\*\s*)?(?P<symbol>[A-Z]+)\s*")
-_VALUED = re.compile(r"\s*(?P<symbol>[A-Z]+)\s*=\s*(?P<value>[^\s()]+)\s*")
-_GAUSS_MARKOV = re.compile(
-    r"\s*GM\s*\(\s*sigma\s*=\s*(?P<sigma>[^\s,]+)\s*,\s*T\s*=\s*(?P<T>[^\s)]+)\s*\)\s*"
-)
 _EXAMPLE = "such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'"
 
 
@@ -113,7 +100,7 @@ def parse_structure(text: str) -> tuple[str, ...]:
             raise ValueError(msg)
         symbols += [match["symbol"]] * int(match["count"] or 1)
     _refuse_repeats(tuple(symbols))
-    return tuple(sorted(symbols, key=list(TERMS).index))
+    return in_order(symbols)
 
 
 def structure_text(symbols: Iterable[str]) -> str:
@@ -129,13 +116,12 @@ def _split(text: str) -> list[str]:
 
 
 def _parse_term(part: str) -> NoiseTerm:
-    if match := _GAUSS_MARKOV.fullmatch(part):
-        return GaussMarkov(sigma=_number(match["sigma"]), T=_number(match["T"]))
-    match = _VALUED.fullmatch(part)
-    if match is None or match["symbol"] not in _SIMPLE:
-        msg = f"model term {part.strip()!r} is not understood; write a sum {_EXAMPLE}"
-        raise ValueError(msg)
-    return _SIMPLE[match["symbol"]](value=_number(match["value"]))
+    for term in TERMS.values():
+        found = term.parameter_texts(part)
+        if found is not None:
+            return term.of(*map(_number, found))
+    msg = f"model term {part.strip()!r} is not understood; write a sum {_EXAMPLE}"
+    raise ValueError(msg)
 
 
 def _number(text: str) -> float:
@@ -147,7 +133,8 @@ def _number(text: str) -> float:
 
 
 def _refuse_repeats(symbols: tuple[str, ...]) -> None:
-    for symbol in set(symbols) - {"GM"}:
-        if symbols.count(symbol) > 1:
-            msg = f"{symbol} stands more than once; only GM may"
+    for symbol in set(symbols):
+        if symbols.count(symbol) > 1 and not TERMS[symbol].repeatable:
+            only = " and ".join(name for name, term in TERMS.items() if term.repeatable)
+            msg = f"{symbol} stands more than once; only {only} may"
             raise ValueError(msg)

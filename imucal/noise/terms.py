@@ -1,111 +1,22 @@
-"""The noise terms: one small immutable class a term.
+"""The noise terms, one small class each, and the table of them.
 
 Coefficients are continuous and SI (rad/s/√Hz, …); every formula is exact for the process sampled
 at tau0, so that nothing is off at the first averaging times. Two-sided psd.
 
-Source: IEEE Std 952-1997, Annex C (coefficients); the discrete forms follow from `powerlaw`.
+Source: IEEE Std 952-1997, Annex C (coefficients, and where the curve shows them in table C.1); the
+discrete forms follow from `powerlaw`.
 """
 
-from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from imucal.arrays import FloatArray
-from imucal.noise.formulas import draw_flicker, gauss_markov_avar, gauss_markov_sum
+from imucal.arrays import FloatArray, IntArray
+from imucal.noise.formulas import draw_flicker, gauss_markov_avar, gauss_markov_dct, gauss_markov_sum
+from imucal.noise.term import NoiseTerm, PowerLawTerm, Stroke, Words, require_non_negative
 from imucal.powerlaw import PowerLaw
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoiseTerm(ABC):
-    """One term of a noise model.
-
-    Class attributes: `symbol`, and `names` and `units` of the coefficient for a gyroscope and
-    an accelerometer.
-    """
-
-    symbol: ClassVar[str]
-    names: ClassVar[tuple[str, str]]
-    units: ClassVar[tuple[str, str]]
-
-    @property
-    @abstractmethod
-    def coefficient(self) -> float:
-        """The coefficient, in the SI unit of `units`."""
-
-    @abstractmethod
-    def avar(self, m: FloatArray, tau0: float) -> FloatArray:
-        """Return the Allan variance at averaging factors `m`, shape (k,), in U²."""
-
-    @abstractmethod
-    def psd(self, f: FloatArray, tau0: float) -> FloatArray:
-        """Return the two-sided psd of the sampled process at `f` in Hz, shape (k,), in U²/Hz."""
-
-    @abstractmethod
-    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
-        """Return D(k), the mean square difference of samples `k` apart, shape (j,), in U²."""
-
-    @abstractmethod
-    def sum_variance(self, n: FloatArray, tau0: float) -> FloatArray:
-        """Return V(n), the generalised variance of the sum of `n` samples, shape (j,), in U².
-
-        See `imucal.powerlaw`: avar(m) = (4 V(m) - V(2m)) / (2 m²).
-        """
-
-    @abstractmethod
-    def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
-        """Return `n` samples, shape (n,), in U."""
-
-    @abstractmethod
-    def text(self) -> str:
-        """Return the term as a model text holds it, such as ``N=0.001``."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PowerLawTerm(NoiseTerm):
-    """A term whose spectrum is a power law; `value` is its coefficient."""
-
-    law: ClassVar[PowerLaw]
-    value: float
-
-    def __post_init__(self) -> None:
-        _require_non_negative(self.symbol, self.value)
-
-    @property
-    def coefficient(self) -> float:
-        return self.value
-
-    @staticmethod
-    @abstractmethod
-    def per_sample(tau0: float) -> float:
-        """Return the deviation per sample of a coefficient of 1."""
-
-    def variance(self, tau0: float) -> float:
-        """Return the variance parameter per sample, in U²."""
-        return (self.value * self.per_sample(tau0)) ** 2
-
-    def avar(self, m: FloatArray, tau0: float) -> FloatArray:
-        return self.variance(tau0) * self.law.avar(m)
-
-    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
-        return self.variance(tau0) * self.law.structure(k)
-
-    def sum_variance(self, n: FloatArray, tau0: float) -> FloatArray:
-        return self.variance(tau0) * self.law.sum_variance(n)
-
-    def psd(self, f: FloatArray, tau0: float) -> FloatArray:
-        return self.variance(tau0) * tau0 * self.law.psd(2 * np.pi * np.asarray(f) * tau0)
-
-    def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
-        return self.value * self.per_sample(tau0) * self._unit(n, rng)
-
-    @abstractmethod
-    def _unit(self, n: int, rng: np.random.Generator) -> FloatArray:
-        """Return `n` samples of variance parameter 1."""
-
-    def text(self) -> str:
-        return f"{self.symbol}={self.value!r}"
 
 
 class Quantization(PowerLawTerm):
@@ -116,10 +27,17 @@ class Quantization(PowerLawTerm):
     law = PowerLaw.QUANTIZATION
     names = ("quantization noise", "quantization noise")
     units = ("rad", "m/s")
+    datasheet = ("arcsec", "m/s")
+    slope = -1.0
+    stroke = Stroke("#8a6100", "#e6b64c", (1, 2))
+    words = Words("slope −1, read at τ = √3 s", "rounding of the integrated output", "GMWM: QN")
 
-    @staticmethod
-    def per_sample(tau0: float) -> float:
+    @classmethod
+    def per_sample(cls, tau0: float) -> float:
         return 1 / tau0
+
+    def read_off(self) -> tuple[float | None, float]:
+        return float(np.sqrt(3)), self.value
 
     def _unit(self, n: int, rng: np.random.Generator) -> FloatArray:
         steps: FloatArray = np.diff(rng.standard_normal(n + 1))
@@ -134,10 +52,23 @@ class AngleRandomWalk(PowerLawTerm):
     law = PowerLaw.WHITE
     names = ("angle random walk", "velocity random walk")
     units = ("rad/s/sqrt(Hz)", "m/s^2/sqrt(Hz)")
+    datasheet = ("deg/sqrt(h)", "m/s/sqrt(h)")
+    divisors: ClassVar[dict[str, float]] = {"/sqrt(Hz)": 1.0}
+    slope = -0.5
+    always = True
+    stroke = Stroke("#b84300", "#ff9157", (6, 2))
+    words = Words(
+        "slope −1/2, read at τ = 1 s",
+        "white noise of the rate; its integral walks",
+        "noise density; Kalibr: noise_density; GMWM: WN. Not Kalibr's random_walk",
+    )
 
-    @staticmethod
-    def per_sample(tau0: float) -> float:
+    @classmethod
+    def per_sample(cls, tau0: float) -> float:
         return float(1 / np.sqrt(tau0))
+
+    def read_off(self) -> tuple[float | None, float]:
+        return 1.0, self.value
 
     def _unit(self, n: int, rng: np.random.Generator) -> FloatArray:
         return rng.standard_normal(n)
@@ -151,10 +82,19 @@ class BiasInstability(PowerLawTerm):
     law = PowerLaw.FLICKER
     names = ("bias instability", "bias instability")
     units = ("rad/s", "m/s^2")
+    datasheet = ("deg/h", "mg")
+    divisors: ClassVar[dict[str, float]] = {"": 1.0}
+    slope = 0.0
+    always = True
+    stroke = Stroke("#00734f", "#36c99a", (6, 2, 1, 2))
+    words = Words(
+        "slope 0, the floor lies at 0.664 B",
+        "flicker: the bias wanders at every scale alike",
+        "often confused with the curve's minimum, which is at least 0.664 B",
+    )
 
-    @staticmethod
-    def per_sample(tau0: float) -> float:  # noqa: ARG004 - a floor has no time scale
-        return 1.0
+    def read_off(self) -> tuple[float | None, float]:
+        return None, float(np.sqrt(2 * np.log(2) / np.pi)) * self.value
 
     def _unit(self, n: int, rng: np.random.Generator) -> FloatArray:
         return draw_flicker(n, rng)
@@ -168,10 +108,25 @@ class RateRandomWalk(PowerLawTerm):
     law = PowerLaw.WALK
     names = ("rate random walk", "acceleration random walk")
     units = ("rad/s/sqrt(s)", "m/s^2/sqrt(s)")
+    datasheet = ("deg/h/sqrt(h)", "m/s^2/sqrt(h)")
+    divisors: ClassVar[dict[str, float]] = {"/sqrt(s)": 1.0, "/sqrt(h)": 1 / 60}
+    # As Kalibr and OpenVINS spell it.
+    spellings = ("rad/s^2/sqrt(Hz)", "m/s^3/sqrt(Hz)")
+    slope = 0.5
+    always = True
+    stroke = Stroke("#a63c78", "#ee8fc4", (10, 3))
+    words = Words(
+        "slope +1/2, read at τ = 3 s",
+        "the bias takes white steps",
+        "Kalibr: random_walk; bias random walk; GMWM: RW",
+    )
 
-    @staticmethod
-    def per_sample(tau0: float) -> float:
+    @classmethod
+    def per_sample(cls, tau0: float) -> float:
         return float(np.sqrt(tau0))
+
+    def read_off(self) -> tuple[float | None, float]:
+        return 3.0, self.value
 
     def _unit(self, n: int, rng: np.random.Generator) -> FloatArray:
         return np.cumsum(rng.standard_normal(n))
@@ -184,6 +139,12 @@ class RateRamp(NoiseTerm):
     symbol = "R"
     names = ("rate ramp", "acceleration ramp")
     units = ("rad/s^2", "m/s^3")
+    datasheet = ("deg/h^2", "m/s^2/h")
+    divisors: ClassVar[dict[str, float]] = {"/s": 1.0, "/h": 1 / 3600}
+    slope = 1.0
+    fitted_by = frozenset({"mle", "gmwm", "slope"})
+    stroke = Stroke("#4c6a00", "#a9cc45", (8, 2, 1, 2, 1, 2))
+    words = Words("slope +1, read at τ = √2 s", "a steady drift, such as warming up", "GMWM: DR")
     value: float
 
     def __post_init__(self) -> None:
@@ -191,9 +152,12 @@ class RateRamp(NoiseTerm):
             msg = f"R must be finite, got {self.value}"
             raise ValueError(msg)
 
-    @property
-    def coefficient(self) -> float:
-        return self.value
+    @classmethod
+    def per_sample(cls, tau0: float) -> float:
+        return tau0
+
+    def read_off(self) -> tuple[float | None, float]:
+        return float(np.sqrt(2)), abs(self.value)
 
     def avar(self, m: FloatArray, tau0: float) -> FloatArray:
         tau = np.asarray(m, dtype=np.float64) * tau0
@@ -212,9 +176,6 @@ class RateRamp(NoiseTerm):
     def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:  # noqa: ARG002
         return self.value * tau0 * np.arange(n, dtype=np.float64)
 
-    def text(self) -> str:
-        return f"R={self.value!r}"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GaussMarkov(NoiseTerm):
@@ -226,18 +187,24 @@ class GaussMarkov(NoiseTerm):
     symbol = "GM"
     names = ("Gauss-Markov", "Gauss-Markov")
     units = ("rad/s", "m/s^2")
+    datasheet = ("deg/h", "mg")
+    divisors: ClassVar[dict[str, float]] = {"": 1.0}
+    fitted_by = frozenset({"mle", "gmwm"})
+    repeatable = True
+    stroke = Stroke("#5c4a9e", "#a99cf0", (3, 1.5))
+    words = Words(
+        "a hump of 0.617 σ at 1.89 T",
+        "a bias that forgets with the correlation time T; a filter state",
+        "AR1, exponentially correlated noise",
+    )
     sigma: float
     T: float
 
     def __post_init__(self) -> None:
-        _require_non_negative("GM sigma", self.sigma)
+        require_non_negative("GM sigma", self.sigma)
         if not (np.isfinite(self.T) and self.T > 0):
             msg = f"GM T must be positive and finite, got {self.T}"
             raise ValueError(msg)
-
-    @property
-    def coefficient(self) -> float:
-        return self.sigma
 
     def phi(self, tau0: float) -> float:
         """Return the correlation of neighbouring samples."""
@@ -273,8 +240,20 @@ class GaussMarkov(NoiseTerm):
         samples, _ = lfilter([1.0], [1.0, -phi], steps, zi=np.array([phi * start]))
         return np.asarray(samples, dtype=np.float64)
 
-    def text(self) -> str:
-        return f"GM(sigma={self.sigma!r}, T={self.T!r})"
+    def read_off(self) -> tuple[float | None, float]:
+        # The hump: 0.437 q sqrt(T) = 0.617 sigma at 1.89 T, where q² = 2 sigma²/T drives it.
+        return 1.89 * self.T, 0.617 * self.sigma
+
+    def dct_slopes(
+        self, n: int, first: IntArray, count: IntArray, tau0: float
+    ) -> tuple[FloatArray, FloatArray]:
+        single = count == 1
+        sign = np.where(single, np.where(first % 2 == 0, 1.0, -1.0), 0.0)
+        lam = 4 * np.sin(np.pi * (first + (count - 1) / 2) / n / 2) ** 2
+        log_time = np.array([[np.log(self.T / tau0)]])
+        shape, slope = gauss_markov_dct(log_time, lam, np.full(lam.shape, float(n)), sign)
+        own = self.sigma**2 * shape[0]
+        return own, np.array([2 * own, self.sigma**2 * slope[0]])
 
 
 #: Symbol of a term -> its class, in the order of a rising slope.
@@ -283,8 +262,38 @@ TERMS: dict[str, type[NoiseTerm]] = {
     for term in (Quantization, AngleRandomWalk, BiasInstability, GaussMarkov, RateRandomWalk, RateRamp)
 }
 
+#: Symbols that every fit reports, as a bound where the data don't show the term.
+ALWAYS = tuple(symbol for symbol, term in TERMS.items() if term.always)
 
-def _require_non_negative(symbol: str, value: float) -> None:
-    if not (np.isfinite(value) and value >= 0):
-        msg = f"{symbol} must be finite and not negative, got {value}"
-        raise ValueError(msg)
+
+def in_order(symbols: Iterable[str]) -> tuple[str, ...]:
+    """Return symbols in the order of `TERMS`; those that are alike stay as they stand."""
+    return tuple(sorted(symbols, key=list(TERMS).index))
+
+
+def term_keys(symbols: Iterable[str]) -> tuple[str, ...]:
+    """Return what a fit calls its terms: their symbols, numbered where one stands more than once."""
+    ordered = tuple(symbols)
+    seen = dict.fromkeys(ordered, 0)
+    keys = []
+    for symbol in ordered:
+        seen[symbol] += 1
+        keys.append(symbol if ordered.count(symbol) == 1 else f"{symbol}{seen[symbol]}")
+    return tuple(keys)
+
+
+def require_fittable(symbols: Iterable[str], method: str) -> None:
+    """Refuse terms that a method can't fit.
+
+    Raises
+    ------
+    ValueError
+        Naming the term, the method, and the methods that can fit it.
+    """
+    for symbol in symbols:
+        term = TERMS[symbol]
+        if method not in term.fitted_by:
+            others = " or ".join(repr(name) for name in sorted(term.fitted_by))
+            msg = f"method {method!r} can't fit {symbol} ({term.names[0]}); leave {symbol} out"
+            msg += f" or use method {others}" if others else ", no other method can fit it either"
+            raise ValueError(msg)

@@ -13,6 +13,7 @@ import numpy as np
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
+from imucal.noise.terms import TERMS
 from imucal.recording import Sensor, Source
 from imucal.report import numbers
 from imucal.report.markov import gauss_markov_term
@@ -191,7 +192,7 @@ def _term(estimate: Estimate, sensor: Sensor) -> dict[str, object]:
     plain_si, sheet = numbers.si(estimate, sensor), numbers.datasheet(estimate, sensor)
     return {
         "symbol": estimate.symbol,
-        "name": numbers.term_name(estimate.symbol, sensor),
+        "name": TERMS[estimate.symbol].name(sensor),
         "status": estimate.status,
         "value": plain(estimate.value),
         "low": plain(estimate.low),

@@ -7,12 +7,13 @@ outlives a call. Sizes are chosen so that the smallest text has 9 px at a width 
 import io
 from typing import TYPE_CHECKING, Any
 
+from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.figure_allan import MARKERS, draw_allan, draw_allan_overview
 from imucal.report.figure_parts import LEGEND_SIZE, SMALL_SIZE, TITLE_SIZE, dashes, estimate_text, new_figure
 from imucal.report.figure_psd import draw_psd, draw_psd_overview
-from imucal.report.palette import AXES, FADED, INK, TERMS
+from imucal.report.palette import AXES, FADED, INK
 from imucal.report.result import AxisReport, Report
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
+from imucal.noise.terms import TERMS
 from imucal.report import numbers
 from imucal.report.figure_parts import (
     LEGEND_SIZE,
@@ -18,7 +19,7 @@ from imucal.report.figure_parts import (
     term_entries,
 )
 from imucal.report.labels import Label, place_labels
-from imucal.report.palette import AXES, DATA, INK, MODEL, TERMS, UNUSED
+from imucal.report.palette import AXES, DATA, INK, MODEL, UNUSED
 from imucal.report.result import AxisReport
 from imucal.units import pretty
 
@@ -135,7 +136,7 @@ def _term(  # noqa: PLR0917 - drawing takes what is drawn
     axes: "Axes", axis: AxisReport, drawn: Drawn, tau: FloatArray, line: FloatArray, total: FloatArray
 ) -> list[Label]:
     """Draw a term's line and read-off; return its label, or nothing where no part of it is in view."""
-    stroke, bounded = TERMS[drawn.estimate.symbol], drawn.estimate.value is None
+    stroke, bounded = TERMS[drawn.estimate.symbol].stroke, drawn.estimate.value is None
     style: dict[str, Any] = {"linewidth": 1.0 if bounded else 1.3, "alpha": 0.65 if bounded else 1.0}
     axes.plot(tau, line, color=stroke.light, zorder=3, **style, **dashes(stroke))
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()

@@ -8,13 +8,13 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Estimate
-from imucal.noise.model import NoiseModel
-from imucal.noise.terms import GaussMarkov, NoiseTerm
+from imucal.noise.term import NoiseTerm, Stroke
+from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.log_ticks import draw_ticks
 from imucal.report.markov import gauss_markov_term
-from imucal.report.palette import FRAME, INK, TERMS, Stroke
+from imucal.report.palette import FRAME, INK
 from imucal.report.result import AxisReport
 from imucal.units import pretty
 
@@ -86,8 +86,8 @@ def term_entries(axis: AxisReport, terms: list[Drawn]) -> list[Any]:
     entries: dict[str, Any] = {}
     for drawn in terms:
         symbol, bounded = drawn.estimate.symbol, drawn.estimate.value is None
-        stroke = TERMS[symbol]
-        name = f"{symbol}{' bound:' if bounded else ''} {numbers.term_name(symbol, axis.sensor)}"
+        stroke = TERMS[symbol].stroke
+        name = f"{symbol}{' bound:' if bounded else ''} {TERMS[symbol].name(axis.sensor)}"
         marker: dict[str, Any] = {"marker": "v" if bounded else "D", "markersize": 5.5}
         face = "white" if bounded else stroke.light
         entries[symbol] = Line2D(
@@ -108,7 +108,7 @@ def drawn_terms(axis: AxisReport) -> list[Drawn]:
     found = []
     by_symbol = {term.symbol: term for term in axis.fit.model.terms}
     for estimate in axis.fit.estimates:
-        if estimate.symbol == "GM":
+        if TERMS[estimate.symbol].repeatable:
             term: NoiseTerm | None = gauss_markov_term(axis.fit, estimate)
         elif estimate.value is None:
             term = _bound(estimate)
@@ -137,25 +137,9 @@ def density_unit(sensor: Sensor) -> str:
 def _bound(estimate: Estimate) -> NoiseTerm | None:
     if not (math.isfinite(estimate.high) and estimate.high > 0):
         return None
-    return NoiseModel.parse(f"{estimate.symbol}={estimate.high!r}").terms[0]
+    return TERMS[estimate.symbol].of(estimate.high)
 
 
 def _drawn(estimate: Estimate, term: NoiseTerm) -> Drawn:
-    """Say where the coefficient is read: IEEE Std 952-1997, table C.1."""
-    value = abs(term.coefficient)
-    match estimate.symbol:
-        case "Q":
-            return Drawn(estimate=estimate, term=term, tau_s=math.sqrt(3), height=value)
-        case "N":
-            return Drawn(estimate=estimate, term=term, tau_s=1.0, height=value)
-        case "K":
-            return Drawn(estimate=estimate, term=term, tau_s=3.0, height=value)
-        case "R":
-            return Drawn(estimate=estimate, term=term, tau_s=math.sqrt(2), height=value)
-        case "GM":
-            # The hump: 0.437 q sqrt(T) = 0.617 sigma at 1.89 T, where q² = 2 sigma²/T drives it.
-            time = term.T if isinstance(term, GaussMarkov) else 1.0
-            return Drawn(estimate=estimate, term=term, tau_s=1.89 * time, height=0.617 * value)
-    return Drawn(
-        estimate=estimate, term=term, tau_s=None, height=math.sqrt(2 * math.log(2) / math.pi) * value
-    )
+    tau_s, height = term.read_off()
+    return Drawn(estimate=estimate, term=term, tau_s=tau_s, height=height)

@@ -6,6 +6,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Line
+from imucal.noise.terms import TERMS
 from imucal.report.figure_parts import (
     LEGEND_SIZE,
     Drawn,
@@ -16,7 +17,7 @@ from imucal.report.figure_parts import (
     style_axes,
 )
 from imucal.report.labels import Label, place_labels
-from imucal.report.palette import AXES, DATA, INK, LEFT_OUT, MODEL, TERMS, UNUSED
+from imucal.report.palette import AXES, DATA, INK, LEFT_OUT, MODEL, UNUSED
 from imucal.report.result import AxisReport
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def draw_psd_overview(axes: "Axes", reports: list[AxisReport]) -> None:
 
 def _term(axes: "Axes", axis: AxisReport, drawn: Drawn, grid: FloatArray) -> None:
     density = np.sqrt(drawn.term.psd(grid, 1 / axis.fit.rate_hz))
-    stroke = TERMS[drawn.estimate.symbol]
+    stroke = TERMS[drawn.estimate.symbol].stroke
     if drawn.estimate.value is not None and np.any(density > 0):
         axes.plot(grid, density, color=stroke.light, linewidth=1.1, zorder=3, **dashes(stroke))
 

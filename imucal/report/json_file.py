@@ -13,7 +13,7 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.document import SCHEMA
 from imucal.report.reading import Node
@@ -214,7 +214,7 @@ def _model(node: Node) -> NoiseModel:
 
 
 def _estimates(node: Node) -> tuple[Estimate, ...]:
-    for always in ("N", "B", "K"):
+    for always in ALWAYS:
         node[always].table()
     return tuple(_estimate(node[key], key) for key in node.table())
 

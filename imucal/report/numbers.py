@@ -14,7 +14,7 @@ from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport
-from imucal.units import datasheet_unit, pretty
+from imucal.units import pretty
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 #: Beyond this ratio of its two sides an interval is printed, not a symmetric uncertainty.
@@ -46,22 +46,15 @@ class Quantity:
         return abs(self.high if self.value is None else self.value)
 
 
-def term_name(symbol: str, sensor: Sensor) -> str:
-    """Return the field's name of a term, such as ``angle random walk``."""
-    gyroscope, accelerometer = TERMS[symbol].names
-    return gyroscope if sensor is Sensor.GYROSCOPE else accelerometer
-
-
 def si(estimate: Estimate, sensor: Sensor) -> Quantity:
     """Return an estimate's coefficient in SI."""
-    gyroscope, accelerometer = TERMS[estimate.symbol].units
-    unit = gyroscope if sensor is Sensor.GYROSCOPE else accelerometer
+    unit = TERMS[estimate.symbol].unit(sensor)
     return Quantity(value=estimate.value, low=estimate.low, high=estimate.high, unit=unit)
 
 
 def datasheet(estimate: Estimate, sensor: Sensor) -> Quantity:
     """Return an estimate's coefficient in the unit that data sheets print."""
-    unit = datasheet_unit(estimate.symbol, sensor)
+    unit = TERMS[estimate.symbol].datasheet_unit(sensor)
     return si(estimate, sensor).scaled(unit.factor, unit.name)
 
 
@@ -82,7 +75,7 @@ def minimum(axis: AxisReport) -> tuple[Quantity, Quantity]:
     known = math.isfinite(low[at]) and math.isfinite(high[at])
     limits = (float(low[at]), float(high[at])) if known else (adev, adev)
     quantity = Quantity(value=adev, low=limits[0], high=limits[1], unit=axis.unit)
-    unit = datasheet_unit("B", axis.sensor)
+    unit = TERMS["B"].datasheet_unit(axis.sensor)
     return quantity, quantity.scaled(unit.factor, unit.name)
 
 

@@ -6,13 +6,14 @@ import math
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.noise.terms import TERMS
 from imucal.report import numbers
 from imucal.report.document import plain
 from imucal.report.figure_allan import shown_points
 from imucal.report.figure_parts import drawn_terms
-from imucal.report.palette import DATA, LEFT_OUT, MODEL, TERMS, UNUSED
+from imucal.report.palette import DATA, LEFT_OUT, MODEL, UNUSED
 from imucal.report.result import AxisReport, Overview, Report
-from imucal.units import datasheet_unit, pretty
+from imucal.units import pretty
 
 #: Points of a smooth line, per plot.
 _FINE = 60
@@ -25,7 +26,7 @@ _NEIGHBOURS = 25
 
 def page_data(report: Report) -> str:
     """Return the JSON text of all plots; safe inside a script element."""
-    strokes = {symbol: [stroke.light, stroke.dark] for symbol, stroke in TERMS.items()}
+    strokes = {symbol: [term.stroke.light, term.stroke.dark] for symbol, term in TERMS.items()}
     document = {
         "colours": {
             **strokes,
@@ -69,7 +70,7 @@ def _running_median(values: FloatArray) -> FloatArray:
 
 
 def _axis(axis: AxisReport) -> dict[str, object]:
-    level, density = datasheet_unit("B", axis.sensor), datasheet_unit("N", axis.sensor)
+    level, density = TERMS["B"].datasheet_unit(axis.sensor), TERMS["N"].datasheet_unit(axis.sensor)
     return {
         "units": {
             "si": [pretty(axis.unit), 1, pretty(f"{axis.unit}/sqrt(Hz)"), 1],
@@ -119,7 +120,7 @@ def _fine(axis: AxisReport) -> dict[str, object]:
             {
                 "key": estimate.key,
                 "symbol": estimate.symbol,
-                "name": numbers.term_name(estimate.symbol, axis.sensor),
+                "name": TERMS[estimate.symbol].name(axis.sensor),
                 "bounded": estimate.value is None,
                 "si": numbers.with_interval(si),
                 "sheet": numbers.with_interval(numbers.comfortable(sheet)),

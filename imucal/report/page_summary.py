@@ -6,12 +6,12 @@ from typing import TypeAlias
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate
+from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.markov import gauss_markov_term
 from imucal.report.markup import Markup, element, join, row, table
 from imucal.report.numbers import Quantity
-from imucal.report.palette import TERMS
 from imucal.report.result import AxisReport, Report
 from imucal.units import pretty
 
@@ -122,7 +122,7 @@ def _term_rows(key: str, axes: list[AxisReport], sensor: Sensor) -> list[Markup]
         None if e is None else ((numbers.si(e, sensor), numbers.datasheet(e, sensor)), "") for e in found
     ]
     if symbol != "GM":
-        return [_row(key, numbers.term_name(symbol, sensor), cells)]
+        return [_row(key, TERMS[symbol].name(sensor), cells)]
     times = [None if e is None else _time(e) for e in found]
     return [
         _row(f"{key} σ", "Gauss-Markov, standard deviation", cells),

@@ -8,7 +8,7 @@ from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.markup import Markup, element, join, row, table
 from imucal.report.result import AxisReport, Report
-from imucal.units import datasheet_unit, pretty
+from imucal.units import pretty
 
 _METHODS = {
     "mle": "maximum likelihood on the discrete cosine transform of the samples: each coefficient's square is "
@@ -29,25 +29,6 @@ _CRITERIA = {
     "hq": "the model was chosen by the Hannan-Quinn criterion",
     "aic": "the model was chosen by Akaike's criterion",
 }
-_MEANINGS = {
-    "Q": ("slope −1, read at τ = √3 s", "rounding of the integrated output"),
-    "N": ("slope −1/2, read at τ = 1 s", "white noise of the rate; its integral walks"),
-    "B": ("slope 0, the floor lies at 0.664 B", "flicker: the bias wanders at every scale alike"),
-    "GM": (
-        "a hump of 0.617 σ at 1.89 T",
-        "a bias that forgets with the correlation time T; a filter state",
-    ),
-    "K": ("slope +1/2, read at τ = 3 s", "the bias takes white steps"),
-    "R": ("slope +1, read at τ = √2 s", "a steady drift, such as warming up"),
-}
-_OTHER_NAMES = {
-    "Q": "GMWM: QN",
-    "N": "noise density; Kalibr: noise_density; GMWM: WN. Not Kalibr's random_walk",
-    "B": "often confused with the curve's minimum, which is at least 0.664 B",
-    "GM": "AR1, exponentially correlated noise",
-    "K": "Kalibr: random_walk; bias random walk; GMWM: RW",
-    "R": "GMWM: DR",
-}
 
 
 def glossary_section() -> Markup:
@@ -55,17 +36,16 @@ def glossary_section() -> Markup:
     titles = ("Term", "In the curve", "What it is", "SI", "Data sheets", "Other names")
     body = []
     for symbol, term in TERMS.items():
-        slope, meaning = _MEANINGS[symbol]
         names = " / ".join(dict.fromkeys(term.names))
-        sheets = [datasheet_unit(symbol, sensor) for sensor in Sensor]
+        sheets = [term.datasheet_unit(sensor) for sensor in Sensor]
         body.append(
             row(
                 element("th", element("b", symbol), f" {names}", scope="row"),
-                element("td", slope),
-                element("td", meaning),
+                element("td", term.words.in_the_curve),
+                element("td", term.words.meaning),
                 element("td", " · ".join(pretty(unit) for unit in term.units)),
                 element("td", " · ".join(f"{pretty(u.name)} (×{u.factor:.6g})" for u in sheets)),
-                element("td", _OTHER_NAMES[symbol]),
+                element("td", term.words.other_names),
             )
         )
     return table(

@@ -30,7 +30,8 @@ from imucal.fitting.spectral.selection import choose
 from imucal.fitting.spectral.structures import candidates_of, parameter_columns
 from imucal.fitting.spectral.transform import ordinates_of
 from imucal.noise.model import NoiseModel, parse_structure
-from imucal.noise.terms import GaussMarkov, PowerLawTerm
+from imucal.noise.term import PowerLawTerm
+from imucal.noise.terms import GaussMarkov
 from imucal.recording import AxisSeries
 
 #: The settings of the study: per-sample units, the sampling period is 1 s.

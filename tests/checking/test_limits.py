@@ -13,7 +13,7 @@ from imucal.checking.limit_units import SAMPLE_QUANTITIES, TERM_QUANTITIES, plai
 from imucal.errors import LimitsError
 from imucal.noise import TERMS
 from imucal.recording import Sensor
-from imucal.units import G0, datasheet_unit
+from imucal.units import G0
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "limits-example.toml"
 DEGREE = math.pi / 180
@@ -64,9 +64,9 @@ def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, qua
     """SI is what stands where no unit is given."""
     units = quantity_units(quantity, sensor)
     symbol = quantity if quantity in TERMS else "B"
-    assert next(iter(units)) == TERMS[symbol].units[sensor is Sensor.ACCELEROMETER]
+    assert next(iter(units)) == TERMS[symbol].unit(sensor)
     assert next(iter(units.values())) == 1
-    assert datasheet_unit(symbol, sensor).name in units
+    assert TERMS[symbol].datasheet_unit(sensor).name in units
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ from imucal.errors import DataError
 from imucal.fitting import state_space as module
 from imucal.fitting.state_space import fit_exact, log_likelihood
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import GaussMarkov, PowerLawTerm, RateRamp
+from imucal.noise.term import PowerLawTerm
+from imucal.noise.terms import GaussMarkov, RateRamp
 from imucal.powerlaw import odd_harmonic
 from imucal.recording import AxisSeries
 

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucal.noise import GaussMarkov, NoiseModel, RateRamp, parse_structure, structure_text
+from imucal.noise import GaussMarkov, NoiseModel, parse_structure, structure_text
+from imucal.noise.terms import RateRamp
 
 TEXT = "N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)"
 

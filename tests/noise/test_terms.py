@@ -10,18 +10,19 @@ import pytest
 from imucal.allan.estimators import ESTIMATORS
 from imucal.allan.variance import variances
 from imucal.arrays import FloatArray
-from imucal.noise import (
+from imucal.noise.formulas import gauss_markov_avar, gauss_markov_sum
+from imucal.noise.model import NoiseModel
+from imucal.noise.term import NoiseTerm
+from imucal.noise.terms import (
     TERMS,
     AngleRandomWalk,
     BiasInstability,
     GaussMarkov,
-    NoiseModel,
-    NoiseTerm,
     Quantization,
     RateRamp,
     RateRandomWalk,
 )
-from imucal.noise.formulas import gauss_markov_avar, gauss_markov_sum
+from tests.noise.contract import missing
 
 TAU0 = 0.005
 MEMBERS: list[NoiseTerm] = [
@@ -262,3 +263,9 @@ def test_refuses_an_impossible_gauss_markov_and_ramp() -> None:
         GaussMarkov(sigma=1.0, T=0.0)
     with pytest.raises(ValueError, match="R must be finite, got inf"):
         RateRamp(value=float("inf"))
+
+
+@pytest.mark.parametrize("symbol", TERMS)
+def test_nothing_is_forgotten(symbol: str) -> None:
+    """Each term has what every part of imucal asks of it, and stands in schema and docs."""
+    assert missing(symbol) == []

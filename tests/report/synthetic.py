@@ -14,7 +14,8 @@ from imucal.clock import Gap
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import GaussMarkov, NoiseTerm
+from imucal.noise.term import NoiseTerm
+from imucal.noise.terms import GaussMarkov
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.result import AxisReport, Overview, Report
 

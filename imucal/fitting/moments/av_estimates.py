@@ -10,9 +10,8 @@ from imucal.fitting.moments.av_points import AvarPoints, columns
 from imucal.fitting.moments.av_search import Solution, Weight, non_negative
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import ALWAYS, TERMS
 
-_ALWAYS = "NBK"
 _ORDER = "QNBKR"
 
 
@@ -42,7 +41,7 @@ def curve_estimates(
 
     A term that is not in the model gets the upper bound that it has when it is added.
     """
-    laws = "".join(law for law in _ORDER if law in solution.laws or law in _ALWAYS)
+    laws = "".join(law for law in _ORDER if law in solution.laws or law in ALWAYS)
     spread = Spread(curve=CurveSpread.of_terms(points, laws, solution.times), weight=weight)
     reader = _Reader(points, spread, _padded(solution, laws), solution.laws, level)
     entries: list[tuple[Estimate, int]] = []
@@ -164,7 +163,7 @@ class _Reader:
         slopes: list[float] = []
         for estimate, place in shown:
             value, variance = estimate.value or 0.0, float(self.solution.variances[place])
-            names.append(estimate.key if estimate.symbol != "GM" else f"{estimate.key}.sigma")
+            names.append(TERMS[estimate.symbol].parameter_names(estimate.key)[0])
             rows.append(int(self.free[:place].sum()))
             slopes.append(value / (2 * variance))
             if estimate.correlation_time is not None:

@@ -12,7 +12,8 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.fitting.moments.av_covariance import Process
-from imucal.noise.terms import TERMS, GaussMarkov, NoiseTerm, PowerLawTerm, RateRamp
+from imucal.noise.term import NoiseTerm
+from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 
@@ -78,20 +79,13 @@ class AvarPoints:
     def coefficient(self, symbol: str, variance: float) -> float:
         """Return a term's coefficient in SI, from its variance per sample over `scale`."""
         deviation = float(np.sqrt(variance * self.scale))
-        term = TERMS[symbol]
-        if issubclass(term, PowerLawTerm):
-            return deviation / term.per_sample(self.tau0)
-        return deviation / self.tau0 if term is RateRamp else deviation
+        return deviation / TERMS[symbol].per_sample(self.tau0)
 
     def term(self, symbol: str, variance: float, time: float = 0.0) -> NoiseTerm:
         """Return the term with that variance per sample and, for GM, correlation time in samples."""
         value = self.coefficient(symbol, variance)
-        if symbol == "GM":
-            return GaussMarkov(sigma=value, T=time * self.tau0)
         term = TERMS[symbol]
-        if issubclass(term, PowerLawTerm):
-            return term(value=value)
-        return RateRamp(value=value)
+        return term.of(value, *[time * self.tau0] * (len(term.parameters()) - 1))
 
 
 def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
@@ -146,7 +140,7 @@ def columns(m: IntArray, laws: str, times: FloatArray) -> FloatArray:
         Correlation times of the Gauss-Markov terms, in samples, shape (g,); their columns follow.
     """
     factors = m.astype(np.float64)
-    parts = [factors**2 / 2 if law == "R" else PowerLaw(law).avar(factors) for law in laws]
+    parts = [TERMS[law].of(1.0).avar(factors, 1.0) for law in laws]
     parts += [GaussMarkov(sigma=1.0, T=float(time)).avar(factors, 1.0) for time in times]
     return np.stack(parts, axis=1) if parts else np.empty((m.size, 0))
 

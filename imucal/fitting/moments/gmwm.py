@@ -27,7 +27,7 @@ from imucal.fitting.moments.av_search import Solution, Weight
 from imucal.fitting.moments.av_select import dictionary
 from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
 from imucal.noise.model import structure_text
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
 
 #: Models within so much of the best criterion are reported.
@@ -172,7 +172,7 @@ def _candidates(ranking: list[tuple[float, Solution]]) -> tuple[Candidate, ...]:
 
 def _text(solution: Solution) -> str:
     symbols = [*solution.laws, *["GM"] * solution.times.size]
-    return structure_text(sorted(symbols, key=list(TERMS).index))
+    return structure_text(in_order(symbols))
 
 
 def _findings(

@@ -23,6 +23,7 @@ from imucal.fitting.moments.av_select import dictionary
 from imucal.fitting.moments.slope_lines import LEAST_POINTS, SLOPES, Reading, read_term
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.noise.model import NoiseModel
+from imucal.noise.terms import ALWAYS
 from imucal.recording import AxisSeries
 
 _UNREAD = Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
@@ -61,13 +62,10 @@ def fit_slope(
     Raises
     ------
     ValueError
-        If the structure holds GM, or a window holds no point.
+        If a window holds no point.
     DataError
         If the curve has fewer than 2 averaging times, or is not of Allan variances.
     """
-    if structure is not None and "GM" in structure:
-        msg = "a Gauss-Markov term has no slope of its own to read; leave GM out or use method 'gmwm'"
-        raise ValueError(msg)
     points = avar_points(series, curve)
     covariance = _log_covariance(points)
     wanted = [s for s in SLOPES if structure is None or s in structure]
@@ -133,7 +131,7 @@ def _estimates(
     found = {reading.symbol: reading for reading in readings}
     # A term that was not read may still be as large as the curve lets it.
     tops = {symbol: _ceiling(points, covariance, symbol, level) for symbol in SLOPES}
-    names = [s for s in SLOPES if s in found or s in "NBK" or (structure is not None and s in structure)]
+    names = [s for s in SLOPES if s in found or s in ALWAYS or (structure is not None and s in structure)]
     estimates, shown = [], []
     for symbol in names:
         reading = found.get(symbol)

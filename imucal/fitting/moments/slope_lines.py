@@ -7,9 +7,10 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.moments.av_points import AvarPoints, columns
+from imucal.noise.terms import TERMS
 
 #: Slope of the Allan deviation of each term that can be read.
-SLOPES = {"Q": -1.0, "N": -0.5, "B": 0.0, "K": 0.5, "R": 1.0}
+SLOPES = {symbol: term.slope for symbol, term in TERMS.items() if term.slope is not None}
 #: A run of points has a slope if its line is within so much of it, half the way to the next slope at most.
 _TOLERANCE = 0.15
 #: Standard error of the slope of a run, at most: half the way to the next slope is two of them.

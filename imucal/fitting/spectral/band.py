@@ -23,7 +23,7 @@ from imucal.arrays import FloatArray
 from imucal.fitting.spectral.goodness import misfit
 from imucal.fitting.spectral.information import covariance
 from imucal.fitting.spectral.likelihood import Candidates
-from imucal.fitting.spectral.ordinates import Ordinates, coarser
+from imucal.fitting.spectral.ordinates import MARKOV, Ordinates, coarser
 from imucal.fitting.spectral.response_start import Order, start_response
 from imucal.fitting.spectral.scoring import Maximum, maximize
 from imucal.fitting.spectral.starts import find_starts
@@ -150,7 +150,7 @@ class _Search:
     ) -> None:
         self.ordinates, self.structure = ordinates, structure
         self.shortest, self.common = shortest, common
-        self.width = 4 + 2 * structure.count("GM")
+        self.width = MARKOV + 2 * structure.count("GM")
 
     def candidates(self, orders: list[Order]) -> Candidates:
         return candidates_of(

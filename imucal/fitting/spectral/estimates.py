@@ -9,11 +9,11 @@ from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral.information import covariance
 from imucal.fitting.spectral.intervals import RAMP, profile_limits
 from imucal.fitting.spectral.likelihood import Candidates
-from imucal.fitting.spectral.ordinates import LAWS, Ordinates
+from imucal.fitting.spectral.ordinates import LAWS, MARKOV, Ordinates
 from imucal.fitting.spectral.scoring import Maximum, bounds, maximize
 from imucal.fitting.spectral.structures import Structure, candidates_of, parameter_columns
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import TERMS, GaussMarkov, NoiseTerm, PowerLawTerm, RateRamp
+from imucal.noise.terms import TERMS, in_order, term_keys
 
 _COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 
@@ -31,10 +31,10 @@ class Fitted:
         count, room = self.structure.count("GM"), self.candidate.room_markov
         if count < 2:
             return self
-        order = np.argsort(self.maximum.theta[0, 4 + room : 4 + room + count])
+        order = np.argsort(self.maximum.theta[0, MARKOV + room : MARKOV + room + count])
         index = np.arange(self.candidate.width)
-        index[4 : 4 + count] = 4 + order
-        index[4 + room : 4 + room + count] = 4 + room + order
+        index[MARKOV : MARKOV + count] = MARKOV + order
+        index[MARKOV + room : MARKOV + room + count] = MARKOV + room + order
         old = self.maximum
         sorted_maximum = Maximum(
             theta=old.theta[:, index],
@@ -67,10 +67,7 @@ class Scales:
 
     def deviation(self, symbol: str) -> float:
         """Return the coefficient, in SI, of a unit deviation per sample."""
-        term = TERMS[symbol]
-        if issubclass(term, PowerLawTerm):
-            return self.unit / term.per_sample(self.tau0)
-        return self.unit / self.tau0 if symbol == "R" else self.unit
+        return self.unit / TERMS[symbol].per_sample(self.tau0)
 
 
 def estimate(
@@ -99,11 +96,7 @@ def estimate(
 
 
 def _keys(structure: Structure) -> list[tuple[str, str]]:
-    keys, count, seen = [], structure.count("GM"), 0
-    for symbol in structure:
-        seen += symbol == "GM"
-        keys.append((f"GM{seen}" if symbol == "GM" and count > 1 else symbol, symbol))
-    return keys
+    return list(zip(term_keys(structure), structure, strict=True))
 
 
 def _term(key: str, symbol: str, table: dict[str, tuple[float, float, float]], scales: Scales) -> Estimate:
@@ -116,7 +109,7 @@ def _term(key: str, symbol: str, table: dict[str, tuple[float, float, float]], s
         return Estimate(
             key=key, symbol=symbol, status="estimated", value=abs(value), low=ends[0], high=ends[1]
         )
-    value, low, high = table[key if symbol != "GM" else f"{key}.sigma"]
+    value, low, high = table[TERMS[symbol].parameter_names(key)[0]]
     widening = scales.widening.get(symbol, 1.0)
     high = value + widening * (high - value)
     if np.isneginf(low):
@@ -152,13 +145,13 @@ def drop_terms(
     structure = tuple(symbol for _, symbol in kept)
     candidate = _like(fitted, structure, ordinates, common, structure.count("GM"))
     start = np.zeros((1, candidate.width))
-    start[0, :4] = fitted.maximum.theta[0, :4]
+    start[0, :MARKOV] = fitted.maximum.theta[0, :MARKOV]
     old_room, room = fitted.candidate.room_markov, candidate.room_markov
     places = [i for i, (key, _) in enumerate(_markov(fitted.structure)) if key not in keys]
     for new, old in enumerate(places):
-        start[0, 4 + new] = fitted.maximum.theta[0, 4 + old]
-        start[0, 4 + room + new] = fitted.maximum.theta[0, 4 + old_room + old]
-    start[0, 4 + 2 * room :] = fitted.maximum.theta[0, 4 + 2 * old_room :]
+        start[0, MARKOV + new] = fitted.maximum.theta[0, MARKOV + old]
+        start[0, MARKOV + room + new] = fitted.maximum.theta[0, MARKOV + old_room + old]
+    start[0, MARKOV + 2 * room :] = fitted.maximum.theta[0, MARKOV + 2 * old_room :]
     maximum = maximize(ordinates, candidate, start, shortest=shortest)
     return Fitted(structure=structure, candidate=candidate, maximum=maximum)
 
@@ -185,8 +178,7 @@ def add_term(
     ordinates: Ordinates, fitted: Fitted, symbol: str, *, shortest: float, common: tuple[str, ...]
 ) -> Fitted:
     """Return the fit with a power-law term added, started from almost none of it."""
-    order = list(TERMS)
-    structure = tuple(sorted((*fitted.structure, symbol), key=order.index))
+    structure = in_order((*fitted.structure, symbol))
     candidate = _like(fitted, structure, ordinates, common, fitted.candidate.room_markov)
     low, _ = bounds(ordinates, candidate)
     column = _COLUMN[symbol]
@@ -248,15 +240,15 @@ def _slope(name: str, known: dict[str, Estimate]) -> float:
 
 
 def model_of(estimates: tuple[Estimate, ...], fitted: Fitted, scales: Scales) -> NoiseModel:
-    """Return the model of the estimated terms."""
-    terms: list[NoiseTerm] = []
-    for found in estimates:
-        if found.value is None:
-            continue
-        if found.correlation_time is not None:
-            terms.append(GaussMarkov(sigma=found.value, T=found.correlation_time.value))
-        elif found.symbol == "R":
-            terms.append(RateRamp(value=float(fitted.maximum.beta[0, 0]) * scales.deviation("R")))
-        else:
-            terms.append(TERMS[found.symbol](value=found.value))  # type: ignore[call-arg]
-    return NoiseModel(terms=tuple(terms))
+    """Return the model of the estimated terms; the estimate of a ramp is its size, the model has its sign."""
+    ramp = float(fitted.maximum.beta[0, 0]) * scales.deviation("R")
+    return NoiseModel(
+        terms=tuple(
+            TERMS[found.symbol].of(
+                ramp if found.symbol == "R" else found.value,
+                *([found.correlation_time.value] if found.correlation_time else []),
+            )
+            for found in estimates
+            if found.value is not None
+        )
+    )

@@ -13,7 +13,7 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.spectral.information import covariance
 from imucal.fitting.spectral.likelihood import Candidates
-from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 from imucal.fitting.spectral.scoring import Maximum, bounds, maximize
 
 #: Column of the ramp, which is a regressor and not a parameter of the spectrum.
@@ -95,7 +95,7 @@ class _Search:
         self.peak = maximum.objective[rows]
         self.ramp = columns == RAMP
         room = candidates.room_markov
-        self.variance = (columns >= 0) & (columns < 4 + room)
+        self.variance = (columns >= 0) & (columns < MARKOV + room)
         self.free = candidates.free.copy()
         plain = np.flatnonzero(~self.ramp)
         self.free[plain, columns[plain]] = False

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.fitting.spectral.gauss_markov import gauss_markov_dct
-from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
+from imucal.noise.formulas import gauss_markov_dct
 
 BoolArray = NDArray[np.bool_]
 
@@ -69,7 +69,7 @@ class Candidates:
     @property
     def width(self) -> int:
         """Number of parameters in a row, p."""
-        return 4 + 2 * self.room_markov + self.room_poles
+        return MARKOV + 2 * self.room_markov + self.room_poles
 
     @property
     def free(self) -> BoolArray:
@@ -163,20 +163,20 @@ def _spectrum(
     """Return S, shape (c, b), and its logarithmic derivatives, shape (c, p, b)."""
     room, bins = candidates.room_markov, ordinates.size.size
     slopes = np.zeros((candidates.count, candidates.width, bins))
-    variance = np.where(candidates.laws, np.exp(theta[:, :4]), 0.0)
-    np.multiply(variance[:, :, None], ordinates.basis, out=slopes[:, :4])
+    variance = np.where(candidates.laws, np.exp(theta[:, :MARKOV]), 0.0)
+    np.multiply(variance[:, :, None], ordinates.basis, out=slopes[:, :MARKOV])
     for index in range(room):
         rows = np.flatnonzero(candidates.markov > index)
         if not rows.size:
             continue
         shape, slope = gauss_markov_dct(
-            theta[rows, 4 + room + index][:, None], ordinates.lam, ordinates.length, ordinates.sign
+            theta[rows, MARKOV + room + index][:, None], ordinates.lam, ordinates.length, ordinates.sign
         )
-        level = np.exp(theta[rows, 4 + index])[:, None]
-        slopes[rows, 4 + index] = level * shape
-        slopes[rows, 4 + room + index] = level * slope
-    spectrum = slopes[:, : 4 + room].sum(axis=1)
-    slopes[:, : 4 + 2 * room] /= spectrum[:, None, :]
+        level = np.exp(theta[rows, MARKOV + index])[:, None]
+        slopes[rows, MARKOV + index] = level * shape
+        slopes[rows, MARKOV + room + index] = level * slope
+    spectrum = slopes[:, : MARKOV + room].sum(axis=1)
+    slopes[:, : MARKOV + 2 * room] /= spectrum[:, None, :]
     if candidates.room_poles:
         _filter(ordinates, candidates, theta, spectrum, slopes)
     return spectrum, slopes
@@ -190,7 +190,7 @@ def _filter(
     slopes: FloatArray,
 ) -> None:
     """Multiply the spectrum by the response and add its slopes, in place."""
-    first = 4 + 2 * candidates.room_markov
+    first = MARKOV + 2 * candidates.room_markov
     rows = np.flatnonzero((candidates.poles > 0) | (candidates.zeros > 0))
     if not rows.size:
         return

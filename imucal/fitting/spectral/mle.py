@@ -22,7 +22,7 @@ from imucal.fitting.spectral.settle import Setting, numbered, settle
 from imucal.fitting.spectral.structures import Structure, all_structures
 from imucal.fitting.spectral.tails import heavy_tails
 from imucal.fitting.spectral.transform import bin_blocks
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
 
 #: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
@@ -164,9 +164,7 @@ def _richest(structure: Structure | None, max_gm: int) -> Structure:
     """Return a structure that holds every candidate."""
     if structure is None:
         return ("Q", "N", "B", *["GM"] * max(max_gm, 1), "K", "R")
-    order = list(TERMS)
-    missing = [s for s in ("N", "B", "GM", "K") if s not in structure]
-    return tuple(sorted((*structure, *missing), key=order.index))
+    return in_order((*structure, *(s for s in ("N", "B", "GM", "K") if s not in structure)))
 
 
 def _structures(structure: Structure | None, max_gm: int, *, filtered: bool) -> list[Structure]:

@@ -13,7 +13,9 @@ from imucal.arrays import FloatArray
 from imucal.powerlaw import PowerLaw
 
 #: The power-law terms, in the order of a rising slope.
-LAWS = (PowerLaw.QUANTIZATION, PowerLaw.WHITE, PowerLaw.FLICKER, PowerLaw.WALK)
+LAWS = tuple(PowerLaw)
+#: Where in a row of parameters, which begins with their variances, the Gauss-Markov terms begin.
+MARKOV = len(LAWS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -14,22 +14,16 @@ import numpy as np
 
 from imucal.allan.dct import DctBins, dct_bins
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral.gauss_markov import gauss_markov_dct
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import GaussMarkov, PowerLawTerm, RateRamp
+from imucal.noise.term import NoiseTerm
+from imucal.noise.terms import RateRamp, term_keys
 
 
-def parameter_names(model: NoiseModel) -> tuple[str, ...]:
-    """Return the names of a model's parameters: ``N``, ``GM.sigma``, ``GM.T``; ``GM1``… by rising T."""
-    times = sorted(term.T for term in model.terms if isinstance(term, GaussMarkov))
-    names: list[str] = []
-    for term in model.terms:
-        if isinstance(term, GaussMarkov):
-            key = "GM" if len(times) == 1 else f"GM{times.index(term.T) + 1}"
-            names += [f"{key}.sigma", f"{key}.T"]
-        else:
-            names.append(term.symbol)
-    return tuple(names)
+def named_terms(model: NoiseModel) -> tuple[tuple[NoiseTerm, tuple[str, ...]], ...]:
+    """Return each term with its parameters' names: ``N``, ``GM.sigma``, ``GM.T``; ``GM1``… by rising T."""
+    ordered = sorted(model.terms, key=lambda term: term.values[1:])
+    keys = dict(zip(map(id, ordered), term_keys(term.symbol for term in ordered), strict=True))
+    return tuple((term, term.parameter_names(keys[id(term)])) for term in model.terms)
 
 
 def relative_deviations(model: NoiseModel, *, rate_hz: float, duration_s: float) -> dict[str, float]:
@@ -47,7 +41,7 @@ def relative_deviations(model: NoiseModel, *, rate_hz: float, duration_s: float)
     duration_s
         Length of the record, in s.
     """
-    names = parameter_names(model)
+    names = [name for _, own in named_terms(model) for name in own]
     n = round(duration_s * rate_hz)
     if n <= len(names) + 1:
         return dict.fromkeys(names, math.inf)
@@ -82,21 +76,9 @@ def _slopes(model: NoiseModel, bins: DctBins, tau0: float) -> tuple[FloatArray, 
     """Return dS/d ln parameter, shape (p, b), and S, shape (b,), the mean of each bin."""
     rows: list[FloatArray] = []
     spectrum = np.zeros(bins.size)
-    single = bins.count == 1
-    sign = np.where(single, np.where(bins.first % 2 == 0, 1.0, -1.0), 0.0)
-    lam = 4 * np.sin(bins.omega / 2) ** 2
     for term in model.terms:
-        if isinstance(term, PowerLawTerm):
-            own = term.variance(tau0) * term.law.dct_spectrum(bins.n, bins.first, bins.count)
-            rows.append(2 * own)
-        elif isinstance(term, GaussMarkov):
-            log_time = np.array([[math.log(term.T / tau0)]])
-            shape, slope = gauss_markov_dct(log_time, lam, np.full(bins.size, float(bins.n)), sign)
-            own = term.sigma**2 * shape[0]
-            rows += [2 * own, term.sigma**2 * slope[0]]
-        else:
-            rows.append(np.zeros(bins.size))
-            continue
+        own, slopes = term.dct_slopes(bins.n, bins.first, bins.count, tau0)
+        rows.extend(slopes)
         spectrum = spectrum + own
     return np.array(rows), spectrum
 

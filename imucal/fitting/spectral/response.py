@@ -7,7 +7,7 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.estimates import Fitted
-from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 
 _NUMBER = ("no", "one", "two", "three", "four", "five")
 #: Largest difference of |H|² from a Butterworth filter's that is called one.
@@ -31,7 +31,7 @@ def _power(ordinates: Ordinates, fitted: Fitted, frequency: FloatArray) -> Float
     """Return |H|² at fractions of Nyquist."""
     lam = 4 * np.sin(np.pi / 2 * frequency) ** 2
     poles, zeros = int(fitted.candidate.poles[0]), int(fitted.candidate.zeros[0])
-    first = 4 + 2 * fitted.candidate.room_markov
+    first = MARKOV + 2 * fitted.candidate.room_markov
     response = fitted.maximum.theta[0, first : first + poles]
     denominator = 1 + (lam[:, None] / ordinates.top) ** np.arange(1, poles + 1) @ response
     power: FloatArray = (1 - lam / 4) ** zeros / denominator

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.likelihood import Candidates, Evaluation, evaluate
-from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 
 #: A term whose share of every bin is below exp(-_ABSENT) is absent.
 _ABSENT = 18.0
@@ -69,10 +69,10 @@ def bounds(
     visible = np.log(np.min(level / ordinates.basis[:, eighths], axis=1))
     low = np.full(candidates.width, -np.inf)
     high = np.full(candidates.width, np.inf)
-    low[:4] = visible - _ABSENT
-    low[4 : 4 + room] = np.log(level.min()) - _ABSENT - np.log(ordinates.samples)
-    low[4 + room : 4 + 2 * room] = np.log(shortest)
-    high[4 + room : 4 + 2 * room] = np.log(2 * ordinates.samples)
+    low[:MARKOV] = visible - _ABSENT
+    low[MARKOV : MARKOV + room] = np.log(level.min()) - _ABSENT - np.log(ordinates.samples)
+    low[MARKOV + room : MARKOV + 2 * room] = np.log(shortest)
+    high[MARKOV + room : MARKOV + 2 * room] = np.log(2 * ordinates.samples)
     return low, high
 
 

@@ -16,10 +16,8 @@ from imucal.fitting.spectral.estimates import (
 from imucal.fitting.spectral.intervals import quantile
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.selection import Choice
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import ALWAYS, TERMS
 
-#: Terms that every fit reports.
-_ALWAYS = ("N", "B", "K")
 #: Models within this of the best have a say in an absent term's bound, and how many at most.
 _NEAR, _VOICES = 6.0, 4
 
@@ -67,7 +65,7 @@ def settle(ordinates: Ordinates, choice: Choice, setting: Setting) -> tuple[Fitt
         fitted, dropped = _without_least(ordinates, fitted, markov or gone, setting)
         bounded[dropped.key] = dropped
     symbols = {e.symbol for e in (*estimates, *bounded.values())}
-    for symbol in _ALWAYS:
+    for symbol in ALWAYS:
         if symbol not in symbols:
             bounded[symbol] = _bound(ordinates, choice, fitted, symbol, setting)
     order = list(TERMS)

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.fitting.spectral.gauss_markov import gauss_markov_dct
 from imucal.fitting.spectral.likelihood import Candidates
-from imucal.fitting.spectral.ordinates import Ordinates, coarser
+from imucal.fitting.spectral.ordinates import MARKOV, Ordinates, coarser
+from imucal.noise.formulas import gauss_markov_dct
 
 _GRID = 16
 _ROUNDS = 50
@@ -102,10 +102,10 @@ def _mixtures(
         np.log(times)[:, None], ordinates.lam, ordinates.length, np.zeros(ordinates.lam.shape)
     )
     dictionary = np.concatenate([ordinates.basis, shapes])
-    use = np.zeros((len(combos), 4 + times.size))
-    use[:, :4] = laws
+    use = np.zeros((len(combos), MARKOV + times.size))
+    use[:, :MARKOV] = laws
     for row, combo in enumerate(combos):
-        use[row, [4 + place for place in combo]] = 1.0
+        use[row, [MARKOV + place for place in combo]] = 1.0
     level = np.maximum(ordinates.power, _TINY) / ordinates.size
     weights = use * np.quantile(level / dictionary, 0.2, axis=1) / use.sum(axis=1, keepdims=True)
     objective = np.empty(len(combos))
@@ -115,11 +115,11 @@ def _mixtures(
     room = candidates.room_markov
     theta = np.zeros((len(combos), candidates.width))
     logs = np.log(weights + _TINY)
-    theta[:, :4] = logs[:, :4]
+    theta[:, :MARKOV] = logs[:, :MARKOV]
     for row, combo in enumerate(combos):
         for column, place in enumerate(combo):
-            theta[row, 4 + column] = logs[row, 4 + place]
-            theta[row, 4 + room + column] = np.log(times[place])
+            theta[row, MARKOV + column] = logs[row, MARKOV + place]
+            theta[row, MARKOV + room + column] = np.log(times[place])
     return theta, objective
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import LAWS
+from imucal.noise.terms import GaussMarkov, term_keys
 
 #: Symbols of a model's terms in the order of `imucal.noise.TERMS`, GM once for each.
 Structure = tuple[str, ...]
@@ -57,7 +58,7 @@ def candidates_of(
     count = len(structures)
     markov = np.array([structure.count("GM") for structure in structures], dtype=np.int64)
     return Candidates(
-        laws=np.array([[s in structure for s in _SYMBOLS] for structure in structures]).reshape(count, 4),
+        laws=np.array([[s in own for s in _SYMBOLS] for own in structures]).reshape(count, len(_SYMBOLS)),
         markov=markov,
         poles=np.broadcast_to(np.asarray(poles, dtype=np.int64), count),
         zeros=np.broadcast_to(np.asarray(zeros, dtype=np.int64), count),
@@ -75,9 +76,9 @@ def parameter_columns(structure: Structure, room_markov: int) -> list[tuple[str,
     One Gauss-Markov term is called ``GM``, several ``GM1``, ``GM2`` …
     """
     columns = [(s, _SYMBOLS.index(s)) for s in structure if s in _SYMBOLS]
-    count = structure.count("GM")
-    for index in range(count):
-        key = "GM" if count == 1 else f"GM{index + 1}"
-        columns.append((f"{key}.sigma", 4 + index))
-        columns.append((f"{key}.T", 4 + room_markov + index))
+    markov = [key for key, s in zip(term_keys(structure), structure, strict=True) if s == "GM"]
+    first = len(_SYMBOLS)
+    for index, key in enumerate(markov):
+        sigma, time = GaussMarkov.parameter_names(key)
+        columns += [(sigma, first + index), (time, first + room_markov + index)]
     return columns

@@ -177,7 +177,7 @@ class Numbers:
     def _refuse_bound(self, axis: AxisReport, estimate: Estimate) -> None:
         if self.choices.unidentified != "refuse":
             return
-        unit = TERMS[estimate.symbol].units[axis.sensor is Sensor.ACCELEROMETER]
+        unit = TERMS[estimate.symbol].unit(axis.sensor)
         msg = (
             f"{self.report.source.path}: {axis.name}: {estimate.symbol} was not identified "
             f"(upper bound {estimate.high:.3g} {unit}), but {self.target} needs a value; "

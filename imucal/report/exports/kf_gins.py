@@ -6,13 +6,13 @@ serves both sensors. Source: KF-GINS, ``dataset/kf-gins.yaml``, ``src/kf-gins/gi
 
 import math
 
+from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.header import header
 from imucal.report.exports.slow import SlowNoise, slow_noise
 from imucal.report.exports.spelling import comment, real, vector
 from imucal.report.exports.target import Target
-from imucal.units import datasheet_unit
 
 #: m/s^2 in a mGal.
 _MGAL = 1e-5
@@ -25,9 +25,9 @@ def _render(numbers: Numbers) -> str:
     accel_slow = [slow_noise(numbers, axis) for axis in numbers.triad(Sensor.ACCELEROMETER)]
     slow = gyro_slow + accel_slow
     time = min(process.correlation_time for process in slow)
-    arw = datasheet_unit("N", Sensor.GYROSCOPE).factor
-    vrw = datasheet_unit("N", Sensor.ACCELEROMETER).factor
-    deg_per_hour = datasheet_unit("B", Sensor.GYROSCOPE).factor
+    arw = TERMS["N"].datasheet_unit(Sensor.GYROSCOPE).factor
+    vrw = TERMS["N"].datasheet_unit(Sensor.ACCELEROMETER).factor
+    deg_per_hour = TERMS["B"].datasheet_unit(Sensor.GYROSCOPE).factor
     head = _head(numbers, [*gyro, *accel, *(process.number for process in slow if process.number)])
     notes = (number.note for number in (*gyro, *accel) if number.bounded)
     lines = [

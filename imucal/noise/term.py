@@ -1,0 +1,255 @@
+"""What every noise term is: its formulas, its names and units, how it is drawn, and what can fit it."""
+
+import re
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.powerlaw import PowerLaw
+from imucal.recording import Sensor
+from imucal.units import DatasheetUnit, datasheet_unit
+
+#: Step in the logarithm of a parameter for a slope by differences.
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """How a line is drawn: its colour on white, its colour on black, its dashes in points."""
+
+    light: str
+    dark: str
+    dashes: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """A term as the page explains it: how it shows in the curve, what it is, what others call it."""
+
+    in_the_curve: str
+    meaning: str
+    other_names: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseTerm(ABC):
+    """One term of a noise model. A subclass and its line in `TERMS` are all that a new term needs.
+
+    Its dataclass fields are its parameters, the coefficient first; they name themselves in a model's
+    text: ``N=1e-3`` for one, ``GM(sigma=1e-4, T=50)`` for several. Three methods define the noise:
+    `structure`, `psd` and `simulate`; the others follow from them, and are overridden where there is
+    a closed form.
+
+    Class attributes
+    ----------------
+    symbol
+        Letters in capitals.
+    names, units
+        Of the coefficient, for a gyroscope and an accelerometer; units in SI.
+    datasheet
+        Names in `imucal.units.DATASHEET_UNITS` of the units that data sheets print.
+    divisors
+        What a sample unit may be divided by in a unit of the coefficient -> that factor in SI.
+    spellings
+        Other spellings of the two units in `units`.
+    stroke, words
+        How pictures and page show it.
+    slope
+        Of the Allan deviation, on logarithmic axes; None without one of its own.
+    fitted_by
+        Methods of `imucal.fit` that can fit it; the others refuse it.
+    always
+        Whether every fit reports it, as a bound where the data don't show it.
+    repeatable
+        Whether a model may hold it more than once.
+    """
+
+    symbol: ClassVar[str]
+    names: ClassVar[tuple[str, str]]
+    units: ClassVar[tuple[str, str]]
+    datasheet: ClassVar[tuple[str, str]]
+    stroke: ClassVar[Stroke]
+    words: ClassVar[Words]
+    divisors: ClassVar[dict[str, float]] = {}
+    spellings: ClassVar[tuple[str, str] | None] = None
+    slope: ClassVar[float | None] = None
+    fitted_by: ClassVar[frozenset[str]] = frozenset()
+    always: ClassVar[bool] = False
+    repeatable: ClassVar[bool] = False
+
+    @classmethod
+    def parameters(cls) -> tuple[str, ...]:
+        """Return the names of the parameters, the coefficient first."""
+        return tuple(field.name for field in fields(cls))
+
+    @classmethod
+    def parameter_names(cls, key: str) -> tuple[str, ...]:
+        """Return the parameters' names in a fit: ``N``, or ``GM1.sigma``, ``GM1.T`` for `key` ``GM1``."""
+        names = cls.parameters()
+        return (key,) if len(names) == 1 else tuple(f"{key}.{name}" for name in names)
+
+    @classmethod
+    def of(cls, *values: float) -> Self:
+        """Return the term with these parameters, in the order of `parameters`."""
+        return cls(**dict(zip(cls.parameters(), values, strict=True)))
+
+    @classmethod
+    def parameter_texts(cls, text: str) -> tuple[str, ...] | None:
+        """Return the parameters that a text such as ``N=1e-3`` gives this term; None for another's text."""
+        names = cls.parameters()
+        if len(names) == 1:
+            pattern = rf"\s*{cls.symbol}\s*=\s*([^\s()]+)\s*"
+        else:
+            inside = r"\s*,\s*".join(rf"{name}\s*=\s*([^\s,)]+)" for name in names)
+            pattern = rf"\s*{cls.symbol}\s*\(\s*{inside}\s*\)\s*"
+        match = re.fullmatch(pattern, text)
+        return match.groups() if match else None
+
+    @classmethod
+    def name(cls, sensor: Sensor) -> str:
+        """Return the field's name of the term, such as ``angle random walk``."""
+        return cls.names[sensor is Sensor.ACCELEROMETER]
+
+    @classmethod
+    def unit(cls, sensor: Sensor) -> str:
+        """Return the SI unit of the coefficient."""
+        return cls.units[sensor is Sensor.ACCELEROMETER]
+
+    @classmethod
+    def datasheet_unit(cls, sensor: Sensor) -> DatasheetUnit:
+        """Return the unit of the coefficient in data sheets."""
+        return datasheet_unit(cls.datasheet[sensor is Sensor.ACCELEROMETER])
+
+    @classmethod
+    def per_sample(cls, tau0: float) -> float:  # noqa: ARG003 - none for a coefficient in the sample's unit
+        """Return the deviation per sample of a coefficient of 1."""
+        return 1.0
+
+    @property
+    def coefficient(self) -> float:
+        """The coefficient, in the SI unit of `units`."""
+        return float(getattr(self, self.parameters()[0]))
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The parameters' values, in the order of `parameters`."""
+        return tuple(float(getattr(self, name)) for name in self.parameters())
+
+    def text(self) -> str:
+        """Return the term as a model's text holds it; `parse` reads it back exactly."""
+        names = self.parameters()
+        if len(names) == 1:
+            return f"{self.symbol}={self.coefficient!r}"
+        return f"{self.symbol}({', '.join(f'{name}={getattr(self, name)!r}' for name in names)})"
+
+    def read_off(self) -> tuple[float | None, float]:
+        """Return where its curve shows the coefficient: tau in s (None without one) and the deviation."""
+        return None, abs(self.coefficient)
+
+    @abstractmethod
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
+        """Return D(k), the mean square difference of samples `k` apart, shape (j,), in U²."""
+
+    @abstractmethod
+    def psd(self, f: FloatArray, tau0: float) -> FloatArray:
+        """Return the two-sided psd of the sampled process at `f` in Hz, shape (k,), in U²/Hz."""
+
+    @abstractmethod
+    def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
+        """Return `n` samples, shape (n,), in U."""
+
+    def sum_variance(self, n: FloatArray, tau0: float) -> FloatArray:
+        """Return V(n), the generalised variance of the sum of `n` samples, shape (j,), in U².
+
+        V(n) = -sum over k < n of (n - k) D(k), the variance of a sample left out, since it cancels in
+        avar(m) = (4 V(m) - V(2m)) / (2 m²). Summed term by term here, O(greatest n).
+        """
+        n = np.abs(np.asarray(n, dtype=np.float64))
+        k = np.arange(1.0, float(n.max(initial=1.0)))
+        D = self.structure(k, tau0)
+        total = np.concatenate([[0.0, 0.0], np.cumsum(D)])
+        moment = np.concatenate([[0.0, 0.0], np.cumsum(k * D)])
+        at = n.astype(np.int64)
+        summed: FloatArray = moment[at] - n * total[at]
+        return summed
+
+    def avar(self, m: FloatArray, tau0: float) -> FloatArray:
+        """Return the Allan variance at averaging factors `m`, shape (k,), in U²."""
+        m = np.asarray(m, dtype=np.float64)
+        return (4 * self.sum_variance(m, tau0) - self.sum_variance(2 * m, tau0)) / (2 * m**2)
+
+    def dct_slopes(
+        self, n: int, first: IntArray, count: IntArray, tau0: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what the term adds to squared DCT-II ordinates of `n` samples, and its slopes.
+
+        Parameters
+        ----------
+        first, count
+            First ordinate and number of ordinates of each bin, shape (b,).
+
+        Returns
+        -------
+        expectation, slopes
+            Shapes (b,) and (p, b): the mean of E[X_k²] over each bin, and its derivative in the
+            logarithm of each parameter. By the psd here, which is the limit of a long record.
+        """
+        frequency = (first + (count - 1) / 2) / (2 * n * tau0)
+        expectation = self.psd(frequency, tau0) / tau0
+        slopes = []
+        for name in self.parameters():
+            value = getattr(self, name)
+            above, below = (replace(self, **{name: value * np.exp(s)}) for s in (_STEP, -_STEP))
+            slopes.append((above.psd(frequency, tau0) - below.psd(frequency, tau0)) / (2 * _STEP * tau0))
+        return expectation, np.array(slopes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PowerLawTerm(NoiseTerm):
+    """A term whose spectrum is a power law; `value` is its coefficient."""
+
+    law: ClassVar[PowerLaw]
+    fitted_by = frozenset({"mle", "gmwm", "slope"})
+    value: float
+
+    def __post_init__(self) -> None:
+        require_non_negative(self.symbol, self.value)
+
+    def variance(self, tau0: float) -> float:
+        """Return the variance parameter per sample, in U²."""
+        return (self.value * self.per_sample(tau0)) ** 2
+
+    def avar(self, m: FloatArray, tau0: float) -> FloatArray:
+        return self.variance(tau0) * self.law.avar(m)
+
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
+        return self.variance(tau0) * self.law.structure(k)
+
+    def sum_variance(self, n: FloatArray, tau0: float) -> FloatArray:
+        return self.variance(tau0) * self.law.sum_variance(n)
+
+    def psd(self, f: FloatArray, tau0: float) -> FloatArray:
+        return self.variance(tau0) * tau0 * self.law.psd(2 * np.pi * np.asarray(f) * tau0)
+
+    def dct_slopes(
+        self, n: int, first: IntArray, count: IntArray, tau0: float
+    ) -> tuple[FloatArray, FloatArray]:
+        own = self.variance(tau0) * self.law.dct_spectrum(n, first, count)
+        return own, 2 * own[np.newaxis]
+
+    def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
+        return self.value * self.per_sample(tau0) * self._unit(n, rng)
+
+    @abstractmethod
+    def _unit(self, n: int, rng: np.random.Generator) -> FloatArray:
+        """Return `n` samples of variance parameter 1."""
+
+
+def require_non_negative(name: str, value: float) -> None:
+    """Refuse a parameter that is negative or not finite, by ValueError."""
+    if not (np.isfinite(value) and value >= 0):
+        msg = f"{name} must be finite and not negative, got {value}"
+        raise ValueError(msg)

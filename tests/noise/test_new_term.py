@@ -1,0 +1,203 @@
+"""Adding a term costs one class and its line in the table; every part of imucal knows it or says no."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+from click.testing import CliRunner
+
+import imucal
+from imucal.arrays import FloatArray
+from imucal.checking.limit_units import quantity_units
+from imucal.cli import imucal as command
+from imucal.fitting import METHODS
+from imucal.fitting.noise_fit import Estimate
+from imucal.fitting.spectral.precision import relative_deviations
+from imucal.fitting.state_space import state_space
+from imucal.noise.model import NoiseModel, parse_structure
+from imucal.noise.term import NoiseTerm, Stroke, Words
+from imucal.noise.terms import TERMS, term_keys
+from imucal.planning import plan
+from imucal.recording import AxisSeries, Sensor
+from imucal.report.figure_parts import estimate_text
+from imucal.report.page_words import glossary_section
+from tests.noise.contract import missing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sinusoid(NoiseTerm):
+    """A sine of amplitude A and period P in s, of random phase: a thermostat, a motor."""
+
+    symbol = "S"
+    names = ("sinusoid", "sinusoid")
+    units = ("rad/s", "m/s^2")
+    datasheet = ("deg/h", "mg")
+    divisors: ClassVar[dict[str, float]] = {"": 1.0}
+    stroke = Stroke("#555555", "#aaaaaa", (1, 1))
+    words = Words("lobes at odd halves of its period", "a cycle of the surroundings", "line, tone")
+    amplitude: float
+    period: float
+
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
+        square: FloatArray = 1 - np.cos(2 * np.pi * np.asarray(k) * tau0 / self.period)
+        return self.amplitude**2 * square
+
+    def psd(self, f: FloatArray, tau0: float) -> FloatArray:  # noqa: ARG002 - all its power is at one frequency
+        return np.zeros_like(np.asarray(f, dtype=np.float64))
+
+    def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
+        phase = rng.uniform(0, 2 * np.pi)
+        return self.amplitude * np.sin(2 * np.pi * np.arange(n) * tau0 / self.period + phase)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SecondOrder(NoiseTerm):
+    """Second-order Gauss-Markov: autocovariance sigma² (1 + k/T) exp(-k/T)."""
+
+    symbol = "SGM"
+    names = ("second-order Gauss-Markov", "second-order Gauss-Markov")
+    units = ("rad/s", "m/s^2")
+    datasheet = ("deg/h", "mg")
+    stroke = Stroke("#222222", "#dddddd", (4, 1))
+    words = Words("a hump", "a bias that forgets smoothly", "AR2")
+    repeatable = True
+    sigma: float
+    T: float
+
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
+        a = np.abs(np.asarray(k)) * tau0 / self.T
+        shape: FloatArray = 2 * (1 - (1 + a) * np.exp(-a))
+        return self.sigma**2 * shape
+
+    def psd(self, f: FloatArray, tau0: float) -> FloatArray:
+        lags = np.arange(1, round(40 * self.T / tau0))[:, np.newaxis]
+        a = lags * tau0 / self.T
+        wave = np.cos(2 * np.pi * np.asarray(f) * lags * tau0)
+        return self.sigma**2 * tau0 * (1 + 2 * np.sum((1 + a) * np.exp(-a) * wave, axis=0))
+
+    def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
+        lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * tau0 / self.T
+        root = np.linalg.cholesky((1 + lags) * np.exp(-lags) + 1e-10 * np.eye(n))
+        return self.sigma * root @ rng.normal(size=n)
+
+
+NEW = {"S": "S(amplitude=0.5, period=4.0)", "SGM": "SGM(sigma=0.3, T=0.5)"}
+
+
+@pytest.fixture(autouse=True)
+def _added(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write the terms' lines in the table."""
+    for term in (Sinusoid, SecondOrder):
+        monkeypatch.setitem(TERMS, term.symbol, term)
+
+
+@pytest.mark.parametrize("text", NEW.values())
+def test_it_is_parsed_written_and_added_up(text: str) -> None:
+    """The dataclass's fields are the syntax."""
+    model = NoiseModel.parse(f"N=1e-3 + {text}")
+    assert model.terms[1].text() == text
+    assert NoiseModel.parse(model.text()) == model
+    assert str(model) == f"N + {model.terms[1].symbol}"
+    assert parse_structure(f"{model.terms[1].symbol} + N") == ("N", model.terms[1].symbol)
+
+
+def test_a_model_may_hold_it_as_often_as_it_says() -> None:
+    """One sinusoid; several second-order terms, numbered."""
+    with pytest.raises(ValueError, match="S stands more than once; only GM and SGM may"):
+        parse_structure("2*S")
+    assert term_keys(parse_structure("2*SGM + N")) == ("N", "SGM1", "SGM2")
+    assert SecondOrder.parameter_names("SGM2") == ("SGM2.sigma", "SGM2.T")
+
+
+@pytest.mark.parametrize(("symbol", "text"), NEW.items())
+def test_its_curve_follows_from_its_structure_function(symbol: str, text: str) -> None:
+    """The mean of many simulated curves is the Allan variance that the base class works out."""
+    model = NoiseModel.parse(text)
+    m = np.array([1, 3, 20, 60])
+    expected = model.avar(m.astype(np.float64), rate_hz=10.0)
+    rng = np.random.default_rng(8)
+    found = [
+        imucal.allan_curve(
+            AxisSeries.from_samples(model.simulate(600, rate_hz=10.0, rng=rng), rate_hz=10.0),
+            taus=(m / 10).tolist(),
+        ).avar
+        for _ in range(60)
+    ]
+    # The slowest point has some five independent values a record; 60 records give 12 %.
+    npt.assert_allclose(np.mean(found, axis=0), expected, rtol=0.4 if symbol == "SGM" else 0.05)
+
+
+def test_the_sinusoid_has_the_allan_variance_that_the_books_give() -> None:
+    """A² sin⁴(pi f m) / (m sin(pi f))², f in cycles a sample."""
+    m = np.array([1.0, 5.0, 33.0])
+    found = NoiseModel.parse("S(amplitude=2.0, period=4.0)").avar(m, rate_hz=10.0)
+    npt.assert_allclose(found, 4 * np.sin(np.pi * m / 40) ** 4 / (m * np.sin(np.pi / 40)) ** 2, rtol=1e-9)
+
+
+@pytest.mark.parametrize("symbol", NEW)
+@pytest.mark.parametrize("method", METHODS)
+def test_each_method_refuses_it_by_name(symbol: str, method: str) -> None:
+    """In one sentence that says what to do; nothing else is fitted in its place."""
+    series = AxisSeries.from_samples(np.random.default_rng(1).normal(size=4096), rate_hz=100.0)
+    with pytest.raises(ValueError, match=f"^method '{method}' can't fit {symbol} \\(.*; leave {symbol} out"):
+        imucal.fit(series, model=f"N + {symbol}", method=method)
+
+
+def test_auto_does_not_try_it() -> None:
+    """What no method can fit is no candidate."""
+    series = AxisSeries.from_samples(np.random.default_rng(2).normal(size=4096), rate_hz=100.0)
+    for method in METHODS:
+        assert str(imucal.fit(series, method=method).model) == "N"
+
+
+def test_the_command_line_makes_and_refuses_it(tmp_path: Path) -> None:
+    """`simulate` writes a log of it; `fit` ends as for any wrong option."""
+    log = tmp_path / "cycle.csv"
+    made = CliRunner().invoke(
+        command, ["simulate", f"N=1e-3 + {NEW['S']}", "--duration", "20s", "-o", str(log)]
+    )
+    assert made.exit_code == 0, made.output
+    refused = CliRunner().invoke(command, ["fit", str(log), "--model", "N + S", "--no-report"])
+    assert refused.exit_code == 2, refused.output
+    assert "method 'mle' can't fit S (sinusoid)" in " ".join(refused.output.split())
+
+
+def test_planning_knows_how_well_it_can_be_told() -> None:
+    """By its psd: four times the record, half the error; a line without density is told by none."""
+    model = NoiseModel.parse(f"N=0.1 + {NEW['SGM']}")
+    short, long = (relative_deviations(model, rate_hz=10.0, duration_s=s) for s in (2e3, 8e3))
+    for name in ("SGM.sigma", "SGM.T"):
+        assert long[name] == pytest.approx(short[name] / 2, rel=0.02)
+    names = [need.name for need in plan(model, rate_hz=10.0).axes[0].needs]
+    assert names == ["N", "SGM.sigma", "SGM.T"]
+    lost = relative_deviations(NoiseModel.parse(f"N=0.1 + {NEW['S']}"), rate_hz=10.0, duration_s=2e3)
+    assert np.isinf(lost["S.amplitude"])
+    assert np.isfinite(lost["N"])
+
+
+def test_the_exact_likelihood_refuses_it() -> None:
+    """It has no state for it, and says so."""
+    with pytest.raises(ValueError, match=r"no state for S \(sinusoid\); leave it out"):
+        state_space(NoiseModel.parse(f"N=1 + {NEW['S']}"), rate_hz=1.0, n=100)
+
+
+def test_units_page_and_pictures_take_it_from_the_class() -> None:
+    """A limit's units, the glossary's row, a label."""
+    assert quantity_units("S", Sensor.GYROSCOPE)["deg/h"] == pytest.approx(np.pi / 180 / 3600)
+    page = str(glossary_section())
+    assert "a cycle of the surroundings" in page
+    assert "second-order Gauss-Markov" in page
+    estimate = Estimate(key="S", symbol="S", status="estimated", value=1e-5, low=0.9e-5, high=1.1e-5)
+    assert estimate_text(estimate, Sensor.GYROSCOPE).startswith("S 2.06")
+
+
+def test_what_is_forgotten_is_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those added here stand in no docs and no schema; one without units is told so as well."""
+    said = missing("S")
+    assert any("README.md has no row for S" in sentence for sentence in said), said
+    assert any("report-1.schema.json does not list S" in sentence for sentence in said), said
+    monkeypatch.delattr(Sinusoid, "units")
+    assert any(sentence.startswith("Sinusoid lacks `units`") for sentence in missing("S"))
