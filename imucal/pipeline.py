@@ -12,7 +12,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting import FitSettings, NoiseFit, fit, fit_axis
-from imucal.fitting.hausman import second_opinion
+from imucal.fitting.cross_checks import second_opinion
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
 from imucal.report.overview import overview

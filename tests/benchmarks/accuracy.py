@@ -23,10 +23,10 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.fitting.spectral.information import covariance
 from imucal.fitting.spectral.likelihood import evaluate
 from imucal.fitting.spectral.mle import fit_mle, spectral_view
 from imucal.fitting.spectral.ordinates import LAWS
+from imucal.fitting.spectral.scoring import covariance
 from imucal.fitting.spectral.selection import choose
 from imucal.fitting.spectral.structures import candidates_of, parameter_columns
 from imucal.fitting.spectral.transform import ordinates_of
@@ -362,7 +362,7 @@ def _missing(name: str, n: int, rng: np.random.Generator) -> np.typing.NDArray[n
 
 def exact(n: int, repeats: int, seed: int, only: list[str]) -> None:
     """Print how far the exact likelihood's maximum is, in standard errors."""
-    from imucal.fitting.verify import distances
+    from imucal.fitting.cross_checks import distances
 
     print(f"\nn = {n}, {repeats} repeats\n\n| setting | median | greatest |\n|---|---|---|")
     for name, text in SETTINGS.items():

@@ -8,7 +8,7 @@ import pytest
 from imucal.allan import allan_curve
 from imucal.findings import Finding
 from imucal.fitting import FitSettings
-from imucal.fitting.hausman import second_opinion
+from imucal.fitting.cross_checks import second_opinion
 from imucal.fitting.moments.gmwm import fit_gmwm
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.spectral.mle import fit_mle

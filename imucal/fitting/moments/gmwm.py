@@ -18,13 +18,11 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.moments.av_band import MISFIT, Fitted, Search, best_band, ranked
 from imucal.fitting.moments.av_estimates import curve_estimates, model_of
-from imucal.fitting.moments.av_goodness import goodness
-from imucal.fitting.moments.av_intervals import CurveSpread
+from imucal.fitting.moments.av_intervals import CurveSpread, goodness
 from imucal.fitting.moments.av_points import AvarPoints, avar_points
 from imucal.fitting.moments.av_search import Solution, Weight
-from imucal.fitting.moments.av_select import dictionary
+from imucal.fitting.moments.av_select import MISFIT, Fitted, Search, best_band, dictionary, ranked
 from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text

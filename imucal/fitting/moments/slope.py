@@ -15,8 +15,7 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
-from imucal.fitting.moments.av_goodness import goodness
-from imucal.fitting.moments.av_intervals import CurveSpread
+from imucal.fitting.moments.av_intervals import CurveSpread, goodness
 from imucal.fitting.moments.av_points import AvarPoints, avar_points, columns
 from imucal.fitting.moments.av_search import Solution, Weight
 from imucal.fitting.moments.av_select import dictionary

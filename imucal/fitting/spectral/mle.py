@@ -7,22 +7,20 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
+from imucal.fitting.cross_checks import verify_findings
 from imucal.fitting.noise_fit import Goodness, Line, NoiseFit
-from imucal.fitting.robust import resolution_effect
+from imucal.fitting.robust import heavy_tails, resolution_effect
 from imucal.fitting.settings import FitSettings
-from imucal.fitting.spectral.band import Band, find_band
+from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import Blocks, make_blocks
-from imucal.fitting.spectral.confusion import choice_findings, near_candidates
 from imucal.fitting.spectral.estimates import Scales, covariance_of, model_of
-from imucal.fitting.spectral.goodness import Misfit, misfit
+from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.regressors import choose_regressors
-from imucal.fitting.spectral.response import filter_finding, response_of
-from imucal.fitting.spectral.selection import choose
+from imucal.fitting.spectral.scoring import Misfit, misfit
+from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.settle import Setting, numbered, settle
 from imucal.fitting.spectral.structures import Structure, all_structures
-from imucal.fitting.spectral.tails import heavy_tails
-from imucal.fitting.spectral.transform import bin_blocks
+from imucal.fitting.spectral.transform import bin_blocks, choose_regressors
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
@@ -109,8 +107,6 @@ def fit_mle(
     white = next(e for e in estimates if e.key == "N")
     findings += resolution_effect(series, white.value or 0.0)
     if settings.verify:
-        from imucal.fitting.verify import verify_findings
-
         findings += verify_findings(series, model, names, covariance)
     nyquist = series.rate_hz / 2
     return NoiseFit(
