@@ -11,9 +11,8 @@ from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting import fit
-from imucal.fitting.hausman import second_opinion
-from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting import FitSettings, NoiseFit, fit, fit_axis
+from imucal.fitting.cross_checks import second_opinion
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
 from imucal.report.overview import overview
@@ -24,35 +23,31 @@ from imucal.screening import screen
 _BLOCK = 1 << 20
 #: A remark of the screening, and the finding of the fit that says the same with more.
 _SAID_BETTER = (("roll-off", "output-filter"), ("tone", "line"))
+#: The settings in the order of report.json; `reading` comes last.
+_DOCUMENTED = (
+    *("model", "method", "level", "criterion", "weights", "taus", "edf"),
+    *("max_gm", "clean", "verify", "second_opinion"),
+)
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
 Progress: TypeAlias = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
+class Settings(FitSettings):
     """How a recording is characterised; see `imucal.fit` and `imucal.allan_curve`.
 
     `reading` records how the log was read, as JSON values, so that the run can be repeated.
     """
 
-    model: str = "auto"
-    method: str = "mle"
-    level: float = 0.95
-    criterion: str = "bic"
-    weights: str = "full"
     taus: str = "octave"
     edf: str = "hybrid"
-    max_gm: int = 2
-    clean: bool = True
-    verify: bool = False
     second_opinion: bool = True
     reading: Mapping[str, object] = field(default_factory=dict)
 
     def document(self) -> dict[str, object]:
         """Return the settings as JSON values."""
-        names = [name for name in self.__dataclass_fields__ if name != "reading"]
-        return {name: getattr(self, name) for name in names} | {"reading": dict(self.reading)}
+        return {name: getattr(self, name) for name in _DOCUMENTED} | {"reading": dict(self.reading)}
 
 
 def characterize(
@@ -119,19 +114,8 @@ def _characterize_axis(
         msg = f"{series.name}: no finite samples among {series.n}"
         raise DataError(msg)
     curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
-    result = fit(
-        finite,
-        model=settings.model,
-        method=settings.method,
-        level=settings.level,
-        criterion=settings.criterion,
-        weights=settings.weights,
-        max_gm=settings.max_gm,
-        clean=settings.clean,
-        verify=settings.verify,
-        temperature=_same_clock(series, finite, temperature),
-        curve=curve,
-    )
+    at_samples = _same_clock(series, finite, temperature)
+    result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
     found = result.findings + resolution_findings(result, finite.duration_s)
     if settings.second_opinion and settings.method == "mle":
         found += _second_opinion(finite, result, curve)

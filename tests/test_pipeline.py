@@ -1,5 +1,6 @@
 """From a recording to a report: every axis, its findings, and the truth inside the intervals."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -109,3 +110,11 @@ def test_an_axis_keeps_its_result_when_there_is_no_second_opinion() -> None:
         "The Allan curve gives no second opinion: the Allan variances fall or rise as those of no noise do, "
         "so their covariance has no inverse; expected noise, look at the samples."
     )
+
+
+def test_every_setting_is_in_the_report() -> None:
+    """So that a run can be repeated; `reading` comes last."""
+    document = Settings(level=0.9, reading={"topic": ["/imu"]}).document()
+    assert set(document) == {field.name for field in dataclasses.fields(Settings)}
+    assert list(document)[-1] == "reading"
+    assert document["level"] == 0.9

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from imucal.fitting import FitSettings
 from imucal.fitting.moments.gmwm import fit_gmwm
 from imucal.fitting.spectral.precision import relative_deviations
 from imucal.noise.model import NoiseModel
@@ -135,7 +136,9 @@ def test_a_plan_of_a_report_has_its_axes() -> None:
 
 def test_the_sentence_of_a_report() -> None:
     """Terms that the record is too short for are named, with both lengths."""
-    fit = fit_gmwm(None, simulated_curve("N=1 + K=3e-3", 20_000, np.random.default_rng(51)), ("N", "K"))
+    fit = fit_gmwm(
+        None, simulated_curve("N=1 + K=3e-3", 20_000, np.random.default_rng(51)), FitSettings(model="N + K")
+    )
     findings = resolution_findings(fit, 20_000.0)
     walk = next(f for f in findings if f.text.startswith("K needs "))
     assert walk.code == "record-length"
@@ -148,7 +151,9 @@ def test_the_sentence_of_a_report() -> None:
 
 def test_a_long_record_needs_no_sentence() -> None:
     """Everything to ten per cent: nothing to say about N and K."""
-    fit = fit_gmwm(None, simulated_curve("N=1 + K=0.1", 50_000, np.random.default_rng(52)), ("N", "K"))
+    fit = fit_gmwm(
+        None, simulated_curve("N=1 + K=0.1", 50_000, np.random.default_rng(52)), FitSettings(model="N + K")
+    )
     assert not [f for f in resolution_findings(fit, 50_000.0) if f.text[0] in "NK"]
 
 

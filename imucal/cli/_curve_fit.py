@@ -1,6 +1,7 @@
 """Fitting a table of Allan deviations that another tool made: no samples, so no report folder."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -8,8 +9,7 @@ import click
 from imucal.allan.adev_table import is_adev_table, read_adev_table
 from imucal.allan.deviation_table import NamedCurve, read_curve
 from imucal.cli._options import say
-from imucal.fitting import fit
-from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS
 
 
@@ -28,27 +28,16 @@ def is_curve_table(path: Path) -> bool:
 
 
 def fit_curves(
-    path: Path,
-    *,
-    rate_hz: float | None,
-    model: str,
-    method: str,
-    level: float,
-    criterion: str,
-    weights: str,
-    as_json: bool,
-    quiet: bool,
+    path: Path, settings: FitSettings, *, rate_hz: float | None, as_json: bool, quiet: bool
 ) -> None:
     """Fit every column of a table and print the terms; `mle` needs samples, so gmwm takes its place."""
-    if method == "mle":
+    if settings.method == "mle":
         say("A table holds no samples: fitting the curve by gmwm instead of mle.", quiet=quiet)
-        method = "gmwm"
+        settings = replace(settings, method="gmwm")
     results = []
     curves = read_adev_table(path) if is_adev_table(path) else read_curve(path, rate_hz=rate_hz)
     for named in curves:
-        result = fit(
-            named.curve, model=model, method=method, level=level, criterion=criterion, weights=weights
-        )
+        result = fit_axis(named.curve, settings)
         results.append((named, result))
         for finding in (*named.findings, *result.findings):
             say(

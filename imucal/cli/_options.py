@@ -5,13 +5,17 @@ import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import click
 
-from imucal.cli._progress import reading_progress
+from imucal.cli._progress import axes_progress, reading_progress
 from imucal.cli._types import RATE, Number
 from imucal.recording import AxisSeries, Recording
+
+if TYPE_CHECKING:
+    from imucal.pipeline import Settings
+    from imucal.report.result import Report
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -70,6 +74,14 @@ class LogRequest:
             recording = _with_own_gaps(recording.between(self.skip, end))
         _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
         return recording
+
+    def characterise(self, settings: "Settings") -> "Report":
+        """Read and characterise the log, with progress bars where a person watches."""
+        from imucal.pipeline import characterize
+
+        recording = self.read()
+        with axes_progress(quiet=self.quiet) as progress:
+            return characterize(recording, settings, progress=progress)
 
     def settings(self) -> dict[str, object]:
         """Return what was asked, for the report: JSON values, defaults left out."""

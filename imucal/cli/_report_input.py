@@ -65,12 +65,9 @@ def is_report(path: Path) -> bool:
 
 def _characterise(request: LogRequest) -> Report:
     from imucal.cli._finding_lines import all_findings, print_findings
-    from imucal.cli._progress import axes_progress
-    from imucal.pipeline import Settings, characterize
+    from imucal.pipeline import Settings
 
-    recording = request.read()
-    with axes_progress(quiet=request.quiet) as progress:
-        report = characterize(recording, Settings(reading=request.settings()), progress=progress)
+    report = request.characterise(Settings(reading=request.settings()))
     print_findings(all_findings(report), quiet=request.quiet, verbose=request.verbose)
     say("Characterised with the defaults of 'imucal fit'", quiet=request.quiet)
     return report

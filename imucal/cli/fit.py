@@ -6,9 +6,9 @@ import click
 
 from imucal.cli._finding_lines import all_findings, has_warning, print_findings
 from imucal.cli._options import LogRequest, as_typed, log_options, say
-from imucal.cli._progress import axes_progress
 from imucal.cli._types import LEVEL, TAU_SET
 from imucal.errors import DataError
+from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
 
 _FORMATS = ("png", "svg", "pdf")
@@ -71,7 +71,7 @@ written, 130 interrupted."""
 )
 @click.option(
     "--method",
-    type=click.Choice(["mle", "gmwm", "slope"]),
+    type=click.Choice(METHODS),
     default="mle",
     show_default=True,
     help="Estimator.",
@@ -85,14 +85,14 @@ written, 130 interrupted."""
 )
 @click.option(
     "--ic",
-    type=click.Choice(["bic", "hq", "aic"]),
+    type=click.Choice(CRITERIA),
     default="bic",
     show_default=True,
     help="Criterion that chooses the model.",
 )
 @click.option(
     "--weights",
-    type=click.Choice(["full", "eta3"]),
+    type=click.Choice(WEIGHTS),
     default="full",
     show_default=True,
     help="Weights of gmwm.",
@@ -156,23 +156,34 @@ def command(
     holds report.json, report.html and the pictures.
     """
     from imucal.cli._curve_fit import fit_curves, is_curve_table
+    from imucal.pipeline import Settings
 
-    if curve or (len(request.logs) == 1 and is_curve_table(Path(request.logs[0]))):
-        fit_curves(
-            Path(request.logs[0]),
-            rate_hz=request.rate,
+    try:
+        settings = Settings(
             model=model,
             method=method,
             level=level,
             criterion=ic,
             weights=weights,
+            taus=taus,
+            edf=edf,
+            clean=not no_clean,
+            verify=verify,
+            reading=request.settings(),
+        )
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    if curve or (len(request.logs) == 1 and is_curve_table(Path(request.logs[0]))):
+        fit_curves(
+            Path(request.logs[0]),
+            settings,
+            rate_hz=request.rate,
             as_json=as_json,
             quiet=request.quiet,
         )
         say("A table of deviations has no report folder; --json has all numbers.", quiet=request.quiet)
         return
     from imucal.cli._result_table import summary_table
-    from imucal.pipeline import Settings, characterize
     from imucal.report.document import to_document
     from imucal.report.json_file import dumps
     from imucal.report.writer import check_folder, write_report
@@ -180,21 +191,7 @@ def command(
     folder = out or report_folder(request.logs[0])
     if not no_report:
         check_folder(folder)
-    recording = request.read()
-    settings = Settings(
-        model=model,
-        method=method,
-        level=level,
-        criterion=ic,
-        weights=weights,
-        taus=taus,
-        edf=edf,
-        clean=not no_clean,
-        verify=verify,
-        reading=request.settings(),
-    )
-    with axes_progress(quiet=request.quiet) as progress:
-        report = characterize(recording, settings, progress=progress)
+    report = request.characterise(settings)
     if as_json:
         click.echo(dumps(to_document(report)), nl=False)
     else:

@@ -1,30 +1,17 @@
 """AllanCurve (+ samples) -> NoiseFit: what explains it."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from imucal.allan import AllanCurve, allan_curve
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import NoiseFit
-from imucal.noise.model import parse_structure
-from imucal.noise.terms import require_fittable
+from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.robust import clean as clean_spikes
+from imucal.fitting.settings import CRITERIA, METHODS, WEIGHTS, FitSettings, load_method
 from imucal.recording import AxisSeries
 
-if TYPE_CHECKING:
-    from imucal.findings import Finding
-
-__all__ = ["CRITERIA", "METHODS", "WEIGHTS", "fit"]
-
-#: The methods: maximum likelihood, generalised method of wavelet moments, reading of slopes.
-METHODS = ("mle", "gmwm", "slope")
-
-#: Information criteria that choose between models.
-CRITERIA = ("bic", "hq", "aic")
-
-#: Weights of gmwm: full covariance of the curve, or the published diagonal.
-WEIGHTS = ("full", "eta3")
+__all__ = ["CRITERIA", "METHODS", "WEIGHTS", "Estimate", "FitSettings", "NoiseFit", "fit", "fit_axis"]
 
 
 def fit(
@@ -82,82 +69,39 @@ def fit(
     DataError
         If the samples can't be analysed: too few, constant, not finite.
     """
-    _check(method, criterion, level, weights, max_gm)
-    structure = None if model == "auto" else parse_structure(model)
-    require_fittable(structure or (), method)
-    if isinstance(series, AllanCurve):
-        if method == "mle":
-            msg = "maximum likelihood needs the samples, got an Allan curve; use method 'gmwm' or 'slope'"
-            raise ValueError(msg)
-        return _from_curve(
-            None,
-            series,
-            structure,
-            method=method,
-            level=level,
-            criterion=criterion,
-            weights=weights,
-            max_gm=max_gm,
-        )
-    temperature = _at_finite(temperature, series)
-    series = series.finite()
-    findings: tuple[Finding, ...] = ()
-    if clean:
-        from imucal.fitting.robust import clean as clean_spikes
-
-        cleaned, findings = clean_spikes(series)
-        if cleaned is not series:
-            series, curve = cleaned, _again(cleaned, curve)
-    if curve is None:
-        curve = allan_curve(series)
-    if method != "mle":
-        result = _from_curve(
-            series,
-            curve,
-            structure,
-            method=method,
-            level=level,
-            criterion=criterion,
-            weights=weights,
-            max_gm=max_gm,
-        )
-        return replace(result, findings=findings + result.findings)
-    from imucal.fitting.spectral.mle import fit_mle
-
-    result = fit_mle(
-        series,
-        curve,
-        structure,
+    settings = FitSettings(
+        model=model,
+        method=method,
         level=level,
         criterion=criterion,
+        weights=weights,
         max_gm=max_gm,
-        temperature=temperature,
+        clean=clean,
         verify=verify,
     )
-    return replace(result, findings=findings + result.findings)
+    return fit_axis(series, settings, temperature=temperature, curve=curve)
 
 
-def _from_curve(
-    series: AxisSeries | None,
-    curve: AllanCurve,
-    structure: tuple[str, ...] | None,
+def fit_axis(
+    series: AxisSeries | AllanCurve,
+    settings: FitSettings,
     *,
-    method: str,
-    level: float,
-    criterion: str,
-    weights: str,
-    max_gm: int,
+    temperature: FloatArray | None = None,
+    curve: AllanCurve | None = None,
 ) -> NoiseFit:
-    """Fit by one of the methods that need the curve only."""
-    if method == "slope":
-        from imucal.fitting.moments.slope import fit_slope
-
-        return fit_slope(series, curve, structure, level=level)
-    from imucal.fitting.moments.gmwm import fit_gmwm
-
-    return fit_gmwm(
-        series, curve, structure, level=level, criterion=criterion, weights=weights, max_gm=max_gm
-    )
+    """Fit a noise model to one axis; as `fit`, with the settings in one piece."""
+    method = load_method(settings.method)
+    if isinstance(series, AllanCurve):
+        return method(None, series, settings, None)
+    temperature = _at_finite(temperature, series)
+    series = series.finite()
+    cleaned, findings = clean_spikes(series) if settings.clean else (series, ())
+    if cleaned is not series:
+        series, curve = cleaned, _again(cleaned, curve)
+    if curve is None:
+        curve = allan_curve(series)
+    result = method(series, curve, settings, temperature)
+    return replace(result, findings=findings + result.findings)
 
 
 def _again(series: AxisSeries, curve: AllanCurve | None) -> AllanCurve | None:
@@ -177,17 +121,3 @@ def _at_finite(temperature: FloatArray | None, series: AxisSeries) -> FloatArray
         msg = f"temperature must have shape ({series.n},) like the samples, got {temperature.shape}"
         raise ValueError(msg)
     return temperature[series.usable]
-
-
-def _check(method: str, criterion: str, level: float, weights: str, max_gm: int) -> None:
-    choices = (("method", method, METHODS), ("criterion", criterion, CRITERIA), ("weights", weights, WEIGHTS))
-    for name, value, known in choices:
-        if value not in known:
-            msg = f"{name} {value!r} is not one of {', '.join(known)}"
-            raise ValueError(msg)
-    if not 0 < level < 1:
-        msg = f"level must be between 0 and 1, got {level}"
-        raise ValueError(msg)
-    if not 0 <= max_gm <= 2:
-        msg = f"max_gm must be 0, 1 or 2, got {max_gm}"
-        raise ValueError(msg)

@@ -10,6 +10,7 @@ import pytest
 from imucal.allan.curve import AllanCurve
 from imucal.allan.deviation_table import read_curve
 from imucal.errors import ReadError
+from imucal.fitting import FitSettings
 from imucal.fitting.moments.gmwm import fit_gmwm
 from imucal.recording import Sensor
 from tests.real_data import real_data
@@ -132,7 +133,7 @@ def test_the_known_truth_of_a_published_curve_is_found() -> None:
     }
     assert len(curves) == 6
     for named in curves:
-        fit = fit_gmwm(None, named.curve, None)
+        fit = fit_gmwm(None, named.curve, FitSettings())
         assert str(fit.model) == "N + K"
         for key, value in truth[named.unit].items():
             assert fit[key].low <= value <= fit[key].high
@@ -153,7 +154,7 @@ def test_published_curves_of_real_sensors_are_met_at_one_second(device: str) -> 
     adev = np.deg2rad(np.loadtxt(folder / f"data_{device}_gyr_x.txt")) / 3600
     m = np.round(tau / tau[0]).astype(np.int64)
     curve = AllanCurve(tau=tau, m=m, avar=adev**2, edf=np.full(tau.size, np.nan), n=0)
-    fit = fit_gmwm(None, curve, ("N", "B", "K"))
+    fit = fit_gmwm(None, curve, FitSettings(model="N + B + K"))
     at_one = float(np.sqrt(fit.model.avar(np.array([1 / tau[0]]), rate_hz=fit.rate_hz))[0])
     assert at_one == pytest.approx(float(published[1]), rel=0.10)
     assert at_one == pytest.approx(np.exp(np.interp(0, np.log(tau), np.log(adev))), rel=0.04)

@@ -21,11 +21,12 @@ from scipy import signal
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
+from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.fitting.spectral.information import covariance
 from imucal.fitting.spectral.likelihood import evaluate
 from imucal.fitting.spectral.mle import fit_mle, spectral_view
 from imucal.fitting.spectral.ordinates import LAWS
+from imucal.fitting.spectral.scoring import covariance
 from imucal.fitting.spectral.selection import choose
 from imucal.fitting.spectral.structures import candidates_of, parameter_columns
 from imucal.fitting.spectral.transform import ordinates_of
@@ -172,10 +173,7 @@ def fitted(samples: FloatArray, model: str | None, criterion: str = "bic", max_g
     return fit_mle(
         AxisSeries.from_samples(samples, rate_hz=1.0),
         curve,
-        None if model is None else parse_structure(model),
-        level=0.95,
-        criterion=criterion,
-        max_gm=max_gm,
+        FitSettings(model=model or "auto", criterion=criterion, max_gm=max_gm),
     )
 
 
@@ -338,7 +336,7 @@ def gaps(n: int, repeats: int, seed: int, only: list[str]) -> None:
             data = AxisSeries.from_samples(samples, rate_hz=1.0).finite()
             two = np.array([1.0, 2.0])
             curve = AllanCurve(tau=two, m=np.array([1, 2]), avar=two, edf=two, n=n)
-            result = fit_mle(data, curve, ("N", "K"), level=0.95, criterion="bic", max_gm=0)
+            result = fit_mle(data, curve, FitSettings(model="N + K", max_gm=0))
             errors.append([(result[k].value or 0.0) / v - 1 for k, v in values.items()])
             hits.append([result[k].low <= v <= result[k].high for k, v in values.items()])
         found = Cell(
@@ -365,7 +363,7 @@ def _missing(name: str, n: int, rng: np.random.Generator) -> np.typing.NDArray[n
 
 def exact(n: int, repeats: int, seed: int, only: list[str]) -> None:
     """Print how far the exact likelihood's maximum is, in standard errors."""
-    from imucal.fitting.verify import distances
+    from imucal.fitting.cross_checks import distances
 
     print(f"\nn = {n}, {repeats} repeats\n\n| setting | median | greatest |\n|---|---|---|")
     for name, text in SETTINGS.items():

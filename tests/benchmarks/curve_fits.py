@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 
+from imucal.fitting import FitSettings
 from imucal.fitting.moments.gmwm import fit_gmwm
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral.precision import relative_deviations
@@ -43,12 +44,13 @@ def main() -> None:
 def run(setting: str, n: int, records: int, weights: str) -> None:
     """Fit so many records of a setting and print what came of it."""
     truth = NoiseModel.parse(SETTINGS[setting])
-    structure = tuple(term.symbol for term in truth.terms)
     bound = relative_deviations(truth, rate_hz=1.0, duration_s=float(n))
     rng = np.random.default_rng(77)
     begin = time.process_time()
     fits = [
-        fit_gmwm(None, simulated_curve(SETTINGS[setting], n, rng), structure, weights=weights)
+        fit_gmwm(
+            None, simulated_curve(SETTINGS[setting], n, rng), FitSettings(model=str(truth), weights=weights)
+        )
         for _ in range(records)
     ]
     seconds = (time.process_time() - begin) / records

@@ -4,6 +4,7 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
+from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.spectral.estimates import Scales
 from imucal.fitting.spectral.mle import fit_mle
@@ -44,11 +45,8 @@ def fitted(
     return fit_mle(
         series,
         no_curve(series.n),
-        None if model == "auto" else parse_structure(model),
-        level=level,
-        criterion=criterion,
-        max_gm=max_gm,
-        temperature=temperature,
+        FitSettings(model=model, level=level, criterion=criterion, max_gm=max_gm),
+        temperature,
     )
 
 

@@ -1,10 +1,13 @@
 """The facade: fit(series) by every method."""
 
+import re
+from typing import Any
+
 import numpy as np
 import pytest
 
 from imucal.allan import allan_curve
-from imucal.fitting import METHODS, fit
+from imucal.fitting import METHODS, FitSettings, fit
 from imucal.recording import AxisSeries
 from tests.fitting.fits import simulated
 
@@ -87,3 +90,25 @@ def test_a_line_is_named_and_left_out() -> None:
     assert result.goodness.lines[0].frequency_hz == pytest.approx(12.34, abs=0.01)
     text = next(f.text for f in result.findings if f.code == "line")
     assert text.startswith("Line at 12.34 Hz (amplitude 0.005")
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"method": "ols"}, "method 'ols' is not one of mle, gmwm, slope"),
+        ({"criterion": "dic"}, "criterion 'dic' is not one of bic, hq, aic"),
+        ({"weights": "none"}, "weights 'none' is not one of full, eta3"),
+        ({"level": 1.0}, "level must be between 0 and 1, got 1.0"),
+        ({"max_gm": 3}, "max_gm must be 0, 1 or 2, got 3"),
+    ],
+)
+def test_a_setting_that_is_not_known_is_refused(setting: dict[str, Any], message: str) -> None:
+    """Where it is given: nothing is read or computed before."""
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        FitSettings(**setting)
+
+
+def test_a_curve_alone_is_too_little_for_maximum_likelihood() -> None:
+    """The message names the methods that can do with a curve."""
+    with pytest.raises(ValueError, match=r"^maximum likelihood needs the samples, got an Allan curve; use "):
+        fit(allan_curve(series()))

@@ -7,7 +7,8 @@ import pytest
 
 from imucal.allan import allan_curve
 from imucal.findings import Finding
-from imucal.fitting.hausman import second_opinion
+from imucal.fitting import FitSettings
+from imucal.fitting.cross_checks import second_opinion
 from imucal.fitting.moments.gmwm import fit_gmwm
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.spectral.mle import fit_mle
@@ -20,7 +21,7 @@ from tests.fitting.moments.curves import simulated_curve
 def fit() -> NoiseFit:
     """Return a fit of N + K, K to 15 %."""
     curve = simulated_curve("N=1 + K=3e-3", 50_000, np.random.default_rng(31))
-    return fit_gmwm(None, curve, ("N", "K"))
+    return fit_gmwm(None, curve, FitSettings(model="N + K"))
 
 
 def _with(fit: NoiseFit, estimate: Estimate, spread: float = 1.0) -> NoiseFit:
@@ -77,8 +78,8 @@ def test_a_right_model_is_seldom_doubted() -> None:
     for _ in range(15):
         series = AxisSeries.from_samples(model.simulate(20_000, rate_hz=100.0, rng=rng), rate_hz=100.0)
         curve = allan_curve(series)
-        mle = fit_mle(series, curve, ("N", "K"), level=0.95, criterion="bic", max_gm=0)
-        doubts += bool(second_opinion(mle, fit_gmwm(series, curve, ("N", "K"))))
+        mle = fit_mle(series, curve, FitSettings(model="N + K", max_gm=0))
+        doubts += bool(second_opinion(mle, fit_gmwm(series, curve, FitSettings(model="N + K"))))
     assert doubts <= 2
 
 

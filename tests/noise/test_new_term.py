@@ -42,15 +42,16 @@ class Sinusoid(NoiseTerm):
     period: float
 
     def structure(self, k: FloatArray, tau0: float) -> FloatArray:
-        square: FloatArray = 1 - np.cos(2 * np.pi * np.asarray(k) * tau0 / self.period)
-        return self.amplitude**2 * square
+        turned: FloatArray = np.asarray(k, dtype=np.float64) * 2 * np.pi * tau0 / self.period
+        return self.amplitude**2 * (1 - np.cos(turned))
 
     def psd(self, f: FloatArray, tau0: float) -> FloatArray:  # noqa: ARG002 - all its power is at one frequency
         return np.zeros_like(np.asarray(f, dtype=np.float64))
 
     def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
         phase = rng.uniform(0, 2 * np.pi)
-        return self.amplitude * np.sin(2 * np.pi * np.arange(n) * tau0 / self.period + phase)
+        turned: FloatArray = 2 * np.pi * tau0 / self.period * np.arange(n, dtype=np.float64) + phase
+        return self.amplitude * np.sin(turned)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,12 +77,14 @@ class SecondOrder(NoiseTerm):
         lags = np.arange(1, round(40 * self.T / tau0))[:, np.newaxis]
         a = lags * tau0 / self.T
         wave = np.cos(2 * np.pi * np.asarray(f) * lags * tau0)
-        return self.sigma**2 * tau0 * (1 + 2 * np.sum((1 + a) * np.exp(-a) * wave, axis=0))
+        total: FloatArray = 1 + 2 * np.sum((1 + a) * np.exp(-a) * wave, axis=0)
+        return self.sigma**2 * tau0 * total
 
     def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
         lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * tau0 / self.T
         root = np.linalg.cholesky((1 + lags) * np.exp(-lags) + 1e-10 * np.eye(n))
-        return self.sigma * root @ rng.normal(size=n)
+        drawn: FloatArray = root @ rng.normal(size=n)
+        return self.sigma * drawn
 
 
 NEW = {"S": "S(amplitude=0.5, period=4.0)", "SGM": "SGM(sigma=0.3, T=0.5)"}

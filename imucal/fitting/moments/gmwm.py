@@ -18,14 +18,13 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.moments.av_band import MISFIT, Fitted, Search, best_band, ranked
 from imucal.fitting.moments.av_estimates import curve_estimates, model_of
-from imucal.fitting.moments.av_goodness import goodness
-from imucal.fitting.moments.av_intervals import CurveSpread
+from imucal.fitting.moments.av_intervals import CurveSpread, goodness
 from imucal.fitting.moments.av_points import AvarPoints, avar_points
 from imucal.fitting.moments.av_search import Solution, Weight
-from imucal.fitting.moments.av_select import dictionary
+from imucal.fitting.moments.av_select import MISFIT, Fitted, Search, best_band, dictionary, ranked
 from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
+from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
@@ -37,12 +36,8 @@ _REPORTED = 6.0
 def fit_gmwm(
     series: AxisSeries | None,
     curve: AllanCurve,
-    structure: tuple[str, ...] | None,
-    *,
-    level: float = 0.95,
-    criterion: str = "bic",
-    weights: str = "full",
-    max_gm: int = 2,
+    settings: FitSettings,
+    _temperature: FloatArray | None = None,
 ) -> NoiseFit:
     """Fit a noise model to an Allan curve.
 
@@ -52,16 +47,8 @@ def fit_gmwm(
         The samples that the curve was made of; None where only the curve is left.
     curve
         Allan variances, overlapping or standard.
-    structure
-        Symbols of the terms; None chooses them.
-    level
-        Confidence level of the intervals.
-    criterion
-        ``bic``, ``hq`` or ``aic``; see `imucal.fitting.moments.av_select`.
-    weights
-        ``full`` or ``eta3``.
-    max_gm
-        Most Gauss-Markov terms to choose.
+    settings
+        Its method and `verify` are not looked at.
 
     Returns
     -------
@@ -75,10 +62,11 @@ def fit_gmwm(
         If the curve has too few averaging times for the model, or is not of Allan variances.
     """
     points = avar_points(series, curve)
+    structure, criterion, max_gm = settings.structure, settings.criterion, settings.max_gm
     if structure is not None:
         _require_points(series, points, structure)
     eta3 = Weight.of_deviations(_eta3_widths(points))
-    if weights == "eta3":
+    if settings.weights == "eta3":
         ranking = ranked(points, eta3, structure, criterion, max_gm)
         kept, fitted = points, Fitted(ranking, ranking[0][1], eta3, 0.0)
     else:
@@ -91,9 +79,7 @@ def fit_gmwm(
         points=kept,
         dropped=points.size - kept.size,
         fitted=fitted,
-        level=level,
-        criterion=criterion if structure is None else "given",
-        weights=weights,
+        settings=settings,
     )
 
 
@@ -128,18 +114,16 @@ def _result(
     points: AvarPoints,
     dropped: int,
     fitted: Fitted,
-    level: float,
-    criterion: str,
-    weights: str,
+    settings: FitSettings,
 ) -> NoiseFit:
     solution = fitted.solution
-    found = curve_estimates(points, solution, fitted.weight, level=level)
+    found = curve_estimates(points, solution, fitted.weight, level=settings.level)
     fit = goodness(points, solution, found.curve_covariance)
     return NoiseFit(
         method="gmwm",
         sensor=series.sensor if series is not None else None,
         rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
-        level=level,
+        level=settings.level,
         model=model_of(points, solution),
         estimates=found.estimates,
         parameters=found.parameters,
@@ -148,9 +132,9 @@ def _result(
         curve=_with_edf(curve, points, solution, found.curve_covariance),
         used=points.used,
         candidates=_candidates(fitted.ranking),
-        criterion=criterion,
+        criterion=settings.chosen_by,
         findings=_findings(series, points, fit, dropped, _text(solution)),
-        settings={"weights": weights},
+        settings={"weights": settings.weights},
     )
 
 

@@ -15,13 +15,13 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
-from imucal.fitting.moments.av_goodness import goodness
-from imucal.fitting.moments.av_intervals import CurveSpread
+from imucal.fitting.moments.av_intervals import CurveSpread, goodness
 from imucal.fitting.moments.av_points import AvarPoints, avar_points, columns
 from imucal.fitting.moments.av_search import Solution, Weight
 from imucal.fitting.moments.av_select import dictionary
 from imucal.fitting.moments.slope_lines import LEAST_POINTS, SLOPES, Reading, read_term
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
+from imucal.fitting.settings import FitSettings
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS
 from imucal.recording import AxisSeries
@@ -32,9 +32,9 @@ _UNREAD = Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
 def fit_slope(
     series: AxisSeries | None,
     curve: AllanCurve,
-    structure: tuple[str, ...] | None,
+    settings: FitSettings,
+    _temperature: FloatArray | None = None,
     *,
-    level: float = 0.95,
     windows: Mapping[str, tuple[float, float]] | None = None,
 ) -> NoiseFit:
     """Read the terms of an Allan curve off its slopes.
@@ -45,10 +45,8 @@ def fit_slope(
         The samples that the curve was made of; None where only the curve is left.
     curve
         Allan variances, overlapping or standard.
-    structure
-        Symbols of the terms to read; None reads all that have their slope somewhere.
-    level
-        Confidence level of the intervals.
+    settings
+        Its model and level; ``auto`` reads all terms that have their slope somewhere.
     windows
         Symbol -> first and last averaging time, in s, of the line it is read on, instead of the
         window found.
@@ -66,6 +64,7 @@ def fit_slope(
     DataError
         If the curve has fewer than 2 averaging times, or is not of Allan variances.
     """
+    structure, level = settings.structure, settings.level
     points = avar_points(series, curve)
     covariance = _log_covariance(points)
     wanted = [s for s in SLOPES if structure is None or s in structure]

@@ -20,12 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral.goodness import misfit
-from imucal.fitting.spectral.information import covariance
+from imucal.fitting.spectral.filter_response import Band, Order, start_response
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates, coarser
-from imucal.fitting.spectral.response_start import Order, start_response
-from imucal.fitting.spectral.scoring import Maximum, maximize
+from imucal.fitting.spectral.scoring import Maximum, covariance, maximize, misfit
 from imucal.fitting.spectral.starts import find_starts
 from imucal.fitting.spectral.structures import Structure, candidates_of
 
@@ -52,35 +50,6 @@ _WITH_ZEROS: list[Order] = [
 ]
 #: A band needs so many bins.
 _FEWEST = 24
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Band:
-    """The part of the spectrum to fit, and the response there.
-
-    Attributes
-    ----------
-    fraction
-        Its upper end as a fraction of Nyquist.
-    order
-        Poles and zeros of the simplest response that is sound.
-    poles, zeros
-        Order of the response to fit, 0 where it is flat: one more than the simplest.
-    response
-        Its coefficients a, shape (poles,).
-    sound
-        Whether the description is within chance.
-    statistic
-        Misfit score of the richest model.
-    """
-
-    fraction: float
-    order: Order
-    poles: int
-    zeros: int
-    response: FloatArray
-    sound: bool
-    statistic: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

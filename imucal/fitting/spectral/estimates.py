@@ -6,11 +6,10 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.fitting.spectral.information import covariance
 from imucal.fitting.spectral.intervals import RAMP, profile_limits
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import LAWS, MARKOV, Ordinates
-from imucal.fitting.spectral.scoring import Maximum, bounds, maximize
+from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximize
 from imucal.fitting.spectral.structures import Structure, candidates_of, parameter_columns
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, in_order, term_keys

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.fitting.spectral.information import covariance
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
-from imucal.fitting.spectral.scoring import Maximum, bounds, maximize
+from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximize
 
 #: Column of the ramp, which is a regressor and not a parameter of the spectrum.
 RAMP = -1

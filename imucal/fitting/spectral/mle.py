@@ -7,21 +7,20 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
+from imucal.fitting.cross_checks import verify_findings
 from imucal.fitting.noise_fit import Goodness, Line, NoiseFit
-from imucal.fitting.robust import resolution_effect
-from imucal.fitting.spectral.band import Band, find_band
+from imucal.fitting.robust import heavy_tails, resolution_effect
+from imucal.fitting.settings import FitSettings
+from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import Blocks, make_blocks
-from imucal.fitting.spectral.confusion import choice_findings, near_candidates
 from imucal.fitting.spectral.estimates import Scales, covariance_of, model_of
-from imucal.fitting.spectral.goodness import Misfit, misfit
+from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.regressors import choose_regressors
-from imucal.fitting.spectral.response import filter_finding, response_of
-from imucal.fitting.spectral.selection import choose
+from imucal.fitting.spectral.scoring import Misfit, misfit
+from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.settle import Setting, numbered, settle
 from imucal.fitting.spectral.structures import Structure, all_structures
-from imucal.fitting.spectral.tails import heavy_tails
-from imucal.fitting.spectral.transform import bin_blocks
+from imucal.fitting.spectral.transform import bin_blocks, choose_regressors
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
 
@@ -48,15 +47,10 @@ class View:
 
 
 def fit_mle(
-    series: AxisSeries,
+    series: AxisSeries | None,
     curve: AllanCurve,
-    structure: Structure | None,
-    *,
-    level: float,
-    criterion: str,
-    max_gm: int,
+    settings: FitSettings,
     temperature: FloatArray | None = None,
-    verify: bool = False,
 ) -> NoiseFit:
     """Fit a noise model to an axis by maximum likelihood.
 
@@ -66,29 +60,29 @@ def fit_mle(
         Finite samples; gaps are allowed.
     curve
         Their Allan curve, for the picture; the fit does not use it.
-    structure
-        Terms of the model; None to choose them by `criterion`.
-    level
-        Confidence level of the intervals.
-    max_gm
-        Most Gauss-Markov terms to choose from.
+    settings
+        Its method and weights are not looked at.
     temperature
         In degrees Celsius at the samples, shape (n,), or None.
-    verify
-        Compare with the exact state-space likelihood.
 
     Raises
     ------
+    ValueError
+        If there are no samples, only a curve.
     DataError
         If there are too few samples, or they are all equal.
     """
+    if series is None:
+        msg = "maximum likelihood needs the samples, got an Allan curve; use method 'gmwm' or 'slope'"
+        raise ValueError(msg)
+    structure, max_gm = settings.structure, settings.max_gm
     view = spectral_view(series, structure, max_gm, temperature)
     shortest = _SHORTEST if structure is None else _SHORTEST_GIVEN
     band = view.band
     choice = choose(
         view.ordinates,
         _structures(structure, max_gm, filtered=band.poles > 0),
-        criterion=criterion,
+        criterion=settings.criterion,
         poles=band.poles,
         zeros=band.zeros,
         response=band.response,
@@ -96,7 +90,7 @@ def fit_mle(
         shortest=shortest,
     )
     scales = Scales(unit=view.blocks.scale, tau0=series.tau0, widening={"N": heavy_tails(series.samples)})
-    setting = Setting(level=level, shortest=shortest, common=view.common, scales=scales)
+    setting = Setting(level=settings.level, shortest=shortest, common=view.common, scales=scales)
     fitted, estimates = settle(view.ordinates, choice, setting)
     found = misfit(view.ordinates, fitted.candidate, fitted.maximum.theta)
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
@@ -112,16 +106,14 @@ def fit_mle(
         findings += choice_findings(choice, series.name)
     white = next(e for e in estimates if e.key == "N")
     findings += resolution_effect(series, white.value or 0.0)
-    if verify:
-        from imucal.fitting.verify import verify_findings
-
+    if settings.verify:
         findings += verify_findings(series, model, names, covariance)
     nyquist = series.rate_hz / 2
     return NoiseFit(
         method="mle",
         sensor=series.sensor,
         rate_hz=series.rate_hz,
-        level=level,
+        level=settings.level,
         model=model,
         estimates=estimates,
         parameters=names,
@@ -137,7 +129,7 @@ def fit_mle(
         used=_used(curve, band, response.cutoff_hz / nyquist if response else 1.0),
         response=response,
         candidates=near_candidates(choice),
-        criterion="given" if structure is not None else criterion,
+        criterion=settings.chosen_by,
         findings=tuple(findings),
         settings=_settings(band, view.common),
     )

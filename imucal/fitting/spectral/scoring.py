@@ -1,4 +1,8 @@
-"""Fisher scoring with Levenberg-Marquardt damping, of many candidates side by side."""
+"""Fisher scoring with Levenberg-Marquardt damping, of many candidates side by side.
+
+And what the maximum is worth: the covariance of its parameters, and how well it describes the
+ordinates.
+"""
 
 from dataclasses import dataclass
 
@@ -13,6 +17,10 @@ from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 _ABSENT = 18.0
 #: Longest step of a parameter, in log units; of a response's, relative to 1 + its size.
 _STEP = 1.5
+#: A parameter with less information than this is not told at all.
+_NONE = 1e-8
+#: Neighbouring bins are joined until they hold so many degrees of freedom.
+_JOIN = 8.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -176,3 +184,54 @@ def _step(
     step = -np.linalg.solve(matrix, np.where(move, score, 0.0)[:, :, None])[:, :, 0]
     longest = np.where(np.isinf(low) & np.isinf(high), _STEP * (1 + np.abs(theta)), _STEP)
     return np.clip(theta + np.clip(step, -longest, longest), low, high)
+
+
+def covariance(information: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+    """Return the covariance of the `free` parameters, shape (p,), as a matrix of shape (p, p).
+
+    Parameters that the data do not tell (a term that is absent) have variance inf, and are held
+    for the others; so have parameters that are held (0 information).
+    """
+    size = free.size
+    result = np.zeros((size, size))
+    diagonal = np.diag(information)
+    used = np.flatnonzero(free & (diagonal > _NONE))
+    result[np.arange(size), np.arange(size)] = np.inf
+    if used.size:
+        root = np.sqrt(diagonal[used])
+        correlation = information[np.ix_(used, used)] / np.outer(root, root)
+        values, vectors = np.linalg.eigh(correlation)
+        inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
+        result[np.ix_(used, used)] = inverse / np.outer(root, root)
+    return result
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Misfit:
+    """A standard-normal score of the misfit, its p-value, and the mean squared residual."""
+
+    statistic: float
+    p_value: float
+    chi2_per_bin: float
+
+
+def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Misfit:
+    """Return how far one candidate at `theta`, shape (1, p), is from the ordinates.
+
+    Each group's sum of X²/S is chi-squared with its n degrees of freedom: mean n, variance 2n, and
+    the squared standardised residual has mean 1 and variance 2 + 12/n.
+    """
+    from scipy.special import ndtr
+
+    found = evaluate(ordinates, candidate, theta)
+    power = ordinates.power.copy()
+    beta = found.beta[0]
+    power += -2 * beta @ ordinates.cross + np.einsum("i,ijb,j->b", beta, ordinates.gram, beta)
+    ratio = power / found.spectrum[0]
+    group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
+    first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
+    size = np.add.reduceat(ordinates.size, first)
+    residual = (np.add.reduceat(ratio, first) - size) / np.sqrt(2 * size)
+    square = float(np.mean(residual**2))
+    statistic = (square - 1) * size.size / float(np.sqrt(np.sum(2 + 12 / size)))
+    return Misfit(statistic=statistic, p_value=float(ndtr(-statistic)), chi2_per_bin=square)

@@ -10,6 +10,7 @@ from imucal.allan import allan_curve
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
+from imucal.fitting import FitSettings
 from imucal.fitting.moments.av_points import avar_points, columns
 from imucal.fitting.moments.av_search import Weight, minimise, non_negative
 from imucal.fitting.moments.gmwm import _eta3_widths, fit_gmwm
@@ -18,7 +19,7 @@ from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 from tests.fitting.moments.curves import octave_curve, simulated_curve
 
-WALK = ("N", "K")
+WALK = "N + K"
 
 
 def _series(text: str, n: int, seed: int, rate_hz: float = 100.0) -> AxisSeries:
@@ -40,7 +41,7 @@ def test_the_truth_lies_in_wide_intervals(text: str) -> None:
     """At level 0.999 every coefficient of 1e6 samples' model is inside (one record, one seed)."""
     truth = NoiseModel.parse(text)
     series = _series(text, 10**6, 11)
-    fit = fit_gmwm(series, allan_curve(series), tuple(t.symbol for t in truth.terms), level=0.999)
+    fit = fit_gmwm(series, allan_curve(series), FitSettings(model=str(truth), level=0.999))
     for term in truth.terms:
         estimate = fit[term.symbol]
         assert estimate.low <= term.coefficient <= estimate.high
@@ -54,7 +55,7 @@ def test_terms_are_chosen() -> None:
     """The model of 1e6 samples is found where its terms can be told."""
     for text in ("N=0.1 + K=1e-2", "N=0.1 + GM(sigma=0.1, T=5)", "Q=0.0173 + N=0.1 + K=1e-2"):
         series = _series(text, 10**6, 7)
-        fit = fit_gmwm(series, allan_curve(series), None)
+        fit = fit_gmwm(series, allan_curve(series), FitSettings())
         assert str(fit.model) == str(NoiseModel.parse(text))
         assert fit.candidates[0].delta == 0
         assert fit.criterion == "bic"
@@ -117,8 +118,8 @@ def test_units_change_nothing_but_the_unit(exponent: int) -> None:
     factor = 10.0**exponent
     scaled = replace(curve, avar=curve.avar * factor**2)
     for weights in ("full", "eta3"):
-        one = fit_gmwm(None, curve, ("N", "B", "K"), weights=weights)
-        other = fit_gmwm(None, scaled, ("N", "B", "K"), weights=weights)
+        one = fit_gmwm(None, curve, FitSettings(model="N + B + K", weights=weights))
+        other = fit_gmwm(None, scaled, FitSettings(model="N + B + K", weights=weights))
         for a, b in zip(one.estimates, other.estimates, strict=True):
             assert a.status == b.status
             npt.assert_allclose((b.low, b.high), (a.low * factor, a.high * factor), rtol=1e-6)
@@ -129,7 +130,7 @@ def test_units_change_nothing_but_the_unit(exponent: int) -> None:
 def test_the_same_curve_gives_the_same_fit() -> None:
     """To the last bit, also with Gauss-Markov terms."""
     curve = simulated_curve("N=1 + GM(sigma=0.3, T=30)", 20_000, np.random.default_rng(1))
-    one, other = fit_gmwm(None, curve, None), fit_gmwm(None, curve, None)
+    one, other = fit_gmwm(None, curve, FitSettings()), fit_gmwm(None, curve, FitSettings())
     assert one.estimates == other.estimates
     npt.assert_array_equal(one.covariance, other.covariance)
 
@@ -146,7 +147,9 @@ def test_intervals_cover(weights: str) -> None:
     text = "N=1 + B=0.2 + K=1e-2"
     hits: dict[str, list[bool]] = {key: [] for key in truth}
     for _ in range(80):
-        fit = fit_gmwm(None, simulated_curve(text, 4096, rng), ("N", "B", "K"), weights=weights)
+        fit = fit_gmwm(
+            None, simulated_curve(text, 4096, rng), FitSettings(model="N + B + K", weights=weights)
+        )
         for key, value in truth.items():
             hits[key].append(fit[key].low <= value <= fit[key].high)
     for key, hit in hits.items():
@@ -158,7 +161,7 @@ def test_terms_that_are_not_there_are_bounded() -> None:
     rng = np.random.default_rng(6)
     shown = 0
     for _ in range(40):
-        fit = fit_gmwm(None, simulated_curve("N=1", 4096, rng), None)
+        fit = fit_gmwm(None, simulated_curve("N=1", 4096, rng), FitSettings())
         for key in ("B", "K"):
             estimate = fit[key]
             shown += estimate.status == "estimated"
@@ -174,7 +177,7 @@ def test_full_weights_find_a_ramp_that_eta3_loses() -> None:
     curve = simulated_curve("N=1 + R=3e-6", 100_000, np.random.default_rng(12))
     widths = []
     for weights in ("full", "eta3"):
-        estimate = fit_gmwm(None, curve, ("N", "R"), weights=weights)["R"]
+        estimate = fit_gmwm(None, curve, FitSettings(model="N + R", weights=weights))["R"]
         widths.append(estimate.high - estimate.low)
     assert widths[0] < widths[1] / 1.5
 
@@ -186,7 +189,7 @@ def test_an_output_filter_is_found_and_left_out() -> None:
     series = _series("N=0.1 + K=1e-2", 400_000, 13)
     filtered = np.asarray(sosfilt(butter(2, 0.2, output="sos"), series.samples), dtype=np.float64)
     series = replace(series, samples=filtered)
-    fit = fit_gmwm(series, allan_curve(series), WALK)
+    fit = fit_gmwm(series, allan_curve(series), FitSettings(model=WALK))
     finding = next(f for f in fit.findings if f.code == "short-times")
     assert finding.axis == "gyro_x"
     assert finding.text.startswith("No model describes averaging times below ")
@@ -201,7 +204,7 @@ def test_heavy_tails_widen_the_interval_of_white_noise() -> None:
     widths = []
     for samples in (rng.standard_normal(20_000), rng.laplace(size=20_000) / np.sqrt(2)):
         series = AxisSeries.from_samples(samples, rate_hz=1.0)
-        estimate = fit_gmwm(series, octave_curve(samples), ("N",))["N"]
+        estimate = fit_gmwm(series, octave_curve(samples), FitSettings(model="N"))["N"]
         widths.append(estimate.high - estimate.low)
     # N is read off many averaging times, and only the shortest are widened; 1.58 would be all.
     assert 1.3 < widths[1] / widths[0] < 1.75
@@ -210,7 +213,7 @@ def test_heavy_tails_widen_the_interval_of_white_noise() -> None:
 def test_names_and_covariance_belong_together() -> None:
     """Each estimated parameter has its row; the standard error is near that of the interval."""
     curve = simulated_curve("N=1 + GM(sigma=0.5, T=40) + K=3e-3", 200_000, np.random.default_rng(15))
-    fit = fit_gmwm(None, curve, ("N", "GM", "K"))
+    fit = fit_gmwm(None, curve, FitSettings(model="N + GM + K"))
     assert fit.parameters == ("N", "GM.sigma", "GM.T", "K")
     assert fit.covariance.shape == (4, 4)
     deviation = np.sqrt(np.diag(fit.covariance))
@@ -227,7 +230,7 @@ def test_names_and_covariance_belong_together() -> None:
 
 
 def _short(n: int) -> NoiseFit:
-    return fit_gmwm(None, simulated_curve("N=1", n, np.random.default_rng(1)), None)
+    return fit_gmwm(None, simulated_curve("N=1", n, np.random.default_rng(1)), FitSettings())
 
 
 def test_a_short_record_gives_what_it_can() -> None:
@@ -256,21 +259,25 @@ def test_refuses_more_parameters_than_points() -> None:
         match=r"^the curve: 3 averaging times can't tell the 4 parameters of N \+ GM \+ K; "
         r"record for longer or leave terms out$",
     ):
-        fit_gmwm(None, curve, ("N", "GM", "K"))
+        fit_gmwm(None, curve, FitSettings(model="N + GM + K"))
 
 
 def test_refuses_other_variances() -> None:
     """A Hadamard curve is not taken for an Allan curve."""
     curve = simulated_curve("N=1", 64, np.random.default_rng(1))
     with pytest.raises(DataError, match=r"^the curve: is of hadamard variances; a fit needs Allan variances"):
-        fit_gmwm(None, replace(curve, estimator="hadamard"), None)
+        fit_gmwm(None, replace(curve, estimator="hadamard"), FitSettings())
 
 
 def test_a_curve_of_unknown_length_says_so() -> None:
     """Intervals take the shortest record that allows the curve, and are wider for it."""
     curve = simulated_curve("N=1 + K=1e-2", 20_000, np.random.default_rng(3))
-    known = fit_gmwm(None, curve, WALK)
-    unknown = fit_gmwm(None, AllanCurve(tau=curve.tau, m=curve.m, avar=curve.avar, edf=curve.edf, n=0), WALK)
+    known = fit_gmwm(None, curve, FitSettings(model=WALK))
+    unknown = fit_gmwm(
+        None,
+        AllanCurve(tau=curve.tau, m=curve.m, avar=curve.avar, edf=curve.edf, n=0),
+        FitSettings(model=WALK),
+    )
     assert [f.code for f in unknown.findings] == ["record-length-unknown"]
     assert unknown["N"].high - unknown["N"].low > known["N"].high - known["N"].low
     assert np.all(unknown.curve.edf >= 1)

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.fitting import fit
+from imucal.fitting import FitSettings, fit
 from imucal.fitting.moments.slope import fit_slope
 from tests.fitting.moments.curves import simulated_curve
 
@@ -12,7 +12,7 @@ from tests.fitting.moments.curves import simulated_curve
 def test_lines_are_read_where_they_are() -> None:
     """N at the short times, K at the long ones, and the windows are told."""
     curve = simulated_curve("N=1 + K=0.01", 1_000_000, np.random.default_rng(41))
-    fit = fit_slope(None, curve, None)
+    fit = fit_slope(None, curve, FitSettings())
     assert str(fit.model) == "N + K"
     assert fit.method == "slope"
     assert fit["N"].value == pytest.approx(1, rel=0.02)
@@ -29,7 +29,7 @@ def test_lines_are_read_where_they_are() -> None:
 def test_a_floor_is_bias_instability_over_its_exact_level() -> None:
     """On flicker with white noise the floor over 0.664 is B, and the interval knows of N."""
     curve = simulated_curve("N=1 + B=0.2", 500_000, np.random.default_rng(42))
-    fit = fit_slope(None, curve, None)
+    fit = fit_slope(None, curve, FitSettings())
     estimate = fit["B"]
     assert estimate.value is not None
     assert estimate.value == pytest.approx(0.2, rel=0.1)
@@ -39,10 +39,10 @@ def test_a_floor_is_bias_instability_over_its_exact_level() -> None:
 def test_given_windows_are_used() -> None:
     """White noise of 1 read between 4 and 64 s."""
     curve = simulated_curve("N=1", 50_000, np.random.default_rng(43))
-    fit = fit_slope(None, curve, ("N",), windows={"N": (4, 64)})
+    fit = fit_slope(None, curve, FitSettings(model="N"), windows={"N": (4, 64)})
     assert fit.settings["windows"] == {"N": [4.0, 64.0]}
     npt.assert_array_equal(fit.curve.tau[fit.used], [4, 8, 16, 32, 64])
-    found = fit_slope(None, curve, ("N",))
+    found = fit_slope(None, curve, FitSettings(model="N"))
     assert found["N"].high - found["N"].low < fit["N"].high - fit["N"].low
 
 
@@ -65,7 +65,7 @@ def test_intervals_are_honest(text: str, n: int) -> None:
     rng = np.random.default_rng(44)
     hits: dict[str, list[bool]] = {key: [] for key in truth}
     for _ in range(25):
-        fit = fit_slope(None, simulated_curve(text, n, rng), None)
+        fit = fit_slope(None, simulated_curve(text, n, rng), FitSettings())
         for estimate in fit.estimates:
             if estimate.key in truth:
                 hits[estimate.key].append(estimate.low <= truth[estimate.key] <= estimate.high)
@@ -76,7 +76,7 @@ def test_intervals_are_honest(text: str, n: int) -> None:
 def test_the_minimum_of_n_and_k_is_no_flicker() -> None:
     """White noise and a walk make a minimum; of 12 records B is told in one at most."""
     rng = np.random.default_rng(45)
-    fits = [fit_slope(None, simulated_curve("N=1 + K=1e-2", 100_000, rng), None) for _ in range(12)]
+    fits = [fit_slope(None, simulated_curve("N=1 + K=1e-2", 100_000, rng), FitSettings()) for _ in range(12)]
     assert sum(fit["B"].status == "estimated" for fit in fits) <= 1
 
 
@@ -84,7 +84,7 @@ def test_units_change_nothing_but_the_unit() -> None:
     """A curve in other units has the same windows."""
     curve = simulated_curve("N=1 + K=0.01", 100_000, np.random.default_rng(46))
     small = type(curve)(tau=curve.tau, m=curve.m, avar=curve.avar * 1e-18, edf=curve.edf, n=curve.n)
-    one, other = fit_slope(None, curve, None), fit_slope(None, small, None)
+    one, other = fit_slope(None, curve, FitSettings()), fit_slope(None, small, FitSettings())
     for a, b in zip(one.estimates, other.estimates, strict=True):
         npt.assert_allclose((b.low, b.high), (a.low * 1e-9, a.high * 1e-9), rtol=1e-9)
 
@@ -99,4 +99,4 @@ def test_refuses_what_has_no_slope() -> None:
         match=r"^window of N: no averaging time between 0\.1 and 0\.5 s; the curve has 1 to 128 s, "
         r"a factor of about 2 apart$",
     ):
-        fit_slope(None, curve, ("N",), windows={"N": (0.1, 0.5)})
+        fit_slope(None, curve, FitSettings(model="N"), windows={"N": (0.1, 0.5)})

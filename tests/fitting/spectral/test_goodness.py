@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from imucal.fitting.spectral.goodness import misfit
+from imucal.fitting.cross_checks import distances, verify_findings
+from imucal.fitting.robust import heavy_tails
+from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.structures import candidates_of
-from imucal.fitting.spectral.tails import heavy_tails
 from imucal.fitting.spectral.transform import ordinates_of
-from imucal.fitting.verify import distances, verify_findings
 from imucal.noise.model import parse_structure
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, simulated

@@ -1,8 +1,10 @@
-"""Hausman's test of a maximum-likelihood fit against the fit of the Allan curve.
+"""A fit held against another of the same samples.
 
-Where the model is right both estimate the same numbers, and the variance of their difference is
+`second_opinion` is Hausman's test of a maximum-likelihood fit against the fit of the Allan curve:
+where the model is right both estimate the same numbers, and the variance of their difference is
 the difference of their variances, because the first has the least there can be. Where it is not,
-they weigh frequencies differently and part.
+they weigh frequencies differently and part. `verify_findings` compares the maximum with that of
+the exact state-space likelihood.
 
 Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 1251, eq. (2.7).
 """
@@ -10,9 +12,14 @@ Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
+from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, NoiseFit
-from imucal.noise.terms import TERMS
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import TERMS, term_keys
+from imucal.recording import AxisSeries
 
 #: Estimates further apart than so many standard deviations are reported.
 _DISAGREEMENT = 3.0
@@ -22,6 +29,8 @@ _LEAST = 1 / 300
 _OF_SHORT_TIMES = {"Q", "N"}
 #: Least share of the second variance in that of the difference: both are estimates themselves.
 _LEAST_SHARE = 0.25
+#: Distance of the two maxima, in standard errors, that is reported as a warning.
+_FAR = 0.5
 
 
 def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
@@ -96,3 +105,54 @@ def _value(estimate: Estimate) -> str:
 def _all_findings(*fits: NoiseFit) -> Iterator[Finding]:
     for fit in fits:
         yield from fit.findings
+
+
+def verify_findings(
+    series: AxisSeries, model: NoiseModel, names: tuple[str, ...], covariance: FloatArray
+) -> tuple[Finding, ...]:
+    """Return how far the exact likelihood's maximum is from `model`, in standard errors.
+
+    Slow: some seconds for 1e5 samples. `names` and `covariance`, shape (p, p), are the fit's own.
+    """
+    distance = distances(series, model, names, covariance)
+    worst = max(distance, key=lambda name: distance[name], default="")
+    if not worst:
+        return ()
+    far = distance[worst] > _FAR
+    return (
+        Finding(
+            level="warning" if far else "info",
+            code="verified",
+            axis=series.name,
+            text="The exact state-space likelihood has its maximum "
+            f"{distance[worst]:.2g} standard errors away at most ({worst}).",
+            advice="Trust neither alone: look for lines, a filter or a misfit." if far else "",
+        ),
+    )
+
+
+def distances(
+    series: AxisSeries, model: NoiseModel, names: tuple[str, ...], covariance: FloatArray
+) -> dict[str, float]:
+    """Return how far each parameter is from the exact likelihood's maximum, in standard errors."""
+    from imucal.fitting.state_space import fit_exact
+
+    structure = tuple(term.symbol for term in model.terms)
+    exact, _ = fit_exact(series, structure, model)
+    here, there = _values(model), _values(exact)
+    deviation = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    return {
+        name: abs(there[name] - here[name]) / deviation[name]
+        for name in here
+        if np.isfinite(deviation[name]) and deviation[name] > 0
+    }
+
+
+def _values(model: NoiseModel) -> dict[str, float]:
+    """Return the model's parameters under the names that a fit's covariance uses."""
+    keys = term_keys(term.symbol for term in model.terms)
+    return {
+        name: abs(value)
+        for term, key in zip(model.terms, keys, strict=True)
+        for name, value in zip(term.parameter_names(key), term.values, strict=True)
+    }

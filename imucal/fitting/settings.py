@@ -1,0 +1,85 @@
+"""FitSettings: what decides a fit, checked once; and the table of methods."""
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias, cast
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray
+from imucal.fitting.noise_fit import NoiseFit
+from imucal.noise.model import parse_structure
+from imucal.noise.terms import require_fittable
+from imucal.recording import AxisSeries
+
+#: Method -> the module and the function that fit by it; the module is imported when it is used.
+METHODS: dict[str, tuple[str, str]] = {
+    "mle": ("imucal.fitting.spectral.mle", "fit_mle"),
+    "gmwm": ("imucal.fitting.moments.gmwm", "fit_gmwm"),
+    "slope": ("imucal.fitting.moments.slope", "fit_slope"),
+}
+
+#: Information criteria that choose between models.
+CRITERIA = ("bic", "hq", "aic")
+
+#: Weights of gmwm: full covariance of the curve, or the published diagonal.
+WEIGHTS = ("full", "eta3")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitSettings:
+    """What decides a fit; `imucal.fit` says what each setting means.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not known, `model` is no sum of terms, or `method` can not fit one of them.
+    """
+
+    model: str = "auto"
+    method: str = "mle"
+    level: float = 0.95
+    criterion: str = "bic"
+    weights: str = "full"
+    max_gm: int = 2
+    clean: bool = True
+    verify: bool = False
+
+    def __post_init__(self) -> None:
+        choices = (
+            ("method", self.method, METHODS),
+            ("criterion", self.criterion, CRITERIA),
+            ("weights", self.weights, WEIGHTS),
+        )
+        for name, value, known in choices:
+            if value not in known:
+                msg = f"{name} {value!r} is not one of {', '.join(known)}"
+                raise ValueError(msg)
+        if not 0 < self.level < 1:
+            msg = f"level must be between 0 and 1, got {self.level}"
+            raise ValueError(msg)
+        if not 0 <= self.max_gm <= 2:
+            msg = f"max_gm must be 0, 1 or 2, got {self.max_gm}"
+            raise ValueError(msg)
+        require_fittable(self.structure or (), self.method)
+
+    @property
+    def structure(self) -> tuple[str, ...] | None:
+        """Symbols of the terms of the model; None where they are to be chosen."""
+        return None if self.model == "auto" else parse_structure(self.model)
+
+    @property
+    def chosen_by(self) -> str:
+        """What decides the terms of the model: the criterion, or ``given``."""
+        return self.criterion if self.structure is None else "given"
+
+
+#: Fits finite samples (None where only the curve is left), their curve, and the temperature in
+#: degrees Celsius at the samples, shape (n,), or None.
+Method: TypeAlias = Callable[[AxisSeries | None, AllanCurve, FitSettings, FloatArray | None], NoiseFit]
+
+
+def load_method(name: str) -> Method:
+    """Import the function of a method."""
+    module, function = METHODS[name]
+    return cast("Method", getattr(importlib.import_module(module), function))
