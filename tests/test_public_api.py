@@ -33,13 +33,6 @@ def test_every_module_says_what_it_is(name: str) -> None:
         assert hasattr(module, public) or f"{name}.{public}" in MODULES
 
 
-def test_no_two_modules_share_a_name() -> None:
-    """A file is found by its name alone; `_options` counts as `options`, a folder as a module."""
-    names = [name.rsplit(".", 1)[-1].lstrip("_") for name in MODULES]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    assert not twice, f"these names stand twice in the package; give each file one of its own: {twice}"
-
-
 def test_an_unknown_name_is_an_attribute_error() -> None:
     """As for any module."""
     with pytest.raises(AttributeError, match="module 'imucal' has no attribute 'nothing'"):
