@@ -93,10 +93,8 @@ def estimate(problem: Problem, fitted: Fitted) -> tuple[Estimate, ...]:
     if "R" in fitted.structure:
         columns.append(("R", RAMP))
     lows, highs = problem.limits(fitted, [column for _, column in columns])
-    values = [
-        fitted.maximum.beta[0, 0] if name == "R" else fitted.maximum.theta[0, column]
-        for name, column in columns
-    ]
+    found = fitted.maximum
+    values = [found.beta[0, 0] if name == "R" else found.theta[0, column] for name, column in columns]
     table = {
         name: (float(value), float(low), float(high))
         for (name, _), value, low, high in zip(columns, values, lows, highs, strict=True)
@@ -105,7 +103,7 @@ def estimate(problem: Problem, fitted: Fitted) -> tuple[Estimate, ...]:
 
 
 def keys_of(structure: Structure) -> list[tuple[str, str]]:
-    """Return key and symbol of each term: several Gauss-Markov terms are GM1, GM2 …"""
+    """Return key and symbol of each term: several Gauss-Markov terms are ``GM1``, ``GM2`` and so on."""
     keys, count, seen = [], structure.count("GM"), 0
     for symbol in structure:
         seen += symbol == "GM"
