@@ -15,7 +15,6 @@ diffuse Kalman filter's, de Jong (1991), Ann. Statist. 19, 1073.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +23,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.noise.bank import gauss_markov_bank
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import AngleRandomWalk, GaussMarkov, PowerLawTerm, RateRamp
+from imucal.noise.terms import BiasInstability, GaussMarkov, NoiseTerm, PowerLawTerm, RateRamp, RateRandomWalk
 from imucal.recording import AxisSeries
 
 #: Columns of the banded matrix in a block.
@@ -137,38 +136,29 @@ def fit_exact(series: AxisSeries, structure: tuple[str, ...], start: NoiseModel)
 def state_space(model: NoiseModel, *, rate_hz: float, n: int) -> StateSpace:
     """Return the states of a model's random terms for `n` samples."""
     tau0 = 1 / rate_hz
-    decay: list[float] = []
-    drive: list[float] = []
-    start: list[float] = []
-    white, quantization = 0.0, 0.0
-    model_white = sum(t.variance(tau0) for t in model.terms if isinstance(t, AngleRandomWalk))
+    variances = {t.symbol: t.variance(tau0) for t in model.terms if isinstance(t, PowerLawTerm)}
+    white, quantization = variances.get("N", 0.0), variances.get("Q", 0.0)
+    states = [(0.0, quantization, quantization)] if quantization else []
     for term in model.terms:
-        if isinstance(term, PowerLawTerm) and term.value > 0:
-            variance = term.variance(tau0)
-            if term.symbol == "K" and variance * n**2 < _UNSEEN_WALK * model_white:
-                continue
-            if term.symbol == "N":
-                white = variance
-            elif term.symbol == "Q":
-                quantization = variance
-            elif term.symbol == "K":
-                decay, drive, start = [*decay, 1.0], [*drive, variance], [*start, math.inf]
-            else:
-                bank = gauss_markov_bank(term.value, tau0 / 2, 3 * n * tau0, _BANK_PER_DECADE)
-                _add_gauss_markov(bank, tau0, decay, drive, start)
-        elif isinstance(term, GaussMarkov) and term.sigma > 0:
-            _add_gauss_markov([term], tau0, decay, drive, start)
-    if quantization:
-        decay, drive, start = [0.0, *decay], [quantization, *drive], [quantization, *start]
+        if term.symbol == "K" and variances["K"] * n**2 < _UNSEEN_WALK * white:
+            continue
+        states += _states(term, tau0, n)
+    decay, drive, start = np.array(states).reshape(-1, 3).T.copy()
     if not white:
-        white = _unseen_white(model, rate_hz, n, max(drive, default=1.0))
-    return StateSpace(
-        decay=np.array(decay),
-        drive=np.array(drive),
-        start=np.array(start),
-        quantized=bool(quantization),
-        white=white,
-    )
+        white = _unseen_white(model, rate_hz, n, float(drive.max(initial=0.0)) or 1.0)
+    return StateSpace(decay=decay, drive=drive, start=start, quantized=bool(quantization), white=white)
+
+
+def _states(term: NoiseTerm, tau0: float, n: int) -> list[tuple[float, float, float]]:
+    """Return decay, drive and start of each state of a walk, flicker or a Gauss-Markov term."""
+    if not term.coefficient > 0:
+        return []
+    if isinstance(term, RateRandomWalk):
+        return [(1.0, term.variance(tau0), math.inf)]
+    markov = (term,) if isinstance(term, GaussMarkov) else ()
+    if isinstance(term, BiasInstability):
+        markov = gauss_markov_bank(term.value, tau0 / 2, 3 * n * tau0, _BANK_PER_DECADE)
+    return [(t.phi(tau0), t.q(tau0) ** 2, t.sigma**2) for t in markov]
 
 
 def profile(
@@ -214,15 +204,6 @@ def _unseen_white(model: NoiseModel, rate_hz: float, n: int, largest: float) -> 
     frequencies = np.geomspace(rate_hz / (2 * n), rate_hz / 2, 256)
     least = float(model.psd(frequencies, rate_hz=rate_hz).min()) * rate_hz
     return max(1e-7 * least, 1e-10 * largest)
-
-
-def _add_gauss_markov(
-    terms: Sequence[GaussMarkov], tau0: float, decay: list[float], drive: list[float], start: list[float]
-) -> None:
-    for term in terms:
-        decay.append(term.phi(tau0))
-        drive.append(term.q(tau0) ** 2)
-        start.append(term.sigma**2)
 
 
 def _on_grid(series: AxisSeries) -> tuple[FloatArray, np.ndarray]:

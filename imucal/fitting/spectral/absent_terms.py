@@ -10,7 +10,7 @@ from imucal.fitting.spectral.intervals import quantile
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import LAWS
 from imucal.fitting.spectral.scoring import bounds, maximize
-from imucal.fitting.spectral.selection import Choice
+from imucal.fitting.spectral.selection import RankedModels
 from imucal.fitting.spectral.structures import Structure, candidates_of
 from imucal.noise.terms import TERMS
 
@@ -21,7 +21,7 @@ _BOUND_WITHIN, _BOUND_MODELS = 6.0, 4
 _COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 
 
-def estimate_or_bound(problem: Problem, choice: Choice) -> tuple[Fitted, tuple[Estimate, ...]]:
+def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, tuple[Estimate, ...]]:
     """Return the best candidate, and estimates or bounds of its terms and of N, B and K.
 
     A term whose interval holds zero is bounded and left out of the model; the other terms keep the
@@ -87,7 +87,7 @@ def _without_least(problem: Problem, fitted: Fitted, gone: list[Estimate]) -> tu
     return fits[best].by_time(), gone[best]
 
 
-def _candidate(choice: Choice, index: int) -> Fitted:
+def _candidate(choice: RankedModels, index: int) -> Fitted:
     row = np.array([index])
     return Fitted(
         structure=choice.structures[index],
@@ -96,7 +96,7 @@ def _candidate(choice: Choice, index: int) -> Fitted:
     ).by_time()
 
 
-def _bound(problem: Problem, choice: Choice, fitted: Fitted, symbol: str) -> Estimate:
+def _bound(problem: Problem, choice: RankedModels, fitted: Fitted, symbol: str) -> Estimate:
     """Return the bound of an absent term: the highest that any model near the best leaves it."""
     near = np.flatnonzero(choice.criterion - choice.criterion[0] <= _BOUND_WITHIN)[1 : _BOUND_MODELS + 1]
     models = [fitted, *(_candidate(choice, int(i)) for i in near)]

@@ -13,7 +13,7 @@ from imucal.fitting.robust import heavy_tails, resolution_effect
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered
 from imucal.fitting.spectral.band import find_band
-from imucal.fitting.spectral.blocks import Blocks, make_blocks
+from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.estimates import Problem, covariance_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.ordinates import Ordinates
@@ -39,7 +39,7 @@ _NAMED = 4
 class View:
     """What part of the spectrum is fitted, and with what beside the noise."""
 
-    blocks: Blocks
+    blocks: SeriesBlocks
     band: Band
     ordinates: Ordinates
     common: tuple[str, ...]
