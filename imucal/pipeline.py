@@ -74,27 +74,36 @@ def characterize(
         try:
             axes.append(_characterize_axis(series, settings, recording.temperature, findings))
         except DataError as error:
-            # The screening knows what to do about an axis without data; what it saw is said by the error.
-            advice = next((f.advice for f in findings if f.axis == series.name and f.code == "no-data"), "")
-            findings = tuple(f for f in findings if f.axis != series.name or f.code != "no-data")
-            text = f"{error}."
-            failures.append(
-                Finding(level="error", code="no-result", axis=series.name, text=text, advice=advice)
-            )
+            failures.append(_no_result(series, error, findings))
     if not axes:
         reasons = _reasons(failures) or "the log holds no samples"
         msg = f"{recording.source.path}: no axis can be analysed: {reasons}"
         raise DataError(msg)
     if progress:
         progress(len(recording.series), len(recording.series), "")
-    fitted = {axis.name for axis in axes}
     return Report(
         source=recording.source,
         axes=tuple(axes),
         settings=settings.document(),
         version=__version__,
-        findings=tuple(f for f in (*findings, *failures) if f.axis not in fitted),
+        findings=_of_no_result(findings, axes, failures),
     )
+
+
+def _no_result(series: AxisSeries, error: DataError, screened: tuple[Finding, ...]) -> Finding:
+    """Return why an axis has no result, with the screening's advice about an axis without data."""
+    advice = next((f.advice for f in screened if f.axis == series.name and f.code == "no-data"), "")
+    return Finding(level="error", code="no-result", axis=series.name, text=f"{error}.", advice=advice)
+
+
+def _of_no_result(
+    screened: tuple[Finding, ...], axes: list[AxisReport], failures: list[Finding]
+) -> tuple[Finding, ...]:
+    """Return the findings that are of no axis's result; a failure says what `no-data` says, and more."""
+    fitted = {axis.name for axis in axes}
+    failed = {failure.axis for failure in failures}
+    others = (f for f in screened if f.axis not in fitted and (f.code != "no-data" or f.axis not in failed))
+    return (*others, *failures)
 
 
 def _reasons(failures: list[Finding]) -> str:

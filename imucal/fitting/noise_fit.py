@@ -51,6 +51,11 @@ class Estimate:
     high: float
     correlation_time: Interval | None = None
 
+    @classmethod
+    def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":
+        """Return the estimate of a term that the data do not show: below `high`."""
+        return cls(key=key, symbol=symbol, status="bounded", value=None, low=0.0, high=high)
+
     def __post_init__(self) -> None:
         if (self.value is None) != (self.status == "bounded"):
             msg = f"{self.key}: a bounded estimate has no value, an estimated one has: {self}"

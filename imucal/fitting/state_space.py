@@ -24,7 +24,7 @@ from imucal.errors import DataError
 from imucal.noise.bank import gauss_markov_bank
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm, PowerLawTerm
-from imucal.noise.terms import BiasInstability, GaussMarkov, RateRamp
+from imucal.noise.terms import BiasInstability, GaussMarkov, RateRamp, RateRandomWalk
 from imucal.recording import AxisSeries
 
 #: Columns of the banded matrix in a block.
@@ -143,39 +143,32 @@ def state_space(model: NoiseModel, *, rate_hz: float, n: int) -> StateSpace:
         If a term has no states.
     """
     tau0 = 1 / rate_hz
-    variance = {term.symbol: term.variance(tau0) for term in model.terms if isinstance(term, PowerLawTerm)}
-    white, quantization = variance.get("N", 0.0), variance.get("Q", 0.0)
-    decay: list[float] = []
-    drive: list[float] = []
-    start: list[float] = []
-    if quantization:
-        decay, drive, start = [0.0], [quantization], [quantization]
+    variances = {t.symbol: t.variance(tau0) for t in model.terms if isinstance(t, PowerLawTerm)}
+    white, quantization = variances.get("N", 0.0), variances.get("Q", 0.0)
+    states = [(0.0, quantization, quantization)] if quantization else []
     for term in model.terms:
-        if not isinstance(term, PowerLawTerm | GaussMarkov | RateRamp):
-            msg = f"the exact likelihood has no state for {term.symbol} ({term.names[0]}); leave it out"
-            raise ValueError(msg)  # noqa: TRY004 - it is the model that is wrong, not a type
-        if term.symbol == "K" and variance["K"] * n**2 >= _UNSEEN_WALK * white and variance["K"]:
-            decay, drive, start = [*decay, 1.0], [*drive, variance["K"]], [*start, math.inf]
-        for markov in _gauss_markov_terms(term, tau0, n):
-            decay.append(markov.phi(tau0))
-            drive.append(markov.q(tau0) ** 2)
-            start.append(markov.sigma**2)
-    return StateSpace(
-        decay=np.array(decay),
-        drive=np.array(drive),
-        start=np.array(start),
-        quantized=bool(quantization),
-        white=white or _unseen_white(model, rate_hz, n, max(drive, default=1.0)),
-    )
+        if term.symbol == "K" and variances["K"] * n**2 < _UNSEEN_WALK * white:
+            continue
+        states += _states(term, tau0, n)
+    decay, drive, start = np.array(states).reshape(-1, 3).T.copy()
+    if not white:
+        white = _unseen_white(model, rate_hz, n, float(drive.max(initial=0.0)) or 1.0)
+    return StateSpace(decay=decay, drive=drive, start=start, quantized=bool(quantization), white=white)
 
 
-def _gauss_markov_terms(term: NoiseTerm, tau0: float, n: int) -> tuple[GaussMarkov, ...]:
-    """Return a term as Gauss-Markov ones: itself, flicker's bank, or none."""
-    if isinstance(term, GaussMarkov):
-        return (term,) if term.sigma > 0 else ()
-    if isinstance(term, BiasInstability) and term.value > 0:
-        return gauss_markov_bank(term.value, tau0 / 2, 3 * n * tau0, _BANK_PER_DECADE)
-    return ()
+def _states(term: NoiseTerm, tau0: float, n: int) -> list[tuple[float, float, float]]:
+    """Return decay, drive and start of each state of a walk, flicker or a Gauss-Markov term."""
+    if not isinstance(term, PowerLawTerm | GaussMarkov | RateRamp):
+        msg = f"the exact likelihood has no state for {term.symbol} ({term.names[0]}); leave it out"
+        raise ValueError(msg)  # noqa: TRY004 - it is the model that is wrong, not a type
+    if not term.coefficient > 0:
+        return []
+    if isinstance(term, RateRandomWalk):
+        return [(1.0, term.variance(tau0), math.inf)]
+    markov: tuple[GaussMarkov, ...] = (term,) if isinstance(term, GaussMarkov) else ()
+    if isinstance(term, BiasInstability):
+        markov = gauss_markov_bank(term.value, tau0 / 2, 3 * n * tau0, _BANK_PER_DECADE)
+    return [(t.phi(tau0), t.q(tau0) ** 2, t.sigma**2) for t in markov]
 
 
 def profile(

@@ -6,10 +6,10 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import Estimate, NoiseFit
-from imucal.fitting.spectral.estimates import Scales
+from imucal.fitting.spectral.absent_terms import estimate_or_bound
+from imucal.fitting.spectral.estimates import Problem
 from imucal.fitting.spectral.mle import fit_mle
 from imucal.fitting.spectral.selection import choose
-from imucal.fitting.spectral.settle import Setting, settle
 from imucal.fitting.spectral.transform import ordinates_of
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.recording import AxisSeries
@@ -54,6 +54,5 @@ def estimated(samples: FloatArray, model: str, *, level: float = 0.95) -> dict[s
     """Return the estimates of a given model on the whole band, without looking for a filter."""
     data = ordinates_of(samples)
     choice = choose(data, [parse_structure(model)], criterion="bic")
-    scales = Scales(unit=1.0, tau0=1.0, widening={})
-    setting = Setting(level=level, shortest=2.0, common=(), scales=scales)
-    return {e.key: e for e in settle(data, choice, setting)[1]}
+    problem = Problem(ordinates=data, level=level, shortest=2.0, common=(), unit=1.0, tau0=1.0, widening={})
+    return {e.key: e for e in estimate_or_bound(problem, choice)[1]}

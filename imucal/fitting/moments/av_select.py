@@ -1,4 +1,4 @@
-"""The choice of terms on Allan variances: every subset, by a criterion of moment selection.
+"""The choice of terms (every subset, by a criterion of moment selection) and of averaging times.
 
 The sum of squares J with the inverse covariance as weight is chi-squared with (points - parameters)
 degrees of freedom where the model is right. Models are ranked by J + parameters * penalty, with
@@ -18,6 +18,7 @@ from imucal.arrays import FloatArray
 from imucal.fitting.moments.av_intervals import CurveSpread, goodness
 from imucal.fitting.moments.av_points import AvarPoints, columns
 from imucal.fitting.moments.av_search import Solution, Weight, minimise, time_grid
+from imucal.fitting.settings import FitSettings
 
 _LAWS = "QNBKR"
 #: Models whose screened criterion is within so much of the best are computed in full, at most so many.
@@ -116,22 +117,17 @@ def _least_cost(gram: FloatArray, moment: FloatArray, total: float, sets: np.nda
     return float(cost.min())
 
 
-def ranked(
-    points: AvarPoints, weight: Weight, structure: tuple[str, ...] | None, criterion: str, max_gm: int
-) -> list[tuple[float, Solution]]:
+def ranked(points: AvarPoints, weight: Weight, settings: FitSettings) -> list[tuple[float, Solution]]:
     """Return the models in reach, the best first; the one model where it is given."""
+    structure = settings.structure
     if structure is None:
-        return choose(points, weight, criterion=criterion, max_gm=max_gm)
-    laws, count = _laws(structure)
+        return choose(points, weight, criterion=settings.criterion, max_gm=settings.max_gm)
+    laws, count = "".join(symbol for symbol in structure if symbol != "GM"), structure.count("GM")
     return [(0.0, minimise(points.m, points.avar, weight, laws, count))]
 
 
-def _laws(structure: tuple[str, ...]) -> tuple[str, int]:
-    return "".join(symbol for symbol in structure if symbol != "GM"), structure.count("GM")
-
-
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class CurveFit:
     """A fit: the models in reach, the chosen one at its minimum, its weight and its misfit."""
 
     ranking: list[tuple[float, Solution]]
@@ -141,26 +137,24 @@ class Fitted:
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class ModelSearch:
     """Finds the models in reach, with the covariance that a rough fit gives."""
 
     spread: CurveSpread
     rough: Solution
-    structure: tuple[str, ...] | None
-    criterion: str
-    max_gm: int
+    settings: FitSettings
 
     def ranking(self, points: AvarPoints) -> tuple[list[tuple[float, Solution]], Weight, float]:
         """Return the models of the last `points`, their weight and the least misfit."""
         first = self.spread.points.size - points.size
         covariance = self.spread.within(first).at(self.rough.variances)
         weight = Weight.of_covariance(covariance)
-        ranking = ranked(points, weight, self.structure, self.criterion, self.max_gm)
+        ranking = ranked(points, weight, self.settings)
         misfit = min(goodness(points, solution, covariance).statistic for _, solution in ranking)
         return ranking, weight, misfit
 
 
-def best_band(points: AvarPoints, search: Search) -> tuple[AvarPoints, Fitted]:
+def best_band(points: AvarPoints, search: ModelSearch) -> tuple[AvarPoints, CurveFit]:
     """Return the longest run of points, up to the last, that a model describes, and the fit.
 
     An output filter bends the curve at its first averaging times only; without those it is as good
@@ -169,7 +163,8 @@ def best_band(points: AvarPoints, search: Search) -> tuple[AvarPoints, Fitted]:
     """
     ranking, weight, _ = search.ranking(points)
     whole = _described(points, ranking, weight)
-    least = 6 if search.structure is None else len(search.structure) + search.structure.count("GM") + 3
+    structure = search.settings.structure
+    least = 6 if structure is None else len(structure) + structure.count("GM") + 3
     if not whole.misfit >= _FILTERED:
         return points, whole
     best, kept_best = whole.misfit / _CURE, None
@@ -186,18 +181,18 @@ def best_band(points: AvarPoints, search: Search) -> tuple[AvarPoints, Fitted]:
     return kept_best[0], _described(*kept_best)
 
 
-def _described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight: Weight) -> Fitted:
+def _described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight: Weight) -> CurveFit:
     """Return the first of the models that describes the curve with its own weight; else the first.
 
     The criterion ranks all models with one weight, under which a model that lacks a small term may
     win; with its own weight it then shows a misfit that the next one does not have.
     """
-    fits: list[Fitted] = []
+    fits: list[CurveFit] = []
     for place, (delta, start) in enumerate(ranking[:_CANDIDATES]):
         solution, own, covariance = _converged(points, start, weight)
         misfit = goodness(points, solution, covariance).statistic
         rest = [(d - delta, s) for d, s in ranking[place:]]
-        fits.append(Fitted(rest, solution, own, misfit))
+        fits.append(CurveFit(rest, solution, own, misfit))
         if not misfit >= MISFIT:
             return fits[-1]
     return fits[0]

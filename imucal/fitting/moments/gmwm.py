@@ -22,7 +22,7 @@ from imucal.fitting.moments.av_estimates import curve_estimates, model_of
 from imucal.fitting.moments.av_intervals import CurveSpread, goodness
 from imucal.fitting.moments.av_points import AvarPoints, avar_points
 from imucal.fitting.moments.av_search import Solution, Weight
-from imucal.fitting.moments.av_select import MISFIT, Fitted, Search, best_band, dictionary, ranked
+from imucal.fitting.moments.av_select import MISFIT, CurveFit, ModelSearch, best_band, dictionary, ranked
 from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
@@ -62,17 +62,16 @@ def fit_gmwm(
         If the curve has too few averaging times for the model, or is not of Allan variances.
     """
     points = avar_points(series, curve)
-    structure, criterion, max_gm = settings.structure, settings.criterion, settings.max_gm
-    if structure is not None:
-        _require_points(series, points, structure)
+    if settings.structure is not None:
+        _require_points(series, points, settings.structure)
     eta3 = Weight.of_deviations(_eta3_widths(points))
     if settings.weights == "eta3":
-        ranking = ranked(points, eta3, structure, criterion, max_gm)
-        kept, fitted = points, Fitted(ranking, ranking[0][1], eta3, 0.0)
+        ranking = ranked(points, eta3, settings)
+        kept, fitted = points, CurveFit(ranking, ranking[0][1], eta3, 0.0)
     else:
         rough = dictionary(points, eta3)
         spread = CurveSpread.of_terms(points, rough.laws, rough.times)
-        kept, fitted = best_band(points, Search(spread, rough, structure, criterion, max_gm))
+        kept, fitted = best_band(points, ModelSearch(spread, rough, settings))
     return _result(
         series,
         curve,
@@ -113,7 +112,7 @@ def _result(
     *,
     points: AvarPoints,
     dropped: int,
-    fitted: Fitted,
+    fitted: CurveFit,
     settings: FitSettings,
 ) -> NoiseFit:
     solution = fitted.solution

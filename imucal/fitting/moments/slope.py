@@ -26,8 +26,6 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS
 from imucal.recording import AxisSeries
 
-_UNREAD = Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
-
 
 def fit_slope(
     series: AxisSeries | None,
@@ -68,44 +66,55 @@ def fit_slope(
     points = avar_points(series, curve)
     covariance = _log_covariance(points)
     wanted = [s for s in SLOPES if structure is None or s in structure]
-    readings = [
-        reading
-        for symbol in wanted
-        if (reading := read_term(points, covariance, symbol, windows)) is not None
-    ]
+    found = [read_term(points, covariance, symbol, windows) for symbol in wanted]
+    readings = [reading for reading in found if reading is not None]
     estimates, shown = _estimates(points, covariance, readings, structure, level)
+    return NoiseFit(
+        method="slope",
+        sensor=series.sensor if series is not None else None,
+        rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
+        level=level,
+        model=NoiseModel(terms=tuple(points.term(r.symbol, _variance(r)) for r in shown)),
+        estimates=estimates,
+        parameters=tuple(r.symbol for r in shown),
+        covariance=_covariance(points, covariance, shown),
+        goodness=_goodness(points, covariance, shown),
+        curve=curve,
+        used=np.unique(np.concatenate([points.used[:0], *(points.used[r.places] for r in shown)])),
+        settings={"windows": {r.symbol: _window(points, r) for r in shown}},
+    )
+
+
+def _window(points: AvarPoints, reading: Reading) -> list[float]:
+    """Return the first and the last averaging time of a line, in s."""
+    return [float(points.m[reading.places[k]] * points.tau0) for k in (0, -1)]
+
+
+def _variance(reading: Reading) -> float:
+    """Return the square of the coefficient that was read."""
+    return float(np.exp(2 * reading.log_value))
+
+
+def _covariance(points: AvarPoints, covariance: FloatArray, shown: list[Reading]) -> FloatArray:
+    """Return the covariance of the coefficients in SI, from that of the points' logarithms."""
+    values = np.array([points.coefficient(r.symbol, _variance(r)) for r in shown])
+    design = np.zeros((len(shown), points.size))
+    for row, reading in zip(design, shown, strict=True):
+        row[reading.places] = reading.weights
+    return read_only(design @ covariance @ design.T * np.outer(values, values))
+
+
+def _goodness(points: AvarPoints, covariance: FloatArray, shown: list[Reading]) -> Goodness:
+    """Return how well the terms together describe all points."""
+    if not shown:
+        return Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
     solution = Solution(
         laws="".join(r.symbol for r in shown),
         times=np.zeros(0),
         variances=np.exp(2 * np.array([r.log_value for r in shown])),
         objective=float("nan"),
     )
-    values = np.array([points.coefficient(r.symbol, float(np.exp(2 * r.log_value))) for r in shown])
-    design = np.zeros((len(shown), points.size))
-    for row, reading in zip(design, shown, strict=True):
-        row[reading.places] = reading.weights
-    logs = design @ covariance @ design.T
-    fit = (
-        goodness(points, solution, covariance * 4 * np.outer(points.avar, points.avar)) if shown else _UNREAD
-    )
-    return NoiseFit(
-        method="slope",
-        sensor=series.sensor if series is not None else None,
-        rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
-        level=level,
-        model=NoiseModel(terms=tuple(points.term(r.symbol, float(np.exp(2 * r.log_value))) for r in shown)),
-        estimates=estimates,
-        parameters=tuple(r.symbol for r in shown),
-        covariance=read_only(logs * np.outer(values, values)),
-        goodness=fit,
-        curve=curve,
-        used=np.unique(np.concatenate([points.used[:0], *(points.used[r.places] for r in shown)])),
-        settings={
-            "windows": {
-                r.symbol: [float(points.m[r.places[k]] * points.tau0) for k in (0, -1)] for r in shown
-            }
-        },
-    )
+    return goodness(points, solution, covariance * 4 * np.outer(points.avar, points.avar))
 
 
 def _log_covariance(points: AvarPoints) -> FloatArray:
@@ -137,12 +146,10 @@ def _estimates(
         share = 0.0 if reading is None else _share_of_others(points, covariance, reading, found, tops)
         if reading is None or share >= 1:
             high = points.coefficient(symbol, float(np.exp(2 * tops[symbol])))
-            estimates.append(
-                Estimate(key=symbol, symbol=symbol, status="bounded", value=None, low=0.0, high=high)
-            )
+            estimates.append(Estimate.bounded(symbol, symbol, high))
             continue
         spread = quantile * _spread(covariance, reading)
-        value = points.coefficient(symbol, float(np.exp(2 * reading.log_value)))
+        value = points.coefficient(symbol, _variance(reading))
         estimates.append(
             Estimate(
                 key=symbol,

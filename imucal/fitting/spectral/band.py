@@ -62,17 +62,6 @@ class _Trial:
     statistic: float
     deviation: float
 
-    def band(self, *, sound: bool, width: int, simplest: Order | None = None) -> Band:
-        return Band(
-            fraction=self.fraction,
-            order=simplest or self.order,
-            poles=self.order[0],
-            zeros=self.order[1],
-            response=self.maximum.theta[0, width : width + self.order[0]],
-            sound=sound,
-            statistic=self.statistic,
-        )
-
 
 def find_band(
     ordinates: Ordinates,
@@ -99,19 +88,18 @@ def find_band(
     """
     coarse = coarser(ordinates.below(1.0), singles=48, merge=3)
     if given is not None and "GM" in given:
-        own = _Search(coarse, given, 2.0, common)
+        own = _BandSearch(coarse, given, 2.0, common)
         flat = own.flat()
-        if flat.sound and (own.white_at_the_top() or "N" not in given):
+        if flat and (own.white_at_the_top() or "N" not in given):
             return flat
-    search = _Search(coarse, rich, shortest, common)
-    flat = search.flat()
-    if flat.sound:
+    search = _BandSearch(coarse, rich, shortest, common)
+    if flat := search.flat():
         return flat
     plain = tuple(symbol for symbol in rich if symbol != "Q")
-    return _Search(coarse, plain, shortest, common).filtered()
+    return _BandSearch(coarse, plain, shortest, common).filtered()
 
 
-class _Search:
+class _BandSearch:
     """Fits of one structure to several bands with several responses."""
 
     def __init__(
@@ -155,8 +143,8 @@ class _Search:
             for order, row in zip(orders, rows, strict=True)
         ]
 
-    def flat(self) -> Band:
-        """Return the whole band without a response, sound if the data do not ask for more."""
+    def flat(self) -> Band | None:
+        """Return the whole band without a response; None if the data ask for more."""
         orders: list[Order] = [(0, 0), (1, 0), (2, 0)]
         start = self.blind(self.ordinates)
         trials = self.fit(self.ordinates, 1.0, orders, np.repeat(start, 3, axis=0))
@@ -169,7 +157,7 @@ class _Search:
             again[:, self.width :] = 0.0
             flat = self.fit(self.ordinates, 1.0, [(0, 0)] * 3, again)
             trials[0] = min(flat, key=lambda t: t.maximum.objective[0])
-        return trials[0].band(sound=_enough(trials, chance, _SOUND_FLAT), width=self.width)
+        return self.band(trials[0]) if _enough(trials, chance, _SOUND_FLAT) else None
 
     def level_at_the_top(self) -> float:
         """Return the mean square of the ordinates of the highest frequencies."""
@@ -185,38 +173,50 @@ class _Search:
         narrow = self.ordinates.below(BANDS[-1])
         low = self.blind(narrow if narrow.size.size >= _FEWEST else self.ordinates)
         every: list[_Trial] = []
-        best: tuple[float, _Trial, _Trial] | None = None
+        best: tuple[_Trial, _Trial] | None = None
         for fraction in BANDS:
             seen = self.ordinates.below(fraction)
             if seen.size.size < _FEWEST:
                 break
-            if best is not None and best[0] < np.sqrt(0.5 / seen.count):
+            if best is not None and best[0].deviation < np.sqrt(0.5 / seen.count):
                 break
-            orders = _WITH_ZEROS if _NARROW < fraction < 1 else _ALL_POLES
-            starts = np.concatenate(
-                [start_response(seen, low, order, width=self.width, room=_ORDERS) for order in orders]
-            )
-            fits = self.fit(seen, fraction, orders, starts)
-            trials = {t.order: t for t in fits if np.isfinite(t.maximum.objective[0])}
-            every += trials.values()
-            found = self.simplest(trials)
-            if found is not None and (best is None or found[0] < best[0]):
+            trials = self.responses(seen, fraction, low)
+            every += trials
+            found = _simplest(trials)
+            if found is not None and (best is None or found[0].deviation < best[0].deviation):
                 best = found
         if best is None:
-            return min(every, key=lambda t: t.statistic).band(sound=False, width=self.width)
-        _, simplest, richer = best
-        if simplest.order == (0, 0) and simplest.fraction == 1.0:
-            return simplest.band(sound=True, width=self.width)
-        return richer.band(sound=True, width=self.width, simplest=simplest.order)
+            return self.band(min(every, key=lambda t: t.statistic))
+        simplest, richer = best
+        flat = simplest.order == (0, 0) and simplest.fraction == 1.0
+        return self.band(simplest if flat else richer, simplest.order)
 
-    @staticmethod
-    def simplest(trials: dict[Order, _Trial]) -> tuple[float, _Trial, _Trial] | None:
-        """Return the error of N of the simplest sound description of a band, it, and its next order."""
-        for poles, zeros in sorted(trials, key=lambda order: (sum(order), order)):
-            nested = [trials[o] for more in range(3) if (o := (poles + more, zeros)) in trials]
-            if len(nested) > 1 and _enough(nested):
-                return nested[0].deviation, nested[0], nested[1]
-        return None
+    def responses(self, seen: Ordinates, fraction: float, low: FloatArray) -> list[_Trial]:
+        """Return the fits of one band with every order of the response that has a likelihood there."""
+        orders = _WITH_ZEROS if _NARROW < fraction < 1 else _ALL_POLES
+        starts = [start_response(seen, low, order, width=self.width, room=_ORDERS) for order in orders]
+        fits = self.fit(seen, fraction, orders, np.concatenate(starts))
+        return [t for t in fits if np.isfinite(t.maximum.objective[0])]
+
+    def band(self, trial: _Trial, simplest: Order | None = None) -> Band:
+        poles, zeros = trial.order
+        return Band(
+            fraction=trial.fraction,
+            order=simplest or trial.order,
+            poles=poles,
+            zeros=zeros,
+            response=trial.maximum.theta[0, self.width : self.width + poles],
+        )
+
+
+def _simplest(trials: list[_Trial]) -> tuple[_Trial, _Trial] | None:
+    """Return the simplest sound description of a band, and its next order."""
+    by_order = {t.order: t for t in trials}
+    for poles, zeros in sorted(by_order, key=lambda order: (sum(order), order)):
+        nested = [by_order[o] for more in range(3) if (o := (poles + more, zeros)) in by_order]
+        if len(nested) > 1 and _enough(nested):
+            return nested[0], nested[1]
+    return None
 
 
 def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: float = _SOUND) -> bool:

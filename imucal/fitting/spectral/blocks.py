@@ -1,6 +1,6 @@
 """AxisSeries -> blocks of ordinates: long gaps part the blocks, short ones are completed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -72,10 +72,10 @@ class Block:
         bins = self.bins
         number = int(np.searchsorted(bins.first, count, side="right"))
         stop = int(bins.first[number - 1] + bins.count[number - 1] - 1)
-        return Block(
-            offset=self.offset,
-            bins=DctBins(
-                n=bins.n, first=bins.first[:number], count=bins.count[:number], omega=bins.omega[:number]
+        return replace(
+            self,
+            bins=replace(
+                bins, first=bins.first[:number], count=bins.count[:number], omega=bins.omega[:number]
             ),
             ordinates=self.ordinates[:stop],
             variance=None if self.variance is None else self.variance[:stop],
@@ -86,7 +86,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Blocks:
+class SeriesBlocks:
     """All blocks of a record.
 
     Attributes
@@ -141,7 +141,7 @@ def scale_of(series: AxisSeries) -> float:
     return float(2.0 ** np.round(np.log2(size)))
 
 
-def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Blocks:
+def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> SeriesBlocks:
     """Return the ordinates of finite samples, gaps and lines taken care of.
 
     Raises
@@ -163,14 +163,16 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Bl
     for run in runs:
         block = _transform(series, run, _bins(run.size, len(runs)), scale, temperature)
         kept, found = find_lines(block.ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
-        blocks.append(block if kept is None else _masked(block, kept))
+        blocks.append(block if kept is None else replace(block, kept=kept))
         if block.bins.n > longest:
             lines, longest = found, block.bins.n
-    return Blocks(blocks=tuple(blocks), scale=scale, lines=lines, findings=_gap_findings(series, runs, lost))
+    return SeriesBlocks(
+        blocks=tuple(blocks), scale=scale, lines=lines, findings=_gap_findings(series, runs, lost)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Run:
+class _Stretch:
     """Segments that make one block: samples[start:stop], from place `offset` for `size` places."""
 
     start: int
@@ -179,7 +181,7 @@ class _Run:
     size: int
 
 
-def _runs(series: AxisSeries) -> tuple[list[_Run], int]:
+def _runs(series: AxisSeries) -> tuple[list[_Stretch], int]:
     """Return the runs of segments between long gaps, and the number of samples in runs too short."""
     segments = series.clock.segments
     gaps = np.array([b.offset - a.offset - a.size for a, b in pairwise(segments)])
@@ -189,7 +191,7 @@ def _runs(series: AxisSeries) -> tuple[list[_Run], int]:
     for cut in [*cuts, len(segments) - 1]:
         a, b = segments[first], segments[cut]
         size = b.offset + b.size - a.offset
-        runs.append(_Run(start=a.start, stop=b.stop, offset=a.offset - segments[0].offset, size=size))
+        runs.append(_Stretch(start=a.start, stop=b.stop, offset=a.offset - segments[0].offset, size=size))
         first = cut + 1
     long = [run for run in runs if run.stop - run.start >= _FEWEST]
     return long, sum(run.stop - run.start for run in runs if run not in long)
@@ -203,7 +205,7 @@ def _bins(size: int, blocks: int) -> DctBins:
 
 
 def _transform(
-    series: AxisSeries, run: _Run, bins: DctBins, scale: float, temperature: FloatArray | None
+    series: AxisSeries, run: _Stretch, bins: DctBins, scale: float, temperature: FloatArray | None
 ) -> Block:
     samples = series.samples[run.start : run.stop] / scale
     heat = None if temperature is None else temperature[run.start : run.stop]
@@ -227,19 +229,7 @@ def _transform(
     )
 
 
-def _masked(block: Block, kept: NDArray[np.bool_]) -> Block:
-    return Block(
-        offset=block.offset,
-        bins=block.bins,
-        ordinates=block.ordinates,
-        variance=block.variance,
-        kept=kept,
-        loss=block.loss,
-        temperature=block.temperature,
-    )
-
-
-def _gap_findings(series: AxisSeries, runs: list[_Run], lost: int) -> tuple[Finding, ...]:
+def _gap_findings(series: AxisSeries, runs: list[_Stretch], lost: int) -> tuple[Finding, ...]:
     completed = sum(run.size - (run.stop - run.start) for run in runs)
     if len(runs) == 1 and not completed and not lost:
         return ()

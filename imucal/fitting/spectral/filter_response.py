@@ -35,10 +35,6 @@ class Band:
         Order of the response to fit, 0 where it is flat: one more than the simplest.
     response
         Its coefficients a, shape (poles,).
-    sound
-        Whether the description is within chance.
-    statistic
-        Misfit score of the richest model.
     """
 
     fraction: float
@@ -46,8 +42,6 @@ class Band:
     poles: int
     zeros: int
     response: FloatArray
-    sound: bool
-    statistic: float
 
 
 def response_of(ordinates: Ordinates, fitted: Fitted, band: Band, rate_hz: float) -> Response | None:

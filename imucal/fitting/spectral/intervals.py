@@ -6,8 +6,6 @@ the chi-squared quantile of the level. An interval that holds zero is [0, U].
 Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1987), JASA 82.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
@@ -21,19 +19,6 @@ RAMP = -1
 #: A limit is found to this part of a standard error.
 _CLOSE = 0.01
 _ROUNDS = 40
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Limits:
-    """Limits of some parameters, each of shape (k,): in log units; of a ramp, in its own.
-
-    `low` is -inf where the parameter may vanish, `high` inf where it may grow past its bound.
-    `better` is the greatest log-likelihood met on the way beyond the maximum that was given.
-    """
-
-    low: FloatArray
-    high: FloatArray
-    better: float
 
 
 def quantile(level: float) -> float:
@@ -51,8 +36,11 @@ def profile_limits(
     *,
     level: float,
     shortest: float = 2.0,
-) -> Limits:
-    """Return the limits of parameter `columns[i]` of candidate i, shape (k,) each.
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lower and upper limits of parameter `columns[i]` of candidate i, shape (k,) each.
+
+    In log units; of a ramp, in its own. The lower is -inf where the parameter may vanish, the upper
+    inf where it may grow past its bound.
 
     Parameters
     ----------
@@ -63,15 +51,14 @@ def profile_limits(
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
-    search = _Search(
+    search = _ProfileSearch(
         ordinates, candidates.take(both), maximum, both, columns=columns[both], shortest=shortest
     )
     limit = search.run(toward, quantile(level))
-    low, high = limit[: columns.size], limit[columns.size :]
-    return Limits(low=low, high=high, better=search.better)
+    return limit[: columns.size], limit[columns.size :]
 
 
-class _Search:
+class _ProfileSearch:
     """The root of z(u) = ± quantile for many parameters at once.
 
     z is the signed root of twice the drop; it is almost linear in u, which is the deviation for a
@@ -98,7 +85,6 @@ class _Search:
         self.free = candidates.free.copy()
         plain = np.flatnonzero(~self.ramp)
         self.free[plain, columns[plain]] = False
-        self.better = 0.0
         low, high = bounds(ordinates, candidates, shortest=shortest)
         self.low = np.where(self.ramp, -np.inf, self.to_u(low[columns]))
         self.high = np.where(self.ramp | self.variance, np.inf, high[columns])
@@ -183,6 +169,5 @@ class _Search:
             iterations=50,
         )
         drop = found.objective - self.peak[rows]
-        self.better = max(self.better, float(-np.min(drop)))
         root: FloatArray = np.sqrt(2 * np.maximum(drop, 0.0))
         return root, found.theta

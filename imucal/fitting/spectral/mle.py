@@ -11,14 +11,14 @@ from imucal.fitting.cross_checks import verify_findings
 from imucal.fitting.noise_fit import Goodness, Line, NoiseFit
 from imucal.fitting.robust import heavy_tails, resolution_effect
 from imucal.fitting.settings import FitSettings
+from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered
 from imucal.fitting.spectral.band import find_band
-from imucal.fitting.spectral.blocks import Blocks, make_blocks
-from imucal.fitting.spectral.estimates import Scales, covariance_of, model_of
+from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
+from imucal.fitting.spectral.estimates import Problem, covariance_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Misfit, misfit
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
-from imucal.fitting.spectral.settle import Setting, numbered, settle
 from imucal.fitting.spectral.structures import Structure, all_structures
 from imucal.fitting.spectral.transform import bin_blocks, choose_regressors
 from imucal.noise.terms import in_order
@@ -39,7 +39,7 @@ _NAMED = 4
 class View:
     """What part of the spectrum is fitted, and with what beside the noise."""
 
-    blocks: Blocks
+    blocks: SeriesBlocks
     band: Band
     ordinates: Ordinates
     common: tuple[str, ...]
@@ -89,13 +89,20 @@ def fit_mle(
         common=view.common,
         shortest=shortest,
     )
-    scales = Scales(unit=view.blocks.scale, tau0=series.tau0, widening={"N": heavy_tails(series.samples)})
-    setting = Setting(level=settings.level, shortest=shortest, common=view.common, scales=scales)
-    fitted, estimates = settle(view.ordinates, choice, setting)
+    problem = Problem(
+        ordinates=view.ordinates,
+        level=settings.level,
+        shortest=shortest,
+        common=view.common,
+        unit=view.blocks.scale,
+        tau0=series.tau0,
+        widening={"N": heavy_tails(series.samples)},
+    )
+    fitted, estimates = estimate_or_bound(problem, choice)
     found = misfit(view.ordinates, fitted.candidate, fitted.maximum.theta)
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
-    names, covariance = covariance_of(fitted, estimates, scales)
-    model = model_of(estimates, fitted, scales)
+    names, covariance = covariance_of(problem, fitted, estimates)
+    model = model_of(problem, fitted, estimates)
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
     findings += filter_finding(

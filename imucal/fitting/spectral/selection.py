@@ -26,7 +26,7 @@ _MODES = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Choice:
+class RankedModels:
     """Fitted candidates, the best first.
 
     Attributes
@@ -67,7 +67,7 @@ def choose(
     response: FloatArray | None = None,
     common: tuple[str, ...] = (),
     shortest: float = 2.0,
-) -> Choice:
+) -> RankedModels:
     """Fit every structure and return them by rising criterion.
 
     Parameters
@@ -148,7 +148,7 @@ def _ranked(
     owner: IntArray,
     near: IntArray,
     cost: FloatArray,
-) -> Choice:
+) -> RankedModels:
     best, modes = [], []
     for index in near:
         rows = np.flatnonzero(owner == index)
@@ -160,7 +160,7 @@ def _ranked(
     value = 2 * fine.objective[best] + cost[near]
     order = np.argsort(value, kind="stable")
     rows = np.array(best, dtype=np.int64)[order]
-    return Choice(
+    return RankedModels(
         structures=[structures[i] for i in near[order]],
         candidates=candidates.take(near[order]),
         maximum=fine.take(rows),
@@ -169,7 +169,7 @@ def _ranked(
     )
 
 
-def near_candidates(choice: Choice) -> tuple[Candidate, ...]:
+def near_candidates(choice: RankedModels) -> tuple[Candidate, ...]:
     """Return the models within reach of the best, the best first."""
     delta = choice.criterion - choice.criterion[0]
     return tuple(
@@ -179,7 +179,7 @@ def near_candidates(choice: Choice) -> tuple[Candidate, ...]:
     )
 
 
-def choice_findings(choice: Choice, axis: str) -> tuple[Finding, ...]:
+def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
     """Say which models do as well, what they differ in, and whether the best has two maxima."""
     near = near_candidates(choice)
     findings = []
@@ -211,7 +211,7 @@ def choice_findings(choice: Choice, axis: str) -> tuple[Finding, ...]:
     return tuple(findings)
 
 
-def _difference(choice: Choice, count: int) -> str:
+def _difference(choice: RankedModels, count: int) -> str:
     """Return which terms are in some of the near models only, in words."""
     sets = [set(structure) for structure in choice.structures[:count]]
     numbers = [structure.count("GM") for structure in choice.structures[:count]]

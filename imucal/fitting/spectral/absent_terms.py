@@ -1,0 +1,157 @@
+"""From the chosen candidate to estimates: terms that may be zero have a bound instead of a value."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from imucal.fitting.noise_fit import Estimate
+from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, keys_of
+from imucal.fitting.spectral.intervals import quantile
+from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.ordinates import LAWS, MARKOV
+from imucal.fitting.spectral.scoring import bounds, maximize
+from imucal.fitting.spectral.selection import RankedModels
+from imucal.fitting.spectral.structures import Structure, candidates_of
+from imucal.noise.terms import ALWAYS, TERMS, in_order
+
+#: An absent term's bound holds for all models whose criterion is within this of the best, at most so many.
+_BOUND_WITHIN, _BOUND_MODELS = 6.0, 4
+_COLUMN = {law.value: index for index, law in enumerate(LAWS)}
+
+
+def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, tuple[Estimate, ...]]:
+    """Return the best candidate, and estimates or bounds of its terms and of N, B and K.
+
+    A term whose interval holds zero is bounded and left out of the model; the other terms keep the
+    values and intervals that they have beside it, since it may be there.
+    """
+    fitted = _candidate(choice, 0)
+    bounded: dict[str, Estimate] = {}
+    estimates = estimate(problem, fitted)
+    while len(estimates) > 1 and (gone := _can_not_stay(problem, fitted, estimates)):
+        fitted, dropped = _without_least(problem, fitted, gone)
+        bounded[dropped.key] = dropped
+        estimates = estimate(problem, fitted)
+    symbols = {e.symbol for e in (*estimates, *bounded.values())}
+    bounded |= {s: _bound(problem, choice, fitted, s) for s in ALWAYS if s not in symbols}
+    order = list(TERMS)
+    everything = (*estimates, *bounded.values())
+    return fitted, tuple(sorted(everything, key=lambda e: (order.index(e.symbol), e.key)))
+
+
+def _can_not_stay(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> list[Estimate]:
+    """Return the terms of which one must go before the others' estimates mean something.
+
+    Gauss-Markov terms without power, whose time means nothing but makes others unsure; else terms
+    that may stand for one another: each may be zero, but not all together.
+    """
+    gone = [e for e in estimates if e.status == "bounded"]
+    markov = [e for e in gone if e.symbol == "GM"]
+    if markov or len(gone) < 2 or _may_all_be_absent(problem, fitted, gone):
+        return markov
+    return gone
+
+
+def _may_all_be_absent(problem: Problem, fitted: Fitted, gone: list[Estimate]) -> bool:
+    """Whether the terms whose intervals hold zero may all be zero together."""
+    keys = [e.key for e in gone]
+    if len(keys) == len(fitted.structure):
+        return False
+    without = drop_terms(problem, fitted, keys)
+    drop = float(without.maximum.objective[0] - fitted.maximum.objective[0])
+    return 2 * drop < quantile(problem.level) ** 2
+
+
+def numbered(
+    estimates: tuple[Estimate, ...], names: tuple[str, ...]
+) -> tuple[tuple[Estimate, ...], tuple[str, ...]]:
+    """Return estimates and parameters where each of several Gauss-Markov terms has a number.
+
+    One that stayed when others were dropped was called ``GM``; it comes first.
+    """
+    if sum(e.symbol == "GM" for e in estimates) < 2 or all(e.key != "GM" for e in estimates):
+        return estimates, names
+    others = (e.key for e in estimates if e.symbol == "GM" and e.key != "GM")
+    keys = {"GM": "GM1"} | {key: f"GM{index + 2}" for index, key in enumerate(sorted(others))}
+    result = [replace(e, key=keys[e.key]) if e.symbol == "GM" else e for e in estimates]
+    result.sort(key=lambda e: (list(TERMS).index(e.symbol), e.key))
+    return tuple(result), tuple(name.replace("GM.", "GM1.") for name in names)
+
+
+def _without_least(problem: Problem, fitted: Fitted, gone: list[Estimate]) -> tuple[Fitted, Estimate]:
+    """Return the fit without the term whose absence costs the least likelihood, and its bound."""
+    fits = [drop_terms(problem, fitted, [e.key]) for e in gone]
+    best = int(np.argmin([float(fit.maximum.objective[0]) for fit in fits]))
+    return fits[best].by_time(), gone[best]
+
+
+def _candidate(choice: RankedModels, index: int) -> Fitted:
+    row = np.array([index])
+    return Fitted(
+        structure=choice.structures[index],
+        candidate=choice.candidates.take(row),
+        maximum=choice.maximum.take(row),
+    ).by_time()
+
+
+def _bound(problem: Problem, choice: RankedModels, fitted: Fitted, symbol: str) -> Estimate:
+    """Return the bound of an absent term: the highest that any model near the best leaves it."""
+    near = np.flatnonzero(choice.criterion - choice.criterion[0] <= _BOUND_WITHIN)[1 : _BOUND_MODELS + 1]
+    models = [fitted, *(_candidate(choice, int(i)) for i in near)]
+    bounds = [
+        upper_bound(problem, model if symbol in model.structure else add_term(problem, model, symbol), symbol)
+        for model in models
+    ]
+    return max(bounds, key=lambda e: e.high)
+
+
+def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
+    """Return the fit of the structure without some of its terms, started where it stands."""
+    kept = [(key, symbol) for key, symbol in keys_of(fitted.structure) if key not in keys]
+    structure = tuple(symbol for _, symbol in kept)
+    candidate = _like(problem, fitted, structure, structure.count("GM"))
+    start = np.zeros((1, candidate.width))
+    start[0, :MARKOV] = fitted.maximum.theta[0, :MARKOV]
+    old_room, room = fitted.candidate.room_markov, candidate.room_markov
+    markov = [key for key, symbol in keys_of(fitted.structure) if symbol == "GM"]
+    places = [i for i, key in enumerate(markov) if key not in keys]
+    for new, old in enumerate(places):
+        start[0, MARKOV + new] = fitted.maximum.theta[0, MARKOV + old]
+        start[0, MARKOV + room + new] = fitted.maximum.theta[0, MARKOV + old_room + old]
+    start[0, MARKOV + 2 * room :] = fitted.maximum.theta[0, MARKOV + 2 * old_room :]
+    maximum = maximize(problem.ordinates, candidate, start, shortest=problem.shortest)
+    return Fitted(structure=structure, candidate=candidate, maximum=maximum)
+
+
+def _like(problem: Problem, fitted: Fitted, structure: Structure, room: int) -> Candidates:
+    """Return the candidate of another structure behind the same output filter."""
+    return candidates_of(
+        [structure],
+        problem.ordinates.names,
+        poles=int(fitted.candidate.poles[0]),
+        zeros=int(fitted.candidate.zeros[0]),
+        common=problem.common,
+        room_markov=room,
+    )
+
+
+def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
+    """Return the fit with a power-law term added, started from almost none of it."""
+    structure = in_order((*fitted.structure, symbol))
+    candidate = _like(problem, fitted, structure, fitted.candidate.room_markov)
+    low, _ = bounds(problem.ordinates, candidate)
+    column = _COLUMN[symbol]
+    starts = np.repeat(fitted.maximum.theta, 2, axis=0)
+    starts[:, column] = low[column] + np.array([8.0, 16.0])
+    both = candidate.take(np.zeros(2, dtype=np.int64))
+    found = maximize(problem.ordinates, both, starts, shortest=problem.shortest)
+    best = np.array([int(np.argmin(found.objective))])
+    return Fitted(structure=structure, candidate=candidate, maximum=found.take(best))
+
+
+def upper_bound(problem: Problem, fitted: Fitted, symbol: str) -> Estimate:
+    """Return the bound of a power-law term that was added."""
+    _, highs = problem.limits(fitted, [_COLUMN[symbol]])
+    value = float(fitted.maximum.theta[0, _COLUMN[symbol]])
+    high = value + problem.widening.get(symbol, 1.0) * (float(highs[0]) - value)
+    return Estimate.bounded(symbol, symbol, problem.deviation(symbol) * float(np.exp(high / 2)))
