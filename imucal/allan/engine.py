@@ -42,7 +42,7 @@ def allan_curve(
     estimator
         ``overlapping`` (the Allan variance, MOAV), ``standard``, ``modified`` or ``hadamard``.
     edf
-        ``hybrid``, ``model``, ``greenhall`` or ``eta3``; see `imucal.allan.confidence`.
+        ``hybrid``, ``model`` or ``greenhall``; see `imucal.allan.confidence`.
 
     Returns
     -------

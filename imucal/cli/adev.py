@@ -63,7 +63,7 @@ analysed (with --strict: or a warning was found)."""
 )
 @click.option(
     "--edf",
-    type=click.Choice(["hybrid", "model", "greenhall", "eta3"]),
+    type=click.Choice(["hybrid", "model", "greenhall"]),
     default="hybrid",
     show_default=True,
     help="Degrees of freedom of the intervals.",

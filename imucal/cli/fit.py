@@ -107,7 +107,7 @@ written, 130 interrupted."""
 )
 @click.option(
     "--edf",
-    type=click.Choice(["hybrid", "model", "greenhall", "eta3"]),
+    type=click.Choice(["hybrid", "model", "greenhall"]),
     default="hybrid",
     show_default=True,
     help="Degrees of freedom of the curve's intervals.",
