@@ -16,8 +16,7 @@ from imucal.fitting.hausman import second_opinion
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
-from imucal.report.overview import overview
-from imucal.report.result import AxisReport, Report
+from imucal.report.result import AxisReport, Overview, Report
 from imucal.screening import screen
 
 #: Samples looked at at once.
@@ -148,7 +147,7 @@ def _characterize_axis(
         std=std,
         gaps=finite.clock.gaps,
         spectrum=spectrum(finite),
-        overview=overview(finite),
+        overview=Overview.of(finite),
         fit=result,
         findings=_without_repeats(findings),
     )

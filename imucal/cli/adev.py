@@ -7,8 +7,7 @@ import click
 
 from imucal._version import __version__
 from imucal.cli._finding_lines import has_warning, print_findings
-from imucal.cli._options import Duration, LogRequest, log_options, say
-from imucal.cli._types import LEVEL, TAU_SET
+from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
 

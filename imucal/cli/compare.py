@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._options import quiet_option, say
+from imucal.cli._options import Number, quiet_option, say
 from imucal.cli._report_input import read_report
-from imucal.cli._types import Number
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.units import DatasheetUnit, datasheet_unit

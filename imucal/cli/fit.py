@@ -5,9 +5,8 @@ from pathlib import Path
 import click
 
 from imucal.cli._finding_lines import all_findings, has_warning, print_findings
-from imucal.cli._options import LogRequest, as_typed, log_options, say
+from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say
 from imucal.cli._progress import axes_progress
-from imucal.cli._types import LEVEL, TAU_SET
 from imucal.errors import DataError
 from imucal.noise import parse_structure, structure_text
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._options import Duration, quiet_option, say
+from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say
 from imucal.cli._report_input import is_report, read_report
-from imucal.cli._types import LEVEL, RATE
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.planning import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.noise.terms import TERMS
+from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
+from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport
 from imucal.units import datasheet_unit, pretty
@@ -50,6 +50,15 @@ def term_name(symbol: str, sensor: Sensor) -> str:
     """Return the field's name of a term, such as ``angle random walk``."""
     gyroscope, accelerometer = TERMS[symbol].names
     return gyroscope if sensor is Sensor.GYROSCOPE else accelerometer
+
+
+def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
+    """Return the term whose correlation time is the estimate's; None where the model has none."""
+    terms = [term for term in fit.model.terms if isinstance(term, GaussMarkov)]
+    time = estimate.correlation_time
+    if estimate.value is None or time is None or not terms:
+        return None
+    return min(terms, key=lambda term: abs(math.log(term.T / time.value)))
 
 
 def si(estimate: Estimate, sensor: Sensor) -> Quantity:
