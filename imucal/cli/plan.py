@@ -13,6 +13,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.planning import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
+from imucal.report.document import plain
 from imucal.units import DatasheetUnit, datasheet_unit
 
 SCHEMA = "imucal/planning/1"
@@ -112,7 +113,7 @@ def to_document(result: Plan) -> dict[str, object]:
         "schema": SCHEMA,
         "precision": result.precision,
         "level": result.level,
-        "needed_s": _finite(result.needed_s),
+        "needed_s": plain(result.needed_s),
         "axes": [
             {
                 "axis": axis.axis or None,
@@ -124,8 +125,8 @@ def to_document(result: Plan) -> dict[str, object]:
                         "name": need.name,
                         "value": need.value,
                         "bounded": need.bounded,
-                        "needed_s": _finite(need.needed_s),
-                        "reached": _finite(need.reached),
+                        "needed_s": plain(need.needed_s),
+                        "reached": plain(need.reached),
                     }
                     for need in axis.needs
                 ],
@@ -192,8 +193,3 @@ def _unit(sensor: Sensor | None, need: Need, *, datasheet: bool) -> DatasheetUni
     if datasheet:
         return datasheet_unit(need.symbol, sensor)
     return DatasheetUnit(TERMS[need.symbol].units[sensor is Sensor.ACCELEROMETER], 1.0)
-
-
-def _finite(value: float | None) -> float | None:
-    """JSON knows neither infinity nor NaN."""
-    return value if value is not None and math.isfinite(value) else None

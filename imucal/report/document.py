@@ -20,8 +20,6 @@ from imucal.report.result import AxisReport, Report
 #: Name and number of the layout.
 SCHEMA = "imucal/report/1"
 
-Json = Mapping[str, object]
-
 
 def to_document(report: Report) -> dict[str, object]:
     """Return the whole report as JSON values, keys in a stable order."""

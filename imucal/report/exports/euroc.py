@@ -8,8 +8,7 @@ import numpy as np
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.spelling import quoted, real, vector
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, quoted, real, vector
 
 
 def _body(numbers: Numbers) -> Body:

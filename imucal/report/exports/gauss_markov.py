@@ -13,8 +13,7 @@ from collections.abc import Iterator
 from imucal.noise.terms import GaussMarkov
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.spelling import real
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, real
 from imucal.report.result import AxisReport
 
 #: States a decade of correlation time.

@@ -13,8 +13,7 @@ from xml.etree import ElementTree as ET
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.densities import SlowNoise, slow_noise
-from imucal.report.exports.spelling import plain, real
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, plain, real
 from imucal.report.result import AxisReport
 
 _ELEMENTS = {Sensor.GYROSCOPE: "angular_velocity", Sensor.ACCELEROMETER: "linear_acceleration"}

@@ -7,8 +7,7 @@ names. Source: GTSAM, ``gtsam/navigation/PreintegrationCombinedParams.h``.
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.spelling import real
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, real
 from imucal.units import G0
 
 #: Covariance of the integration itself: GTSAM's own default of 1 would drown the sensor's.

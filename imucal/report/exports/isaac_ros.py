@@ -7,8 +7,7 @@ Source: Isaac ROS documentation, ``isaac_ros_visual_slam``, parameters.
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.spelling import real
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, real
 
 
 def _body(numbers: Numbers) -> Body:

@@ -8,8 +8,7 @@ Source: Kalibr, ``aslam_offline_calibration/kalibr/python/kalibr_common/ConfigRe
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities, topic
-from imucal.report.exports.spelling import plain, quoted, real
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, plain, quoted, real
 
 FORMULA = "noise_density = N (white noise), random_walk = K (of the bias); no factor of the rate"
 

@@ -9,8 +9,7 @@ import math
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import SlowNoise, slow_noise
-from imucal.report.exports.spelling import comment, real, vector
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, comment, real, vector
 from imucal.units import datasheet_unit
 
 #: m/s^2 in a mGal.

@@ -6,8 +6,7 @@ Source: LIO-SAM, ``config/params.yaml``, ``src/imuPreintegration.cpp``.
 
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.spelling import real
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, real
 from imucal.units import G0
 
 

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.spelling import comment, real, vector
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, comment, real, vector
 
 _KEYS = {"NoiseDensity": "N", "BiasInstability": "B", "RandomWalk": "K"}
 

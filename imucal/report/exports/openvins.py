@@ -9,8 +9,7 @@ from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities, topic
 from imucal.report.exports.kalibr import FORMULA
-from imucal.report.exports.spelling import matrix, plain, quoted, real
-from imucal.report.exports.target import Body, Target, opencv_yaml
+from imucal.report.exports.target import Body, Target, matrix, opencv_yaml, plain, quoted, real
 
 
 def _body(numbers: Numbers) -> Body:

@@ -8,8 +8,7 @@ Source: ORB-SLAM3, ``src/Tracking.cc`` (newParameterLoader), ``src/ImuTypes.cc``
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.spelling import real
-from imucal.report.exports.target import Body, Target, opencv_yaml
+from imucal.report.exports.target import Body, Target, opencv_yaml, real
 
 
 def _body(numbers: Numbers) -> Body:

@@ -9,8 +9,7 @@ import math
 
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.spelling import comment, decimal
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, comment, decimal
 
 #: Period of EKF2's prediction, in s (EKF2_PREDICT_US = 10000).
 _PERIOD_S = 0.01

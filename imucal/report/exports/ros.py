@@ -9,8 +9,7 @@ import numpy as np
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.spelling import comment, vector
-from imucal.report.exports.target import Body, Target
+from imucal.report.exports.target import Body, Target, comment, vector
 
 
 def _body(numbers: Numbers) -> Body:

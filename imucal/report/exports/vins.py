@@ -11,8 +11,7 @@ import math
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.spelling import real
-from imucal.report.exports.target import Body, Target, opencv_yaml
+from imucal.report.exports.target import Body, Target, opencv_yaml, real
 from imucal.units import G0
 
 
