@@ -15,8 +15,7 @@ from imucal.fitting import FitSettings, NoiseFit, fit, fit_axis
 from imucal.fitting.cross_checks import second_opinion
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
-from imucal.report.overview import overview
-from imucal.report.result import AxisReport, Report
+from imucal.report.result import AxisReport, Overview, Report
 from imucal.screening import screen
 
 #: Samples looked at at once.
@@ -141,7 +140,7 @@ def _characterize_axis(
         std=std,
         gaps=finite.clock.gaps,
         spectrum=spectrum(finite),
-        overview=overview(finite),
+        overview=Overview.of(finite),
         fit=result,
         findings=_without_repeats(findings),
     )

@@ -14,7 +14,6 @@ BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "findings": set(),
-    "memory": set(),
     "_version": set(),
     "atomic": {"errors"},
     "clock": set(),

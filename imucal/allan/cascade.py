@@ -140,9 +140,9 @@ class Cascade:
     def _put(self, index: int, points: FloatArray) -> None:
         """Hand points of the integral, shape (axes, k), to a level and every second one to the next."""
         level = self._levels[index]
-        place = 0
-        while place < points.shape[1]:
-            place += level.take(points[:, place:])
+        taken = 0
+        while taken < points.shape[1]:
+            taken += level.take(points[:, taken:])
             if level.full:
                 self._pass_on(index)
 

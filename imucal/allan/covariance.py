@@ -165,8 +165,8 @@ def _comb(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatAr
     comb = np.convolve(difference, difference[::-1])
     half = comb.size // 2
     total = np.zeros(k.shape)
-    for place, coefficient in enumerate(comb):
-        shifted = k + (place - half) * m
+    for index, coefficient in enumerate(comb):
+        shifted = k + (index - half) * m
         total += coefficient * (
             law.sum_variance(shifted) if estimator.integrations == 1 else _smoothed(law, shifted, m)
         )

@@ -29,7 +29,8 @@ class AllanCurve:
         How: ``exact``, ``cascade`` (strided, out of core), ``windows`` or ``runs`` (gaps), ``given``
         (a table made by another tool).
     edf_method
-        ``hybrid``, ``model``, ``greenhall``, ``eta3``; empty where unknown.
+        ``hybrid``, ``model``, ``greenhall``; ``eta3`` (max(M/2m, 1)) of a ``given`` curve; empty where
+        unknown.
     """
 
     tau: FloatArray

@@ -12,9 +12,8 @@ from imucal.allan.curve import AllanCurve
 from imucal.allan.estimators import Estimator, estimator_named
 from imucal.allan.gaps import longest_run, run_variances, window_variances
 from imucal.allan.variance import variances
-from imucal.arrays import IntArray
+from imucal.arrays import IntArray, memory_limit
 from imucal.errors import DataError
-from imucal.memory import memory_limit
 from imucal.recording import AxisSeries
 
 #: Bytes per sample that the exact curve works in: the integral and the transform of the intervals.
@@ -42,7 +41,7 @@ def allan_curve(
     estimator
         ``overlapping`` (the Allan variance, MOAV), ``standard``, ``modified`` or ``hadamard``.
     edf
-        ``hybrid``, ``model``, ``greenhall`` or ``eta3``; see `imucal.allan.confidence`.
+        ``hybrid``, ``model`` or ``greenhall``; see `imucal.allan.confidence`.
 
     Returns
     -------

@@ -105,13 +105,13 @@ def _positive(m: IntArray, avar: FloatArray, terms: FloatArray, raw: FloatArray)
 def _runs(clock: Clock) -> list[tuple[int, int]]:
     """Return start and stop of every unbroken run; segments that touch on the grid are one."""
     runs: list[tuple[int, int]] = []
-    place = -1
+    end = -1
     for segment in clock.segments:
-        if runs and segment.offset == place:
+        if runs and segment.offset == end:
             runs[-1] = (runs[-1][0], segment.stop)
         else:
             runs.append((segment.start, segment.stop))
-        place = segment.offset + segment.size
+        end = segment.offset + segment.size
     return runs
 
 
@@ -126,12 +126,12 @@ class _Integrals:
 
 def _integrals(series: AxisSeries) -> _Integrals:
     size = series.clock.grid_size + 1
-    place = series.clock.grid() + 1
+    index = series.clock.grid() + 1
     centred = series.samples - series.samples.mean()
     sums = []
     for amounts in (centred, np.square(centred), 1.0):
         total = np.zeros(size)
-        total[place] = amounts
+        total[index] = amounts
         sums.append(np.cumsum(total, out=total))
     return _Integrals(values=sums[0], squares=sums[1], filled=sums[2])
 
@@ -210,16 +210,16 @@ def _pattern(series: AxisSeries) -> _Pattern:
     clock = series.clock
     mean_gap = clock.missing / max(len(clock.gaps), 1)
     lags = int(min(max(_MEAN_GAPS * np.ceil(mean_gap), 1), _LONGEST, clock.grid_size))
-    place = clock.grid()
+    index = clock.grid()
     centred = series.samples - series.samples.mean()
     pairs, squares, possible = np.zeros((3, lags))
     for start in range(0, clock.grid_size, _CHUNK):
         size = min(_CHUNK, clock.grid_size - start)
-        low, high = np.searchsorted(place, [start, start + size])
+        low, high = np.searchsorted(index, [start, start + size])
         length = next_fast_len(size + lags, real=True)
         here, value = np.zeros((2, length))
-        here[place[low:high] - start] = 1.0
-        value[place[low:high] - start] = centred[low:high]
+        here[index[low:high] - start] = 1.0
+        value[index[low:high] - start] = centred[low:high]
         there, plain, squared = rfft(here), rfft(value), rfft(value**2)
         pairs += irfft(np.abs(there) ** 2, length)[:lags]
         # The sum of w[t] w[t+k] (y[t+k] - y[t])² is even in k: the real part holds both squares.

@@ -56,10 +56,10 @@ def spectrum(series: AxisSeries, *, per_octave: int = 12) -> Spectrum:
     power, count, omega = np.zeros((3, grid.size))
     for run in runs:
         squares = np.square(dct_ordinates(series.samples[run.start : run.stop]))
-        place = np.pi * np.arange(1, run.size) / run.size
-        bins = np.searchsorted(edges, place) - 1
+        angle = np.pi * np.arange(1, run.size) / run.size
+        bins = np.searchsorted(edges, angle) - 1
         power += np.bincount(bins, squares, grid.size)
-        omega += np.bincount(bins, place, grid.size)
+        omega += np.bincount(bins, angle, grid.size)
         count += np.bincount(bins, minlength=grid.size)
     filled = count > 0
     frequency = omega[filled] / count[filled] * series.rate_hz / (2 * np.pi)

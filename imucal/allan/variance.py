@@ -178,9 +178,9 @@ def _column_sum(total: FloatArray, m: int, order: int) -> float:
     fresh = [np.empty(_BLOCK) for _ in range(order - 1)]
     for column in range(0, min(m, count), _BLOCK):
         width = min(_BLOCK, m - column, count - column)
-        for step, place in enumerate(range(column, total.size - m, m)):
-            size = min(width, total.size - m - place)
-            np.subtract(total[place + m : place + m + size], total[place : place + size], out=fresh[0][:size])
+        for step, first in enumerate(range(column, total.size - m, m)):
+            size = min(width, total.size - m - first)
+            np.subtract(total[first + m : first + m + size], total[first : first + size], out=fresh[0][:size])
             for level in range(1, min(order - 1, step + 1)):
                 np.subtract(fresh[level - 1][:size], kept[level - 1][:size], out=fresh[level][:size])
             if step >= order - 1:

@@ -1,6 +1,6 @@
 """check: a report against limits -> verdicts."""
 
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Iterator
 from itertools import chain
 
 from imucal.checking.limit_units import LOG_QUANTITIES
@@ -63,28 +63,30 @@ def _older(rules: Baseline) -> Report:
 def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
     """Fail for an axis that is asked for and missing, so that nothing passes by not being there."""
     there = {axis.name for axis in report.axes}
-    wanted = [f"{sensor.short}_{axis}" for sensor, axes in limits.required.items() for axis in axes]
-    wanted += [limit.where for limit in limits.limits if "_" in limit.where]
-    sections = {limit.where for limit in limits.limits}
-    for finding in chain(report.findings, *(axis.findings for axis in report.axes)):
-        if finding.level == "error" and finding.axis and _asked(finding.axis, sections):
-            wanted.append(finding.axis)
-    for name in dict.fromkeys(wanted):
+    found = ", ".join(axis.name for axis in report.axes) or "none"
+    for name in dict.fromkeys(_wanted(report, limits)):
         if name not in there:
-            yield _fails(name, "axes", f"{name}: the report has no such axis; found {_names(report.axes)}")
+            yield _fails(name, "axes", f"{name}: the report has no such axis; found {found}")
     for name in dict.fromkeys(limit.where for limit in limits.limits):
         if "_" not in name and not axes_of(report, name):
-            found = _names(report.axes)
-            yield _fails(_short(name), "axes", f"{name}: the report has no axis of it; found {found}")
-    for sensor in limits.required:
-        asked = {f"{sensor.short}_{axis}" for axis in limits.required[sensor]}
+            where = Sensor(name).short if name in tuple(Sensor) else name
+            yield _fails(where, "axes", f"{name}: the report has no axis of it; found {found}")
+    for sensor, axes in limits.required.items():
+        asked = {f"{sensor.short}_{axis}" for axis in axes}
         if asked <= there:
-            yield Row(
-                where=sensor.short,
-                subject="axes",
-                verdict="pass",
-                text=f"{sensor}: {', '.join(sorted(asked))} are there",
-            )
+            text = f"{sensor}: {', '.join(sorted(asked))} are there"
+            yield Row(where=sensor.short, subject="axes", verdict="pass", text=text)
+
+
+def _wanted(report: Report, limits: Limits) -> Iterator[str]:
+    """Yield the axes that are required, that have limits, or that an error speaks of."""
+    for sensor, axes in limits.required.items():
+        yield from (f"{sensor.short}_{axis}" for axis in axes)
+    sections = {limit.where: None for limit in limits.limits}
+    yield from (where for where in sections if "_" in where)
+    for finding in chain(report.findings, *(axis.findings for axis in report.axes)):
+        if finding.level == "error" and finding.axis and _asked(finding.axis, sections):
+            yield finding.axis
 
 
 def _asked(name: str, sections: Container[str]) -> bool:
@@ -170,11 +172,3 @@ def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) 
 
 def _fails(where: str, subject: str, text: str) -> Row:
     return Row(where=where, subject=subject, verdict="fail", text=text)
-
-
-def _short(where: str) -> str:
-    return Sensor(where).short if where in tuple(Sensor) else where
-
-
-def _names(axes: Iterable[AxisReport]) -> str:
-    return ", ".join(axis.name for axis in axes) or "none"

@@ -33,7 +33,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
-from imucal.checking.codes import FINDING_CODES
 from imucal.checking.limit_units import (
     LOG_QUANTITIES,
     SAMPLE_QUANTITIES,
@@ -41,7 +40,15 @@ from imucal.checking.limit_units import (
     plain_unit,
     quantity_units,
 )
-from imucal.checking.limits import GRAVE, Baseline, FindingRules, Limit, Limits, Undecided
+from imucal.checking.limits import (
+    FINDING_CODES,
+    GRAVE,
+    Baseline,
+    FindingRules,
+    Limit,
+    Limits,
+    Undecided,
+)
 from imucal.errors import LimitsError
 from imucal.recording import Axis, Sensor
 
@@ -98,11 +105,12 @@ class _File:
         limits: list[Limit] = []
         required: dict[Sensor, tuple[Axis, ...]] = {}
         for section in _SECTIONS:
-            table = self._table(section, document.get(section, {}))
-            if section in _SENSORS and "axes" in table:
-                required[Sensor(section)] = self._axes(f"{section}.axes", table["axes"])
-            limits += self._section(section, {key: table[key] for key in table if key != "axes"})
-            if "axes" in table and section not in _SENSORS:
+            table = dict(self._table(section, document.get(section, {})))
+            axes = table.pop("axes", None)
+            if axes is not None and section in _SENSORS:
+                required[Sensor(section)] = self._axes(f"{section}.axes", axes)
+            limits += self._section(section, table)
+            if axes is not None and section not in _SENSORS:
                 self._refuse(f"{section}.axes", "only gyroscope and accelerometer have axes", "remove it")
         findings = self._findings(self._table("findings", document.get("findings", {})))
         baseline = None
@@ -110,14 +118,18 @@ class _File:
             baseline = self._baseline(self._table("baseline", document["baseline"]))
         if not (limits or required or baseline or "findings" in document):
             self._refuse("", "no limit", "write one, such as [gyroscope] N = { max = 1e-4 }")
-        undecided: Undecided = "pass"
-        if document.get("undecided", "pass") == "fail":
-            undecided = "fail"
-        elif document.get("undecided", "pass") != "pass":
-            self._refuse("undecided", _found(document["undecided"]), 'expected "pass" or "fail"')
         return Limits(
-            limits=tuple(limits), required=required, findings=findings, baseline=baseline, undecided=undecided
+            limits=tuple(limits),
+            required=required,
+            findings=findings,
+            baseline=baseline,
+            undecided=self._undecided(document.get("undecided", "pass")),
         )
+
+    def _undecided(self, value: object) -> Undecided:
+        if value not in ("pass", "fail"):
+            self._refuse("undecided", repr(value), 'expected "pass" or "fail"')
+        return "fail" if value == "fail" else "pass"
 
     def _section(self, section: str, table: Mapping[str, object]) -> list[Limit]:
         known: tuple[str, ...] = LOG_QUANTITIES
@@ -136,12 +148,10 @@ class _File:
         units = quantity_units(quantity, sensor)
         written = table.get("unit", next(iter(units)))
         if not isinstance(written, str):
-            self._refuse(f"{place}.unit", _found(written), 'expected text, such as "deg/h"')
+            self._refuse(f"{place}.unit", repr(written), 'expected text, such as "deg/h"')
         unit = plain_unit(written)
         if unit not in units:
-            self._refuse(
-                f"{place}.unit", _found(written), f"expected one of {', '.join(filter(None, units))}"
-            )
+            self._refuse(f"{place}.unit", repr(written), f"expected one of {', '.join(filter(None, units))}")
         limits = [
             Limit(
                 where=section,
@@ -164,7 +174,7 @@ class _File:
         self._known("findings", table, ("level", "forbid", "allow"))
         level = table.get("level", "error")
         if level not in (*GRAVE, "none"):
-            self._refuse("findings.level", _found(level), "expected info, warning, error or none")
+            self._refuse("findings.level", repr(level), "expected info, warning, error or none")
         forbid = self._codes("findings.forbid", table.get("forbid", []))
         allow = self._codes("findings.allow", table.get("allow", []))
         if both := sorted(forbid & allow):
@@ -175,7 +185,7 @@ class _File:
         self._known("baseline", table, ("report", "terms", "max_increase", "max_decrease"))
         report = table.get("report")
         if not isinstance(report, str | None):
-            self._refuse("baseline.report", _found(report), "expected the path of a report")
+            self._refuse("baseline.report", repr(report), "expected the path of a report")
         terms = tuple(self._texts("baseline.terms", table.get("terms", list(Baseline().terms))))
         self._known("baseline.terms", terms, TERM_QUANTITIES)
         changes = {
@@ -206,19 +216,19 @@ class _File:
 
     def _texts(self, place: str, value: object) -> list[str]:
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            self._refuse(place, _found(value), 'expected a list of texts, such as ["N", "K"]')
+            self._refuse(place, repr(value), 'expected a list of texts, such as ["N", "K"]')
         return value
 
     def _table(self, place: str, value: object) -> Mapping[str, object]:
         if not isinstance(value, dict):
-            self._refuse(place, _found(value), "expected a table, such as { max = 1e-4 }")
+            self._refuse(place, repr(value), "expected a table, such as { max = 1e-4 }")
         return value
 
     def _number(self, place: str, value: object, low: float = -math.inf) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            self._refuse(place, _found(value), "expected a number")
+            self._refuse(place, repr(value), "expected a number")
         if value < low:
-            self._refuse(place, _found(value), f"expected {low:g} or more")
+            self._refuse(place, repr(value), f"expected {low:g} or more")
         return float(value)
 
     def _known(
@@ -235,7 +245,3 @@ class _File:
         where = f"{self.name}: {place}" if place else self.name
         msg = f"{where}: {found}{';' if expected.endswith('?') else ','} {expected}"
         raise LimitsError(msg)
-
-
-def _found(value: object) -> str:
-    return f"{value!r}"

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable
 
 from imucal.checking.verdict import Measured
-from imucal.fitting.noise_fit import Estimate
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport, Report
 
@@ -12,11 +11,6 @@ from imucal.report.result import AxisReport, Report
 def axes_of(report: Report, where: str) -> tuple[AxisReport, ...]:
     """Return the axes that ``log``, a sensor or an axis name stands for."""
     return tuple(axis for axis in report.axes if where in ("log", axis.sensor, axis.name))
-
-
-def _estimates_of(axis: AxisReport, symbol: str) -> tuple[Estimate, ...]:
-    """Return the estimates of a symbol; none where the model has no such term."""
-    return tuple(estimate for estimate in axis.fit.estimates if estimate.symbol == symbol)
 
 
 def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Measured], ...]:
@@ -37,7 +31,8 @@ def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Measured], ...]
         return ((quantity, _minimum(axis)),)
     return tuple(
         (estimate.key, Measured(value=estimate.value, low=estimate.low, high=estimate.high))
-        for estimate in _estimates_of(axis, quantity)
+        for estimate in axis.fit.estimates
+        if estimate.symbol == quantity
     )
 
 
@@ -70,10 +65,10 @@ def sensors_of(axes: Iterable[AxisReport]) -> tuple[Sensor, ...]:
 def _minimum(axis: AxisReport) -> Measured:
     value, tau = axis.fit.curve.minimum
     low, high = axis.fit.curve.confidence_interval(axis.fit.level)
-    place = int(abs(axis.fit.curve.tau - tau).argmin())
-    if not (math.isfinite(low[place]) and math.isfinite(high[place])):
+    index = int(abs(axis.fit.curve.tau - tau).argmin())
+    if not (math.isfinite(low[index]) and math.isfinite(high[index])):
         return Measured.exactly(value)
-    return Measured(value=value, low=float(low[place]), high=float(high[place]))
+    return Measured(value=value, low=float(low[index]), high=float(high[index]))
 
 
 def _distance(low: float, high: float) -> float:

@@ -1,9 +1,9 @@
 """Verdicts as machines read them: JSON, JUnit XML, GitHub's workflow commands."""
 
-import math
 from xml.etree import ElementTree as ET
 
-from imucal.checking.verdict import CheckResult, Measured, Row
+from imucal.checking.verdict import CheckResult, Row
+from imucal.report.document import plain
 
 SCHEMA = "imucal/checking/1"
 
@@ -70,25 +70,18 @@ def github_annotations(result: CheckResult, *, file: str = "") -> tuple[str, ...
 
 
 def _row(row: Row) -> dict[str, object]:
+    measured = row.measured
     return {
         "where": row.where,
         "subject": row.subject,
         "side": row.side,
         "limit": row.limit,
         "unit": row.unit,
-        **_measured(row.measured),
+        "value": measured and plain(measured.value),
+        "low": measured and plain(measured.low),
+        "high": measured and plain(measured.high),
         "verdict": row.verdict,
         "text": row.text,
-    }
-
-
-def _measured(measured: Measured | None) -> dict[str, float | None]:
-    if measured is None:
-        return {"value": None, "low": None, "high": None}
-    numbers = {"value": measured.value, "low": measured.low, "high": measured.high}
-    return {
-        name: number if number is not None and math.isfinite(number) else None
-        for name, number in numbers.items()
     }
 
 

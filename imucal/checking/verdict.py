@@ -5,7 +5,6 @@ limit lies inside the interval, so that the record can't tell.
 """
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -161,9 +160,3 @@ def judge(
         verdict=verdict,
         text=f"{where}: {shown}; {said[verdict]}",
     )
-
-
-def worst_first(rows: Iterable[Row]) -> tuple[Row, ...]:
-    """Return the rows with failures first, undecided ones next, each in their order."""
-    order = {"fail": 0, "undecided": 1, "pass": 2}
-    return tuple(sorted(rows, key=lambda row: order[row.verdict]))

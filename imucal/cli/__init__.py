@@ -3,6 +3,7 @@
 import errno
 import importlib
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,10 +13,9 @@ import click
 from click.shell_completion import CompletionItem
 
 from imucal._version import __version__
-from imucal.cli._hints import options_for
 from imucal.errors import ChoiceError, DataError, ImucalError, WriteError
 
-__all__ = ["COMMANDS", "main"]
+__all__ = ["COMMANDS", "main", "options_for"]
 
 #: Command -> module that holds it, and the line that --help prints; a module is imported when called.
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -30,6 +30,19 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("imucal.cli.completion", "Print the shell's completion script (bash, zsh, fish)."),
 }
 
+#: What a message of the library asks for, which knows no options -> the option that says it.
+_OPTIONS = (
+    (r"one of these topics|topics are named|two topics|one for each sensor|no message '|name of a topic",
+     "--topic NAME"),
+    (r"columns text|give the columns|give columns", "--columns TEXT"),
+    (r"sampling rate|and the rate\b", "--rate HZ"),
+    (r"(no )?unit of the gyroscope|'[^']*' of the gyroscope", "--gyro-unit UNIT"),
+    (r"(no )?unit of the accelerometer|'[^']*' of the accelerometer", "--accel-unit UNIT"),
+    (r"counts in rad/s", "--gyro-scale X"),
+    (r"counts in m/s\^2", "--accel-scale X"),
+    (r"expected header or log|another time column|column to take as time|no time column '", "--time CLOCK"),
+    (r"\.msg file", "--msg FILE"),
+)  # fmt: skip
 
 #: What writing to a full disk, or to a place that takes no more, ends with.
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
@@ -137,3 +150,8 @@ def _explain(error: BaseException) -> int:
             code = 70
     click.echo(message, err=True)
     return code
+
+
+def options_for(message: str) -> str:
+    """Return the options that answer a message, such as ``--rate HZ``; empty where none does."""
+    return " or ".join(option for pattern, option in _OPTIONS if re.search(pattern, message))

@@ -1,6 +1,8 @@
 """Options that several commands share, and the reading of a log with them."""
 
 import functools
+import math
+import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,7 +12,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import click
 
 from imucal.cli._progress import axes_progress, reading_progress
-from imucal.cli._types import RATE, Number
 from imucal.recording import AxisSeries, Recording
 
 if TYPE_CHECKING:
@@ -18,6 +19,24 @@ if TYPE_CHECKING:
     from imucal.report.result import Report
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Number(click.FloatRange):
+    """A finite number in a range: click lets nan and infinity through."""
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = float(super().convert(str(value), param, ctx))  # type: ignore[arg-type] # click's stub is narrow
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+
+#: Hz: no IMU is slower or faster, and no product of these overflows.
+RATE = Number(1e-6, 1e9)
+#: Written like this, averaging times are a set and not a list.
+TAU_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
+#: Beyond these levels an interval is a point or everything.
+LEVEL = Number(0.01, 0.999999)
 
 quiet_option = click.option(
     "-q", "--quiet", is_flag=True, help="Print results only: no progress, findings or paths."

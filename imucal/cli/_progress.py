@@ -8,54 +8,34 @@ from contextlib import contextmanager
 @contextmanager
 def reading_progress(*, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     """Show bytes, rate and time left on a terminal; nothing elsewhere."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        DownloadColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-        TransferSpeedColumn,
-    )
-
-    columns = (
-        TextColumn("reading"),
-        BarColumn(bar_width=20),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading", total=None)
-
-        def update(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        yield update
+    with _bar("reading", "DownloadColumn", "TransferSpeedColumn", quiet=quiet) as update:
+        yield update and (lambda done, total: update(completed=done, total=total))
 
 
 @contextmanager
 def axes_progress(*, quiet: bool) -> Iterator[Callable[[int, int, str], None] | None]:
     """Show which axis is being fitted, on a terminal; nothing elsewhere."""
+    with _bar("fitting {task.fields[axis]:8}", "MofNCompleteColumn", quiet=quiet) as update:
+        yield update and (lambda done, total, name: update(completed=done, total=total, axis=name))
+
+
+@contextmanager
+def _bar(text: str, *columns: str, quiet: bool) -> Iterator[Callable[..., None] | None]:
+    """Yield what updates a bar with some of rich's columns, or None where nobody watches."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
+    from functools import partial
+
+    from rich import progress
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (
-        TextColumn("fitting {task.fields[axis]:8}"),
-        BarColumn(bar_width=20),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
+    own = [getattr(progress, name)() for name in columns]
+    shown = (
+        progress.TextColumn(text),
+        progress.BarColumn(bar_width=20),
+        *own,
+        progress.TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("fitting", total=None, axis="")
-
-        def update(done: int, total: int, name: str) -> None:
-            bar.update(task, completed=done, total=total, axis=name)
-
-        yield update
+    with progress.Progress(*shown, console=Console(stderr=True), transient=True) as bar:
+        yield partial(bar.update, bar.add_task("", total=None, axis=""))

@@ -6,7 +6,6 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
-from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
@@ -73,22 +72,20 @@ def _side_by_side(row: Sequence[str]) -> str:
 
 def _blocks(axes: list[AxisReport], *, datasheet: bool, plain: bool) -> Iterator[tuple[str, _Block]]:
     """Yield each block of a sensor's column with its key."""
-    sensor = axes[0].sensor
+    sensor, unit = axes[0].sensor, numbers.datasheet if datasheet else numbers.si
     yield "", _heading(axes)
     for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
-        found = [(axis, next((e for e in axis.fit.estimates if e.key == key), None)) for axis in axes]
-        some = [(axis, estimate) for axis, estimate in found if estimate]
-        name = TERMS[some[0][1].symbol].name(sensor).replace("acceleration", "accel.")
-        unit = numbers.datasheet if datasheet else numbers.si
-        yield key, _block(f"{key}  {name}", [(a, unit(e, sensor), "") for a, e in some], plain=plain)
-        times = [(a, _time(e), "") for a, e in some]
-        known = [(a, t, note) for a, t, note in times if t]
-        if known:
-            yield f"{key} T", _block(f"{key}  correlation time", known, plain=plain)
-    lowest = []
-    for axis in axes:
-        quantity = numbers.minimum(axis)[datasheet]
-        lowest.append((axis, quantity, f"at {numbers.seconds(axis.fit.curve.minimum[1])}"))
+        found = [(axis, e) for axis in axes for e in axis.fit.estimates if e.key == key]
+        name = TERMS[found[0][1].symbol].name(sensor).replace("acceleration", "accel.")
+        yield key, _block(f"{key}  {name}", [(a, unit(e, sensor), "") for a, e in found], plain=plain)
+        timed = [(a, e.correlation_time) for a, e in found]
+        times = [(a, numbers.correlation_time(time), "") for a, time in timed if time is not None]
+        if times:
+            yield f"{key} T", _block(f"{key}  correlation time", times, plain=plain)
+    lowest = [
+        (axis, numbers.minimum(axis)[datasheet], f"at {numbers.seconds(axis.fit.curve.minimum[1])}")
+        for axis in axes
+    ]
     yield "minimum", _block("minimum of the curve", lowest, plain=plain)
 
 
@@ -105,11 +102,6 @@ def _heading(axes: list[AxisReport]) -> _Block:
         kept = re.sub(r"(?<=\d) (?=[A-Za-z])", "\N{NO-BREAK SPACE}", shown)
         lines += [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, _COLUMN)]
     return lines
-
-
-def _time(estimate: Estimate) -> Quantity | None:
-    time = estimate.correlation_time
-    return None if time is None else numbers.correlation_time(time)
 
 
 def _block(title: str, rows: list[tuple[AxisReport, Quantity, str]], *, plain: bool) -> _Block:

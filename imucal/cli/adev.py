@@ -6,9 +6,10 @@ from collections.abc import Sequence
 import click
 
 from imucal._version import __version__
+from imucal.allan.confidence import EDF_METHODS
+from imucal.allan.estimators import ESTIMATORS
 from imucal.cli._finding_lines import has_warning, print_findings
-from imucal.cli._options import Duration, LogRequest, log_options, say
-from imucal.cli._types import LEVEL, TAU_SET
+from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
 
@@ -56,14 +57,14 @@ analysed (with --strict: or a warning was found)."""
 )
 @click.option(
     "--estimator",
-    type=click.Choice(["overlapping", "standard", "modified", "hadamard"]),
+    type=click.Choice(list(ESTIMATORS)),
     default="overlapping",
     show_default=True,
     help="Which deviation.",
 )
 @click.option(
     "--edf",
-    type=click.Choice(["hybrid", "model", "greenhall", "eta3"]),
+    type=click.Choice(list(EDF_METHODS)),
     default="hybrid",
     show_default=True,
     help="Degrees of freedom of the intervals.",

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from imucal.checking import Baseline, CheckResult, FindingRules, Limits, Row, Verdict
+from imucal.checking import Baseline, CheckResult, FindingRules, Limits
+from imucal.checking.verdict import Row, Verdict
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
 from imucal.report.result import Report
@@ -82,7 +83,8 @@ def command(
     limit lies inside the interval it is undecided: the record is too short to tell. Undecided
     limits don't fail the check unless --undecided fail, or the limits file, says so.
     """
-    from imucal.checking import check, github_annotations, junit_xml, to_document
+    from imucal.checking import check
+    from imucal.checking.render import github_annotations, junit_xml, to_document
 
     limits = _limits(limits_file, baseline)
     if undecided is not None:

@@ -1,17 +1,16 @@
 """``imucal compare``: what differs between two reports."""
 
 import json
-import math
 from pathlib import Path
 
 import click
 
-from imucal.cli._options import quiet_option, say
+from imucal.cli._options import Number, quiet_option, say
 from imucal.cli._report_input import read_report
-from imucal.cli._types import Number
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.report.document import plain
 from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/comparison/1"
@@ -101,7 +100,7 @@ def to_document(result: Comparison) -> dict[str, object]:
                 "a": _estimate(difference.a),
                 "b": _estimate(difference.b),
                 "ratio": difference.ratio,
-                "z": _finite(difference.z),
+                "z": plain(difference.z),
                 "p": difference.p,
                 "p_adjusted": difference.p_adjusted,
                 "outcome": difference.outcome,
@@ -111,20 +110,15 @@ def to_document(result: Comparison) -> dict[str, object]:
     }
 
 
-def _estimate(estimate: Estimate | None) -> dict[str, float | str | None] | None:
+def _estimate(estimate: Estimate | None) -> dict[str, object] | None:
     if estimate is None:
         return None
     return {
         "status": estimate.status,
         "value": estimate.value,
-        "low": _finite(estimate.low),
-        "high": _finite(estimate.high),
+        "low": plain(estimate.low),
+        "high": plain(estimate.high),
     }
-
-
-def _finite(value: float | None) -> float | None:
-    """JSON knows neither infinity nor NaN."""
-    return value if value is not None and math.isfinite(value) else None
 
 
 def _table(result: Comparison, *, datasheet: bool) -> str:

@@ -5,8 +5,7 @@ from pathlib import Path
 import click
 
 from imucal.cli._finding_lines import all_findings, has_warning, print_findings
-from imucal.cli._options import LogRequest, as_typed, log_options, say
-from imucal.cli._types import LEVEL, TAU_SET
+from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say
 from imucal.errors import DataError
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
@@ -107,7 +106,7 @@ written, 130 interrupted."""
 )
 @click.option(
     "--edf",
-    type=click.Choice(["hybrid", "model", "greenhall", "eta3"]),
+    type=click.Choice(["hybrid", "model", "greenhall"]),
     default="hybrid",
     show_default=True,
     help="Degrees of freedom of the curve's intervals.",

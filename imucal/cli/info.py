@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import click
 
-from imucal.cli._hints import options_for
+from imucal.cli import options_for
 from imucal.cli._info_json import TopicReading, as_json_value
 from imucal.cli._options import describe_duration
 from imucal.errors import ImucalError

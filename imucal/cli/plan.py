@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._options import Duration, quiet_option, say
+from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say
 from imucal.cli._report_input import is_report, read_report
-from imucal.cli._types import LEVEL, RATE
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.planning import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
+from imucal.report.document import plain
 from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/planning/1"
@@ -113,7 +113,7 @@ def to_document(result: Plan) -> dict[str, object]:
         "schema": SCHEMA,
         "precision": result.precision,
         "level": result.level,
-        "needed_s": _finite(result.needed_s),
+        "needed_s": plain(result.needed_s),
         "axes": [
             {
                 "axis": axis.axis or None,
@@ -125,8 +125,8 @@ def to_document(result: Plan) -> dict[str, object]:
                         "name": need.name,
                         "value": need.value,
                         "bounded": need.bounded,
-                        "needed_s": _finite(need.needed_s),
-                        "reached": _finite(need.reached),
+                        "needed_s": plain(need.needed_s),
+                        "reached": plain(need.reached),
                     }
                     for need in axis.needs
                 ],
@@ -193,8 +193,3 @@ def _unit(sensor: Sensor | None, need: Need, *, datasheet: bool) -> DatasheetUni
     if datasheet:
         return TERMS[need.symbol].datasheet_unit(sensor)
     return DatasheetUnit(TERMS[need.symbol].unit(sensor), 1.0)
-
-
-def _finite(value: float | None) -> float | None:
-    """JSON knows neither infinity nor NaN."""
-    return value if value is not None and math.isfinite(value) else None

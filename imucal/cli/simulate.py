@@ -5,8 +5,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._options import Duration, quiet_option, say
-from imucal.cli._types import RATE, Number
+from imucal.cli._options import RATE, Duration, Number, quiet_option, say
 from imucal.noise import NoiseModel
 from imucal.units import G0
 

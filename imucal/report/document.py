@@ -16,13 +16,10 @@ from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor, Source
 from imucal.report import numbers
-from imucal.report.markov import gauss_markov_term
 from imucal.report.result import AxisReport, Report
 
 #: Name and number of the layout.
 SCHEMA = "imucal/report/1"
-
-Json = Mapping[str, object]
 
 
 def to_document(report: Report) -> dict[str, object]:
@@ -204,7 +201,7 @@ def _term(estimate: Estimate, sensor: Sensor) -> dict[str, object]:
 
 def _gauss_markov(estimate: Estimate, fit: NoiseFit) -> dict[str, object]:
     """Return what a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t]."""
-    time, term, tau0 = estimate.correlation_time, gauss_markov_term(fit, estimate), 1 / fit.rate_hz
+    time, term, tau0 = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate), 1 / fit.rate_hz
     return {
         "correlation_time": time and _quantity(numbers.correlation_time(time)),
         "phi": term and plain(term.phi(tau0)),

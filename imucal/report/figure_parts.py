@@ -13,7 +13,6 @@ from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.log_ticks import draw_ticks
-from imucal.report.markov import gauss_markov_term
 from imucal.report.palette import FRAME, INK
 from imucal.report.result import AxisReport
 from imucal.units import pretty
@@ -109,7 +108,7 @@ def drawn_terms(axis: AxisReport) -> list[Drawn]:
     by_symbol = {term.symbol: term for term in axis.fit.model.terms}
     for estimate in axis.fit.estimates:
         if TERMS[estimate.symbol].repeatable:
-            term: NoiseTerm | None = gauss_markov_term(axis.fit, estimate)
+            term: NoiseTerm | None = numbers.gauss_markov_term(axis.fit, estimate)
         elif estimate.value is None:
             term = _bound(estimate)
         else:

@@ -5,6 +5,8 @@ every power of ten by its formula parser. Here the minor ticks of an axis are on
 """
 
 import math
+from collections.abc import Iterable
+from itertools import product
 from typing import TYPE_CHECKING
 
 from imucal.report.palette import FRAME, GRID, INK
@@ -46,18 +48,22 @@ def draw_ticks(axes: "Axes") -> None:
 
 def tick_places(low: float, high: float) -> tuple[list[float], list[float]]:
     """Return the places of labelled and of minor ticks between two positive limits."""
-    first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
-    decades = [e for e in range(first, last + 1) if low <= 10.0**e <= high]
-    multiples = [m * 10.0**e for e in range(first, last + 1) for m in range(1, 10)]
-    inside = [place for place in multiples if low <= place <= high]
+    decades, inside = _multiples(low, high, (1,)), _multiples(low, high, range(1, 10))
     if len(decades) >= 3:
         step = math.ceil(len(decades) / _MOST)
-        major = [10.0**e for e in decades if e % step == 0]
-        return major, inside if step == 1 else [10.0**e for e in decades]
-    major = [m * 10.0**e for e in range(first, last + 1) for m in (1, 2, 5) if low <= m * 10.0**e <= high]
+        if step == 1:
+            return decades, inside
+        return [place for place in decades if round(math.log10(place)) % step == 0], decades
+    major = _multiples(low, high, (1, 2, 5))
     if len(major) >= 2:
         return major, inside
     return (inside if len(inside) >= 2 else [low, high]), []
+
+
+def _multiples(low: float, high: float, digits: Iterable[int]) -> list[float]:
+    """Return ``digit * 10^e`` between two limits, rising, of every digit and whole e."""
+    powers = [10.0**e for e in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)]
+    return [digit * power for power, digit in product(powers, digits) if low <= digit * power <= high]
 
 
 def tick_label(value: float) -> str:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.noise.terms import TERMS
+from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
+from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport
 from imucal.units import pretty
@@ -44,6 +44,15 @@ class Quantity:
     def size(self) -> float:
         """The magnitude that decides the power of ten: the value's, else the bound's."""
         return abs(self.high if self.value is None else self.value)
+
+
+def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
+    """Return the term whose correlation time is the estimate's; None where the model has none."""
+    terms = [term for term in fit.model.terms if isinstance(term, GaussMarkov)]
+    time = estimate.correlation_time
+    if estimate.value is None or time is None or not terms:
+        return None
+    return min(terms, key=lambda term: abs(math.log(term.T / time.value)))
 
 
 def si(estimate: Estimate, sensor: Sensor) -> Quantity:

@@ -9,7 +9,6 @@ from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.markov import gauss_markov_term
 from imucal.report.markup import Markup, element, join, row, table
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
@@ -141,7 +140,7 @@ def _time(estimate: Estimate) -> tuple[tuple[Quantity, Quantity], str] | None:
 def _state(axis: AxisReport, key: str) -> str:
     """Return phi and q of a Gauss-Markov term for a filter at the sampling rate."""
     estimate = next((e for e in axis.fit.estimates if e.key == key), None)
-    term = None if estimate is None else gauss_markov_term(axis.fit, estimate)
+    term = None if estimate is None else numbers.gauss_markov_term(axis.fit, estimate)
     if term is None:
         return "–"
     tau0 = 1 / axis.fit.rate_hz

@@ -1,17 +1,17 @@
 """Recording -> findings: can it be trusted."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeAlias
 
 from imucal.findings import Finding
 from imucal.recording import Recording
-from imucal.screening.axes import check_duplicates, check_swapped
-from imucal.screening.motion import check_motion, check_turned
+from imucal.screening.motion import check_motion, check_tremor, check_turned
 from imucal.screening.profile import Profile, profile
-from imucal.screening.quantisation import check_lsb
 from imucal.screening.rolloff import check_roll_off
 from imucal.screening.steps import check_steps
 from imucal.screening.stuck import (
+    check_duplicates,
+    check_lsb,
     check_no_data,
     check_not_finite,
     check_repeats,
@@ -20,8 +20,7 @@ from imucal.screening.stuck import (
 )
 from imucal.screening.temperature import check_temperature
 from imucal.screening.tones import check_tones
-from imucal.screening.tremor import check_tremor
-from imucal.screening.unit_check import check_accelerometer_unit, check_gyroscope_unit
+from imucal.screening.unit_check import check_accelerometer_unit, check_gyroscope_unit, check_swapped
 from imucal.screening.warmup import check_warm_up
 
 __all__ = ["screen"]
@@ -53,20 +52,28 @@ def screen(recording: Recording) -> tuple[Finding, ...]:
     What reading the log has said already is not said again. The samples are passed once, in blocks;
     NaN and gaps are left out, and fewer than 16 samples in a row say nothing.
     """
-    profiles = [profile(series) for series in recording.series]
-    findings = [finding for p in profiles for finding in check_no_data(p)]
-    dead = {finding.axis for finding in findings}
-    alive = [p for p in profiles if p.name not in dead and p.windows.size]
-    findings += [finding for check in _LOG_CHECKS for finding in check(alive)]
-    rest = next((found for check in _REST_CHECKS if (found := check(alive))), ())
-    findings += rest
-    checks = _AXIS_CHECKS
-    if not any(finding.level == "error" for finding in rest):
-        checks += _NOISE_CHECKS
-        findings += check_gyroscope_unit(alive)
-        findings += check_temperature(alive, recording.temperature)
-    findings += [finding for check in checks for p in alive for finding in check(p)]
     said = {(finding.code, finding.axis) for finding in recording.findings}
-    findings = [finding for finding in findings if (finding.code, finding.axis) not in said]
+    findings = [finding for finding in _all_findings(recording) if (finding.code, finding.axis) not in said]
     order = ("error", "warning", "info")
     return tuple(sorted(findings, key=lambda finding: order.index(finding.level)))
+
+
+def _all_findings(recording: Recording) -> Iterator[Finding]:
+    """Yield what each check says, in the order of the tables."""
+    profiles = [profile(series) for series in recording.series]
+    empty = [finding for p in profiles for finding in check_no_data(p)]
+    dead = {finding.axis for finding in empty}
+    alive = [p for p in profiles if p.name not in dead and p.windows.size]
+    yield from empty
+    for log_check in _LOG_CHECKS:
+        yield from log_check(alive)
+    moved = next((found for check in _REST_CHECKS if (found := check(alive))), ())
+    yield from moved
+    checks = _AXIS_CHECKS
+    if not any(finding.level == "error" for finding in moved):
+        checks += _NOISE_CHECKS
+        yield from check_gyroscope_unit(alive)
+        yield from check_temperature(alive, recording.temperature)
+    for axis_check in checks:
+        for p in alive:
+            yield from axis_check(p)

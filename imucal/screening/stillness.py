@@ -1,5 +1,10 @@
-"""Which windows of an axis are disturbed: louder than its quiet ones, or off their level."""
+"""Which windows of an axis are disturbed: louder than its quiet ones, or off their level.
 
+Every limit comes from the axis's own quiet windows, so that a touch does not hide itself by raising
+the yardstick.
+"""
+
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +12,6 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
 from imucal.recording import AxisSeries
-from imucal.screening.chance import normal_quantile, variance_limit
 from imucal.screening.windows import Windows
 
 #: How often an axis at rest may have one disturbed window, by chance.
@@ -36,6 +40,8 @@ def disturbed(windows: Windows, lsb: float | None) -> NDArray[np.bool_]:
     A window is when its variance, or the jump of its mean from the window before, is larger than
     chance allows; both must also exceed the resolution `lsb`, below which values only toggle.
     """
+    from scipy.special import ndtri
+
     if windows.size < _LEAST_WINDOWS:
         return np.zeros(windows.size, dtype=bool)
     p_above = _FALSE_ALARM / windows.size
@@ -45,10 +51,24 @@ def disturbed(windows: Windows, lsb: float | None) -> NDArray[np.bool_]:
     loud = windows.variance > max(_MARGIN * limit, least**2)
     jumps = _jumps(windows)
     scale = np.sqrt(np.median(jumps[jumps > 0] ** 2) / _MEDIAN_CHI2) if np.any(jumps > 0) else 0.0
-    off = jumps > max(np.sqrt(_MARGIN) * normal_quantile(p_above) * scale, least)
+    off = jumps > max(np.sqrt(_MARGIN) * -ndtri(p_above) * scale, least)
     loud[1:] |= off
     loud[:-1] |= off
     return loud
+
+
+def variance_limit(variances: FloatArray, p_above: float) -> float:
+    """Return what the variance of a quiet window exceeds with a probability of at most about `p_above`.
+
+    A variance is a sum of weighted chi-squares: its tail falls as exp(-x/c), where c shows between
+    the median and the 80 % quantile, whatever the colour of the noise. Windows in motion, when they
+    are more than a fifth, would raise that; so the limit is never above that of two degrees of
+    freedom with the same median. Shape of `variances` (k,), k >= 1.
+    """
+    middle, upper = (float(q) for q in np.quantile(variances, [0.5, 0.8]))
+    reach = math.log(0.5 / p_above)
+    fitted = middle + (upper - middle) / math.log(0.5 / 0.2) * reach
+    return min(fitted, middle * (1 + reach / math.log(2)))
 
 
 def _jumps(windows: Windows) -> FloatArray:

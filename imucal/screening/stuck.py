@@ -1,14 +1,14 @@
-"""Axes without data, that stop moving, that hit their limit, or that repeat their samples."""
+"""Values that are no measurement: none, stuck, at a limit, coarse, repeated, or those of another axis."""
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.findings import Finding
 from imucal.recording import Sensor
-from imucal.screening.profile import Profile
-from imucal.screening.resolution import excerpt
+from imucal.screening.profile import Profile, excerpt
 from imucal.screening.words import amount, time
 
 #: How often noise may by chance repeat one value through a window.
@@ -21,6 +21,12 @@ _LEAST_STEPS = 4.0
 _MANY = 1e-3
 #: Repeated samples below this part of all are not worth a word.
 _LEAST_REPEATS = 0.005
+#: Noise below this many LSB no longer dithers the rounding: N can't be corrected by LSB^2/12 any more.
+_COARSE = 0.5
+#: White noise of two axes never correlates like this; a mixed-up column does.
+_COPY = 0.999
+#: Fewest samples to judge by whether two axes are copies, or repeat.
+_LEAST = 64
 
 
 def check_no_data(profile: Profile) -> tuple[Finding, ...]:
@@ -134,9 +140,9 @@ def _counts(profile: Profile, index: NDArray[np.intp], limit: float) -> tuple[in
         at_limit += int(counts[values == limit].sum())
         others = values != limit
         if others.any():
-            place = int(np.abs(values[others] - limit).argmin())
-            value = float(values[others][place])
-            nearest[value] = nearest.get(value, 0) + int(counts[others][place])
+            k = int(np.abs(values[others] - limit).argmin())
+            value = float(values[others][k])
+            nearest[value] = nearest.get(value, 0) + int(counts[others][k])
     return at_limit, max(nearest.values(), default=0)
 
 
@@ -145,7 +151,7 @@ def check_repeats(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     findings = []
     for sensor in Sensor:
         group = [p for p in profiles if p.series.sensor is sensor and not p.constant]
-        if len(group) < 2 or len({p.series.n for p in group}) > 1 or group[0].series.n < 64:
+        if len(group) < 2 or len({p.series.n for p in group}) > 1 or group[0].series.n < _LEAST:
             continue
         together, apart, least = _repeats(group)
         if together > _LEAST_REPEATS and together - apart > 0.5 * (least - apart):
@@ -173,6 +179,61 @@ def _repeats(group: list[Profile]) -> tuple[float, float, float]:
         shares.append([equal.all(axis=0).mean(), *equal.mean(axis=1)])
     together, *each = np.mean(shares, axis=0).tolist()
     return together, float(np.prod(each)), min(each)
+
+
+def check_lsb(profile: Profile) -> tuple[Finding, ...]:
+    """Return a finding where the noise is below half an LSB.
+
+    Rounding adds LSB²/12 to the variance of well-dithered noise (Sheppard's correction); it is
+    taken off before comparing.
+    """
+    lsb, series = profile.lsb, profile.series
+    if lsb is None or not profile.noise**2 < lsb**2 * (_COARSE**2 + 1 / 12):
+        return ()
+    noise = max(0.0, profile.noise**2 - lsb**2 / 12) ** 0.5
+    figure = f"about {noise / lsb:.1f}" if noise > 0.2 * lsb else "less than 0.2"
+    return (
+        Finding(
+            level="warning",
+            code="coarse-lsb",
+            text=(
+                f"The steps of {series.name}, {amount(lsb, series.sensor)}, are coarse: its noise is "
+                f"{figure} LSB, and rounding distorts N and hides slow changes."
+            ),
+            advice="Choose a smaller range of the sensor, log more digits, or average less before logging.",
+            axis=series.name,
+        ),
+    )
+
+
+def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return an error for each two axes that hold the same samples, up to sign, scale and offset."""
+    findings = []
+    for one, two in combinations(profiles, 2):
+        if one.constant or two.constant or one.series.n != two.series.n or one.series.n < _LEAST:
+            continue
+        correlation = _correlation(one, two)
+        if abs(correlation) > _COPY:
+            sign = "the same samples" if correlation > 0 else "the same samples with the sign turned"
+            findings.append(
+                Finding(
+                    level="error",
+                    code="duplicate-axes",
+                    text=f"{one.name} and {two.name} hold {sign} (correlation {correlation:.3f}).",
+                    advice="Look at the choice of columns, or at the driver that fills them.",
+                )
+            )
+    return tuple(findings)
+
+
+def _correlation(one: Profile, two: Profile) -> float:
+    """Return the correlation of the steps from sample to sample, over an excerpt."""
+    products = np.zeros(3)
+    for part in excerpt(one.series.n):
+        x, y = np.diff(one.series.samples[part]), np.diff(two.series.samples[part])
+        products += (x @ y, x @ x, y @ y)
+    xy, xx, yy = products.tolist()
+    return xy / (xx**0.5 * yy**0.5) if xx > 0 and yy > 0 else 0.0
 
 
 def _error(code: str, text: str, advice: str, axis: str) -> Finding:

@@ -7,8 +7,7 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.recording import Temperature
-from imucal.screening.blocks import blocks
-from imucal.screening.profile import Profile
+from imucal.screening.profile import Profile, blocks
 from imucal.screening.words import amount
 
 #: Means compared with the temperature.
@@ -69,14 +68,14 @@ def _follows(profile: Profile, seconds: FloatArray, degrees: FloatArray, change:
     )
 
 
-def _slope(warmth: FloatArray, mean: FloatArray) -> tuple[float, float]:
+def _slope(temperature: FloatArray, mean: FloatArray) -> tuple[float, float]:
     """Return the slope, in U per degree, and its standard deviation; shape (k,) both.
 
     The ratio of random walk to white noise is the one of the largest restricted likelihood
     (Patterson & Thompson 1971, Biometrika 58(3)).
     """
     k = mean.size
-    design = np.stack([np.ones(k), warmth - warmth.mean()], axis=1)
+    design = np.stack([np.ones(k), temperature - temperature.mean()], axis=1)
     walk = np.minimum.outer(np.arange(1.0, k + 1), np.arange(1.0, k + 1))
     best = (-np.inf, 0.0, np.inf)
     for ratio in _WALKS:

@@ -6,7 +6,6 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
-from imucal.screening.chance import chi_square_quantile
 from imucal.screening.profile import Profile
 from imucal.screening.welch import Density
 from imucal.screening.words import amount
@@ -48,11 +47,13 @@ def tones(density: Density) -> tuple[Tone, ...]:
     A bin is one where it exceeds the median of its neighbours by more than chance allows, the bins
     beside it do not (a broad hump is no tone), and it is the largest around.
     """
+    from scipy.special import chdtri
+
     psd = density.psd
     last = psd.size - _LOBE - 2
     if last <= _LOWEST:
         return ()
-    limit = _MARGIN * chi_square_quantile(_FALSE_ALARM / psd.size, density.edf)
+    limit = _MARGIN * float(chdtri(density.edf, _FALSE_ALARM / psd.size)) / density.edf
     floor = _floor(psd)
     candidates = np.flatnonzero(psd > limit * floor)
     found = []

@@ -32,6 +32,25 @@ def gravity(profiles: Sequence[Profile]) -> float | None:
     return float(np.median(np.sqrt(sum(p.windows.mean**2 for p in profiles))))
 
 
+def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return an error when gravity is in the gyroscope and not in the accelerometer."""
+    if not swapped(profiles):
+        return ()
+    gyro = gravity([p for p in profiles if p.series.sensor is Sensor.GYROSCOPE])
+    accel = gravity([p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER])
+    return (
+        Finding(
+            level="error",
+            code="swapped-sensors",
+            text=(
+                f"At rest the gyroscope shows {gyro:.3g}, as gravity would, and the accelerometer "
+                f"{accel:.2g}: the two are swapped."
+            ),
+            advice="Name the columns or topics of each sensor when reading.",
+        ),
+    )
+
+
 def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return a finding when the length of gravity is not that of m/s²."""
     accel = [p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER]

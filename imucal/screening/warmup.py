@@ -4,8 +4,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
-from imucal.screening.blocks import Blocks, blocks
-from imucal.screening.profile import Profile
+from imucal.screening.profile import Blocks, Profile, blocks
 from imucal.screening.words import amount, time
 
 #: Numbers of means tried: many see a quick warm-up, few average more noise away. With each, how many

@@ -33,7 +33,7 @@ def test_the_default_curve() -> None:
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-@pytest.mark.parametrize("edf", ["hybrid", "model", "greenhall", "eta3"])
+@pytest.mark.parametrize("edf", ["hybrid", "model", "greenhall"])
 @pytest.mark.parametrize("taus", ["octave", "decade:5", "all", [0.005, 0.1]])
 def test_every_combination_gives_a_curve(estimator: str, edf: str, taus: str | list[float]) -> None:
     """Rising tau, positive values, finite degrees of freedom."""

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from lxml import etree
 
-from imucal.checking import CheckResult, check, github_annotations, junit_xml, parse_limits, to_document
+from imucal.checking import CheckResult, check, parse_limits
+from imucal.checking.render import github_annotations, junit_xml, to_document
 from imucal.recording import Source
 from tests.report.synthetic import consumer_report
 

@@ -67,7 +67,7 @@ def test_prints_json_with_the_spectrum(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("estimator", "edf"), [("standard", "model"), ("modified", "eta3"), ("hadamard", "greenhall")]
+    ("estimator", "edf"), [("standard", "model"), ("modified", "hybrid"), ("hadamard", "greenhall")]
 )
 def test_estimators_and_methods_are_options(estimator: str, edf: str, tmp_path: Path) -> None:
     """The values are those of the library's call."""

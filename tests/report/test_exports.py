@@ -21,7 +21,7 @@ from imucal.recording import Axis, Sensor, Source
 from imucal.report.document import to_document
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
 from imucal.report.exports.gauss_markov import flicker_bank
-from imucal.report.exports.spelling import comment, decimal, real
+from imucal.report.exports.target import comment, decimal, real
 from imucal.report.json_file import dumps, from_document
 from imucal.report.result import Report
 from tests.report.downstream import READERS, opencv
@@ -48,7 +48,7 @@ def _expected(report: Report, key: str, symbol: str) -> float:
 
 
 @pytest.mark.parametrize("make", [_plain_report, consumer_report])
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", READERS)
 def test_a_consumer_reads_the_fits_own_numbers(
     target: str, make: Callable[[], Report], tmp_path: Path
 ) -> None:
@@ -81,7 +81,7 @@ def test_every_file_says_how_its_numbers_came_about(target: str) -> None:
     assert re.search(r"kind: .*(continuous|discrete)", text)
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", READERS)
 def test_inflation_multiplies_deviations(target: str, tmp_path: Path) -> None:
     """``white=2, walk=10`` doubles N and multiplies K by ten, in every format."""
     report = _plain_report()
@@ -226,7 +226,7 @@ def test_a_comment_stays_on_its_line() -> None:
     assert comment(["log: a\nb: 1", "ok"]) == ["# log: a b: 1", "# ok"]
 
 
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", READERS)
 def test_a_hostile_log_name_breaks_no_file(target: str, tmp_path: Path) -> None:
     """Quotes, hyphens, braces and line breaks in a path reach no parser."""
     source = Source(path='a--b"\n:{%\\.bag', format="rosbag1", topics=('/i"mu',), message_types=("x",))

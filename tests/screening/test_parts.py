@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from imucal.recording import AxisSeries, Sensor
-from imucal.screening.chance import chi_square_quantile, normal_quantile, variance_limit
-from imucal.screening.resolution import resolution
+from imucal.screening.profile import resolution
+from imucal.screening.stillness import variance_limit
 from imucal.screening.words import amount, name_list, span, time
 
 
@@ -43,7 +44,7 @@ def test_limit_lies_above_the_chi_square_quantile(edf: int, p_above: float) -> N
     """For windows of white noise the limit is safe, and at most twice too safe."""
     variances = np.random.default_rng(4).chisquare(edf, 20_000) / edf
     limit = variance_limit(variances, p_above)
-    exact = chi_square_quantile(p_above, edf)
+    exact = stats.chi2.isf(p_above, edf) / edf
     # With two degrees of freedom both are the same; the median of 20 000 is known to 1 %.
     assert 0.97 * exact < limit < 2.5 * exact
 
@@ -60,11 +61,6 @@ def test_limit_withstands_a_log_in_motion() -> None:
     variances = np.random.default_rng(6).chisquare(49, 1000) / 49
     variances[:400] *= 100
     assert variance_limit(variances, 1e-7) < 30
-
-
-def test_normal_quantile() -> None:
-    """The textbook value."""
-    assert normal_quantile(0.025) == pytest.approx(1.959964, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray, memory_limit
 from imucal.errors import ReadError
-from imucal.memory import memory_limit
 from imucal.recording import Sensor
 
 #: Bytes written before their pages are given back to the system.

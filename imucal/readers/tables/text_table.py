@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
-from imucal.arrays import FloatArray
+from imucal.arrays import FloatArray, memory_limit
 from imucal.errors import DataError, ReadError
 from imucal.findings import Finding
-from imucal.memory import memory_limit
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan

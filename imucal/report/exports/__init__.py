@@ -31,8 +31,6 @@ __all__ = [
     "INFLATABLE",
     "TARGETS",
     "AxisPolicy",
-    "Choices",
-    "Target",
     "Unidentified",
     "export",
     "find_target",
@@ -172,10 +170,10 @@ def export(
         _make_folder(path)
     files = []
     for each, text in texts.items():
-        place = path / each.file_name if path.is_dir() else path
-        with replacing(place, ours=_OURS) as scratch:
+        file = path / each.file_name if path.is_dir() else path
+        with replacing(file, ours=_OURS) as scratch:
             scratch.write_text(text, encoding="utf-8", newline="\n")
-        files.append(place)
+        files.append(file)
     return tuple(files)
 
 

@@ -8,27 +8,16 @@ import numpy as np
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.header import header
-from imucal.report.exports.spelling import comment, quoted, real, vector
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Body, Target, quoted, real, vector
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     values = densities(numbers)
-    head = header(
-        numbers,
-        title="EuRoC (ASL dataset) sensor.yaml",
-        kind="continuous-time densities, SI",
-        formulas=["noise_density = N, random_walk = K (of the bias); no factor of the rate"],
-        used=values.all,
-        carries="N K",
-    )
     rows = np.eye(4).tolist()
     data = [f"  data: [{vector(rows[0])[1:-1]},"]
     data += [f"         {vector(row)[1:-1]}," for row in rows[1:-1]]
     data += [f"         {vector(rows[-1])[1:-1]}]"]
     lines = [
-        *comment(head),
         "sensor_type: imu",
         f"comment: {quoted(numbers.report.source.path)}",
         "T_BS:  # identity: the body frame is the IMU's; set yours",
@@ -41,13 +30,16 @@ def _render(numbers: Numbers) -> str:
         f"accelerometer_noise_density: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
         f"accelerometer_random_walk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
     ]
-    return "\n".join(lines) + "\n"
+    return values.all, lines
 
 
 TARGET = Target(
     name="euroc",
     title="EuRoC (ASL dataset) sensor.yaml",
     file_name="euroc_sensor.yaml",
-    render=_render,
+    heading="EuRoC (ASL dataset) sensor.yaml",
+    kind="continuous-time densities, SI",
+    formulas=("noise_density = N, random_walk = K (of the bias); no factor of the rate",),
+    body=_body,
     aliases=("asl",),
 )

@@ -13,9 +13,7 @@ from collections.abc import Iterator
 from imucal.noise.terms import GaussMarkov
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.header import header
-from imucal.report.exports.spelling import comment, real
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Body, Target, real
 from imucal.report.result import AxisReport
 
 #: States a decade of correlation time.
@@ -32,26 +30,13 @@ def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMa
     return tuple(GaussMarkov(sigma=sigma, T=shortest_s * ratio**i) for i in range(steps + 1))
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     axes = [axis for sensor in Sensor for axis in numbers.triad(sensor)]
     used = [numbers.of(axis, symbol) for axis in axes for symbol in ("N", "K")]
-    head = header(
-        numbers,
-        title="state-space noise model",
-        kind="discrete: x[t+1] = phi x[t] + q w[t], w standard normal; right for the rate of each axis only",
-        formulas=[
-            "white = N * sqrt(f); random walk: phi = 1, q = K / sqrt(f)",
-            "Gauss-Markov: phi = exp(-1/(f T)), q = sigma * sqrt(1 - phi^2)",
-            "flicker B: Gauss-Markov states with log-spaced T, sigma = B * sqrt(ln(ratio of T) / pi)",
-        ],
-        used=used,
-        carries="N B GM K",
-        per_axis=True,
-    )
-    lines = [*comment(head), "axes:"]
+    lines = ["axes:"]
     for axis in axes:
         lines += _axis(numbers, axis)
-    return "\n".join(lines) + "\n"
+    return used, lines
 
 
 def _axis(numbers: Numbers, axis: AxisReport) -> Iterator[str]:
@@ -98,6 +83,15 @@ TARGET = Target(
     name="gm",
     title="state space: phi and q for a Kalman filter",
     file_name="state_space.yaml",
-    render=_render,
+    heading="state-space noise model",
+    kind="discrete: x[t+1] = phi x[t] + q w[t], w standard normal; right for the rate of each axis only",
+    formulas=(
+        "white = N * sqrt(f); random walk: phi = 1, q = K / sqrt(f)",
+        "Gauss-Markov: phi = exp(-1/(f T)), q = sigma * sqrt(1 - phi^2)",
+        "flicker B: Gauss-Markov states with log-spaced T, sigma = B * sqrt(ln(ratio of T) / pi)",
+    ),
+    body=_body,
+    carries="N B GM K",
+    per_axis=True,
     aliases=("gaussmarkov", "statespace"),
 )

@@ -7,20 +7,19 @@ Source: Gazebo, ``src/GaussianNoiseModel.cc`` (gz-sensors); SDFormat, ``noise.sd
 """
 
 import math
+from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.header import header
-from imucal.report.exports.slow import SlowNoise, slow_noise
-from imucal.report.exports.spelling import plain, real
-from imucal.report.exports.target import Target
+from imucal.report.exports.densities import SlowNoise, slow_noise
+from imucal.report.exports.target import Body, Target, plain, real
 from imucal.report.result import AxisReport
 
 _ELEMENTS = {Sensor.GYROSCOPE: "angular_velocity", Sensor.ACCELEROMETER: "linear_acceleration"}
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     root = ET.Element("sdf", version="1.7")
     link = ET.SubElement(ET.SubElement(root, "model", name="imu"), "link", name="imu_link")
     sensor_element = ET.SubElement(link, "sensor", name="imu", type="imu")
@@ -35,25 +34,12 @@ def _render(numbers: Numbers) -> str:
             used += [white] if slow.number is None else [white, slow.number]
             _noise(ET.SubElement(element, axis.axis), axis, white, slow)
     ET.indent(root)
-    head = _comment(_head(numbers, used))
-    return f'<?xml version="1.0"?>\n<!--\n{head}\n-->\n{ET.tostring(root, encoding="unicode")}\n'
+    return used, [ET.tostring(root, encoding="unicode")]
 
 
-def _head(numbers: Numbers, used: list[Number]) -> list[str]:
-    head = header(
-        numbers,
-        title="Gazebo / SDF imu sensor",
-        kind="stddev is discrete, right for update_rate only; dynamic_bias_stddev is a continuous density",
-        formulas=[
-            "stddev = N * sqrt(f)",
-            "dynamic_bias_stddev = K, with a nominal correlation time of 3600 s",
-            "on an axis with a Gauss-Markov term (sigma, T) and no random walk: sigma * sqrt(2 / T), and T",
-        ],
-        used=used,
-        carries="N K GM",
-        per_axis=True,
-    )
-    return [*head, "bias_mean, bias_stddev: the turn-on bias needs many starts, not one log; set yours"]
+def _layout(head: Sequence[str], body: Sequence[str]) -> str:
+    said = "\n".join(f"  {_xml_safe(plain(line))}" for line in head)
+    return "\n".join(['<?xml version="1.0"?>', "<!--", said, "-->", *body]) + "\n"
 
 
 def _noise(parent: ET.Element, axis: AxisReport, white: Number, slow: SlowNoise) -> None:
@@ -73,10 +59,6 @@ def _noise(parent: ET.Element, axis: AxisReport, white: Number, slow: SlowNoise)
         ET.SubElement(noise, name).text = real(value)
 
 
-def _comment(lines: list[str]) -> str:
-    return "\n".join(f"  {_xml_safe(plain(line))}" for line in lines)
-
-
 def _xml_safe(text: str) -> str:
     """Two hyphens would end an XML comment."""
     return text.replace("--", "- -")
@@ -86,6 +68,17 @@ TARGET = Target(
     name="gazebo",
     title="Gazebo / SDF imu sensor",
     file_name="gazebo_imu.sdf",
-    render=_render,
+    heading="Gazebo / SDF imu sensor",
+    kind="stddev is discrete, right for update_rate only; dynamic_bias_stddev is a continuous density",
+    formulas=(
+        "stddev = N * sqrt(f)",
+        "dynamic_bias_stddev = K, with a nominal correlation time of 3600 s",
+        "on an axis with a Gauss-Markov term (sigma, T) and no random walk: sigma * sqrt(2 / T), and T",
+    ),
+    body=_body,
+    notes=("bias_mean, bias_stddev: the turn-on bias needs many starts, not one log; set yours",),
+    layout=_layout,
+    carries="N K GM",
+    per_axis=True,
     aliases=("sdf", "gz", "ignition"),
 )

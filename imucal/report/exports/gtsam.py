@@ -7,9 +7,7 @@ names. Source: GTSAM, ``gtsam/navigation/PreintegrationCombinedParams.h``.
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.header import header
-from imucal.report.exports.spelling import comment, real
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Body, Target, real
 from imucal.units import G0
 
 #: Covariance of the integration itself: GTSAM's own default of 1 would drown the sensor's.
@@ -30,18 +28,9 @@ def imu_params(gravity: float = {gravity}) -> gtsam.PreintegrationCombinedParams
 '''
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     values = densities(numbers)
-    head = header(
-        numbers,
-        title="GTSAM PreintegrationCombinedParams",
-        kind="continuous-time covariances (densities squared), SI; GTSAM makes them discrete with dt",
-        formulas=["covariance = N^2, bias covariance = K^2, each times the identity; no factor of the rate"],
-        used=values.all,
-        carries="N K GM",
-    )
     lines = [
-        *comment(head),
         "",
         "import gtsam",
         "import numpy as np",
@@ -53,7 +42,8 @@ def _render(numbers: Numbers) -> str:
         f"integrationCovariance = {real(_INTEGRATION)}  # of the integration's rounding, not of the sensor",
         *_correlation_times(numbers),
     ]
-    return "\n".join(lines) + "\n" + _FUNCTION.format(gravity=real(G0))
+    lines.append(_FUNCTION.format(gravity=real(G0)).rstrip())
+    return values.all, lines
 
 
 def _assignment(name: str, number: Number, unit: str) -> str:
@@ -77,5 +67,9 @@ TARGET = Target(
     name="gtsam",
     title="GTSAM PreintegrationCombinedParams (Python)",
     file_name="gtsam_imu_params.py",
-    render=_render,
+    heading="GTSAM PreintegrationCombinedParams",
+    kind="continuous-time covariances (densities squared), SI; GTSAM makes them discrete with dt",
+    formulas=("covariance = N^2, bias covariance = K^2, each times the identity; no factor of the rate",),
+    body=_body,
+    carries="N K GM",
 )

@@ -7,24 +7,13 @@ Source: Isaac ROS documentation, ``isaac_ros_visual_slam``, parameters.
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.header import header
-from imucal.report.exports.spelling import comment, real
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Body, Target, real
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     values = densities(numbers)
-    head = header(
-        numbers,
-        title="Isaac ROS Visual SLAM parameters, the IMU's",
-        kind="continuous-time densities, SI; the node makes them discrete with calibration_frequency",
-        formulas=["noise_density = N, random_walk = K; no factor of the rate"],
-        used=values.all,
-        carries="N K",
-    )
     rate = real(numbers.rate_hz(Sensor.GYROSCOPE))
     lines = [
-        *comment(head),
         "/**:",
         "  ros__parameters:",
         f"    gyro_noise_density: {real(values.gyro_n.value)}  # rad/s/sqrt(Hz); {values.gyro_n.note}",
@@ -33,13 +22,16 @@ def _render(numbers: Numbers) -> str:
         f"    accel_random_walk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
         f"    calibration_frequency: {rate}  # Hz, of the gyroscope",
     ]
-    return "\n".join(lines) + "\n"
+    return values.all, lines
 
 
 TARGET = Target(
     name="isaac-ros",
     title="Isaac ROS Visual SLAM parameters",
     file_name="isaac_ros_imu.yaml",
-    render=_render,
+    heading="Isaac ROS Visual SLAM parameters, the IMU's",
+    kind="continuous-time densities, SI; the node makes them discrete with calibration_frequency",
+    formulas=("noise_density = N, random_walk = K; no factor of the rate",),
+    body=_body,
     aliases=("isaac", "cuvslam"),
 )

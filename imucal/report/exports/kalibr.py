@@ -8,23 +8,15 @@ Source: Kalibr, ``aslam_offline_calibration/kalibr/python/kalibr_common/ConfigRe
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities, topic
-from imucal.report.exports.header import header
-from imucal.report.exports.spelling import comment, plain, quoted, real
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Body, Target, plain, quoted, real
 
-KIND = "continuous-time densities, SI; Kalibr makes them discrete with update_rate"
 FORMULA = "noise_density = N (white noise), random_walk = K (of the bias); no factor of the rate"
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     values = densities(numbers)
     name, remark = topic(numbers)
-    lines = comment(
-        header(
-            numbers, title="Kalibr imu.yaml", kind=KIND, formulas=[FORMULA], used=values.all, carries="N K"
-        )
-    )
-    lines += [
+    lines = [
         f"accelerometer_noise_density: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
         f"accelerometer_random_walk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
         f"gyroscope_noise_density: {real(values.gyro_n.value)}  # rad/s/sqrt(Hz); {values.gyro_n.note}",
@@ -32,7 +24,15 @@ def _render(numbers: Numbers) -> str:
         f"rostopic: {quoted(name)}  # {plain(remark)}",
         f"update_rate: {real(numbers.rate_hz(Sensor.GYROSCOPE))}  # Hz, of the gyroscope",
     ]
-    return "\n".join(lines) + "\n"
+    return values.all, lines
 
 
-TARGET = Target(name="kalibr", title="Kalibr imu.yaml", file_name="kalibr_imu.yaml", render=_render)
+TARGET = Target(
+    name="kalibr",
+    title="Kalibr imu.yaml",
+    file_name="kalibr_imu.yaml",
+    heading="Kalibr imu.yaml",
+    kind="continuous-time densities, SI; Kalibr makes them discrete with update_rate",
+    formulas=(FORMULA,),
+    body=_body,
+)

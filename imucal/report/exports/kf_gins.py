@@ -8,18 +8,16 @@ import math
 
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
-from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.header import header
-from imucal.report.exports.slow import SlowNoise, slow_noise
-from imucal.report.exports.spelling import comment, real, vector
-from imucal.report.exports.target import Target
+from imucal.report.exports.config_numbers import Numbers
+from imucal.report.exports.densities import SlowNoise, slow_noise
+from imucal.report.exports.target import Body, Target, comment, real, vector
 
 #: m/s^2 in a mGal.
 _MGAL = 1e-5
 _HOUR = 3600.0
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     gyro, accel = numbers.each(Sensor.GYROSCOPE, "N"), numbers.each(Sensor.ACCELEROMETER, "N")
     gyro_slow = [slow_noise(numbers, axis) for axis in numbers.triad(Sensor.GYROSCOPE)]
     accel_slow = [slow_noise(numbers, axis) for axis in numbers.triad(Sensor.ACCELEROMETER)]
@@ -28,10 +26,9 @@ def _render(numbers: Numbers) -> str:
     arw = TERMS["N"].datasheet_unit(Sensor.GYROSCOPE).factor
     vrw = TERMS["N"].datasheet_unit(Sensor.ACCELEROMETER).factor
     deg_per_hour = TERMS["B"].datasheet_unit(Sensor.GYROSCOPE).factor
-    head = _head(numbers, [*gyro, *accel, *(process.number for process in slow if process.number)])
+    used = [*gyro, *accel, *(process.number for process in slow if process.number)]
     notes = (number.note for number in (*gyro, *accel) if number.bounded)
     lines = [
-        *comment(head),
         *comment([*notes, *(process.note for process in slow)]),
         "imunoise:",
         f"  arw: {vector(number.value * arw for number in gyro)}  # deg/sqrt(h)",
@@ -41,24 +38,7 @@ def _render(numbers: Numbers) -> str:
         "  # gsstd, asstd: scale factors aren't measured at rest; keep the lines of your own file",
         f"  corrtime: {real(time / _HOUR)}  # h",
     ]
-    return "\n".join(lines) + "\n"
-
-
-def _head(numbers: Numbers, used: list[Number]) -> list[str]:
-    head = header(
-        numbers,
-        title="KF-GINS imunoise",
-        kind="continuous-time, in data-sheet units; biases are first-order Gauss-Markov processes",
-        formulas=[
-            "arw, vrw = N",
-            "gbstd, abstd = sigma of the Gauss-Markov term; of a random walk K: K * sqrt(T / 2)",
-            "corrtime = the shortest T of all axes (one serves both sensors); 1 h where none was measured",
-        ],
-        used=used,
-        carries="N K GM",
-        per_axis=True,
-    )
-    return [*head, "the order of the axes is the log's; KF-GINS wants forward, right, down"]
+    return used, lines
 
 
 def _steady(process: SlowNoise, time: float) -> float:
@@ -67,5 +47,18 @@ def _steady(process: SlowNoise, time: float) -> float:
 
 
 TARGET = Target(
-    name="kf-gins", title="KF-GINS imunoise block", file_name="kf_gins_imunoise.yaml", render=_render
+    name="kf-gins",
+    title="KF-GINS imunoise block",
+    file_name="kf_gins_imunoise.yaml",
+    heading="KF-GINS imunoise",
+    kind="continuous-time, in data-sheet units; biases are first-order Gauss-Markov processes",
+    formulas=(
+        "arw, vrw = N",
+        "gbstd, abstd = sigma of the Gauss-Markov term; of a random walk K: K * sqrt(T / 2)",
+        "corrtime = the shortest T of all axes (one serves both sensors); 1 h where none was measured",
+    ),
+    body=_body,
+    notes=("the order of the axes is the log's; KF-GINS wants forward, right, down",),
+    carries="N K GM",
+    per_axis=True,
 )

@@ -6,25 +6,13 @@ Source: LIO-SAM, ``config/params.yaml``, ``src/imuPreintegration.cpp``.
 
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.header import header
-from imucal.report.exports.spelling import comment, real
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Body, Target, real
 from imucal.units import G0
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     values = densities(numbers)
-    head = header(
-        numbers,
-        title="LIO-SAM params.yaml, its IMU part",
-        kind="continuous-time densities, SI; GTSAM makes them discrete with the stamps",
-        formulas=["Noise = N, BiasN = K; no factor of the rate"],
-        used=values.all,
-        carries="N K",
-    )
-    head.append("ROS 2: put the five keys under '/**: ros__parameters:' in place of 'lio_sam:'")
     lines = [
-        *comment(head),
         "lio_sam:",
         f"  imuAccNoise: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
         f"  imuGyrNoise: {real(values.gyro_n.value)}  # rad/s/sqrt(Hz); {values.gyro_n.note}",
@@ -32,9 +20,16 @@ def _render(numbers: Numbers) -> str:
         f"  imuGyrBiasN: {real(values.gyro_k.value)}  # rad/s^2/sqrt(Hz); {values.gyro_k.note}",
         f"  imuGravity: {real(G0)}  # m/s^2, standard gravity; set that of your place",
     ]
-    return "\n".join(lines) + "\n"
+    return values.all, lines
 
 
 TARGET = Target(
-    name="lio-sam", title="LIO-SAM params.yaml (IMU part)", file_name="lio_sam_imu.yaml", render=_render
+    name="lio-sam",
+    title="LIO-SAM params.yaml (IMU part)",
+    file_name="lio_sam_imu.yaml",
+    heading="LIO-SAM params.yaml, its IMU part",
+    kind="continuous-time densities, SI; GTSAM makes them discrete with the stamps",
+    formulas=("Noise = N, BiasN = K; no factor of the rate",),
+    body=_body,
+    notes=("ROS 2: put the five keys under '/**: ros__parameters:' in place of 'lio_sam:'",),
 )

@@ -5,38 +5,31 @@ Continuous, two-sided densities (``NoiseType`` ``'double-sided'``, the default w
 Source: MathWorks documentation, gyroparams, accelparams, imuSensor.
 """
 
+from collections.abc import Sequence
+
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.header import header
-from imucal.report.exports.spelling import comment, real, vector
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Body, Target, comment, real, vector
 
 _KEYS = {"NoiseDensity": "N", "BiasInstability": "B", "RandomWalk": "K"}
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     gyro = {key: numbers.each(Sensor.GYROSCOPE, symbol) for key, symbol in _KEYS.items()}
     accel = {key: numbers.each(Sensor.ACCELEROMETER, symbol) for key, symbol in _KEYS.items()}
     used = [number for group in (*gyro.values(), *accel.values()) for number in group]
-    head = header(
-        numbers,
-        title="MATLAB imuSensor",
-        kind="continuous-time, two-sided densities, SI",
-        formulas=["NoiseDensity = N, BiasInstability = B, RandomWalk = K; no factor of the rate"],
-        used=used,
-        carries="N B K",
-        per_axis=True,
-    )
-    head.append("B is the flicker coefficient, not the minimum of the curve (which is 0.664 B)")
     lines = [
-        *comment(head, "%"),
         *comment((number.note for number in used if number.bounded), "%"),
         *_params("gyro", "gyroparams", gyro),
         *_params("accel", "accelparams", accel),
         f"imu = imuSensor('accel-gyro', 'SampleRate', {real(numbers.rate_hz(Sensor.GYROSCOPE))}, ...",
         "    'Gyroscope', gyro, 'Accelerometer', accel);",
     ]
-    return "\n".join(lines) + "\n"
+    return used, lines
+
+
+def _layout(head: Sequence[str], body: Sequence[str]) -> str:
+    return "\n".join([*comment(head, "%"), *body]) + "\n"
 
 
 def _params(name: str, function: str, groups: dict[str, tuple[Number, Number, Number]]) -> list[str]:
@@ -48,6 +41,13 @@ TARGET = Target(
     name="matlab",
     title="MATLAB gyroparams / accelparams",
     file_name="imu_params.m",
-    render=_render,
+    heading="MATLAB imuSensor",
+    kind="continuous-time, two-sided densities, SI",
+    formulas=("NoiseDensity = N, BiasInstability = B, RandomWalk = K; no factor of the rate",),
+    body=_body,
+    notes=("B is the flicker coefficient, not the minimum of the curve (which is 0.664 B)",),
+    layout=_layout,
+    carries="N B K",
+    per_axis=True,
     aliases=("gyroparams", "accelparams", "imusensor"),
 )

@@ -8,31 +8,16 @@ import numpy as np
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.densities import densities, topic
-from imucal.report.exports.header import header
 from imucal.report.exports.kalibr import FORMULA
-from imucal.report.exports.spelling import comment, matrix, plain, quoted, real
-from imucal.report.exports.target import Target
-
-_KIND = "continuous-time densities, SI; OpenVINS makes them discrete with the stamps of the messages"
+from imucal.report.exports.target import Body, Target, matrix, opencv_yaml, plain, quoted, real
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     values = densities(numbers)
     accel_n, accel_k, gyro_n, gyro_k = values.all
     name, remark = topic(numbers)
-    head = header(
-        numbers,
-        title="OpenVINS kalibr_imu_chain.yaml",
-        kind=_KIND,
-        formulas=[FORMULA],
-        used=values.all,
-        carries="N K",
-    )
-    head.append("matrices: identity (no intrinsics are measured at rest); T_i_b, Tw, Ta, Tg are yours to set")
     unit, zero = np.eye(3).tolist(), np.zeros((3, 3)).tolist()
     lines = [
-        "%YAML:1.0",  # OpenCV wants it on the first line
-        *comment(head),
         "imu0:",
         "  T_i_b:",
         *matrix(np.eye(4).tolist(), "    "),
@@ -47,13 +32,18 @@ def _render(numbers: Numbers) -> str:
     ]
     for key, rows in (("Tw", unit), ("R_IMUtoGYRO", unit), ("Ta", unit), ("R_IMUtoACC", unit), ("Tg", zero)):
         lines += [f"  {key}:", *matrix(rows, "    ")]
-    return "\n".join(lines) + "\n"
+    return values.all, lines
 
 
 TARGET = Target(
     name="openvins",
     title="OpenVINS kalibr_imu_chain.yaml",
     file_name="kalibr_imu_chain.yaml",
-    render=_render,
+    heading="OpenVINS kalibr_imu_chain.yaml",
+    kind="continuous-time densities, SI; OpenVINS makes them discrete with the stamps of the messages",
+    formulas=(FORMULA,),
+    body=_body,
+    notes=("matrices: identity (no intrinsics are measured at rest); T_i_b, Tw, Ta, Tg are yours to set",),
+    layout=opencv_yaml,
     aliases=("ovins", "msckf"),
 )

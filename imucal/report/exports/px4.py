@@ -9,9 +9,7 @@ import math
 
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.densities import densities
-from imucal.report.exports.header import header
-from imucal.report.exports.spelling import comment, decimal
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Body, Target, comment, decimal
 
 #: Period of EKF2's prediction, in s (EKF2_PREDICT_US = 10000).
 _PERIOD_S = 0.01
@@ -28,7 +26,7 @@ _DOCUMENTED = {
 _REAL32 = 9
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     densities_ = densities(numbers)
     values = {
         "EKF2_GYR_NOISE": densities_.gyro_n,
@@ -36,24 +34,13 @@ def _render(numbers: Numbers) -> str:
         "EKF2_GYR_B_NOISE": densities_.gyro_k,
         "EKF2_ACC_B_NOISE": densities_.accel_k,
     }
-    head = header(
-        numbers,
-        title="PX4 EKF2 parameters",
-        kind=f"discrete at EKF2's own period dt = {_PERIOD_S:g} s, SI, whatever the rate of the IMU",
-        formulas=["NOISE = N / sqrt(dt), B_NOISE = K / sqrt(dt)"],
-        used=densities_.all,
-        carries="N K",
-    )
-    head.append(
-        "numbers at rest are floors: in flight, vibration dominates; raise them to what the logs show"
-    )
-    lines = [*comment(head), *comment(f"{name}: {number.note}" for name, number in values.items())]
+    lines = comment(f"{name}: {number.note}" for name, number in values.items())
     lines += comment(_out_of_range(values))
     lines.append("#\n# Vehicle-Id Component-Id Name Value Type")
     lines += [
         f"1\t1\t{name}\t{decimal(_discrete(number))}\t{_REAL32}" for name, number in sorted(values.items())
     ]
-    return "\n".join(lines) + "\n"
+    return densities_.all, lines
 
 
 def _discrete(number: Number) -> float:
@@ -76,6 +63,10 @@ TARGET = Target(
     name="px4",
     title="PX4 EKF2 parameters",
     file_name="px4_ekf2.params",
-    render=_render,
+    heading="PX4 EKF2 parameters",
+    kind=f"discrete at EKF2's own period dt = {_PERIOD_S:g} s, SI, whatever the rate of the IMU",
+    formulas=("NOISE = N / sqrt(dt), B_NOISE = K / sqrt(dt)",),
+    body=_body,
+    notes=("numbers at rest are floors: in flight, vibration dominates; raise them to what the logs show",),
     aliases=("ekf2", "px4ekf2"),
 )

@@ -9,30 +9,18 @@ import numpy as np
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.header import header
-from imucal.report.exports.spelling import comment, vector
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Body, Target, comment, vector
 
 
-def _render(numbers: Numbers) -> str:
+def _body(numbers: Numbers) -> Body:
     gyro = numbers.each(Sensor.GYROSCOPE, "N")
     accel = numbers.each(Sensor.ACCELEROMETER, "N")
-    head = header(
-        numbers,
-        title="ROS sensor_msgs/Imu covariances",
-        kind="discrete variances per sample, SI, right for the rate f above only",
-        formulas=["diagonal = N^2 * f of each axis (a variance: an inflation enters squared)"],
-        used=(*gyro, *accel),
-        carries="N",
-        per_axis=True,
-    )
     lines = [
-        *comment(head),
         *comment(number.note for number in (*gyro, *accel) if number.bounded),
         f"angular_velocity_covariance: {_covariance(gyro, numbers.rate_hz(Sensor.GYROSCOPE))}",
         f"linear_acceleration_covariance: {_covariance(accel, numbers.rate_hz(Sensor.ACCELEROMETER))}",
     ]
-    return "\n".join(lines) + "\n"
+    return (*gyro, *accel), lines
 
 
 def _covariance(white: tuple[Number, Number, Number], rate_hz: float) -> str:
@@ -44,6 +32,11 @@ TARGET = Target(
     name="ros",
     title="ROS sensor_msgs/Imu covariances",
     file_name="ros_imu_covariance.yaml",
-    render=_render,
+    heading="ROS sensor_msgs/Imu covariances",
+    kind="discrete variances per sample, SI, right for the rate f above only",
+    formulas=("diagonal = N^2 * f of each axis (a variance: an inflation enters squared)",),
+    body=_body,
+    carries="N",
+    per_axis=True,
     aliases=("ros2", "sensormsgs"),
 )

@@ -1,9 +1,83 @@
-"""Target: one downstream format."""
+"""One downstream format: its file, how numbers are spelled in it, and the comment at its head.
 
-from collections.abc import Callable
+The comment says how the numbers came about; numbers are spelled so that the consumers' own parsers
+read them.
+"""
+
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
+from typing import TypeAlias
 
-from imucal.report.exports.config_numbers import Numbers
+from imucal.recording import Sensor
+from imucal.report.exports.config_numbers import INFLATABLE, Number, Numbers
+from imucal.report.result import AxisReport
+
+#: The numbers that stand in a file, and its lines without the comment at the head.
+Body: TypeAlias = tuple[Sequence[Number], Sequence[str]]
+
+_POLICIES = {
+    "worst": "worst: the largest of the sensor's axes",
+    "rms": "rms: the root of the mean variance of the sensor's axes",
+}
+
+
+def real(value: float) -> str:
+    """Return a number with a decimal point that reads back exactly: ``200.0``, ``1.0e-05``.
+
+    OpenCV's FileStorage takes ``200`` for an integer, and YAML 1.1 takes ``1e-05`` for a string;
+    with the point both read a real number.
+    """
+    if not math.isfinite(value):
+        msg = f"only finite numbers can be written, got {value}"
+        raise ValueError(msg)
+    mantissa, sign, exponent = repr(float(value)).partition("e")
+    if "." not in mantissa:
+        mantissa += ".0"
+    return f"{mantissa}e{int(exponent):+03d}" if sign else mantissa
+
+
+def decimal(value: float) -> str:
+    """Return a number without an exponent, for parsers that know none: ``0.00001``."""
+    digits = format(Decimal(real(value)), "f")
+    return digits if "." in digits else digits + ".0"
+
+
+def vector(values: Iterable[float]) -> str:
+    """Return ``[1.0, 2.0, 3.0]``."""
+    return "[" + ", ".join(real(value) for value in values) + "]"
+
+
+def matrix(rows: Sequence[Sequence[float]], indent: str) -> list[str]:
+    """Return a YAML list of lists, one row a line."""
+    return [f"{indent}- {vector(row)}" for row in rows]
+
+
+def quoted(text: str) -> str:
+    """Return a double-quoted scalar, right in YAML, in JSON and for OpenCV."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def plain(text: str) -> str:
+    """Return text that stays on its line: control characters become spaces."""
+    return "".join(sign if sign.isprintable() else " " for sign in text)
+
+
+def comment(lines: Iterable[str], sign: str = "#") -> list[str]:
+    """Return the lines as comments."""
+    return [f"{sign} {plain(line)}".rstrip() for line in lines]
+
+
+def below_comment(head: Sequence[str], body: Sequence[str]) -> str:
+    """Return the text of a file whose comments start with ``#``."""
+    return "\n".join([*comment(head), *body]) + "\n"
+
+
+def opencv_yaml(head: Sequence[str], body: Sequence[str]) -> str:
+    """Return the text of a YAML file for OpenCV, which wants a directive on the first line."""
+    return "%YAML:1.0\n" + below_comment(head, body)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,8 +92,22 @@ class Target:
         The consumer and its file, for a list.
     file_name
         Name of the file where the user gives a folder.
-    render
-        Numbers -> text of the file; raises `DataError` where a number is missing.
+    heading
+        The consumer and its file, for the comment.
+    kind
+        Continuous or discrete, in words.
+    formulas
+        How each value follows from the coefficients.
+    body
+        Numbers -> those that stand in the file, and its lines; raises `DataError` where one is missing.
+    carries
+        Symbols of the terms the format has a place for.
+    per_axis
+        Whether the format holds a number for each axis.
+    notes
+        What else the comment says.
+    layout
+        The comment's lines and the body's -> text of the file.
     aliases
         Other names it goes by.
     """
@@ -27,5 +115,97 @@ class Target:
     name: str
     title: str
     file_name: str
-    render: Callable[[Numbers], str]
+    heading: str
+    kind: str
+    formulas: tuple[str, ...]
+    body: Callable[[Numbers], Body]
+    carries: str = "N K"
+    per_axis: bool = False
+    notes: tuple[str, ...] = ()
+    layout: Callable[[Sequence[str], Sequence[str]], str] = below_comment
     aliases: tuple[str, ...] = ()
+
+    def render(self, numbers: Numbers) -> str:
+        """Return the text of the file; raises `DataError` where a number is missing."""
+        used, lines = self.body(numbers)
+        return self.layout([*self._head(numbers, used), *self.notes], lines)
+
+    def _head(self, numbers: Numbers, used: Iterable[Number]) -> list[str]:
+        """Return the lines of the comment, without comment signs."""
+        report = numbers.report
+        topics = f", {', '.join(report.source.topics)}" if report.source.message_types else ""
+        policy = numbers.choices.axis_policy
+        axes = _POLICIES.get(policy, f"{policy} alone")
+        if self.per_axis:
+            axes = "each its own number; this format needs no axis policy"
+        lines = [
+            f"{self.heading}, written by imucal {report.version}",
+            f"source log: {report.source.path} ({report.source.format}{topics})",
+            *(_sensor_line(numbers, sensor) for sensor in Sensor if _has(numbers, sensor)),
+            f"kind: {self.kind}",
+            *(f"formula: {formula}" for formula in self.formulas),
+            f"axes: {axes}",
+            f"inflation: {_inflation(numbers)}",
+        ]
+        bounds = dict.fromkeys(f"{number.symbol} of {name}" for number in used for name in number.bounded)
+        if bounds:
+            level = report.axes[0].fit.level
+            lines.append(f"not identified, so the {level:.0%} upper bound is written: {', '.join(bounds)}")
+        if _rates_differ(numbers):
+            lines.append(
+                "the rates differ: f is each sensor's own; a single rate in the file is the gyroscope's"
+            )
+        return [*lines, *_left_out(report.axes, self.carries), *_warnings(numbers)]
+
+
+def _has(numbers: Numbers, sensor: Sensor) -> bool:
+    return any(axis.sensor is sensor for axis in numbers.report.axes)
+
+
+def _rates_differ(numbers: Numbers) -> bool:
+    """Return whether both sensors are there and their rates are more than 0.1 % apart."""
+    rates = [numbers.rate_hz(sensor) for sensor in Sensor if _has(numbers, sensor)]
+    return max(rates) > 1.001 * min(rates)
+
+
+def _sensor_line(numbers: Numbers, sensor: Sensor) -> str:
+    axis = numbers.axes(sensor)[0]
+    given = any(finding.code == "rate-given" for finding in (*numbers.report.findings, *axis.findings))
+    origin = "given by the user" if given else "measured"
+    return f"{sensor}: f = {numbers.rate_hz(sensor):.9g} Hz ({origin}), {axis.duration_s:.6g} s recorded"
+
+
+def _inflation(numbers: Numbers) -> str:
+    asked = {name: factor for name, factor in numbers.choices.inflate.items() if factor != 1}
+    if not asked:
+        return "none; the numbers are those of the sensor at rest"
+    parts = (f"{name} ({'/'.join(INFLATABLE[name])}) x {factor:g}" for name, factor in asked.items())
+    return f"{', '.join(parts)}; ALREADY in the numbers below"
+
+
+def _left_out(axes: Iterable[AxisReport], carries: str) -> list[str]:
+    """Name the terms that were found but have no place in the format, and the walk that GM looks like."""
+    places: dict[str, list[str]] = {}
+    walks = []
+    for axis in axes:
+        for estimate in axis.fit.estimates:
+            if estimate.value is None or estimate.symbol in carries.split():
+                continue
+            places.setdefault(estimate.symbol, []).append(axis.name)
+            if estimate.correlation_time is not None:
+                time = estimate.correlation_time.value
+                walk = estimate.value * math.sqrt(2 / time)
+                walks.append(f"{estimate.key} of {axis.name} looks like K = {walk:.3g} below {time:.3g} s")
+    if not places:
+        return []
+    parts = (f"{symbol} ({', '.join(dict.fromkeys(names))})" for symbol, names in places.items())
+    return [f"found, but without a place in this format: {', '.join(parts)}", *walks]
+
+
+def _warnings(numbers: Numbers) -> list[str]:
+    report = numbers.report
+    findings = [*report.findings, *(finding for axis in report.axes for finding in axis.findings)]
+    serious = dict.fromkeys(finding.code for finding in findings if finding.level != "info")
+    if not serious:
+        return []
+    return [f"read the report before you use these numbers; it warns of: {', '.join(serious)}"]

@@ -1,0 +1,54 @@
+"""What every estimator of the table needs beside its line there; what is missing is said in a sentence."""
+
+from pathlib import Path
+
+import pytest
+
+from imucal.allan import estimators
+from imucal.allan.estimators import ESTIMATORS, Estimator
+from imucal.cli.adev import command
+from tests.allan.witness import PUBLISHED, WITNESSES
+
+PAGE = Path(__file__).parents[2] / "docs" / "science-allan.md"
+
+
+def forgotten(name: str, estimator: Estimator) -> list[str]:
+    """Return what an estimator lacks, each with where to add it."""
+    offered = next(option.type for option in command.params if option.name == "estimator")
+    lacks = {
+        f"its line says {estimator.name!r}: give it the name of its key in ESTIMATORS": estimator.name
+        != name,
+        "no slow witness: add its definition, word for word, to WITNESSES in tests/allan/witness.py": (
+            name not in WITNESSES
+        ),
+        "no published value: add what NIST SP 1065 prints to PUBLISHED in tests/allan/witness.py": (
+            name not in PUBLISHED
+        ),
+        "no row in the table at the head of imucal/allan/estimators.py": (
+            f"\n{name} " not in (estimators.__doc__ or "")
+        ),
+        "no row in the table of docs/science-allan.md": (
+            f"\n| `{name}` |" not in PAGE.read_text(encoding="utf-8")
+        ),
+        "`imucal adev --estimator` does not offer it": name not in getattr(offered, "choices", ()),
+    }
+    return [f"{name}: {sentence}" for sentence, missing in lacks.items() if missing]
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_an_estimator_is_complete(name: str) -> None:
+    """Its names, witness, published value and rows are there."""
+    assert forgotten(name, ESTIMATORS[name]) == []
+
+
+def test_what_a_new_estimator_lacks_is_said() -> None:
+    """A line in the table alone, with a slip in it: one sentence for each thing that is missing."""
+    fake = Estimator(name="totl", integrations=1, order=2, overlapping=True, weight=2)
+    assert forgotten("total", fake) == [
+        "total: its line says 'totl': give it the name of its key in ESTIMATORS",
+        "total: no slow witness: add its definition, word for word, to WITNESSES in tests/allan/witness.py",
+        "total: no published value: add what NIST SP 1065 prints to PUBLISHED in tests/allan/witness.py",
+        "total: no row in the table at the head of imucal/allan/estimators.py",
+        "total: no row in the table of docs/science-allan.md",
+        "total: `imucal adev --estimator` does not offer it",
+    ]

@@ -1,0 +1,82 @@
+"""What every downstream format needs beside its line in the table; what is missing is said in a sentence."""
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from imucal.report.exports import TARGETS
+from imucal.report.exports.config_numbers import Numbers
+from imucal.report.exports.target import Body, Target
+from tests.report.downstream import READERS
+
+PAGE = Path(__file__).parents[2] / "docs" / "which-number-goes-in-my-config.md"
+
+
+def forgotten(target: Target) -> list[str]:
+    """Return what a format lacks, each with where to add it."""
+    module = sys.modules.get(target.body.__module__)
+    others = [other for other in TARGETS.values() if other is not target]
+    taken = {_key(each) for other in others for each in (other.name, *other.aliases)}
+    again = sorted(each for each in (target.name, *target.aliases) if _key(each) in taken)
+    words = {"title": target.title, "heading": target.heading, "formulas": " ".join(target.formulas)}
+    lacks = {
+        f"{' and '.join(again)} stands for another format already": bool(again),
+        "no file_name: name the file that a folder gets": not target.file_name,
+        f"{target.file_name} is another format's file": target.file_name in {o.file_name for o in others},
+        **{f"no {name} in its Target": not text.strip() for name, text in words.items()},
+        "its kind does not say whether the numbers are continuous or discrete": (
+            not re.search("continuous|discrete", target.kind)
+        ),
+        "its module has no docstring that says what the consumer does with the numbers": (
+            not getattr(module, "__doc__", None)
+        ),
+        "no row in the table of docs/which-number-goes-in-my-config.md": (
+            f"| `{target.name}` |" not in PAGE.read_text(encoding="utf-8")
+        ),
+        "nothing reads it back: add the consumer's parser to READERS in tests/report/downstream.py": (
+            target.name not in READERS
+        ),
+    }
+    return [f"{target.name}: {sentence}" for sentence, missing in lacks.items() if missing]
+
+
+def _key(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def _nothing(numbers: Numbers) -> Body:  # noqa: ARG001 - a body's signature
+    return (), ()
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_format_is_complete(name: str) -> None:
+    """Its names, words, docs row and reader are there."""
+    assert forgotten(TARGETS[name]) == []
+
+
+def test_what_a_new_format_lacks_is_said() -> None:
+    """A line in the table alone: one sentence for each thing that is missing."""
+    _nothing.__module__ = "a.module.without.docstring"
+    fake = Target(name="fake", title="", file_name="", heading="", kind="", formulas=(), body=_nothing)
+    assert forgotten(fake) == [
+        "fake: no file_name: name the file that a folder gets",
+        "fake: no title in its Target",
+        "fake: no heading in its Target",
+        "fake: no formulas in its Target",
+        "fake: its kind does not say whether the numbers are continuous or discrete",
+        "fake: its module has no docstring that says what the consumer does with the numbers",
+        "fake: no row in the table of docs/which-number-goes-in-my-config.md",
+        "fake: nothing reads it back: add the consumer's parser to READERS in tests/report/downstream.py",
+    ]
+
+
+def test_a_name_or_file_that_is_taken_is_said() -> None:
+    """A copy of Kalibr's format under a new name keeps nothing for itself."""
+    copy = replace(TARGETS["kalibr"], name="Kalibr 2", aliases=("open-vins",))
+    assert forgotten(copy)[:2] == [
+        "Kalibr 2: open-vins stands for another format already",
+        "Kalibr 2: kalibr_imu.yaml is another format's file",
+    ]
