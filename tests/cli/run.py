@@ -26,17 +26,18 @@ def run(
     interpreter (the encoding of a terminal, closed streams, signals) needs `run_process`.
     """
     given, out, err = io.BytesIO((text or "").encode()), io.BytesIO(), io.BytesIO()
-    raw = {"stdin": given, "stdout": out, "stderr": err}
-    streams = {name: io.TextIOWrapper(stream, encoding="utf-8") for name, stream in raw.items()}
+    talk = [io.TextIOWrapper(stream, encoding="utf-8") for stream in (given, out, err)]
     with (
         contextlib.chdir(cwd),
         mock.patch.dict(os.environ, environment),
-        mock.patch.multiple(sys, **streams),
+        mock.patch("sys.stdin", talk[0]),
+        mock.patch("sys.stdout", talk[1]),
+        mock.patch("sys.stderr", talk[2]),
         pytest.raises(SystemExit) as ended,
     ):
         main(arguments)
-    streams["stdout"].flush()
-    streams["stderr"].flush()
+    talk[1].flush()
+    talk[2].flush()
     code = ended.value.code
     assert code is None or isinstance(code, int)
     return subprocess.CompletedProcess(arguments, code or 0, out.getvalue().decode(), err.getvalue().decode())
