@@ -1,8 +1,14 @@
 """Options and fixtures every test may use."""
 
+import os
+
 import pytest
 
 __all__ = ["pytest_addoption", "update_golden"]
+
+# Before NumPy is imported, here and in the workers: its matrices are small here, and threads of
+# several workers that wait for each other in a loop take twice the time of the work itself.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

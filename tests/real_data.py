@@ -13,7 +13,10 @@ _DEFAULT = Path(__file__).resolve().parents[2] / "shared" / "data"
 def real_data(*parts: str) -> Path:
     """Return a file of the real-data folder, or skip the test."""
     folder = Path(os.environ.get("IMUCAL_REAL_DATA", _DEFAULT))
+    if not folder.is_dir():
+        # One place and one reason for all tests: pytest folds them into a line with their number.
+        pytest.skip("no real recordings here; set IMUCAL_REAL_DATA to the folder that holds them")
     path = folder.joinpath(*parts)
     if not path.exists():
-        pytest.skip(f"no real data: {'/'.join(parts)} not found; set IMUCAL_REAL_DATA to its folder")
+        pytest.skip(f"{'/'.join(parts)} is missing in the folder of real recordings, {folder}")
     return path

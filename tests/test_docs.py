@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from imucal.units import SAMPLE_UNITS
-from tests.code_blocks import code_blocks, run_block
+from tests.cli.reports import write_report
+from tests.code_blocks import Kept, code_blocks, run_block
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -21,6 +22,8 @@ PACKAGE = ROOT / "imucal"
 
 #: Blocks in these languages are run; text, sh, yaml and the like only show something.
 RUN = {"python", "console", "toml"}
+#: The report that several pages begin with; it is made once.
+KEPT = Kept("imucal fit log.mcap -o report", "report")
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 _CODE = re.compile(r"^\| (`[^|]*`) \|", re.MULTILINE)
 
@@ -43,18 +46,11 @@ def folder(tmp_path: Path) -> Path:
 def test_the_code_of_a_page_runs_from_top_to_bottom(page: Path, folder: Path) -> None:
     """In order, in one folder: a reader who follows a page gets through it."""
     if page.name == "use-in-ci.md":
-        _write_reports(folder)
+        for name in ("golden-imucal", "still-imucal"):
+            write_report(folder, name)
     for language, text in code_blocks(page):
         if language in RUN:
-            run_block(language, text, folder)
-
-
-def _write_reports(folder: Path) -> None:
-    """Write the two reports that the page on CI speaks of."""
-    for name, seed in (("golden", 1), ("still", 2)):
-        model = '"N=1e-4 + K=3e-6" --accel "N=1e-3 + K=2e-5" --rate 50 --duration 12min'
-        run_block("console", f"imucal simulate {model} --seed {seed} -o {name}.mcap", folder)
-        run_block("console", f"imucal fit {name}.mcap -o {name}-imucal --no-html -q", folder)
+            run_block(language, text, folder, kept=KEPT)
 
 
 def test_every_block_says_its_language() -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,16 @@ from imucal.noise import NoiseModel
 from imucal.pipeline import Settings, characterize
 from imucal.readers import read
 from imucal.recording import AxisSeries, Recording, Source
-from imucal.report.result import AxisReport
+from imucal.report.result import AxisReport, Report
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 TRUTH = json.loads((SAMPLE_LOGS / "truth.json").read_text(encoding="utf-8"))
+
+
+@cache
+def analysed(log: str) -> Report:
+    """Return the report of a sample log, at a level that holds all of its coefficients."""
+    return characterize(read(SAMPLE_LOGS / log), Settings(level=0.999))
 
 
 def recording_of(*series: AxisSeries) -> Recording:
@@ -36,7 +43,7 @@ def covers(axis: AxisReport, truth: NoiseModel) -> dict[str, bool]:
 def test_intervals_hold_the_truth_of_the_sample_logs(log: str) -> None:
     """At 99.9 % each of the true coefficients lies inside; at 95 % one in twenty would not."""
     truth = TRUTH[log]
-    report = characterize(read(SAMPLE_LOGS / log), Settings(level=0.999))
+    report = analysed(log)
     assert len(report.axes) == 6
     for axis in report.axes:
         model = NoiseModel.parse(truth[axis.sensor]["model"])
@@ -55,7 +62,7 @@ def test_what_the_truth_does_not_have_is_bounded() -> None:
 
 def test_gaps_are_reported_with_the_axes() -> None:
     """Three gaps were made; three are found, with their places."""
-    report = characterize(read(SAMPLE_LOGS / "with_gaps.csv"))
+    report = analysed("with_gaps.csv")
     for axis in report.axes:
         assert [gap.start_s for gap in axis.gaps] == pytest.approx([20.0, 60.0, 110.0])
         assert [gap.duration_s for gap in axis.gaps] == pytest.approx([1.5, 0.2, 4.0])

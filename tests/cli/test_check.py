@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from tests.cli.reports import write_report
-from tests.cli.run import SAMPLE_LOGS, run
+from tests.cli.run import SAMPLE_LOGS, run, run_process
 
 PASSES = '[gyroscope]\nN = { max = 0.5, unit = "deg/sqrt(h)" }\n'
 FAILS = '[gyroscope]\nN = { max = 0.4, unit = "deg/sqrt(h)" }\n'
@@ -18,7 +18,8 @@ def _check(folder: Path, limits: str, *arguments: str, **environment: str) -> tu
     if not (folder / "still-imucal").exists():
         write_report(folder)
     (folder / "limits.toml").write_text(limits)
-    done = run("check", "still-imucal", "--limits", "limits.toml", *arguments, cwd=folder, **environment)
+    command = run_process if environment else run
+    done = command("check", "still-imucal", "--limits", "limits.toml", *arguments, cwd=folder, **environment)
     return done.returncode, done.stdout, done.stderr
 
 

@@ -1,6 +1,7 @@
 """`imucal fit`: the table, the report folder, the streams and the exit codes."""
 
 import json
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,18 @@ from tests.cli.run import SAMPLE_LOGS, run
 SHORT = str(SAMPLE_LOGS / "too_short.db3")
 
 
-def test_results_and_talk_go_to_different_streams(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """Run the main job once; return what it printed and where it ran."""
+    folder = tmp_path_factory.mktemp("whole")
+    return run("fit", SHORT, cwd=folder), folder
+
+
+def test_results_and_talk_go_to_different_streams(
+    whole: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
     """Standard output holds the table alone; paths and findings stand on standard error."""
-    done = run("fit", SHORT, cwd=tmp_path)
+    done, _ = whole
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("GYROSCOPE")
     assert "report.json" not in done.stdout
@@ -23,21 +33,19 @@ def test_results_and_talk_go_to_different_streams(tmp_path: Path) -> None:
     assert "\x1b" not in done.stdout + done.stderr
 
 
-def test_the_report_folder_holds_everything(tmp_path: Path) -> None:
+def test_the_report_folder_holds_everything(whole: tuple[subprocess.CompletedProcess[str], Path]) -> None:
     """One picture and one JSON an axis, the overviews, the report and the page."""
-    done = run("fit", SHORT, "-q", "-o", "out", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    _, folder = whole
     axes = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
     expected = {f"{axis}.{kind}" for axis in axes for kind in ("png", "json")}
     expected |= {"gyro.png", "accel.png", "report.json", "report.html"}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == expected
+    assert {path.name for path in (folder / "too_short-imucal").iterdir()} == expected
 
 
 def test_json_on_standard_output_is_the_report(tmp_path: Path) -> None:
     """And nothing else; no file is written when none is wanted."""
     done = run("fit", SHORT, "-q", "--json", "--no-report", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    assert (done.returncode, done.stderr) == (0, "")
     document = json.loads(done.stdout)
     assert document["schema"] == "imucal/report/1"
     assert len(document["axes"]) == 6
@@ -47,7 +55,7 @@ def test_json_on_standard_output_is_the_report(tmp_path: Path) -> None:
 def test_a_log_on_standard_input_is_read(tmp_path: Path) -> None:
     """- stands for text on standard input."""
     text = (SAMPLE_LOGS / "with_gaps.csv").read_text(encoding="utf-8")
-    done = run("fit", "-", "-q", "--json", "--no-report", cwd=tmp_path, text=text)
+    done = run("fit", "-", "-q", "--json", "--no-report", "--model", "N", cwd=tmp_path, text=text)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["axes"][0]["samples"] == 9715
 
@@ -61,7 +69,8 @@ def test_an_unknown_term_is_a_usage_error(tmp_path: Path) -> None:
 
 def test_a_part_of_the_log_can_be_fitted(tmp_path: Path) -> None:
     """--skip and --take choose it; the report says so."""
-    done = run("fit", SHORT, "-q", "--json", "--no-report", "--skip", "5s", "--take", "10s", cwd=tmp_path)
+    part = ("--skip", "5s", "--take", "10s", "--model", "N")
+    done = run("fit", SHORT, "-q", "--json", "--no-report", *part, cwd=tmp_path)
     document = json.loads(done.stdout)
     assert document["axes"][0]["samples"] == 1000
     assert document["settings"]["reading"] == {"skip_s": 5.0, "take_s": 10.0}
@@ -69,15 +78,16 @@ def test_a_part_of_the_log_can_be_fitted(tmp_path: Path) -> None:
 
 def test_strict_turns_a_warning_into_an_exit_code(tmp_path: Path) -> None:
     """A log with gaps has a warning: the report is written, the code is 4."""
-    log = str(SAMPLE_LOGS / "with_gaps.csv")
-    assert run("fit", log, "-q", "--no-report", cwd=tmp_path).returncode == 0
-    assert run("fit", log, "-q", "--no-report", "--strict", cwd=tmp_path).returncode == 4
+    command = ("fit", str(SAMPLE_LOGS / "with_gaps.csv"), "-q", "--no-report", "--model", "N")
+    assert run(*command, cwd=tmp_path).returncode == 0
+    assert run(*command, "--strict", cwd=tmp_path).returncode == 4
 
 
 def test_a_part_has_its_own_gaps_only(tmp_path: Path) -> None:
     """What was lost elsewhere is not warned of, and the part is one reading of six axes."""
     log = str(SAMPLE_LOGS / "with_gaps.csv")
-    done = run("fit", log, "--no-report", "--strict", "--skip", "25s", "--take", "30s", cwd=tmp_path)
+    part = ("--skip", "25s", "--take", "30s", "--model", "N + K")
+    done = run("fit", log, "--no-report", "--strict", *part, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "[gaps]" not in done.stderr
     assert done.stderr.count("Read with_gaps.csv") == 1
@@ -106,7 +116,7 @@ def test_a_folder_that_can_not_be_written_is_refused_before_the_fit(tmp_path: Pa
 
 def test_hints_can_be_typed_as_they_stand(tmp_path: Path) -> None:
     """A folder with a blank, or one that begins like an option, is quoted."""
-    done = run("fit", SHORT, "-o", "-my report", cwd=tmp_path)
+    done = run("fit", SHORT, "--model", "N", "--no-html", "-o", "-my report", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Next: imucal export './-my report' --to kalibr" in done.stderr
 

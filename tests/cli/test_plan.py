@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from tests.cli.reports import write_report
-from tests.cli.run import run
+from tests.cli.run import run, run_process
 
 MODEL = "N=1e-3 + K=1e-6"
 
@@ -59,7 +59,7 @@ def test_json_is_the_plan(tmp_path: Path) -> None:
 
 def test_a_terminal_without_signs_gets_plain_ones(tmp_path: Path) -> None:
     """Never a traceback for a sign that can't be printed."""
-    done = run("plan", MODEL, "--rate", "100", cwd=tmp_path, PYTHONIOENCODING="ascii")
+    done = run_process("plan", MODEL, "--rate", "100", cwd=tmp_path, PYTHONIOENCODING="ascii")
     assert done.returncode == 0
     assert done.stdout.startswith("Record length for +-10 % (1 sd) of each term\n")
 

@@ -1,0 +1,75 @@
+"""A plugin of pytest for the mutants: which test runs which line, and tests that end alike each time.
+
+With `IMUCAL_LINES` naming a folder, each process writes there what its tests ran and how long they
+took. Without it, the plugin only sees to it that Hypothesis draws the same examples each time, and that
+a broken line can not take all memory.
+"""
+
+import json
+import os
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from coverage import Coverage
+
+__all__ = ["pytest_configure", "pytest_runtest_logreport", "pytest_runtest_protocol", "pytest_sessionfinish"]
+
+_MEMORY = 12 << 30
+_FOLDER = os.environ.get("IMUCAL_LINES")
+_RECORDER = (
+    Coverage(
+        data_file=Path(_FOLDER) / f"{os.getpid()}.coverage",
+        include=["imucal/*"],
+        config_file=False,
+        messages=False,
+    )
+    if _FOLDER
+    else None
+)
+_seconds: dict[str, float] = {}
+_failed: set[str] = set()
+_ran: list[str] = []
+
+
+def pytest_configure() -> None:
+    """Fix what chance decides; begin to record."""
+    from hypothesis import Phase, settings
+
+    phases = (Phase.explicit, Phase.generate)
+    settings.register_profile("mutants", derandomize=True, database=None, deadline=None, phases=phases)
+    settings.load_profile("mutants")
+    if _RECORDER:
+        _RECORDER.start()
+    else:
+        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Record each test under its name."""
+    if _RECORDER:
+        _RECORDER.switch_context(item.nodeid)
+        _ran.append(item.nodeid)
+    result = yield
+    if _RECORDER:
+        _RECORDER.switch_context("")
+    return result
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Keep how long a test took, and whether it failed."""
+    _seconds[report.nodeid] = _seconds.get(report.nodeid, 0.0) + report.duration
+    if report.failed:
+        _failed.add(report.nodeid)
+
+
+def pytest_sessionfinish() -> None:
+    """Write what this process saw; the one that only hands out tests saw nothing."""
+    if _RECORDER:
+        _RECORDER.stop()
+    if _RECORDER and _FOLDER and _ran:
+        _RECORDER.save()
+        seen = {"seconds": _seconds, "failed": sorted(_failed)}
+        (Path(_FOLDER) / f"{os.getpid()}.json").write_text(json.dumps(seen), encoding="utf-8")

@@ -1,0 +1,284 @@
+"""Do the tests notice a broken line? Breaks lines at random in a copy of the tree and runs the tests.
+
+First the whole suite runs once, in the copy, and `coverage` notes which test runs which line. Then each
+mutant meets the tests that run its line, the quickest first and one of each function before the second
+of any, until one fails. A mutant that hangs or can not be imported is caught. What is left alone is
+said in `mutation_points`. The record of the suite is kept, and found again while no file has changed.
+
+Run as ``python -m tests.benchmarks.mutants [--n 100] [--seed 1] [--rooms allan fitting] [--timeout 60]``.
+"""
+
+import argparse
+import contextlib
+import difflib
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Queue
+
+from coverage import CoverageData
+
+from tests.benchmarks.mutation_points import Mutation, changes_nothing, mutated, mutations
+
+ROOT = Path(__file__).parents[2]
+ROOMS = ("readers", "allan", "fitting", "checking", "report")
+#: What the tests need; everything else stays behind.
+_COPIED = ("imucal", "tests", "sample_logs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+_COPIED_TOO = ("pyproject.toml", "mkdocs.yml", "LICENSE")
+#: Recorded seconds of tests a mutant meets in its first and in its second round.
+_ROUNDS = (8.0, 60.0)
+_OPTIONS = ("-q", "-p", "tests.benchmarks.mutant_plugin", "-p", "no:cacheprovider", "--tb=no", "--no-header")
+#: Without the options of the project: one process, and the first failure is enough.
+_ALONE = ("-o", "addopts=--import-mode=importlib", "-p", "no:xdist", "-x")
+#: Exit codes of pytest that say nothing about the mutant: all passed, and there was no test.
+_SURVIVED = frozenset({0, 5})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Suite:
+    """What the suite does when nothing is broken.
+
+    Attributes
+    ----------
+    lines
+        File -> line -> tests that run it.
+    seconds
+        Test -> how long it took, while it was recorded.
+    """
+
+    lines: dict[str, dict[str, list[str]]]
+    seconds: dict[str, float]
+
+    def tests_of(self, path: str, mutation: Mutation) -> tuple[list[str], bool]:
+        """Return the tests that run a mutant's line, and whether any does.
+
+        A line that runs at import belongs to no test: then they are all tests that use the module.
+        """
+        lines = self.lines.get(path, {})
+        inside = (str(line) for line in range(mutation.first, mutation.line + 1))
+        here = {test for line in inside for test in lines.get(line, ())}
+        tests = here or {test for found in lines.values() for test in found}
+        return self._ordered(tests), bool(here)
+
+    def _ordered(self, tests: Iterable[str]) -> list[str]:
+        """Return the quickest first, and one of each function before the second of any."""
+        met: Counter[str] = Counter()
+        places = []
+        for test in sorted(tests, key=lambda test: (self.seconds[test], test)):
+            function = test.partition("[")[0]
+            places.append((met[function], test))
+            met[function] += 1
+        return [test for _, test in sorted(places, key=lambda place: place[0])]
+
+
+def main() -> None:
+    """Print each mutant's fate, the survivors' differences, and the share that was caught."""
+    options = _options()
+    with tempfile.TemporaryDirectory(prefix="imucal-mutants-") as folder:
+        copies: Queue[Path] = Queue()
+        for number in range(options.jobs):
+            copies.put(_copy(Path(folder) / f"tree{number}"))
+        suite = _recorded(Path(folder))
+        chosen = _chosen(options.rooms, options.n, options.seed)
+
+        def fate(job: tuple[str, Mutation]) -> tuple[bool, str]:
+            copy = copies.get()
+            try:
+                return _fate(copy, suite, *job, timeout=options.timeout)
+            finally:
+                copies.put(copy)
+
+        caught = 0
+        with ThreadPoolExecutor(options.jobs) as pool:
+            for number, (job, (noticed, text)) in enumerate(
+                zip(chosen, pool.map(fate, chosen), strict=True), start=1
+            ):
+                caught += noticed
+                print(f"[{number}/{len(chosen)}] {'caught' if noticed else 'SURVIVED'} {text}")
+                if not noticed:
+                    print("".join(_difference(*job)))
+                sys.stdout.flush()
+    print(f"caught {caught} of {len(chosen)} ({100 * caught / max(len(chosen), 1):.0f} %)")
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--n", type=int, default=100, help="number of mutants")
+    parser.add_argument("--seed", type=int, default=1, help="chooses them")
+    parser.add_argument("--rooms", nargs="+", default=ROOMS, help="folders of the package")
+    parser.add_argument("--timeout", type=float, default=60.0, help="seconds beyond what the tests take")
+    parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
+    return parser.parse_args()
+
+
+def _chosen(rooms: Iterable[str], n: int, seed: int) -> list[tuple[str, Mutation]]:
+    """Draw lines evenly over the rooms' lines that can be broken, and one change of each."""
+    places: dict[tuple[str, int], list[Mutation]] = {}
+    sources: dict[str, bytes] = {}
+    for room in rooms:
+        for file in sorted((ROOT / "imucal" / room).rglob("*.py")):
+            path = file.relative_to(ROOT).as_posix()
+            sources[path] = file.read_bytes()
+            for mutation in mutations(sources[path]):
+                places.setdefault((path, mutation.line), []).append(mutation)
+    rng = random.Random(seed)  # noqa: S311 - a draw, no secret
+    chosen: list[tuple[str, Mutation]] = []
+    for path, line in rng.sample(sorted(places), len(places)):
+        mutation = rng.choice(places[path, line])
+        if len(chosen) < n and not changes_nothing(sources[path], mutation):
+            chosen.append((path, mutation))
+    return chosen
+
+
+def _copy(place: Path) -> Path:
+    """Copy the tree and compile it, so that only a mutant itself is compiled anew."""
+    place.mkdir()
+    for name in (*_COPIED, *_COPIED_TOO):
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, place / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, place)
+    subprocess.run([sys.executable, "-m", "compileall", "-q", "imucal"], cwd=place, check=True)
+    return place
+
+
+def _recorded(folder: Path) -> Suite:
+    """Return which test runs which line, from an earlier run if no file has changed since."""
+    digest = hashlib.sha256()
+    for file in sorted(p for name in ("imucal", "tests") for p in (ROOT / name).rglob("*") if p.is_file()):
+        if "__pycache__" not in file.parts:
+            digest.update(file.relative_to(ROOT).as_posix().encode() + file.read_bytes())
+    kept = Path(tempfile.gettempdir()) / f"imucal-lines-{digest.hexdigest()[:16]}.json"
+    if not kept.exists():
+        print("running the suite once, to see which test runs which line ...", flush=True)
+        suite = _record(folder)
+        kept.write_text(json.dumps({"lines": suite.lines, "seconds": suite.seconds}), encoding="utf-8")
+    found = json.loads(kept.read_text(encoding="utf-8"))
+    return Suite(lines=found["lines"], seconds=found["seconds"])
+
+
+def _record(folder: Path) -> Suite:
+    tree, lines = _copy(folder / "recorded"), folder / "lines"
+    lines.mkdir()
+    environment = {**_environment(tree), "IMUCAL_LINES": str(lines)}
+    command = [sys.executable, "-m", "pytest", *_OPTIONS, f"--basetemp={folder / 'pytest'}"]
+    subprocess.run(command, cwd=tree, env=environment, check=False, stdout=subprocess.DEVNULL)  # noqa: S603
+    seconds: dict[str, float] = {}
+    failed: set[str] = set()
+    for seen in lines.glob("*.json"):
+        found = json.loads(seen.read_text(encoding="utf-8"))
+        seconds |= found["seconds"]
+        failed |= set(found["failed"])
+    if failed:
+        print(f"{len(failed)} tests fail without a mutant and are left out:", *sorted(failed), sep="\n  ")
+    tests: dict[str, dict[str, list[str]]] = {}
+    for file in lines.glob("*.coverage"):
+        data = CoverageData(str(file))
+        data.read()
+        for measured in data.measured_files():
+            here = tests.setdefault(Path(measured).relative_to(tree).as_posix(), {})
+            for line, names in data.contexts_by_lineno(measured).items():
+                here.setdefault(str(line), []).extend(name for name in names if name and name not in failed)
+    return Suite(lines=tests, seconds=seconds)
+
+
+def _environment(tree: Path) -> dict[str, str]:
+    data = os.environ.get("IMUCAL_REAL_DATA", str(ROOT.parent / "shared" / "data"))
+    return {
+        **os.environ,
+        "PYTHONPATH": str(tree),
+        # Two versions of a file of one size and one second would share their compiled file.
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "IMUCAL_REAL_DATA": data,
+    }
+
+
+def _fate(tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: float) -> tuple[bool, str]:
+    """Break a line, run its tests in two rounds, mend it; return whether one failed, and what to print."""
+    tests, met = suite.tests_of(path, mutation)
+    began = time.monotonic()
+    how = "no test runs the line" if not met else "all passed"
+    with _broken(tree, path, mutation):
+        noticed = False
+        for part in _rounds(tests, suite.seconds):
+            ended = _run(tree, part, timeout=timeout + 3 * sum(suite.seconds[test] for test in part))
+            noticed = ended not in _SURVIVED
+            if noticed:
+                how = "hung" if ended is None else ""
+                break
+    old = (ROOT / path).read_bytes()[mutation.start : mutation.stop].decode()
+    change = f"{old!r} -> {mutation.new!r}"
+    return noticed, f"{path}:{mutation.line} {change} {time.monotonic() - began:.0f} s {how}".rstrip()
+
+
+def _rounds(tests: list[str], seconds: dict[str, float]) -> Iterator[list[str]]:
+    """Split tests into those that take the first seconds and those that follow."""
+    rest = list(tests)
+    for limit in _ROUNDS:
+        part: list[str] = []
+        spent = 0.0
+        while rest and (spent < limit or not part):
+            spent += seconds[rest[0]]
+            part.append(rest.pop(0))
+        if part:
+            yield part
+
+
+@contextlib.contextmanager
+def _broken(tree: Path, path: str, mutation: Mutation) -> Iterator[None]:
+    file = tree / path
+    source = file.read_bytes()
+    for compiled in (file.parent / "__pycache__").glob(f"{file.stem}.*.pyc"):
+        compiled.unlink()
+    file.write_bytes(mutated(source, mutation))
+    try:
+        yield
+    finally:
+        file.write_bytes(source)
+
+
+def _run(tree: Path, tests: list[str], *, timeout: float) -> int | None:
+    """Run tests until one fails; return pytest's exit code, or None if they hung."""
+    arguments = tree / "arguments.txt"
+    arguments.write_text("\n".join(tests), encoding="utf-8")
+    place = f"--basetemp={tree.parent / (tree.name + '-pytest')}"
+    command = [sys.executable, "-m", "pytest", *_OPTIONS, *_ALONE, place, f"@{arguments}"]
+    process = subprocess.Popen(  # noqa: S603 - our own tests
+        command,
+        cwd=tree,
+        env=_environment(tree),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        return process.wait(timeout)
+    except subprocess.TimeoutExpired:
+        return None
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def _difference(path: str, mutation: Mutation) -> Iterator[str]:
+    source = (ROOT / path).read_bytes()
+    old, new = (text.decode().splitlines(keepends=True) for text in (source, mutated(source, mutation)))
+    return difflib.unified_diff(old, new, path, path, n=2)
+
+
+if __name__ == "__main__":
+    main()
