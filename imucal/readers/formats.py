@@ -98,7 +98,7 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".ulg",),
     ),
     Format(
-        name="table",
+        name="Parquet, NPZ, NPY, MATLAB",
         module="imucal.readers.tables.typed_table",
         magic=(b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"\x89HDF\r\n\x1a\n"),
         suffixes=(".parquet", ".npz", ".npy", ".mat"),
