@@ -230,7 +230,7 @@ def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> N
 
 def _with_own_gaps(part: Recording) -> Recording:
     """Return a part of a log with the finding of its own gaps, not of those that were left out."""
-    from imucal.readers.clocks.clock_notes import gap_notes
+    from imucal.readers.clocks import gap_notes
 
     clocks = {id(series.clock): series.clock for series in part.series}
     gaps = [note for clock in clocks.values() for note in gap_notes(clock)]

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from imucal.errors import ReadError
+from imucal.readers.containers import Container
 from imucal.readers.contents import LogContents
-from imucal.readers.read_options import ReadOptions
+from imucal.readers.read_options import Progress, ReadOptions
 from imucal.recording import Recording
 
 #: The name that stands for standard input.
@@ -22,8 +23,15 @@ _COMPRESSED = (_ZSTD, b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00", b"PK\x03\x04", b"\x0
 _BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf")
 
 
+class Opener(Protocol):
+    """What the module of a format of messages offers."""
+
+    def open_files(self, path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
+        """Open the files of a log; also return the name of their format."""
+
+
 class Reader(Protocol):
-    """What the module of a format offers."""
+    """What the module of any other format offers."""
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         """Return the samples."""
@@ -34,42 +42,63 @@ class Reader(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """A format: the module that reads it, its first bytes, and the endings its files usually have."""
+    """A format.
+
+    Attributes
+    ----------
+    name
+        As docs/formats.md calls it.
+    module
+        What reads it: a module with `read` and `describe`, or with `open_files` where `messages` is true.
+    messages
+        Whether its files are containers of messages, which `imucal.readers.message_logs` reads.
+    magic, suffixes
+        The first bytes, and the endings that its files usually have.
+    damaged_start
+        Whether a file of that ending which looks like text is one whose first bytes are damaged.
+    """
 
     name: str
     module: str
+    messages: bool = False
     magic: tuple[bytes, ...] = ()
     suffixes: tuple[str, ...] = ()
+    damaged_start: bool = False
 
 
 #: In the order in which they are tried; the last one takes all text.
 FORMATS: tuple[Format, ...] = (
     Format(
-        name="mcap",
-        module="imucal.readers.containers.mcap_log",
+        name="MCAP",
+        module="imucal.readers.containers.mcap_file",
+        messages=True,
         magic=(b"\x89MCAP0\r\n",),
         suffixes=(".mcap",),
+        damaged_start=True,
     ),
     Format(
         name="ROS 1 bag",
-        module="imucal.readers.containers.ros1_bag",
+        module="imucal.readers.containers.ros1_file",
+        messages=True,
         magic=(b"#ROSBAG V",),
         suffixes=(".bag", ".bag.active"),
+        damaged_start=True,
     ),
     Format(
         name="ROS 2 bag",
         module="imucal.readers.containers.ros2_bag",
+        messages=True,
         magic=(b"SQLite format 3\x00",),
         suffixes=(".db3", ".db3.zstd", ".mcap.zstd"),
     ),
     Format(
         name="PX4 ULog",
-        module="imucal.readers.ulog.ulog_log",
+        module="imucal.readers.ulog",
         magic=(b"ULog\x01\x12\x35",),
         suffixes=(".ulg",),
     ),
     Format(
-        name="table",
+        name="Parquet, NPZ, NPY, MATLAB",
         module="imucal.readers.tables.typed_table",
         magic=(b"PAR1", b"\x93NUMPY", b"MATLAB 5.0 MAT-file", b"\x89HDF\r\n\x1a\n"),
         suffixes=(".parquet", ".npz", ".npy", ".mat"),
@@ -94,27 +123,39 @@ def detect(path: Path) -> Format:
     if path.is_dir():
         return text if _holds_tables(path) else _named("ROS 2 bag")
     head = _first_bytes(path)
-    for entry in FORMATS:
-        if head.startswith(entry.magic) and entry.magic:
-            return entry
+    by_magic = next((entry for entry in FORMATS if entry.magic and head.startswith(entry.magic)), None)
+    if by_magic is not None:
+        return by_magic
     ending = _by_suffix(path)
     if head.startswith(_COMPRESSED):
         return ending or text
     if b"\x00" not in head or head.startswith(_BYTE_ORDER_MARKS):
         # A damaged binary log may have lost its first bytes; text never ends in .mcap.
-        return ending if ending is not None and ending.name in {"mcap", "ROS 1 bag"} else text
+        return ending if ending is not None and ending.damaged_start else text
     if ending is not None and ending is not text:
         return ending
-    known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
-    msg = (
-        f"{path}: binary data of an unknown format (first bytes {head[:8].hex(' ')}); expected one of {known}"
-    )
-    raise ReadError(msg)
+    raise _unknown(path, head)
 
 
 def load(entry: Format) -> Reader:
     """Import the module of a format."""
-    return cast("Reader", importlib.import_module(entry.module))
+    if not entry.messages:
+        return cast("Reader", importlib.import_module(entry.module))
+    from imucal.readers.message_logs import MessageReader
+
+    return MessageReader(load_opener(entry).open_files)
+
+
+def load_opener(entry: Format) -> Opener:
+    """Import the module of a format of messages."""
+    return cast("Opener", importlib.import_module(entry.module))
+
+
+def _unknown(path: Path, head: bytes) -> ReadError:
+    known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
+    return ReadError(
+        f"{path}: binary data of an unknown format (first bytes {head[:8].hex(' ')}); expected one of {known}"
+    )
 
 
 def _holds_tables(folder: Path) -> bool:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from imucal.recording import Sensor
+
 #: Called with bytes done and bytes in all, now and then, from the reading thread.
 Progress: TypeAlias = Callable[[int, int], None]
 
@@ -27,7 +29,7 @@ class ReadOptions:
     gyro_scale, accel_scale
         SI per count, for raw integer counts.
     columns
-        Columns of a table, such as ``t=0,g=1:4,a=4:7`` (places from 0, or names).
+        Columns of a table, such as ``t=0,g=1:4,a=4:7`` (numbers from 0, or names).
     message_definition
         A ``.msg`` file for a message type whose definition the log doesn't carry.
     strict
@@ -51,3 +53,11 @@ class ReadOptions:
     strict: bool = False
     memory_limit: int | None = None
     progress: Progress | None = None
+
+    def unit_of(self, sensor: Sensor) -> str | None:
+        """Return the unit that is given for a sensor's samples."""
+        return self.gyro_unit if sensor is Sensor.GYROSCOPE else self.accel_unit
+
+    def scale_of(self, sensor: Sensor) -> float | None:
+        """Return the SI per count that is given for a sensor's samples."""
+        return self.gyro_scale if sensor is Sensor.GYROSCOPE else self.accel_scale

@@ -275,8 +275,8 @@ def measure(reader: str, path: Path, n: int) -> tuple[float, float, float]:
 
 def one(reader: str, path: Path, n: int) -> None:
     """Read once in this process; imports are not counted."""
-    import imucal.readers.containers.mcap_log
-    import imucal.readers.containers.ros1_bag
+    import imucal.readers.containers.mcap_file
+    import imucal.readers.containers.ros1_file
     import imucal.readers.containers.ros2_bag  # noqa: F401
 
     cpu, wall = time.process_time(), time.perf_counter()

@@ -1,22 +1,137 @@
 """The contract of every format: what its module offers, and how files are told apart."""
 
+import importlib
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from inspect import get_annotations
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
 from imucal.errors import ReadError
 from imucal.readers import FORMATS, Format, describe, read
-from imucal.readers.formats import detect, load
+from imucal.readers.containers import Container
+from imucal.readers.formats import detect, load_opener
+from tests.readers.logs import CONTAINERS, samples
+
+#: Formats of messages, as `imucal.recording.Source` documents them.
+SOURCE_FORMATS = {"mcap", "rosbag1", "rosbag2-sqlite3", "rosbag2-mcap"}
+
+
+ROOT = Path(__file__).parents[2]
+PAGES = ("docs/formats.md", "README.md")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
+    """Names of the formats of which `CONTAINERS` writes a log."""
+    folders = [(tmp_path_factory.mktemp("log"), write) for write in CONTAINERS.values()]
+    return {detect(write(folder, samples(2))).name for folder, write in folders}
+
+
+def missing(entry: Format, written: set[str]) -> list[str]:
+    """Say in a sentence each what was forgotten when a format was added."""
+    said = [*_missing_in_table(entry), *_missing_in_module(entry)]
+    for page in PAGES:
+        rows = re.findall(r"^\| ([^|]+) \|", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
+        if not any(re.search(rf"\b{re.escape(entry.name)}\b", row, re.IGNORECASE) for row in rows):
+            said.append(f"{page} has no row for it in its table of formats.")
+    if entry.messages and entry.name not in written:
+        said.append("tests/readers/logs.py has no writer of such a log in CONTAINERS.")
+    return [f"{entry.name}: {sentence}" for sentence in said]
+
+
+def _missing_in_table(entry: Format) -> Iterator[str]:
+    if not entry.magic and not entry.suffixes:
+        yield "it has neither first bytes nor an ending, so no file is ever taken for it."
+    for other in FORMATS:
+        shared = [a for a in entry.magic for b in other.magic if a.startswith(b) or b.startswith(a)]
+        if shared and other.name != entry.name:
+            yield f"its first bytes {shared[0]!r} are those of {other.name} too."
+    if entry != FORMATS[-1] and not entry.magic:
+        yield "only the last format may do without first bytes: it takes all text."
+
+
+def _missing_in_module(entry: Format) -> Iterator[str]:
+    try:
+        module = importlib.import_module(entry.module)
+    except ModuleNotFoundError:
+        yield f"there is no module {entry.module}."
+        return
+    if not module.__doc__:
+        yield f"{entry.module} has no docstring."
+    for name in ("open_files",) if entry.messages else ("read", "describe"):
+        function = getattr(module, name, None)
+        if function is None:
+            yield f"{entry.module} has no function {name}."
+        elif not function.__doc__:
+            yield f"{entry.module}.{name} has no docstring."
 
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
-def test_every_format_has_a_reader(entry: Format) -> None:
-    """`read` and `describe`, documented, and named in `__all__`."""
-    module = load(entry)
-    assert module.__doc__
-    for name in ("read", "describe"):
-        assert getattr(module, name).__doc__
-        assert name in module.__all__  # type: ignore[attr-defined]
+def test_nothing_was_forgotten_of_a_format(entry: Format, written: set[str]) -> None:
+    """Module, functions, docstrings, first bytes, the tables of docs and README, a log to test it with."""
+    assert missing(entry, written) == []
+
+
+def test_says_what_was_forgotten_of_a_format(written: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A container added in a hurry: every step that is left out is named."""
+    module = ModuleType("imucal_test_gadget")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    entry = Format(name="Gadget bag", module=module.__name__, messages=True)
+    assert missing(entry, written) == [
+        "Gadget bag: it has neither first bytes nor an ending, so no file is ever taken for it.",
+        "Gadget bag: only the last format may do without first bytes: it takes all text.",
+        "Gadget bag: imucal_test_gadget has no docstring.",
+        "Gadget bag: imucal_test_gadget has no function open_files.",
+        "Gadget bag: docs/formats.md has no row for it in its table of formats.",
+        "Gadget bag: README.md has no row for it in its table of formats.",
+        "Gadget bag: tests/readers/logs.py has no writer of such a log in CONTAINERS.",
+    ]
+    table = replace(entry, module="imucal.nowhere", magic=(b"\x89MCAP",), messages=False)
+    assert missing(table, written)[:2] == [
+        "Gadget bag: its first bytes b'\\x89MCAP' are those of MCAP too.",
+        "Gadget bag: there is no module imucal.nowhere.",
+    ]
+
+
+def lacks(container: object) -> list[str]:
+    """Say in a sentence each what a container lacks of the protocol `Container`."""
+    name = type(container).__name__
+    members = [*get_annotations(Container), "tasks", "close"]
+    return [f"{name} has no {member}." for member in members if not hasattr(container, member)]
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_every_container_offers_all_that_readers_ask_of_it(name: str, tmp_path: Path) -> None:
+    """Path, format, compression, size, channels, findings, times, tasks and close."""
+    path = CONTAINERS[name](tmp_path, samples(20))
+    opened, form = load_opener(detect(path)).open_files(path)
+    for container in opened:
+        assert lacks(container) == []
+        container.close()
+    assert form in SOURCE_FORMATS
+
+
+def test_says_what_a_container_lacks() -> None:
+    """One with nothing but a path."""
+    assert lacks(SimpleNamespace(path=Path("log"), tasks=None)) == [
+        f"SimpleNamespace has no {member}."
+        for member in [
+            "format",
+            "compression",
+            "size",
+            "channels",
+            "findings",
+            "start_ns",
+            "end_ns",
+            "parallel",
+            "close",
+        ]
+    ]
 
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)

@@ -1,3 +1,6 @@
 """Stamps -> clock: the rate, the gaps, and what was seen."""
 
-__all__: list[str] = []
+from imucal.readers.clocks.clock_notes import compare_clocks, gap_notes
+from imucal.readers.clocks.from_stamps import LOG_TIME, ClockReading, clock_from_stamps
+
+__all__ = ["LOG_TIME", "ClockReading", "clock_from_stamps", "compare_clocks", "gap_notes"]

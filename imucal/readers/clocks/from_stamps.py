@@ -61,6 +61,7 @@ def clock_from_stamps(
     stamps_ns: IntArray,
     *,
     source: str,
+    where: str = "",
     log_ns: IntArray | None = None,
     rate_hz: float | None = None,
     repeated: NDArray[np.bool_] | None = None,
@@ -73,6 +74,8 @@ def clock_from_stamps(
         Shape (n,), int64, in ns, in the order of the log.
     source
         What the stamps are, in words: ``header stamp``, ``log time``, ``column time_us``.
+    where
+        What stands in front of an error's message, such as the file.
     log_ns
         When each sample was recorded, shape (n,); used where stamps are zero or constant, and to measure
         how far a clock was set.
@@ -86,7 +89,22 @@ def clock_from_stamps(
     DataError
         If there is no sample, or no rate can be measured and none is given.
     """
-    stamps = np.ascontiguousarray(stamps_ns, dtype=np.int64)
+    try:
+        return _clock(np.ascontiguousarray(stamps_ns, dtype=np.int64), source, log_ns, rate_hz, repeated)
+    except DataError as error:
+        if not where:
+            raise
+        msg = f"{where}: {error}"
+        raise DataError(msg) from error
+
+
+def _clock(
+    stamps: IntArray,
+    source: str,
+    log_ns: IntArray | None,
+    rate_hz: float | None,
+    repeated: NDArray[np.bool_] | None,
+) -> ClockReading:
     notes: list[Finding] = []
     if not stamps.size:
         msg = f"no samples to take the {source} of; expected at least two"
@@ -97,12 +115,7 @@ def clock_from_stamps(
         notes.append(repeated_note(stamps.size - order.size, stamps.size))
         stamps = stamps[order]
         log_ns = log_ns[order] if log_ns is not None else None
-    stamps, source = _usable(stamps, source, log_ns, notes)
-    period = estimate_period(stamps)
-    if period is None and log_ns is not None and source != LOG_TIME and stamps.size > 1:
-        notes.append(log_time_note(f"The stamps ({source}) do not advance"))
-        stamps, source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
-        period = estimate_period(stamps)
+    stamps, source, period = _advancing(*_usable(stamps, source, log_ns, notes), log_ns, notes)
     if period is None and rate_hz is None:
         less = "one sample" if stamps.size == 1 else f"{stamps.size} samples whose stamps do not advance"
         msg = f"{less} ({source}); expected stamps that give a rate, or the rate itself"
@@ -111,6 +124,18 @@ def clock_from_stamps(
         clock = Clock.even(stamps.size, float(rate_hz or 1.0))
         return ClockReading(clock=clock, order=order, findings=tuple(notes))
     return _read(stamps, source, log_ns, period, rate_hz, order, notes)
+
+
+def _advancing(
+    stamps: IntArray, source: str, log_ns: IntArray | None, notes: list[Finding]
+) -> tuple[IntArray, str, Period | None]:
+    """Return stamps with their period, those of the log where the others give none."""
+    period = estimate_period(stamps)
+    if period is None and log_ns is not None and source != LOG_TIME and stamps.size > 1:
+        notes.append(log_time_note(f"The stamps ({source}) do not advance"))
+        stamps, source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
+        period = estimate_period(stamps)
+    return stamps, source, period
 
 
 def _usable(

@@ -1,3 +1,5 @@
 """Bytes -> messages: the files that hold them, opened and cut into chunks."""
 
-__all__: list[str] = []
+from imucal.readers.containers.container import Batch, Bytes, Channel, Container, Guard, Loss, Task, gather
+
+__all__ = ["Batch", "Bytes", "Channel", "Container", "Guard", "Loss", "Task", "gather"]

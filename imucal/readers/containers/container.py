@@ -1,13 +1,119 @@
-"""What every container of messages offers: channels, and tasks that load chunks of them."""
+"""What every container of messages offers: channels, and tasks that load batches of their messages."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import IntArray
 from imucal.findings import Finding
-from imucal.readers.containers.batch import Batch
-from imucal.readers.files import Scratch
+from imucal.readers.files import DamagedError, Scratch
+
+Bytes: TypeAlias = bytes | bytearray | memoryview
+
+#: A position from the start of a record, a NumPy type, and the number that every record has there.
+Guard = tuple[int, str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loss:
+    """A part of a log that could not be read as it should: the finding's code, why, and messages lost."""
+
+    code: str
+    text: str
+    messages: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Batch:
+    """Messages of one channel.
+
+    Attributes
+    ----------
+    buffer
+        What they lie in; valid until the next chunk is loaded by the same thread.
+    starts
+        Where each record starts, shape (n,).
+    header
+        Bytes of a record before its payload.
+    sizes
+        Bytes of the payload: one for all messages, or one for each, shape (n,).
+    log_ns
+        When each was recorded, shape (n,), in ns; empty where `log_at` tells.
+    log_at
+        Where in a record that time stands as eight bytes, or None.
+    guards
+        What must be true of every record for `header` and `sizes` to hold; empty where it was checked.
+    check
+        Returns the same messages with every record checked on its own; raises DamagedError.
+    loss
+        What was found wrong while checking.
+    """
+
+    buffer: Bytes
+    starts: IntArray
+    header: int
+    sizes: IntArray | int
+    log_ns: IntArray
+    log_at: int | None = None
+    guards: tuple[Guard, ...] = ()
+    check: Callable[[], "Batch"] | None = None
+    loss: Loss | None = None
+
+    @classmethod
+    def of(
+        cls, buffer: Bytes, starts: IntArray, sizes: IntArray, log_ns: IntArray, *, header: int = 0
+    ) -> "Batch":
+        """Return a batch whose positions and sizes were checked; one size stands for all that are equal."""
+        same = bool(sizes.size) and bool((sizes == sizes[0]).all())
+        size = int(sizes[0]) if same else sizes
+        return cls(buffer=buffer, starts=starts, header=header, sizes=size, log_ns=log_ns)
+
+    @property
+    def n(self) -> int:
+        """Number of messages."""
+        return self.starts.size
+
+    def checked(self) -> "Batch":
+        """Return a batch whose positions and sizes were checked record by record."""
+        return self.check() if self.check is not None else self
+
+    def part(self, chosen: IntArray) -> "Batch":
+        """Return some messages of a checked batch."""
+        sizes = self.sizes if isinstance(self.sizes, int) else self.sizes[chosen]
+        return Batch(
+            buffer=self.buffer,
+            starts=self.starts[chosen],
+            header=self.header,
+            sizes=sizes,
+            log_ns=self.log_ns[chosen],
+        )
+
+    def payload(self) -> IntArray:
+        """Return where each payload starts, shape (n,)."""
+        return self.starts + np.int64(self.header)
+
+
+def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
+    """Copy `width` bytes from each place in `at`, shape (n,), into one array of n items.
+
+    Item i of the view below starts at byte i, so that indexing it is one copy per message, at any
+    alignment. (`take` would copy the whole view first.)
+
+    Raises
+    ------
+    DamagedError
+        If a place lies outside the buffer.
+    """
+    count = len(buffer) - width + 1
+    if at.size and (count <= 0 or int(at.min()) < 0 or int(at.max()) >= count):
+        msg = "a message reaches beyond its chunk"
+        raise DamagedError(msg)
+    view: NDArray[np.void] = np.ndarray((max(count, 0),), f"V{width}", buffer=buffer, strides=(1,))
+    return view[at]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.readers.compression import check_crc, decompress, decompress_prefix
 from imucal.readers.containers import mcap_records as records
-from imucal.readers.containers.batch import Batch, Loss
+from imucal.readers.containers.container import Batch, Bytes, Loss, gather
 from imucal.readers.containers.mcap_records import HEAD, ChunkIndex
 from imucal.readers.files import DamagedError, LogFile, Scratch
-from imucal.readers.messages.walker import Bytes, gather
 
 #: Opcode, length, channel and so on of a Message record: its payload starts here.
 _MESSAGE = 31
@@ -202,14 +201,7 @@ def batch_of(raw: Bytes, places: Sequence[int]) -> Batch:
     starts = np.array(places, dtype=np.int64)
     heads = gather(raw, starts, _MESSAGE)
     sizes = _field(heads, 1, "<i8") - (_MESSAGE - 9)
-    one = int(sizes[0]) if sizes.size and bool((sizes == sizes[0]).all()) else None
-    return Batch(
-        buffer=raw,
-        starts=starts,
-        header=_MESSAGE,
-        sizes=sizes if one is None else one,
-        log_ns=_field(heads, 15, "<i8"),
-    )
+    return Batch.of(raw, starts, sizes, _field(heads, 15, "<i8"), header=_MESSAGE)
 
 
 def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
@@ -225,10 +217,7 @@ def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
     if whole:
         return batch_of(raw, starts.tolist())
     loss = Loss(code="index", text="a message index points to other records; its chunk was walked instead")
-    batch = batch_of(raw, walk_records(raw).get(key, []))
-    return Batch(
-        buffer=raw, starts=batch.starts, header=_MESSAGE, sizes=batch.sizes, log_ns=batch.log_ns, loss=loss
-    )
+    return replace(batch_of(raw, walk_records(raw).get(key, [])), loss=loss)
 
 
 def _field(heads: NDArray[np.void], at: int, dtype: str) -> IntArray:

@@ -1,37 +1,37 @@
-"""An MCAP file opened: its channels and chunks, from the summary or from a scan."""
+"""MCAP: ROS 2, ROS 1 and JSON messages, chunks uncompressed or in lz4 or zstd.
+
+An intact file is read by the index at its end; a cut, unindexed or damaged one by scanning its records.
+"""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
 from imucal.errors import ReadError
-from imucal.findings import Finding
 from imucal.readers.compression import KINDS
 from imucal.readers.containers import mcap_records as records
-from imucal.readers.containers.container import Channel, Task
-from imucal.readers.containers.mcap_chunks import ChunkTask, LooseTask, index_count
-from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChannelRecord, ChunkIndex, Schema
-from imucal.readers.containers.mcap_scan import scan
+from imucal.readers.containers.container import Channel, Container, Task
+from imucal.readers.containers.mcap_chunks import ChunkTask, index_count
+from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChunkIndex, Schema
+from imucal.readers.containers.mcap_scan import Bookkeeping, scan
 from imucal.readers.files import DamagedError, LogFile
+from imucal.readers.read_options import Progress
 
 _FOOTER_SIZE = 9 + 20 + 8
 #: Ids of channels and schemas have 16 bits; a summary larger than this can only be damage, in bytes.
 _MAX_SUMMARY = 1 << 31
 
 
-@dataclass(slots=True)
-class Bookkeeping:
-    """What an MCAP file says about itself."""
+def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
+    """Open an MCAP file; also return the name of its format.
 
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, ChannelRecord] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)
-    loose: list[LooseTask] = field(default_factory=list)
-    counts: dict[int, int] = field(default_factory=dict)
-    start_ns: int | None = None
-    end_ns: int | None = None
-    findings: list[Finding] = field(default_factory=list)
+    Raises
+    ------
+    ReadError
+        If it can't be read.
+    """
+    del progress
+    return [McapFile(path)], McapFile.format
 
 
 class McapFile:
@@ -82,7 +82,7 @@ class McapFile:
         try:
             return self._summary()
         except DamagedError as error:
-            return scan(self._file, Bookkeeping(), error)
+            return scan(self._file, error)
 
     def _summary(self) -> Bookkeeping:
         """Read the summary section.
@@ -155,8 +155,7 @@ class McapFile:
                 raise DamagedError(msg)
         if not book.counts:
             for chunk in book.chunks:
-                for key, position in chunk.indexes.items():
-                    book.counts[key] = book.counts.get(key, 0) + index_count(self._file, key, position)
+                book.count({key: index_count(self._file, key, at) for key, at in chunk.indexes.items()})
 
     def _channels(self) -> list[Channel]:
         book = self._book

@@ -5,10 +5,10 @@ builds an object for each record. Source: MCAP specification 0, https://mcap.dev
 """
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from imucal.readers.containers.container import Bytes
 from imucal.readers.files import DamagedError
-from imucal.readers.messages.walker import Bytes
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 2, 3, 4, 5, 6, 7, 8
@@ -75,9 +75,9 @@ class ChunkIndex:
 
     start: int
     length: int
-    index_length: int
-    indexes: dict[int, int]
     compression: str
+    index_length: int = 0
+    indexes: dict[int, int] = field(default_factory=dict)
     first_ns: int = 0
     last_ns: int = 0
 

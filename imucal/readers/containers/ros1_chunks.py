@@ -9,7 +9,7 @@ import numpy as np
 from imucal.arrays import IntArray
 from imucal.readers.compression import decompress, decompress_prefix
 from imucal.readers.containers import ros1_records as records
-from imucal.readers.containers.batch import Batch, Guard, Loss
+from imucal.readers.containers.container import Batch, Guard, Loss
 from imucal.readers.containers.ros1_records import U32, header, number
 from imucal.readers.files import DamagedError, LogFile, Scratch
 

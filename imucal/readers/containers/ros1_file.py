@@ -1,4 +1,4 @@
-"""A ROS 1 bag opened: its connections and chunks, from the index section or from a scan."""
+"""ROS 1 bags of version 2.0, chunks uncompressed or in lz4 or bz2; by their index section, or by a scan."""
 
 import contextlib
 import struct
@@ -10,16 +10,28 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS
 from imucal.readers.containers import ros1_records as records
-from imucal.readers.containers.container import Channel, Task
+from imucal.readers.containers.container import Bytes, Channel, Container, Task
 from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack, walk
 from imucal.readers.containers.ros1_records import MAGIC, U32, Connection, connection, header, number
 from imucal.readers.files import DamagedError, LogFile, Scratch
-from imucal.readers.messages.walker import Bytes
+from imucal.readers.read_options import Progress
 
 #: The index section has a few bytes for each chunk and connection; a larger one is damage.
 _MAX_INDEX = 1 << 31
 _PAIR = struct.Struct("<II")
 _WINDOW = 1 << 12
+
+
+def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
+    """Open a bag; also return the name of its format.
+
+    Raises
+    ------
+    ReadError
+        If it can't be read.
+    """
+    del progress
+    return [BagFile(path)], BagFile.format
 
 
 class BagFile:

@@ -7,8 +7,8 @@ refuses unindexed and cut ones, and builds an object for each message when it op
 import struct
 from dataclasses import dataclass
 
+from imucal.readers.containers.container import Bytes
 from imucal.readers.files import DamagedError
-from imucal.readers.messages.walker import Bytes
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7

@@ -1,45 +1,34 @@
-"""ROS 2 bags: folders with metadata.yaml, single `.db3` files, and files compressed by zstd."""
+"""ROS 2 bags: folders with metadata.yaml, single `.db3` files, and files or messages compressed by zstd."""
 
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
-from imucal.readers.assemble import describe_logs, read_logs
 from imucal.readers.compression import unpack_file
-from imucal.readers.containers.container import Channel, Container, Task
+from imucal.readers.containers.container import Batch, Channel, Container, Task
 from imucal.readers.containers.mcap_file import McapFile
 from imucal.readers.containers.rosbag2_folder import Folder, open_folder
-from imucal.readers.containers.sqlite_file import SqliteFile
-from imucal.readers.containers.zstd_messages import MAGIC as ZSTD
-from imucal.readers.containers.zstd_messages import ZstdMessages
-from imucal.readers.contents import LogContents
-from imucal.readers.files import DamagedError
-from imucal.readers.read_options import Progress, ReadOptions
-from imucal.recording import Recording
+from imucal.readers.containers.sqlite_file import SqliteFile, batch_of_blobs
+from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.read_options import Progress
+
+#: First bytes of a zstd frame.
+_ZSTD = b"\x28\xb5\x2f\xfd"
+#: A compressed message that claims more than this is damaged, in bytes.
+_MAX_MESSAGE = 1 << 28
 
 
-def read(path: Path, options: ReadOptions) -> Recording:
-    """Read the IMU topic of a bag.
+def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
+    """Open the files of a bag, those of a folder or one; also return the name of its format.
 
     Raises
     ------
     ReadError
-        If the bag can't be read; `ChoiceError` if several topics fit or none does.
+        If the bag can't be read.
     """
-    containers = open_files(path, options.progress)
-    return read_logs(containers, path, options, form=_form(containers))
-
-
-def describe(path: Path, options: ReadOptions) -> LogContents:
-    """Return the topics of a bag."""
-    containers = open_files(path, options.progress)
-    return describe_logs(containers, path, options, form=_form(containers))
-
-
-def open_files(path: Path, progress: Progress | None = None) -> list[Container]:
-    """Open the files of a bag: those of a folder, or one."""
     folder = open_folder(path) if path.is_dir() else Folder(files=(path,))
     counts = folder.counts if len(folder.files) == 1 else None
     containers: list[Container] = []
@@ -54,11 +43,8 @@ def open_files(path: Path, progress: Progress | None = None) -> list[Container]:
         names = ", ".join(folder.missing[:5])
         text = f"{len(folder.missing)} files of the bag are missing: {names}; their time is a gap."
         containers[0].findings.append(Finding(level="warning", code="file-missing", text=text))
-    return containers
-
-
-def _form(containers: list[Container]) -> str:
-    return "rosbag2-mcap" if containers[0].format == "mcap" else containers[0].format
+    form = containers[0].format
+    return containers, "rosbag2-mcap" if form == "mcap" else form
 
 
 def _open(
@@ -66,14 +52,14 @@ def _open(
 ) -> Container:
     with path.open("rb") as file:
         head = file.read(16)
-    if head.startswith(ZSTD):
+    if head.startswith(_ZSTD):
         return _Unpacked(path, folder, counts, progress)
     if head.startswith(b"SQLite format 3"):
         base = SqliteFile(path, counts)
-        return ZstdMessages(base) if folder.per_message or base.sample() == ZSTD else base
+        return _ZstdMessages(base) if folder.per_message or base.sample() == _ZSTD else base
     if head.startswith(b"\x89MCAP") or path.name.endswith(".mcap"):
         log = McapFile(path)
-        return ZstdMessages(log) if folder.per_message else log
+        return _ZstdMessages(log) if folder.per_message else log
     msg = f"{path}: neither SQLite nor MCAP (first bytes {head[:8].hex(' ')}); expected a file of a ROS 2 bag"
     raise ReadError(msg)
 
@@ -119,3 +105,56 @@ class _Unpacked:
     def close(self) -> None:
         self._inner.close()
         self._folder.cleanup()
+
+
+class _ZstdMessages:
+    """A container whose messages are compressed one by one (rosbag2's compression mode MESSAGE)."""
+
+    compression = "zstd, each message"
+    parallel = False
+
+    def __init__(self, inner: Container) -> None:
+        self._inner = inner
+        self.path, self.format, self.size = inner.path, inner.format, inner.size
+        self.channels, self.findings = inner.channels, inner.findings
+        self.start_ns, self.end_ns = inner.start_ns, inner.end_ns
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        for task in self._inner.tasks(keys):
+            yield cast("Task", _ZstdTask(task))
+
+
+class _ZstdTask:
+    """A task whose messages are decompressed one by one."""
+
+    def __init__(self, inner: Task) -> None:
+        self._inner = inner
+        self.counts, self.size = inner.counts, inner.size
+
+    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
+        for key, batch in self._inner.load(scratch):
+            yield key, _decompressed(batch.checked())
+
+
+def _decompressed(batch: Batch) -> Batch:
+    import zstandard
+
+    machine = zstandard.ZstdDecompressor()
+    starts = batch.payload()
+    ends = (starts + batch.sizes).tolist()
+    view = memoryview(batch.buffer)
+    blobs = []
+    try:
+        for start, end in zip(starts.tolist(), ends, strict=True):
+            frame = view[start:end]
+            if zstandard.frame_content_size(frame) > _MAX_MESSAGE:
+                msg = "a compressed message claims an impossible size"
+                raise DamagedError(msg)
+            blobs.append(machine.decompress(frame, max_output_size=_MAX_MESSAGE))
+    except (zstandard.ZstdError, MemoryError) as error:
+        msg = f"a compressed message is damaged: {error}"
+        raise DamagedError(msg) from error
+    return batch_of_blobs(blobs, batch.log_ns.tolist())

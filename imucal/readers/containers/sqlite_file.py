@@ -12,8 +12,7 @@ import numpy as np
 from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
-from imucal.readers.containers.batch import Batch
-from imucal.readers.containers.container import Channel, Task
+from imucal.readers.containers.container import Batch, Channel, Task
 from imucal.readers.containers.sqlite_connect import connect, connect_to_start
 from imucal.readers.containers.sqlite_pages import (
     Fetch,
@@ -271,11 +270,4 @@ def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:
     sizes = np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
     starts = np.cumsum(sizes)
     starts -= sizes
-    same = bool(sizes.size) and bool((sizes == sizes[0]).all())
-    return Batch(
-        buffer=b"".join(blobs),
-        starts=starts,
-        header=0,
-        sizes=int(sizes[0]) if same else sizes,
-        log_ns=np.array(times, dtype=np.int64),
-    )
+    return Batch.of(b"".join(blobs), starts, sizes, np.array(times, dtype=np.int64))

@@ -6,7 +6,7 @@ Source: https://www.sqlite.org/fileformat2.html, sections 1.6 (b-tree pages) and
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
-from imucal.readers.containers.batch import Batch, Loss
+from imucal.readers.containers.container import Batch, Loss
 from imucal.readers.containers.sqlite_rows import LEAF, Rows, parse_rows, varint
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
@@ -146,15 +146,8 @@ class PageTask:
         long = self._long_rows(rows)
         for key in self.counts:
             chosen = np.flatnonzero(rows.topics == key)
-            sizes = rows.sizes[chosen]
-            batch = Batch(
-                buffer=buffer,
-                starts=rows.starts[chosen],
-                header=0,
-                sizes=int(sizes[0]) if sizes.size and bool((sizes == sizes[0]).all()) else sizes,
-                log_ns=rows.times[chosen],
-                loss=loss,
-            )
+            batch = Batch.of(buffer, rows.starts[chosen], rows.sizes[chosen], rows.times[chosen])
+            batch = replace(batch, loss=loss)
             more = [(time, data) for topic, time, data in long if topic == key]
             loss = None
             yield key, _with(batch, more) if more else batch

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
-from imucal.readers.messages.walker import gather
+from imucal.readers.containers.container import gather
 
 #: Type of a page that holds rows of a table.
 LEAF = 0x0D

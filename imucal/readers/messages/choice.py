@@ -44,13 +44,13 @@ def choose(
     """
     if options.topics:
         return _named(path, topics, options, live)
-    carriers = [topic for topic in topics if topic.carrier is not None and topic.count != 0]
-    fitting = [topic for topic in carriers if topic.carrier is not None and not topic.carrier.plain]
+    carrying = [topic for topic in topics if topic.imu is not None and topic.count != 0]
+    fitting = [topic for topic in carrying if topic.imu is not None and not topic.imu.plain]
     if len(fitting) == 1:
         return [_whole(fitting[0], "the only topic with IMU samples")]
     if fitting:
         return _among(path, fitting, live)
-    return _refuse(path, topics, carriers)
+    return _refuse(path, topics, carrying)
 
 
 def table(topics: Sequence[Topic]) -> str:
@@ -75,7 +75,7 @@ def _row(topic: Topic) -> tuple[str, str, str, str, str]:
 
 
 def _whole(topic: Topic, how: str) -> Choice:
-    sensors = topic.carrier.sensors if topic.carrier is not None else ()
+    sensors = topic.imu.sensors if topic.imu is not None else ()
     return Choice(topic=topic, sensors=sensors, how=how)
 
 
@@ -88,7 +88,7 @@ def _named(
         raise ChoiceError(msg)
     found = [_find(path, topics, name) for name in options.topics]
     for topic in found:
-        if topic.carrier is None:
+        if topic.imu is None:
             why = topic.reason or "its messages have no angular velocity or linear acceleration"
             msg = f"{path}: topic {topic.name} of type {topic.type or 'unknown'} can't be read: {why}"
             raise ChoiceError(msg)
@@ -116,7 +116,7 @@ def _find(path: Path, topics: Sequence[Topic], name: str) -> Topic:
         listed = table(topics) or "  no topics"
         msg = f"{path}: there is no topic {name}; choose one of these topics\n{listed}"
         raise ChoiceError(msg)
-    return next((topic for topic in same if topic.carrier is not None), same[0])
+    return next((topic for topic in same if topic.imu is not None), same[0])
 
 
 def _among(path: Path, fitting: Sequence[Topic], live: Callable[[Topic], frozenset[Sensor]]) -> list[Choice]:
@@ -144,11 +144,11 @@ def _words(sensors: frozenset[Sensor]) -> str:
     return " and ".join(sorted(sensors)) or "no samples that change"
 
 
-def _refuse(path: Path, topics: Sequence[Topic], carriers: Sequence[Topic]) -> NoReturn:
-    if carriers:
+def _refuse(path: Path, topics: Sequence[Topic], carrying: Sequence[Topic]) -> NoReturn:
+    if carrying:
         msg = (
             f"{path}: no topic carries IMU messages, only vectors that may be anything; "
-            f"choose one of these topics\n{table(carriers)}"
+            f"choose one of these topics\n{table(carrying)}"
         )
         raise ChoiceError(msg)
     unreadable = [topic for topic in topics if topic.reason and topic.count != 0]

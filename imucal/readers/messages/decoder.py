@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import IntArray
-from imucal.readers.containers.batch import Batch, Loss
-from imucal.readers.containers.store import Columns
+from imucal.readers.column_store import Columns
+from imucal.readers.containers import Batch, Loss, gather
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.definitions import Field
 from imucal.readers.messages.fields import write_fields
-from imucal.readers.messages.message_types import Carrier
+from imucal.readers.messages.message_types import ImuFields
 from imucal.readers.messages.template import Template, learn
-from imucal.readers.messages.walker import Found, Layout, Walker, gather
+from imucal.readers.messages.walker import Found, Layout, Walker
 
 #: Encapsulation, as a big-endian number -> layout. Source: OMG DDS-XTypes 1.3, table 60; DDSI-RTPS 10.2.
 _ENCAPSULATIONS = {
@@ -31,7 +31,7 @@ class Shape:
     """The fields of a message type, and which of them to take."""
 
     fields: tuple[Field, ...]
-    carrier: Carrier
+    imu: ImuFields
 
 
 class BinaryDecoder:
@@ -55,8 +55,8 @@ class BinaryDecoder:
         self._use(self._shapes[0])
 
     def _use(self, shape: Shape) -> None:
-        self.carrier = shape.carrier
-        self.walker = Walker(shape.fields, shape.carrier.wanted)
+        self.imu = shape.imu
+        self.walker = Walker(shape.fields, shape.imu.wanted)
         self._whole = Walker(shape.fields, [shape.fields[-1].path]) if self._exact else None
         self._template: Template | None = None
 
@@ -123,7 +123,7 @@ class BinaryDecoder:
             if known is None:
                 return None
             layout, body = known, body + 4
-        return learn(batch, self.walker.walk(batch.buffer, body, layout), layout, code, self.carrier)
+        return learn(batch, self.walker.walk(batch.buffer, body, layout), layout, code, self.imu)
 
     # The walk
 
@@ -152,10 +152,10 @@ class BinaryDecoder:
         found = self.walker.walk(batch.buffer, body, layout)
         self._check_size(batch, body, layout, found)
         columns.log[to] = batch.log_ns
-        write_fields(batch.buffer, body, found.places, self.carrier, columns, to)
+        write_fields(batch.buffer, body, found.places, self.imu, columns, to)
 
     def _check_size(self, batch: Batch, body: IntArray, layout: Layout, found: Found) -> None:
-        """Refuse messages that end before the last wanted field; bytes behind it are nobody's business."""
+        """Refuse messages that end before the last wanted field; bytes after it are not looked at."""
         skipped = 0 if self.ros1 else 4
         if bool(np.any(found.end > batch.sizes - np.int64(skipped))):
             msg = "a message is shorter than its type"

@@ -174,8 +174,8 @@ class _Flattener:
         if repeat > _MANY:
             msg = f"{path} has {repeat} elements"
             raise DefinitionError(msg)
-        places = [path] if array is None else [f"{path}[{i}]" for i in range(repeat)]
-        return all(self._walk(nested, place + ".", depth + 1) for place in places)
+        paths = [path] if array is None else [f"{path}[{i}]" for i in range(repeat)]
+        return all(self._walk(nested, path + ".", depth + 1) for path in paths)
 
     def _number(self, path: str, code: str, array: str | None, fixed: int | None) -> None:
         if array is None:
@@ -219,9 +219,9 @@ class _Flattener:
 def _split(name: str, text: str) -> dict[str, list[_Line]]:
     """Return the lines of each type in a definition."""
     defined: dict[str, list[_Line]] = {}
-    for place, part in enumerate(_SEPARATOR.split(text)):
+    for index, part in enumerate(_SEPARATOR.split(text)):
         own, body = name, part
-        if place:
+        if index:
             match = re.match(r"\s*MSG:\s*(\S+)", part)
             if match is None:
                 continue

@@ -4,27 +4,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
-from imucal.readers.containers.store import Columns
-from imucal.readers.messages.message_types import Carrier, Stamp, Vector
-from imucal.readers.messages.walker import Bytes, Place, Position, gather
+from imucal.readers.column_store import Columns
+from imucal.readers.containers import Bytes, gather
+from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
+from imucal.readers.messages.walker import Place, Position
 
 
 def write_fields(  # noqa: PLR0917 - what lies where, and where it goes
     buffer: Bytes,
     starts: IntArray,
     places: dict[str, Place],
-    carrier: Carrier,
+    imu: ImuFields,
     columns: Columns,
     to: slice | IntArray,
 ) -> None:
     """Gather the wanted fields and write them to the columns."""
-    if carrier.stamp is None:
+    if imu.stamp is None:
         columns.stamps[to] = 0
     else:
-        columns.stamps[to] = _stamps(buffer, starts, places, carrier.stamp)
-    for vector in carrier.vectors:
+        columns.stamps[to] = _stamps(buffer, starts, places, imu.stamp)
+    for vector in imu.vectors:
         write_vector(buffer, starts, places, vector, columns, to)
-    write_temperature(buffer, starts, places, carrier, columns, to)
+    write_temperature(buffer, starts, places, imu, columns, to)
 
 
 def write_vector(  # noqa: PLR0917 - as `write_fields`
@@ -55,13 +56,13 @@ def write_temperature(  # noqa: PLR0917 - as `write_fields`
     buffer: Bytes,
     starts: IntArray,
     places: dict[str, Place],
-    carrier: Carrier,
+    imu: ImuFields,
     columns: Columns,
     to: slice | IntArray,
 ) -> None:
     """Write the temperature, where there is one."""
-    if carrier.temperature and columns.temperature is not None:
-        columns.temperature[to] = _column(buffer, starts, places[carrier.temperature])
+    if imu.temperature and columns.temperature is not None:
+        columns.temperature[to] = _column(buffer, starts, places[imu.temperature])
 
 
 def adjacent(places: dict[str, Place], vector: Vector) -> bool:

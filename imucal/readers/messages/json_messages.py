@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from imucal.readers.containers.batch import Batch, Loss
-from imucal.readers.containers.store import Columns
+from imucal.readers.column_store import Columns
+from imucal.readers.containers import Batch, Loss
 from imucal.readers.files import DamagedError
-from imucal.readers.messages.message_types import Carrier, Stamp, Vector
+from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
 from imucal.recording import Sensor
 
 #: What a JSON message of an IMU is taken to hold.
-JSON_CARRIER = Carrier(
+JSON_FIELDS = ImuFields(
     stamp=Stamp(sec="sec", nanosec="nanosec"),
     vectors=(
         Vector(sensor=Sensor.GYROSCOPE, paths=("angular_velocity",)),
@@ -30,8 +30,8 @@ _SECONDS = ("sec", "secs", "seconds")
 class JsonDecoder:
     """Decodes JSON messages one by one: about 6 µs each."""
 
-    def __init__(self, carrier: Carrier) -> None:
-        self._carrier = carrier
+    def __init__(self, imu: ImuFields) -> None:
+        self._imu = imu
         self.notes: list[Loss] = []
 
     def settle(self, batch: Batch) -> None:
@@ -48,13 +48,13 @@ class JsonDecoder:
         ends = starts + batch.sizes
         view = memoryview(batch.buffer)
         stamps = np.empty(batch.n, dtype=np.int64)
-        values = np.empty((batch.n, 3 * len(self._carrier.vectors)))
+        values = np.empty((batch.n, 3 * len(self._imu.vectors)))
         for row, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
             try:
                 message = json.loads(bytes(view[start:end]))
                 stamps[row] = _stamp(message)
                 values[row] = [
-                    number for vector in self._carrier.vectors for number in _vector(message, vector.paths[0])
+                    number for vector in self._imu.vectors for number in _vector(message, vector.paths[0])
                 ]
             except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
                 msg = f"a JSON message has no IMU sample: {type(error).__name__} {error}"
@@ -62,8 +62,8 @@ class JsonDecoder:
         part = slice(first, first + batch.n)
         columns.log[part] = batch.log_ns
         columns.stamps[part] = stamps
-        for place, vector in enumerate(self._carrier.vectors):
-            columns.vectors[vector.sensor][:, part] = values[:, 3 * place : 3 * place + 3].T
+        for index, vector in enumerate(self._imu.vectors):
+            columns.vectors[vector.sensor][:, part] = values[:, 3 * index : 3 * index + 3].T
 
 
 def _stamp(message: Mapping[str, Any]) -> int:

@@ -44,7 +44,7 @@ class Vector:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Carrier:
+class ImuFields:
     """What a message type can give.
 
     Attributes
@@ -111,9 +111,7 @@ _PLAIN: dict[str, tuple[tuple[str, Sensor | None], ...]] = {
 }
 
 
-def find_carriers(
-    name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None
-) -> dict[str, Carrier]:
+def find_imus(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> dict[str, ImuFields]:
     """Return what messages of a type can give: one entry for each IMU in a message.
 
     The key is the field that holds the IMU, such as ``left``; it is empty where there is only one.
@@ -134,21 +132,20 @@ def find_carriers(
     imus = _imus(found)
     taken = {paths for imu in imus.values() for paths in imu.values()}
     spare = [paths for vectors in found.values() for _, paths in vectors if paths not in taken]
-    carriers = {}
-    for owner, imu in imus.items():
-        part = (owner or TOP) if len(imus) > 1 else ""
-        carriers[part] = _carrier(fields, owner, imu, spare, others=set(imus) - {owner})
-    return carriers
+    return {
+        (owner or TOP) if len(imus) > 1 else "": _imu(fields, owner, imu, spare, others=set(imus) - {owner})
+        for owner, imu in imus.items()
+    }
 
 
-def _carrier(
+def _imu(
     fields: Sequence[Field],
     owner: str,
     imu: dict[Sensor, tuple[str, ...]],
     spare: Sequence[tuple[str, ...]],
     *,
     others: set[str],
-) -> Carrier:
+) -> ImuFields:
     """Return one IMU of a message; its stamp and temperature are its own where it has them."""
     vectors = tuple(Vector(sensor=sensor, paths=paths) for sensor, paths in imu.items())
     standard = all(path.split(".")[-2:-1] in (["angular_velocity"], ["linear_acceleration"])
@@ -157,7 +154,7 @@ def _carrier(
     free = [field for field in fields if not theirs or not field.path.startswith(theirs)]
     if others:
         free.sort(key=lambda field: not (owner and field.path.startswith(owner + ".")))
-    return Carrier(
+    return ImuFields(
         stamp=_stamp(free),
         vectors=vectors,
         temperature=_temperature(free),
@@ -176,7 +173,7 @@ def sensor_of_topic(topic: str) -> Sensor | None:
     return _GYRO if gyro else _ACCEL
 
 
-def _plain(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> Carrier | None:
+def _plain(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> ImuFields | None:
     vectors = []
     for path, fixed in _PLAIN.get(name, ()):
         kind = fixed or sensor or sensor_of_topic(topic)
@@ -185,10 +182,10 @@ def _plain(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None
             vectors.append(Vector(sensor=kind, paths=paths))
     if not vectors:
         return None
-    return Carrier(stamp=_stamp(fields), vectors=tuple(vectors), plain=True)
+    return ImuFields(stamp=_stamp(fields), vectors=tuple(vectors), plain=True)
 
 
-def _px4(name: str, fields: Sequence[Field]) -> Carrier | None:
+def _px4(name: str, fields: Sequence[Field]) -> ImuFields | None:
     """PX4's own types: time in µs, increments instead of rates in VehicleImu."""
     if not name.startswith("px4_msgs/"):
         return None
@@ -202,16 +199,16 @@ def _px4(name: str, fields: Sequence[Field]) -> Carrier | None:
             Vector(sensor=_GYRO, paths=("delta_angle",), divisor="delta_angle_dt"),
             Vector(sensor=_ACCEL, paths=("delta_velocity",), divisor=velocity_dt),
         )
-        return Carrier(stamp=stamp, vectors=vectors)
+        return ImuFields(stamp=stamp, vectors=vectors)
     single = {"px4_msgs/SensorGyro": _GYRO, "px4_msgs/SensorAccel": _ACCEL}.get(name)
     if single is not None and {"x", "y", "z"} <= by_path.keys():
-        return Carrier(
+        return ImuFields(
             stamp=stamp, vectors=(Vector(sensor=single, paths=("x", "y", "z")),), temperature=temperature
         )
     if {"gyro_rad", "accelerometer_m_s2"} <= by_path.keys():
         both = ((_GYRO, "gyro_rad"), (_ACCEL, "accelerometer_m_s2"))
         vectors = tuple(Vector(sensor=sensor, paths=(path,)) for sensor, path in both)
-        return Carrier(stamp=Stamp(sec="timestamp"), vectors=vectors)
+        return ImuFields(stamp=Stamp(sec="timestamp"), vectors=vectors)
     return None
 
 

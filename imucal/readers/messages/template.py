@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
-from imucal.readers.containers.batch import Batch, Guard
-from imucal.readers.containers.store import Columns
+from imucal.readers.column_store import Columns
+from imucal.readers.containers import Batch, Bytes, Guard
 from imucal.readers.messages.fields import adjacent, write_temperature, write_vector
-from imucal.readers.messages.message_types import Carrier, Vector
-from imucal.readers.messages.walker import Bytes, Found, Layout, Place, Position
+from imucal.readers.messages.message_types import ImuFields, Vector
+from imucal.readers.messages.walker import Found, Layout, Place, Position
 from imucal.recording import Sensor
 
 #: Longest head of a message that is gathered at once, in bytes.
@@ -38,7 +38,7 @@ class Template:
         Bytes of a record.
     places
         Path -> position and type of every wanted field.
-    carrier
+    imu
         What to take.
     vectors
         Sensor, position and type of those that are three plain numbers side by side.
@@ -51,7 +51,7 @@ class Template:
     head: int
     end: int
     places: dict[str, Place]
-    carrier: Carrier
+    imu: ImuFields
     vectors: tuple[tuple[Sensor, int, str], ...]
     others: tuple[Vector, ...]
 
@@ -69,7 +69,7 @@ class Template:
             return False
         part = slice(first, first + n)
         columns.log[part] = batch.log_ns if batch.log_at is None else word(batch.log_at, "<i8")
-        stamp, stamps = self.carrier.stamp, columns.stamps[part]
+        stamp, stamps = self.imu.stamp, columns.stamps[part]
         if stamp is None:
             stamps[:] = 0
         else:
@@ -84,11 +84,11 @@ class Template:
             columns.vectors[sensor][:, part] = values.T
         for vector in self.others:
             write_vector(batch.buffer, starts, self.places, vector, columns, part)
-        write_temperature(batch.buffer, starts, self.places, self.carrier, columns, part)
+        write_temperature(batch.buffer, starts, self.places, self.imu, columns, part)
         return True
 
 
-def learn(batch: Batch, found: Found, layout: Layout, code: bytes, carrier: Carrier) -> Template | None:
+def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuFields) -> Template | None:
     """Return the template of a batch, from a walk of its first message.
 
     Parameters
@@ -111,14 +111,14 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, carrier: Carr
         words.append((batch.header, "<u2", int.from_bytes(code, "little")))
     words += [(skip + _fixed(at), layout.order + "u4", _fixed(length)) for at, length in found.lengths]
     places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
-    stamp = carrier.stamp
+    stamp = imu.stamp
     times = [places[path] for path in ((stamp.sec, stamp.nanosec) if stamp else ()) if path]
     ends = [at + int(dtype[-1]) for at, dtype, _ in words]
     ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
     head, end = max([*ends, (batch.log_at or 0) + 8]), batch.header + batch.sizes
     if head > min(_HEAD, end) or skip + _fixed(found.end) > end:
         return None
-    plain = [vector for vector in carrier.vectors if not vector.divisor and adjacent(places, vector)]
+    plain = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
     firsts = [(vector.sensor, places[vector.paths[0]]) for vector in plain]
     return Template(
         guards=batch.guards,
@@ -126,9 +126,9 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, carrier: Carr
         head=head,
         end=end,
         places=places,
-        carrier=carrier,
+        imu=imu,
         vectors=tuple((sensor, _fixed(place.at), place.dtype) for sensor, place in firsts),
-        others=tuple(vector for vector in carrier.vectors if vector not in plain),
+        others=tuple(vector for vector in imu.vectors if vector not in plain),
     )
 
 

@@ -1,19 +1,36 @@
-"""The topics of a log: which of them carry IMU samples, and how to decode them."""
+"""The topics of a log: which of them carry IMU samples or their temperature, and how to decode them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from imucal.errors import ReadError
-from imucal.readers.containers.container import Channel, Container
-from imucal.readers.containers.loader import Decoder, Stream
+from imucal.errors import DataError, ReadError
+from imucal.readers.clocks import clock_from_stamps
+from imucal.readers.column_store import is_constant
+from imucal.readers.containers import Channel, Container
 from imucal.readers.messages.decoder import BinaryDecoder, Shape
-from imucal.readers.messages.definitions import DefinitionError, Field, built_in, flatten, plain_type
-from imucal.readers.messages.json_messages import JSON_CARRIER, JsonDecoder
-from imucal.readers.messages.message_types import Carrier, find_carriers
+from imucal.readers.messages.definitions import (
+    BUILT_IN,
+    DefinitionError,
+    Field,
+    built_in,
+    flatten,
+    plain_type,
+)
+from imucal.readers.messages.json_messages import JSON_FIELDS, JsonDecoder
+from imucal.readers.messages.loader import Decoder, Stream, decode
+from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus
 from imucal.readers.read_options import ReadOptions
-from imucal.recording import Sensor
+from imucal.recording import Sensor, Temperature
 
 _ENCODINGS = ("cdr", "ros1", "json")
+
+#: Chunks looked into to see whether a sensor has data: more where a few hold too few messages.
+_LOOKS, _ENOUGH = (2, 32), 100
+
+_TEMPERATURE = "sensor_msgs/Temperature"
+_TEMPERATURE_FIELDS = ImuFields(
+    stamp=Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec"), vectors=(), temperature="temperature"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -28,7 +45,7 @@ class Topic:
         The field of a message that holds this IMU; empty where there is one only.
     channels
         Number of the container, and channel.
-    carrier
+    imu
         What its messages can give; None where nothing, or not known how.
     reason
         Why its messages can't be read, though its type looks like an IMU's; else empty.
@@ -37,7 +54,7 @@ class Topic:
     name: str
     type: str
     channels: tuple[tuple[int, Channel], ...]
-    carrier: Carrier | None = None
+    imu: ImuFields | None = None
     reason: str = ""
     part: str = ""
 
@@ -85,14 +102,14 @@ def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> 
     ReadError
         If its messages can't be decoded.
     """
-    if topic.carrier is None:
+    if topic.imu is None:
         msg = f"topic {topic.name} of type {topic.type} can't be decoded: {topic.reason or 'no IMU samples'}"
         raise ReadError(msg)
     decoders: dict[tuple[int, int], Decoder] = {}
-    carrier = _only(topic.carrier, sensors)
+    imu = _only(topic.imu, sensors)
     for number, channel in topic.channels:
         if channel.encoding == "json":
-            decoders[number, channel.key] = JsonDecoder(carrier)
+            decoders[number, channel.key] = JsonDecoder(imu)
             continue
         try:
             fields, exact = _fields(channel, options)
@@ -100,37 +117,93 @@ def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> 
             msg = f"topic {topic.name} of type {channel.type} can't be decoded: {error}"
             raise ReadError(msg) from error
         shapes = [_shape(channel, fields, topic, sensors)]
-        carrier = shapes[0].carrier
+        imu = shapes[0].imu
         ros1 = channel.encoding == "ros1"
         standard = built_in(channel.type, ros1=ros1)
         if standard is not None:
             fields = flatten(channel.type, standard, ros1=ros1)
             shapes.append(_shape(channel, fields, topic, sensors))
         decoders[number, channel.key] = BinaryDecoder(shapes, ros1=ros1, exact=exact)
-    return Stream(carrier=carrier, decoders=decoders)
+    return Stream(imu=imu, decoders=decoders)
 
 
-def _only(carrier: Carrier, sensors: Sequence[Sensor]) -> Carrier:
-    return replace(carrier, vectors=tuple(v for v in carrier.vectors if v.sensor in sensors))
+def live_sensors(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> frozenset[Sensor]:
+    """Return the sensors whose samples change in the first chunks of a topic.
+
+    One sample, or none that can be decoded, tells nothing: the type is believed then.
+    """
+    if topic.imu is None:
+        return frozenset()
+    stream = stream_of(topic, topic.imu.sensors, options)
+    for chunks in _LOOKS:
+        columns = decode(containers, [stream], most_chunks=chunks)[0].columns
+        if columns.n >= _ENOUGH:
+            break
+    if columns.n < 2:
+        return frozenset(topic.imu.sensors)
+    return frozenset(sensor for sensor, rows in columns.vectors.items() if not is_constant(rows))
+
+
+def read_temperature(
+    containers: Sequence[Container], topics: Sequence[Topic], imu: str
+) -> tuple[Temperature, str] | None:
+    """Return the temperature that stands beside an IMU topic, and the name of its topic.
+
+    It must be the only one in the IMU's own namespace: a log may hold the temperatures of other things.
+    A topic that can't be read is as good as none: nothing is fitted to a temperature.
+    """
+    space = imu.rpartition("/")[0]
+    beside = [
+        topic
+        for topic in topics
+        if plain_type(topic.type) == _TEMPERATURE and topic.count != 0 and topic.name.startswith(space + "/")
+    ]
+    if len(beside) != 1 or not space:
+        return None
+    topic = beside[0]
+    columns = decode(containers, [_temperature_stream(topic)])[0].columns
+    if columns.temperature is None or columns.n < 2:
+        return None
+    try:
+        reading = clock_from_stamps(columns.stamps, source="header stamp", log_ns=columns.log)
+    except DataError:
+        return None
+    samples = columns.temperature if reading.order is None else columns.temperature[reading.order]
+    return Temperature(samples=samples, clock=reading.clock), topic.name
+
+
+def _temperature_stream(topic: Topic) -> Stream:
+    """Return how to decode a topic by the standard definition of its type."""
+    decoders: dict[tuple[int, int], Decoder] = {}
+    for number, channel in topic.channels:
+        ros1 = channel.encoding == "ros1"
+        text = built_in(_TEMPERATURE, ros1=ros1) or BUILT_IN[_TEMPERATURE]
+        shape = Shape(flatten(_TEMPERATURE, text, ros1=ros1), _TEMPERATURE_FIELDS)
+        decoders[number, channel.key] = BinaryDecoder([shape], ros1=ros1, exact=True)
+    return Stream(imu=_TEMPERATURE_FIELDS, decoders=decoders)
+
+
+def _only(imu: ImuFields, sensors: Sequence[Sensor]) -> ImuFields:
+    return replace(imu, vectors=tuple(v for v in imu.vectors if v.sensor in sensors))
 
 
 def _topics(name: str, channels: list[tuple[int, Channel]], options: ReadOptions) -> list[Topic]:
     """Return a topic as one entry for each IMU that its messages hold; one without IMU samples as it is."""
     channel = channels[0][1]
-    carriers: dict[str, Carrier] = {}
+    imus: dict[str, ImuFields] = {}
     reason = ""
     if channel.encoding not in _ENCODINGS:
         reason = f"messages are encoded as {channel.encoding!r}; expected one of {', '.join(_ENCODINGS)}"
     elif channel.encoding == "json":
-        carriers = {"": JSON_CARRIER} if _looks_like_imu(channel) else {}
+        imus = {"": JSON_FIELDS} if _looks_like_imu(channel) else {}
     else:
         try:
             fields, _ = _fields(channel, options)
-            carriers = find_carriers(channel.type, fields, name, _said(name, options))
-            reason = "" if carriers else _unreachable(fields)
+            imus = find_imus(channel.type, fields, name, _said(name, options))
+            reason = "" if imus else _unreachable(fields)
         except DefinitionError as error:
             reason = str(error)
-    if not carriers:
+    if not imus:
         said = reason if _looks_like_imu(channel) or name in options.topics else ""
         return [Topic(name=name, type=channel.type, channels=tuple(channels), reason=said)]
     return [
@@ -138,20 +211,20 @@ def _topics(name: str, channels: list[tuple[int, Channel]], options: ReadOptions
             name=f"{name}:{part}" if part else name,
             type=channel.type,
             channels=tuple(channels),
-            carrier=carrier,
+            imu=imu,
             part=part,
         )
-        for part, carrier in carriers.items()
+        for part, imu in imus.items()
     ]
 
 
 def _shape(channel: Channel, fields: tuple[Field, ...], topic: Topic, sensors: Sequence[Sensor]) -> Shape:
     sensor = sensors[0] if len(sensors) == 1 else None
-    carrier = find_carriers(channel.type, fields, topic.name, sensor).get(topic.part)
-    if carrier is None:
+    imu = find_imus(channel.type, fields, topic.name, sensor).get(topic.part)
+    if imu is None:
         msg = f"topic {topic.name}: the files define {channel.type} differently"
         raise ReadError(msg)
-    return Shape(fields, _only(carrier, sensors))
+    return Shape(fields, _only(imu, sensors))
 
 
 def _said(name: str, options: ReadOptions) -> Sensor | None:

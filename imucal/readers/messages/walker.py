@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
+from imucal.readers.containers import Bytes, gather
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.definitions import Field
 
-Bytes: TypeAlias = bytes | bytearray | memoryview
 #: From the start of the payload: the same for all messages, or one for each.
 Position: TypeAlias = int | IntArray
 
@@ -54,25 +54,6 @@ class Found:
     places: dict[str, Place] = field(default_factory=dict)
     lengths: list[tuple[Position, NDArray[np.int64] | int]] = field(default_factory=list)
     end: Position = 0
-
-
-def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
-    """Copy `width` bytes from each place in `at`, shape (n,), into one array of n items.
-
-    Item i of the view below starts at byte i, so that indexing it is one copy per message, at any
-    alignment. (`take` would copy the whole view first.)
-
-    Raises
-    ------
-    DamagedError
-        If a place lies outside the buffer.
-    """
-    count = len(buffer) - width + 1
-    if at.size and (count <= 0 or int(at.min()) < 0 or int(at.max()) >= count):
-        msg = "a message reaches beyond its chunk"
-        raise DamagedError(msg)
-    view: NDArray[np.void] = np.ndarray((max(count, 0),), f"V{width}", buffer=buffer, strides=(1,))
-    return view[at]
 
 
 class Walker:

@@ -8,8 +8,8 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from imucal.readers.column_store import GrowingColumn
 from imucal.readers.tables.columns import Rows
-from imucal.readers.tables.growing import GrowingColumn
 from imucal.readers.tables.layout import BLANKS, Layout, split_line
 from imucal.readers.tables.stamps import parse_text_stamps
 

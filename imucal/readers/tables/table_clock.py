@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Clock
-from imucal.errors import ChoiceError, DataError
+from imucal.errors import ChoiceError
 from imucal.findings import Finding
-from imucal.readers.clocks.from_stamps import ClockReading, clock_from_stamps
+from imucal.readers.clocks import ClockReading, clock_from_stamps
 from imucal.readers.tables.column_plan import SensorPlan
 from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import (
@@ -56,13 +56,14 @@ def table_clock(
     if shift:
         stamps = stamps + shift
     same = _sent_twice(work, stamps, axes, plan.triad.sensor)
-    try:
-        reading = clock_from_stamps(
-            stamps, source=source, log_ns=log_ns, rate_hz=work.options.rate_hz, repeated=same
-        )
-    except DataError as error:
-        msg = f"{work.path}: {error}"
-        raise DataError(msg) from error
+    reading = clock_from_stamps(
+        stamps,
+        source=source,
+        where=work.path,
+        log_ns=log_ns,
+        rate_hz=work.options.rate_hz,
+        repeated=same,
+    )
     if shift and reading.clock.start_ns is not None:
         reading = replace(reading, clock=replace(reading.clock, start_ns=reading.clock.start_ns - shift))
     work.decide("time", f"{source}, {_time_words(plan.time)}")

@@ -11,17 +11,16 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.findings import Finding
+from imucal.readers.builder import RecordingBuilder
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.readers.tables.signatures import Signature
 from imucal.readers.tables.table_clock import Numbers, table_clock
-from imucal.recording import Axis, AxisSeries, Recording, Source, Temperature
+from imucal.recording import Recording, Source
 
 #: Time and rows of a sensor -> its clock and the samples to keep: two sensors of one table share them.
 _Clocks: TypeAlias = dict[tuple[Any, ...], tuple[Clock, IntArray | None]]
-
-_AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 #: Temperatures in which electronics work, in degrees Celsius; others are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
@@ -58,9 +57,7 @@ class _Timed:
     """A sensor's samples with their clock, still in the unit of the log."""
 
     columns: SensorColumns
-    axes: list[FloatArray]
     clock: Clock
-    temperature: FloatArray | None
 
 
 def assemble(
@@ -102,24 +99,14 @@ def assemble(
     work.findings.extend(findings)
     timed = [_timed(work, columns, clocks) for columns in sensors]
     scales = find_scales(work, [_unscaled(entry) for entry in timed])
-    series = []
-    for entry in timed:
-        scale = scales[entry.columns.plan.triad.sensor]
-        for axis, samples in zip(_AXES, entry.axes, strict=True):
-            series.append(
-                AxisSeries(
-                    sensor=entry.columns.plan.triad.sensor,
-                    axis=axis,
-                    samples=_scaled(samples, scale),
-                    clock=entry.clock,
-                )
-            )
-    return Recording(
-        source=replace(source, decisions=tuple(work.decisions)),
-        series=tuple(series),
-        temperature=_temperature(work, timed),
-        findings=tuple(work.findings),
+    builder = RecordingBuilder(
+        path=source.path, format=source.format, decisions=work.decisions, findings=work.findings
     )
+    for entry in timed:
+        sensor = entry.columns.plan.triad.sensor
+        builder.add_sensor(sensor, entry.columns.axes, entry.clock, scale=scales[sensor])
+    _add_temperature(builder, work, timed)
+    return builder.build(topics=source.topics)
 
 
 def units_note(recording: Recording) -> str:
@@ -129,44 +116,44 @@ def units_note(recording: Recording) -> str:
 
 
 def _unscaled(entry: _Timed) -> Unscaled:
-    return Unscaled(triad=entry.columns.plan.triad, axes=entry.axes, rate_hz=entry.clock.rate_hz)
-
-
-def _scaled(samples: FloatArray, scale: float) -> FloatArray:
-    """Return samples in SI; in place where they are this reader's own memory."""
-    if scale == 1.0:
-        return samples
-    if samples.flags.writeable:
-        np.multiply(samples, scale, out=samples)
-        return samples
-    return samples * scale
+    return Unscaled(triad=entry.columns.plan.triad, axes=entry.columns.axes, rate_hz=entry.clock.rate_hz)
 
 
 def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> _Timed:
     """Drop rows that are none of the sensor's, and read its clock."""
-    sensor = columns.plan.triad.sensor
-    axes = list(columns.axes)
-    time, log_time, temperature = list(columns.time), list(columns.log_time), columns.temperature
+    triad = columns.plan.triad
     keep = _rows_of_sensor(work, columns)
     if keep is not None:
-        axes = [axis[keep] for axis in axes]
-        time = [column[keep] for column in time]
-        log_time = [column[keep] for column in log_time]
-        temperature = temperature[keep] if temperature is not None else None
-    if not axes[0].size:
-        names = ", ".join(columns.plan.triad.headers)
-        msg = f"{work.path}: the columns of the {sensor} ({names}) hold no samples; expected a row per sample"
+        columns = _rows(columns, keep)
+    n = columns.axes[0].size
+    if not n:
+        names = ", ".join(triad.headers)
+        msg = (
+            f"{work.path}: the columns of the {triad.sensor} ({names}) hold no samples; "
+            "expected a row per sample"
+        )
         raise DataError(msg)
-    key = (columns.plan.time, columns.plan.triad.rows, None if keep is None else keep.tobytes(), axes[0].size)
+    key = (columns.plan.time, triad.rows, None if keep is None else keep.tobytes(), n)
     if key not in clocks:
-        reading = table_clock(work, columns.plan, axes, time, log_time)
+        reading = table_clock(work, columns.plan, columns.axes, columns.time, columns.log_time)
         work.findings.extend(reading.findings)
         clocks[key] = (reading.clock, reading.order)
     clock, order = clocks[key]
     if order is not None:
-        axes = [axis[order] for axis in axes]
-        temperature = temperature[order] if temperature is not None else None
-    return _Timed(columns=columns, axes=axes, clock=clock, temperature=temperature)
+        columns = _rows(columns, order)
+    return _Timed(columns=columns, clock=clock)
+
+
+def _rows(columns: SensorColumns, chosen: NDArray[np.bool_] | IntArray) -> SensorColumns:
+    """Return some rows of the columns."""
+    x, y, z = (axis[chosen] for axis in columns.axes)
+    return replace(
+        columns,
+        axes=(x, y, z),
+        time=tuple(column[chosen] for column in columns.time),
+        log_time=tuple(column[chosen] for column in columns.log_time),
+        temperature=columns.temperature[chosen] if columns.temperature is not None else None,
+    )
 
 
 def _rows_of_sensor(work: Work, columns: SensorColumns) -> NDArray[np.bool_] | None:
@@ -186,18 +173,17 @@ def _rows_of_sensor(work: Work, columns: SensorColumns) -> NDArray[np.bool_] | N
     return None if keep is None or bool(keep.all()) else keep
 
 
-def _temperature(work: Work, timed: Sequence[_Timed]) -> Temperature | None:
-    """Return the temperature, where its column holds degrees."""
-    for entry in timed:
-        if entry.temperature is None:
-            continue
-        values = np.asarray(entry.temperature, dtype=np.float64)
-        finite = values[np.isfinite(values)]
-        if not finite.size:
-            return None
-        usual = float(np.median(finite))
-        if not _TEMPERATURES[0] <= usual <= _TEMPERATURES[1]:
-            work.decide("temperature", f"left out: a median of {usual:.4g} is not in degrees Celsius")
-            return None
-        return Temperature(samples=values, clock=entry.clock)
-    return None
+def _add_temperature(builder: RecordingBuilder, work: Work, timed: Sequence[_Timed]) -> None:
+    """Add the temperature, where its column holds degrees."""
+    found = next((entry for entry in timed if entry.columns.temperature is not None), None)
+    if found is None:
+        return
+    values = np.asarray(found.columns.temperature, dtype=np.float64)
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return
+    usual = float(np.median(finite))
+    if _TEMPERATURES[0] <= usual <= _TEMPERATURES[1]:
+        builder.add_temperature(values, found.clock)
+    else:
+        work.decide("temperature", f"left out: a median of {usual:.4g} is not in degrees Celsius")

@@ -1,3 +1,6 @@
 """PX4 ULog files."""
 
-__all__: list[str] = []
+from imucal.readers.ulog.ulog_log import describe, read
+from imucal.readers.ulog.ulog_messages import MESSAGES
+
+__all__ = ["MESSAGES", "describe", "read"]

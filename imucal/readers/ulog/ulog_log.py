@@ -7,29 +7,27 @@ since boot. One instance of a message is named ``sensor_gyro:1``.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import IntArray
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
-from imucal.readers.clocks.from_stamps import ClockReading, clock_from_stamps
+from imucal.readers.builder import RecordingBuilder
+from imucal.readers.clocks import ClockReading, clock_from_stamps
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.ulog.ulog_messages import MESSAGES, Instance, Samples, samples_of
-from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
+from imucal.recording import Recording, Sensor
 from imucal.units import SAMPLE_UNITS, parse_sample_unit
 
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 
 #: An instance logged at less than this share of the fastest rate is a health check, not a recording.
 _TOO_SLOW = 0.2
-
-_AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
@@ -44,60 +42,73 @@ def read(path: Path, options: ReadOptions) -> Recording:
     DataError
         If there are no samples.
     """
-    if options.columns is not None or options.time not in {None, "header"}:
-        asked = f"columns {options.columns!r}" if options.columns is not None else f"time {options.time!r}"
-        msg = (
-            f"{path}: a ULog has messages with one clock, but {asked} was asked for; "
-            "expected the names of messages such as sensor_combined or sensor_gyro:1"
-        )
-        raise ChoiceError(msg)
+    _refuse_options(path, options)
     log = _load(path)
     findings = _log_findings(log)
     if options.strict and any(finding.level == "warning" for finding in findings):
         msg = f"{path}: {findings[0].text} Expected an undamaged log"
         raise ReadError(msg)
-    instances = _instances(log)
-    chosen = _choose(path, instances, options)
-    decisions = [("topics", f"{', '.join(instance.name for instance in chosen)}, {_reason(options)}")]
-    series: list[AxisSeries] = []
-    clocks: list[tuple[IntArray, ClockReading]] = []
-    temperature: Temperature | None = None
+    chosen = _choose(path, _instances(log), options)
+    work = RecordingBuilder(path=str(path), format="ulog", findings=findings)
+    work.decisions.append(("topics", f"{', '.join(one.name for one in chosen)}, {_reason(options)}"))
+    timed = _timed(path, chosen, options)
+    scales = _scales(path, options)
+    given = [sensor for sensor in (_GYRO, _ACCEL) if sensor in scales]
+    work.decisions += [(f"{sensor} unit", f"{scales[sensor][0]}, as given") for sensor in given]
+    for entry in sorted(timed, key=lambda entry: entry.sensor is _ACCEL):
+        _, scale = scales.get(entry.sensor, ("", 1.0))
+        work.add_sensor(
+            entry.sensor, entry.samples.vectors.T, entry.reading.clock, order=entry.reading.order, scale=scale
+        )
+        if entry.sensor not in scales:
+            work.decisions.append((f"{entry.sensor} unit", f"{entry.sensor.unit}, as PX4 logs it"))
+    for entry in timed:
+        work.findings += entry.reading.findings
+        temperature = entry.samples.temperature
+        if temperature is not None and np.isfinite(temperature).any():
+            work.add_temperature(temperature, entry.reading.clock, order=entry.reading.order)
+    return work.build(
+        topics=[instance.name for instance in chosen], message_types=[instance.message for instance in chosen]
+    )
+
+
+def _refuse_options(path: Path, options: ReadOptions) -> None:
+    if options.columns is None and options.time in {None, "header"}:
+        return
+    asked = f"columns {options.columns!r}" if options.columns is not None else f"time {options.time!r}"
+    msg = (
+        f"{path}: a ULog has messages with one clock, but {asked} was asked for; "
+        "expected the names of messages such as sensor_combined or sensor_gyro:1"
+    )
+    raise ChoiceError(msg)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Timed:
+    """The samples of a sensor and their clock."""
+
+    sensor: Sensor
+    samples: Samples
+    reading: ClockReading
+
+
+def _timed(path: Path, chosen: Sequence[Instance], options: ReadOptions) -> list[_Timed]:
+    """Return each sensor of the chosen instances once; equal stamps share a clock."""
+    done: list[_Timed] = []
     for instance in chosen:
         for sensor in instance.sensors:
-            if any(entry.sensor is sensor for entry in series):
+            if any(entry.sensor is sensor for entry in done):
                 continue
             samples = samples_of(instance, sensor)
             if not samples.stamps.size:
                 msg = f"{path}: {instance.name} holds no samples of the {sensor}; expected a recording"
                 raise DataError(msg)
-            new, warmth, notes = _series(path, instance, sensor, samples, options, clocks=clocks)
-            series += new
-            temperature = temperature or warmth
-            findings += [note for note in notes if note not in findings]
-    for sensor, unit, factor in _scales(path, options):
-        series = [
-            replace(entry, samples=entry.samples * factor) if entry.sensor is sensor else entry
-            for entry in series
-        ]
-        decisions.append((f"{sensor} unit", f"{unit}, as given"))
-    given = {what for what, _ in decisions}
-    decisions += [
-        (f"{sensor} unit", f"{sensor.unit}, as PX4 logs it")
-        for sensor in (_GYRO, _ACCEL)
-        if f"{sensor} unit" not in given and any(entry.sensor is sensor for entry in series)
-    ]
-    return Recording(
-        source=Source(
-            path=str(path),
-            format="ulog",
-            topics=tuple(instance.name for instance in chosen),
-            message_types=tuple(instance.message for instance in chosen),
-            decisions=tuple(decisions),
-        ),
-        series=tuple(sorted(series, key=lambda entry: entry.sensor is _ACCEL)),
-        temperature=temperature,
-        findings=tuple(findings),
-    )
+            same = (one.reading for one in done if np.array_equal(one.samples.stamps, samples.stamps))
+            reading = next(same, None)
+            if reading is None or reading.order is not None:
+                reading = _clock(path, instance, samples, options)
+            done.append(_Timed(sensor=sensor, samples=samples, reading=reading))
+    return done
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 - every reader takes options
@@ -217,63 +228,30 @@ def _reason(options: ReadOptions) -> str:
     return "as asked" if options.topics else "the only ones logged at the full rate"
 
 
-def _series(
-    path: Path,
-    instance: Instance,
-    sensor: Sensor,
-    samples: Samples,
-    options: ReadOptions,
-    *,
-    clocks: list[tuple[IntArray, ClockReading]],
-) -> tuple[list[AxisSeries], Temperature | None, tuple[Finding, ...]]:
-    reading = next((old for stamps, old in clocks if np.array_equal(stamps, samples.stamps)), None)
-    if reading is None or reading.order is not None:
-        reading = _clock(path, instance, samples, options)
-        clocks.append((samples.stamps, reading))
-    vectors, temperature = samples.vectors, samples.temperature
-    if reading.order is not None:
-        vectors = vectors[reading.order]
-        temperature = temperature[reading.order] if temperature is not None else None
-    series = [
-        AxisSeries(sensor=sensor, axis=axis, samples=np.ascontiguousarray(vectors[:, i]), clock=reading.clock)
-        for i, axis in enumerate(_AXES)
-    ]
-    warmth = None
-    if temperature is not None and np.isfinite(temperature).any():
-        warmth = Temperature(samples=temperature, clock=reading.clock)
-    return series, warmth, reading.findings
-
-
 def _clock(path: Path, instance: Instance, samples: Samples, options: ReadOptions) -> ClockReading:
     same = np.zeros(samples.stamps.size, dtype=np.bool_)
     same[1:] = (np.diff(samples.stamps) == 0) & (samples.vectors[1:] == samples.vectors[:-1]).all(axis=1)
-    try:
-        return clock_from_stamps(
-            samples.stamps,
-            source=f"timestamp of {instance.name}",
-            rate_hz=options.rate_hz,
-            repeated=same if same.any() else None,
-        )
-    except DataError as error:
-        msg = f"{path}: {instance.name}: {error}"
-        raise DataError(msg) from error
-
-
-def _scales(path: Path, options: ReadOptions) -> list[tuple[Sensor, str, float]]:
-    """Return what a user says the samples are instead of SI."""
-    scales = []
-    given = (
-        (_GYRO, options.gyro_unit, options.gyro_scale),
-        (_ACCEL, options.accel_unit, options.accel_scale),
+    return clock_from_stamps(
+        samples.stamps,
+        source=f"timestamp of {instance.name}",
+        where=f"{path}: {instance.name}",
+        rate_hz=options.rate_hz,
+        repeated=same if same.any() else None,
     )
-    for sensor, unit, scale in given:
+
+
+def _scales(path: Path, options: ReadOptions) -> dict[Sensor, tuple[str, float]]:
+    """Return what a user says the samples are instead of SI: the unit in words, and SI per unit."""
+    scales = {}
+    for sensor in (_GYRO, _ACCEL):
+        unit, scale = options.unit_of(sensor), options.scale_of(sensor)
         if scale is not None:
-            scales.append((sensor, f"{scale:g} {sensor.unit} per count", scale))
+            scales[sensor] = (f"{scale:g} {sensor.unit} per count", scale)
         elif unit is not None:
             parsed = parse_sample_unit(unit)
             if parsed is None or parsed[0] is not sensor:
                 known = ", ".join(SAMPLE_UNITS[sensor])
                 msg = f"{path}: {unit!r} is no unit of the {sensor}; expected one of {known}"
                 raise ChoiceError(msg)
-            scales.append((sensor, parsed[1], SAMPLE_UNITS[sensor][parsed[1]]))
+            scales[sensor] = (parsed[1], SAMPLE_UNITS[sensor][parsed[1]])
     return scales

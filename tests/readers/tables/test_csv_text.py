@@ -4,6 +4,7 @@ import bz2
 import gzip
 import io
 import lzma
+import mmap
 from collections.abc import Callable
 from pathlib import Path
 
@@ -292,10 +293,8 @@ def backing(array: FloatArray) -> bool:
     """Return whether an array is a view of a memory map."""
     base: object = array
     while isinstance(base, np.ndarray):
-        if isinstance(base, np.memmap):
-            return True
         base = base.base
-    return False
+    return isinstance(base, memoryview) and isinstance(base.obj, mmap.mmap)
 
 
 def test_progress(tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
-"""Chunks -> columns: every chunk into its own place, in parallel where the container allows it."""
+"""Chunks -> columns: every chunk into its own rows, in parallel where the container allows it."""
 
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
@@ -10,12 +10,11 @@ from typing import Protocol
 
 import numpy as np
 
+from imucal.readers.column_store import Columns
 from imucal.readers.compression import keep_freed_memory
-from imucal.readers.containers.batch import Batch, Loss
-from imucal.readers.containers.container import Container, Task
-from imucal.readers.containers.store import Columns, drop_rows
+from imucal.readers.containers import Batch, Container, Loss, Task
 from imucal.readers.files import DamagedError, Scratch
-from imucal.readers.messages.message_types import Carrier
+from imucal.readers.messages.message_types import ImuFields
 from imucal.readers.read_options import Progress
 
 #: More threads gain nothing: the interpreter's lock is held in between.
@@ -45,7 +44,7 @@ class Decoder(Protocol):
 class Stream:
     """One topic to decode: what to take, and who decodes each channel of each container."""
 
-    carrier: Carrier
+    imu: ImuFields
     decoders: dict[tuple[int, int], Decoder]
 
 
@@ -59,11 +58,11 @@ class Decoding:
 
 @dataclass(slots=True, eq=False)
 class _Job:
-    """A task, and where its messages go: (stream, key) -> first place and room."""
+    """A task, and where its messages go: (stream, key) -> first row and room."""
 
     container: int
     task: Task
-    places: dict[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
+    rooms: dict[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
 
 
 def decode(
@@ -87,7 +86,7 @@ def decode(
 
 
 class _Run:
-    """One decoding of several streams."""
+    """One decoding of several streams; what belongs to a stream stands at its index."""
 
     def __init__(
         self,
@@ -99,20 +98,11 @@ class _Run:
         most_chunks: int | None,
     ) -> None:
         self.streams = streams
-        self.jobs: list[_Job] = []
         totals = [0] * len(streams)
-        for number, container in enumerate(containers):
-            keys = frozenset(key for stream in streams for at, key in stream.decoders if at == number)
-            tasks = container.tasks(keys) if keys else iter(())
-            for task in islice(tasks, most_chunks):
-                self.jobs.append(self._job(number, task, totals))
-            if most_chunks is not None and self.jobs:
-                break
+        self.jobs = list(self._plan(containers, totals, most_chunks))
         self.decodings = [
             Decoding(
-                Columns(
-                    total, stream.carrier.sensors, temperature=bool(stream.carrier.temperature), limit=limit
-                )
+                Columns(total, stream.imu.sensors, temperature=bool(stream.imu.temperature), limit=limit)
             )
             for stream, total in zip(streams, totals, strict=True)
         ]
@@ -126,13 +116,27 @@ class _Run:
         self.lock = threading.Lock()
         self.hopeless = False
 
+    def _plan(
+        self, containers: Sequence[Container], totals: list[int], most_chunks: int | None
+    ) -> Iterator[_Job]:
+        """Yield the tasks, each with room behind that of the ones before; adds up the `totals`."""
+        for number, container in enumerate(containers):
+            keys = frozenset(key for stream in self.streams for at, key in stream.decoders if at == number)
+            tasks = container.tasks(keys) if keys else iter(())
+            found = False
+            for task in islice(tasks, most_chunks):
+                found = True
+                yield self._job(number, task, totals)
+            if most_chunks is not None and found:
+                return
+
     def _job(self, number: int, task: Task, totals: list[int]) -> _Job:
         job = _Job(number, task)
-        for place, stream in enumerate(self.streams):
+        for index, stream in enumerate(self.streams):
             for key, count in task.counts.items():
                 if (number, key) in stream.decoders:
-                    job.places[place, key] = (totals[place], count)
-                    totals[place] += count
+                    job.rooms[index, key] = (totals[index], count)
+                    totals[index] += count
         return job
 
     def go(self) -> list[Decoding]:
@@ -145,11 +149,11 @@ class _Run:
             scratch = Scratch()
             for job in self.jobs:
                 self._work(job, scratch)
-        for stream, decoding in zip(self.streams, self.decodings, strict=True):
-            decoding.losses += [note for decoder in stream.decoders.values() for note in decoder.notes]
-        for decoding, spans, extra in zip(self.decodings, self.filled, self.extra, strict=True):
-            drop_rows(decoding.columns, _merged(spans))
-            for more in extra:
+        for index, decoding in enumerate(self.decodings):
+            decoders = self.streams[index].decoders.values()
+            decoding.losses += [note for decoder in decoders for note in decoder.notes]
+            decoding.columns.keep_spans(_merged(self.filled[index]))
+            for more in self.extra[index]:
                 decoding.columns = decoding.columns.joined(more)
             decoding.columns.release()
         return self.decodings
@@ -182,90 +186,91 @@ class _Run:
         try:
             for key, batch in job.task.load(scratch):
                 seen.add(key)
-                for place, stream in enumerate(self.streams):
-                    if (place, key) in job.places and batch.n:
+                for index, stream in enumerate(self.streams):
+                    if (index, key) in job.rooms and batch.n:
                         decoder = stream.decoders[job.container, key]
-                        self._decode(place, decoder, batch, job.places[place, key])
+                        self._decode(index, decoder, batch, job.rooms[index, key])
         except DamagedError as error:
-            for (place, key), (_, room) in job.places.items():
+            for (index, key), (_, room) in job.rooms.items():
                 if key not in seen:
-                    self._lose(place, Loss(code=error.code, text=str(error), messages=room))
+                    self._lose(index, _loss(error, room))
         if self.progress is not None:
             with self.lock:
                 self.done += job.task.size
                 self.progress(self.done, self.total)
 
-    def _decode(self, place: int, decoder: Decoder, batch: Batch, room: tuple[int, int]) -> None:
-        columns = self.decodings[place].columns
+    def _decode(self, index: int, decoder: Decoder, batch: Batch, room: tuple[int, int]) -> None:
+        columns = self.decodings[index].columns
         first, most = room
         try:
             with self.lock:
                 decoder.settle(batch)
         except DamagedError as error:
-            self._lose(place, Loss(code=error.code, text=str(error), messages=batch.n))
+            self._lose(index, _loss(error, batch.n))
             return
         if batch.n <= most and decoder.fast(batch, columns, first):
-            self._filled(place, columns, first, batch.n)
+            self._note_filled(self.filled[index], columns, first, batch.n)
             return
         try:
             checked = batch.checked()
         except DamagedError as error:
-            self._lose(place, Loss(code=error.code, text=str(error), messages=batch.n))
+            self._lose(index, _loss(error, batch.n))
             return
         if checked.loss is not None:
-            self._lose(place, checked.loss)
+            self._lose(index, checked.loss)
         if checked.n <= most:
-            self._slow(place, decoder, checked, columns, first)
+            self._slow(index, decoder, checked, (columns, first), self.filled[index])
             return
         # The index counted too few: what it left out goes behind all others.
         more = Columns(checked.n, tuple(columns.vectors), temperature=columns.temperature is not None)
         spans: list[tuple[int, int]] = []
-        self._slow(place, decoder, checked, more, 0, spans)
-        drop_rows(more, _merged(spans))
+        self._slow(index, decoder, checked, (more, 0), spans)
+        more.keep_spans(_merged(spans))
         with self.lock:
-            self.extra[place].append(more)
+            self.extra[index].append(more)
 
-    def _slow(  # noqa: PLR0917 - what lies where, and where it goes
+    def _slow(
         self,
-        place: int,
+        index: int,
         decoder: Decoder,
         batch: Batch,
-        columns: Columns,
-        first: int,
-        spans: list[tuple[int, int]] | None = None,
+        to: tuple[Columns, int],
+        spans: list[tuple[int, int]],
     ) -> None:
-        """Decode message by message where some are damaged: halves, down to the bad ones."""
+        """Decode message by message where some are damaged: halves, down to the bad ones.
+
+        Adds the samples that were written to the `spans`.
+        """
         if not batch.n:
             return
+        columns, first = to
         try:
             decoder.slow(batch, columns, first)
         except DamagedError as error:
             if batch.n == 1 or self.hopeless or error.code in {"encapsulation", "definition"}:
-                self._lose(place, Loss(code=error.code, text=str(error), messages=batch.n))
+                self._lose(index, _loss(error, batch.n))
                 return
-            before = len(self.filled[place])
-            half = batch.n // 2
-            chosen = np.arange(batch.n)
-            self._slow(place, decoder, batch.part(chosen[:half]), columns, first, spans)
-            self._slow(place, decoder, batch.part(chosen[half:]), columns, first + half, spans)
-            nothing = len(self.filled[place]) == before and not spans
-            self.hopeless |= batch.n > 64 and nothing
+            before, half, chosen = len(spans), batch.n // 2, np.arange(batch.n)
+            self._slow(index, decoder, batch.part(chosen[:half]), (columns, first), spans)
+            self._slow(index, decoder, batch.part(chosen[half:]), (columns, first + half), spans)
+            self.hopeless |= batch.n > 64 and len(spans) == before
             return
-        if spans is not None:
-            spans.append((first, first + batch.n))
-        else:
-            self._filled(place, columns, first, batch.n)
+        self._note_filled(spans, columns, first, batch.n)
 
-    def _filled(self, place: int, columns: Columns, first: int, n: int) -> None:
+    def _note_filled(self, spans: list[tuple[int, int]], columns: Columns, first: int, n: int) -> None:
         with self.lock:
-            self.filled[place].append((first, first + n))
+            spans.append((first, first + n))
             columns.wrote(8 * n * len(columns.rows))
 
-    def _lose(self, place: int, loss: Loss) -> None:
+    def _lose(self, index: int, loss: Loss) -> None:
         with self.lock:
-            losses = self.decodings[place].losses
+            losses = self.decodings[index].losses
             if len(losses) < _MAX_LOSSES:
                 losses.append(loss)
+
+
+def _loss(error: DamagedError, messages: int) -> Loss:
+    return Loss(code=error.code, text=str(error), messages=messages)
 
 
 def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -1,0 +1,95 @@
+"""Columns of samples -> Recording: the one way, whatever kind of log they come from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imucal.arrays import FloatArray, IntArray
+from imucal.clock import Clock
+from imucal.findings import Finding
+from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
+
+_AXES: tuple[Axis, ...] = ("x", "y", "z")
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class RecordingBuilder:
+    """A recording in the making; sensors stand in it in the order in which they are added.
+
+    Attributes
+    ----------
+    path, format
+        The log as the user named it, and what it is.
+    decisions
+        What was decided, and why, in order.
+    findings
+        What was seen, in order; what is said twice is kept once.
+    """
+
+    path: str
+    format: str
+    decisions: list[tuple[str, str]] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    series: list[AxisSeries] = field(default_factory=list)
+    temperature: Temperature | None = None
+
+    def add_sensor(
+        self,
+        sensor: Sensor,
+        axes: Sequence[FloatArray] | FloatArray,
+        clock: Clock,
+        *,
+        order: IntArray | None = None,
+        scale: float = 1.0,
+    ) -> None:
+        """Add the axes of a sensor.
+
+        Parameters
+        ----------
+        axes
+            x, y and z, shape (n,) each; scaled in place where they are this package's own memory.
+        order
+            Samples to keep, in order, shape (clock.n,); None for all.
+        scale
+            SI per unit of the samples.
+        """
+        for axis, values in zip(_AXES, axes, strict=True):
+            samples = _scaled(_kept(values, order), scale)
+            self.series.append(AxisSeries(sensor=sensor, axis=axis, samples=samples, clock=clock))
+
+    def add_temperature(self, samples: FloatArray, clock: Clock, *, order: IntArray | None = None) -> None:
+        """Add a temperature in degrees Celsius, shape (n,); only the first one is kept."""
+        if self.temperature is None:
+            self.temperature = Temperature(samples=_kept(samples, order), clock=clock)
+
+    def build(self, *, topics: Sequence[str], message_types: Sequence[str] = ()) -> Recording:
+        """Return the recording."""
+        source = Source(
+            path=self.path,
+            format=self.format,
+            topics=tuple(topics),
+            message_types=tuple(message_types),
+            decisions=tuple(self.decisions),
+        )
+        return Recording(
+            source=source,
+            series=tuple(self.series),
+            temperature=self.temperature,
+            findings=tuple(dict.fromkeys(self.findings)),
+        )
+
+
+def _kept(values: FloatArray, order: IntArray | None) -> FloatArray:
+    """Return the samples to keep side by side in memory."""
+    return np.ascontiguousarray(values) if order is None else values[order]
+
+
+def _scaled(samples: FloatArray, scale: float) -> FloatArray:
+    """Return samples in SI; in place where they are this package's own memory."""
+    if scale == 1.0:
+        return samples
+    if samples.flags.writeable:
+        np.multiply(samples, scale, out=samples)
+        return samples
+    return samples * scale

@@ -1,0 +1,294 @@
+"""Logs of messages -> Recording: choose topics, decode them, and give each sensor its clock."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.errors import ChoiceError, DataError, ReadError
+from imucal.findings import Finding
+from imucal.readers.builder import RecordingBuilder
+from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks
+from imucal.readers.column_store import Columns, is_constant
+from imucal.readers.containers import Container, Loss
+from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.messages import (
+    Choice,
+    Topic,
+    choose,
+    decode,
+    find_topics,
+    live_sensors,
+    read_temperature,
+    stream_of,
+)
+from imucal.readers.read_options import Progress, ReadOptions
+from imucal.recording import Recording, Sensor
+from imucal.units import SAMPLE_UNITS
+
+#: Opens the files of a log; also returns the name of its format.
+OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], str]]
+
+#: Codes of findings that say a log is damaged.
+DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
+                    "definition"})  # fmt: skip
+
+#: Name of the time in the messages.
+_HEADER = "header stamp"
+_TIMES = (None, "header", "log")
+
+
+@dataclass(frozen=True, slots=True)
+class MessageReader:
+    """The reader of a format whose files are containers of messages."""
+
+    open_files: OpenFiles
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        """Read the IMU topic of a log.
+
+        Raises
+        ------
+        ReadError
+            If the log can't be read; `ChoiceError` if several topics fit or none does.
+        """
+        containers, form = self.open_files(path, options.progress)
+        return read_logs(containers, path, options, form=form)
+
+    def describe(self, path: Path, options: ReadOptions) -> LogContents:
+        """Return the topics of a log, by its index."""
+        containers, form = self.open_files(path, options.progress)
+        try:
+            return _describe(containers, path, options, form)
+        finally:
+            for container in containers:
+                container.close()
+
+
+def read_logs(containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str) -> Recording:
+    """Read the IMU samples of the files of one log, and close them.
+
+    Parameters
+    ----------
+    path
+        The log as the user named it.
+    form
+        Its format.
+    """
+    try:
+        return _read(containers, path, options, form)
+    finally:
+        for container in containers:
+            container.close()
+
+
+def _describe(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> LogContents:
+    topics = find_topics(containers, options)
+    starts = [c.start_ns for c in containers if c.start_ns is not None]
+    ends = [c.end_ns for c in containers if c.end_ns is not None]
+    return LogContents(
+        path=str(path),
+        format=form,
+        size_bytes=sum(container.size for container in containers),
+        topics=tuple(_contents(containers, topic, options) for topic in topics),
+        start_ns=min(starts, default=None),
+        duration_s=(max(ends) - min(starts)) / 1e9 if starts and ends else None,
+        compression=", ".join(sorted({container.compression for container in containers})),
+        findings=tuple(finding for container in containers for finding in container.findings),
+    )
+
+
+def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
+    sensors: tuple[Sensor, ...] = ()
+    note = topic.reason
+    if topic.imu is not None and topic.count != 0:
+        try:
+            alive = live_sensors(containers, topic, options)
+        except ReadError as error:
+            alive, note = frozenset(), str(error)
+        sensors = tuple(sensor for sensor in topic.imu.sensors if sensor in alive)
+        silent = [sensor for sensor in topic.imu.sensors if sensor not in alive]
+        note = note or (" and ".join(silent) + " constant: no data" if silent else "")
+        note = note or ("read only where it is named" if topic.imu.plain else "")
+    return TopicContents(
+        name=topic.name,
+        type=topic.type,
+        count=topic.count,
+        rate_hz=topic.rate_hz,
+        duration_s=topic.duration_s,
+        sensors=sensors,
+        note=note,
+    )
+
+
+def _read(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> Recording:
+    _refuse_options(path, options)
+    topics = find_topics(containers, options)
+    choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
+    streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
+    decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
+    work = RecordingBuilder(path=str(path), format=form)
+    work.findings += [finding for container in containers for finding in container.findings]
+    work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
+    for choice, decoding in zip(choices, decodings, strict=True):
+        work.findings += _loss_findings(decoding.losses)
+        if not decoding.columns.n:
+            raise _empty(path, choice, decoding.losses, work.findings)
+        _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
+    if work.temperature is None:
+        beside = read_temperature(containers, topics, choices[0].topic.name)
+        if beside is not None:
+            work.temperature, name = beside
+            work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
+    _refuse_damage(path, work.findings, options)
+    if not work.series:
+        seen = "; ".join(finding.text for finding in work.findings) or "no data"
+        msg = f"{path}: no sensor has samples that change: {seen}"
+        raise DataError(msg)
+    return work.build(
+        topics=[choice.topic.name for choice in choices],
+        message_types=[choice.topic.type for choice in choices],
+    )
+
+
+def _refuse_options(path: Path, options: ReadOptions) -> None:
+    if options.time not in _TIMES:
+        msg = f"{path}: messages have no time called {options.time!r}; expected header or log"
+        raise ChoiceError(msg)
+    if options.columns is not None:
+        msg = (
+            f"{path}: messages have no columns, but {options.columns!r} was asked for; "
+            "expected the name of a topic, or nothing"
+        )
+        raise ChoiceError(msg)
+
+
+def _empty(path: Path, choice: Choice, losses: Sequence[Loss], findings: Sequence[Finding]) -> ReadError:
+    reasons = [loss.text for loss in losses] + [finding.text for finding in findings]
+    why = reasons[0] if reasons else "the log holds none"
+    return ReadError(f"{path}: no message of topic {choice.topic.name} could be read: {why}")
+
+
+def _refuse_damage(path: Path, findings: list[Finding], options: ReadOptions) -> None:
+    damage = [finding for finding in findings if finding.code in DAMAGE]
+    if options.strict and damage:
+        msg = f"{path}: the log is damaged, and recovery was not wanted: {damage[0].text}"
+        raise ReadError(msg)
+
+
+def _loss_findings(losses: Sequence[Loss]) -> list[Finding]:
+    """Return one finding for each kind of loss."""
+    findings = []
+    for code in dict.fromkeys(loss.code for loss in losses):
+        same = [loss for loss in losses if loss.code == code]
+        lost = sum(loss.messages or 0 for loss in same)
+        where = f"{len(same)} places" if len(same) > 1 else "one place"
+        text = f"The log is damaged in {where}: {same[0].text}"
+        text += f"; about {lost} messages are lost." if lost else "; no message is lost by it."
+        findings.append(Finding(level="warning", code=code, text=text))
+    return findings
+
+
+def _add_topic(
+    work: RecordingBuilder, choice: Choice, columns: Columns, options: ReadOptions, *, alone: bool
+) -> None:
+    """Add the sensors of one topic."""
+    work.findings += [*_other_vectors(choice.topic), *_in_time_order(columns)]
+    reading = _clock(work.path, choice, columns, options)
+    clock, order = reading.clock, reading.order
+    label = choice.sensors[0].short if not alone and len(choice.sensors) == 1 else None
+    work.findings += [replace(finding, axis=label) for finding in reading.findings]
+    if clock.source == _HEADER:
+        work.findings += compare_clocks(columns.stamps, columns.log)
+    columns.release()
+    work.decisions.append(("time", clock.source))
+    for sensor, rows in columns.vectors.items():
+        if is_constant(rows):
+            value = ", ".join(f"{row[0]:g}" for row in rows)
+            text = f"The {sensor} of topic {choice.topic.name} is always ({value}): it has no data."
+            work.findings.append(Finding(level="warning", code="no-data", text=text, axis=sensor.short))
+            continue
+        factor, how = _factor(sensor, choice.topic, options)
+        work.decisions.append((f"{sensor} unit", how))
+        work.add_sensor(sensor, rows, clock, order=order, scale=factor)
+    if columns.temperature is not None and columns.temperature.any():
+        work.add_temperature(columns.temperature, clock, order=order)
+
+
+def _other_vectors(topic: Topic) -> list[Finding]:
+    """Return a finding for vectors of a message that could have been meant too."""
+    if topic.imu is None or not topic.imu.others:
+        return []
+    read = " and ".join(vector.field for vector in topic.imu.vectors)
+    text = f"Messages of {topic.name} hold {', '.join(topic.imu.others)} too; {read} were read."
+    return [Finding(level="warning", code="other-vectors", text=text)]
+
+
+def _in_time_order(columns: Columns) -> list[Finding]:
+    """Sort samples by log time where the file does not hold them in that order, in place.
+
+    Files are joined, channels merged and chunks written by several threads; a recorder's clock that was
+    set back is none of these. So the sort is undone where it brings the stamps out of order.
+    """
+    late = _steps_back(columns.log)
+    if not late:
+        return []
+    order = np.argsort(columns.log, kind="stable")
+    if _steps_back(columns.stamps[order]) > _steps_back(columns.stamps):
+        text = f"The log time goes back {late} times; the stamps do not, so the order of the file is kept."
+    else:
+        columns.reorder(order)
+        text = f"{late} messages stand in the file before earlier ones; they were put in order of log time."
+    return [Finding(level="info", code="log-out-of-order", text=text)]
+
+
+def _steps_back(times: NDArray[np.int64]) -> int:
+    return int(np.count_nonzero(times[1:] < times[:-1]))
+
+
+def _clock(path: str, choice: Choice, columns: Columns, options: ReadOptions) -> ClockReading:
+    own = choice.topic.imu is not None and choice.topic.imu.stamp is not None
+    by_log = options.time == "log"
+    return clock_from_stamps(
+        columns.log if by_log else columns.stamps,
+        source=LOG_TIME if by_log else (_HEADER if own else "stamp"),
+        where=f"{path}: topic {choice.topic.name}",
+        log_ns=columns.log,
+        rate_hz=options.rate_hz,
+        repeated=_repeated(columns),
+    )
+
+
+def _repeated(columns: Columns) -> NDArray[np.bool_] | None:
+    """Return the samples recorded twice: same stamp and same six values; None where there are none."""
+    same = np.flatnonzero(columns.stamps[1:] == columns.stamps[:-1]) + 1
+    if not same.size or len(columns.vectors) < 2:
+        return None
+    twin = columns.stamps[same] != 0
+    for rows in columns.vectors.values():
+        for row in rows:
+            twin &= row[same] == row[same - 1]
+    if not twin.any():
+        return None
+    repeated = np.zeros(columns.n, dtype=np.bool_)
+    repeated[same[twin]] = True
+    return repeated
+
+
+def _factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float, str]:
+    """Return what turns samples into SI, and why."""
+    unit, scale = options.unit_of(sensor), options.scale_of(sensor)
+    if scale is not None:
+        return scale, f"{scale:g} {sensor.unit} per count, given"
+    if unit is not None:
+        if unit not in SAMPLE_UNITS[sensor]:
+            known = ", ".join(SAMPLE_UNITS[sensor])
+            msg = f"the unit {unit!r} of the {sensor} is not known; expected one of {known}"
+            raise ChoiceError(msg)
+        return SAMPLE_UNITS[sensor][unit], f"{unit}, given"
+    standard = topic.imu is not None and topic.imu.standard
+    how = "from the message type" if standard else "assumed for this message type"
+    return 1.0, f"{sensor.unit}, {how}"
