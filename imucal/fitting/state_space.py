@@ -155,7 +155,7 @@ def _states(term: NoiseTerm, tau0: float, n: int) -> list[tuple[float, float, fl
         return []
     if isinstance(term, RateRandomWalk):
         return [(1.0, term.variance(tau0), math.inf)]
-    markov = (term,) if isinstance(term, GaussMarkov) else ()
+    markov: tuple[GaussMarkov, ...] = (term,) if isinstance(term, GaussMarkov) else ()
     if isinstance(term, BiasInstability):
         markov = gauss_markov_bank(term.value, tau0 / 2, 3 * n * tau0, _BANK_PER_DECADE)
     return [(t.phi(tau0), t.q(tau0) ** 2, t.sigma**2) for t in markov]

@@ -23,8 +23,8 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.spectral import fit_mle, spectral_view
 from imucal.fitting.spectral.likelihood import evaluate
-from imucal.fitting.spectral.mle import fit_mle, spectral_view
 from imucal.fitting.spectral.ordinates import LAWS
 from imucal.fitting.spectral.scoring import covariance
 from imucal.fitting.spectral.selection import choose

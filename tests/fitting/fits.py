@@ -6,9 +6,9 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.spectral import fit_mle
 from imucal.fitting.spectral.absent_terms import estimate_or_bound
 from imucal.fitting.spectral.estimates import Problem
-from imucal.fitting.spectral.mle import fit_mle
 from imucal.fitting.spectral.selection import choose
 from imucal.fitting.spectral.transform import ordinates_of
 from imucal.noise.model import NoiseModel, parse_structure
