@@ -16,7 +16,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.noise_fit import Estimate, NoiseFit, keys_of
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import GaussMarkov
 from imucal.recording import AxisSeries
@@ -151,13 +151,9 @@ def distances(
 def _values(model: NoiseModel) -> dict[str, float]:
     """Return the model's parameters under the names that a fit's covariance uses."""
     values: dict[str, float] = {}
-    count = sum(isinstance(term, GaussMarkov) for term in model.terms)
-    seen = 0
-    for term in model.terms:
+    for key, term in zip(keys_of([t.symbol for t in model.terms]), model.terms, strict=True):
         if isinstance(term, GaussMarkov):
-            seen += 1
-            key = "GM" if count == 1 else f"GM{seen}"
             values |= {f"{key}.sigma": term.sigma, f"{key}.T": term.T}
         else:
-            values[term.symbol] = abs(term.coefficient)
+            values[key] = abs(term.coefficient)
     return values

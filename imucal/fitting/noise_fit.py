@@ -1,6 +1,6 @@
 """NoiseFit: what explains an axis, with an interval on each number."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
@@ -60,6 +60,15 @@ class Estimate:
         if (self.value is None) != (self.status == "bounded"):
             msg = f"{self.key}: a bounded estimate has no value, an estimated one has: {self}"
             raise ValueError(msg)
+
+
+def keys_of(symbols: Sequence[str]) -> list[str]:
+    """Return the key of each term; several Gauss-Markov terms are ``GM1``, ``GM2`` and so on."""
+    count, seen, keys = symbols.count("GM"), 0, []
+    for symbol in symbols:
+        seen += symbol == "GM"
+        keys.append(f"GM{seen}" if symbol == "GM" and count > 1 else symbol)
+    return keys
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

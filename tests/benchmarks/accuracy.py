@@ -29,10 +29,10 @@ from imucal.fitting.spectral.ordinates import LAWS
 from imucal.fitting.spectral.scoring import covariance
 from imucal.fitting.spectral.selection import choose
 from imucal.fitting.spectral.structures import candidates_of, parameter_columns
-from imucal.fitting.spectral.transform import ordinates_of
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.noise.terms import GaussMarkov, PowerLawTerm
 from imucal.recording import AxisSeries
+from tests.fitting.fits import ordinates_of
 
 #: The settings of the study: per-sample units, the sampling period is 1 s.
 SETTINGS = {

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucal.fitting.noise_fit import Estimate
-from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, keys_of
+from imucal.fitting.noise_fit import Estimate, keys_of
+from imucal.fitting.spectral.estimates import Fitted, Problem, estimate
 from imucal.fitting.spectral.intervals import quantile
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import LAWS
@@ -109,13 +109,13 @@ def _bound(problem: Problem, choice: RankedModels, fitted: Fitted, symbol: str) 
 
 def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
     """Return the fit of the structure without some of its terms, started where it stands."""
-    kept = [(key, symbol) for key, symbol in keys_of(fitted.structure) if key not in keys]
-    structure = tuple(symbol for _, symbol in kept)
+    terms = list(zip(keys_of(fitted.structure), fitted.structure, strict=True))
+    structure = tuple(symbol for key, symbol in terms if key not in keys)
     candidate = _like(problem, fitted, structure, structure.count("GM"))
     start = np.zeros((1, candidate.width))
     start[0, :4] = fitted.maximum.theta[0, :4]
     old_room, room = fitted.candidate.room_markov, candidate.room_markov
-    markov = [key for key, symbol in keys_of(fitted.structure) if symbol == "GM"]
+    markov = [key for key, symbol in terms if symbol == "GM"]
     places = [i for i, key in enumerate(markov) if key not in keys]
     for new, old in enumerate(places):
         start[0, 4 + new] = fitted.maximum.theta[0, 4 + old]

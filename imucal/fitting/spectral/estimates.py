@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import Estimate, Interval
+from imucal.fitting.noise_fit import Estimate, Interval, keys_of
 from imucal.fitting.spectral.intervals import RAMP, profile_limits
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import Ordinates
@@ -99,16 +99,8 @@ def estimate(problem: Problem, fitted: Fitted) -> tuple[Estimate, ...]:
         name: (float(value), float(low), float(high))
         for (name, _), value, low, high in zip(columns, values, lows, highs, strict=True)
     }
-    return tuple(_term(problem, key, symbol, table) for key, symbol in keys_of(fitted.structure))
-
-
-def keys_of(structure: Structure) -> list[tuple[str, str]]:
-    """Return key and symbol of each term: several Gauss-Markov terms are ``GM1``, ``GM2`` and so on."""
-    keys, count, seen = [], structure.count("GM"), 0
-    for symbol in structure:
-        seen += symbol == "GM"
-        keys.append((f"GM{seen}" if symbol == "GM" and count > 1 else symbol, symbol))
-    return keys
+    keys = keys_of(fitted.structure)
+    return tuple(_term(problem, key, s, table) for key, s in zip(keys, fitted.structure, strict=True))
 
 
 def _term(problem: Problem, key: str, symbol: str, table: dict[str, tuple[float, float, float]]) -> Estimate:
