@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, NoiseFit
-from imucal.fitting.spectral.precision import named_terms, relative_deviations
+from imucal.fitting.spectral import named_terms, relative_deviations
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS

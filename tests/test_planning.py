@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from imucal.fitting import FitSettings
-from imucal.fitting.moments.gmwm import fit_gmwm
-from imucal.fitting.spectral.precision import relative_deviations
+from imucal.fitting.moments import fit_gmwm
+from imucal.fitting.spectral import relative_deviations
 from imucal.noise.model import NoiseModel
 from imucal.planning import describe_time, plan, resolution_findings
 from tests.fitting.moments.curves import simulated_curve

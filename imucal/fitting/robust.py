@@ -36,7 +36,7 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     The very same series is returned where there are none. Noise that replaces spikes is drawn from
     a fixed seed, so that the same log gives the same result.
     """
-    spike, baseline, deviation = _detect(series.samples)
+    spike, baseline, deviation = find_spikes(series.samples)
     count = int(spike.sum())
     if not count:
         return series, ()
@@ -46,8 +46,8 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     return replace(series, samples=samples), (_finding(series, spike, baseline, deviation),)
 
 
-def spikes(series: AxisSeries) -> NDArray[np.bool_]:
-    """Return which samples are spikes, shape (n,).
+def find_spikes(samples: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, float]:
+    """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it.
 
     Notes
     -----
@@ -57,7 +57,26 @@ def spikes(series: AxisSeries) -> NDArray[np.bool_]:
 
     Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
     """
-    return _detect(series.samples)[0]
+    from scipy.special import ndtri
+
+    if samples.size < 20:
+        return np.zeros(samples.size, dtype=bool), samples, 0.0
+    baseline = _baseline(samples)
+    distance = np.abs(samples - baseline)
+    deviation = _DEVIATION * float(np.median(distance))
+    if deviation == 0:
+        # More than half of the samples lie on the baseline: coarse steps, of which one is no spike.
+        deviation = step_size(samples) or 0.0
+    if deviation == 0:
+        return np.zeros(samples.size, dtype=bool), baseline, 0.0
+    reach = max(_LEAST_DISTANCE, -float(ndtri(_FALSE_ALARMS / (2 * samples.size))))
+    spike = distance > reach * deviation
+    if spike.any():
+        # Coarse steps put the median deviation on a step; the others' root mean square is not.
+        spread = float(np.sqrt(np.mean(np.square(distance[~spike]))))
+        deviation = max(deviation, spread)
+        spike = distance > reach * deviation
+    return spike, baseline, deviation
 
 
 def step_size(samples: FloatArray) -> float | None:
@@ -114,30 +133,6 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
             f"without it N = {np.sqrt(N**2 - rounding):.4g} {unit}.",
         ),
     )
-
-
-def _detect(samples: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, float]:
-    """Return which samples are spikes, the baseline, and the standard deviation about it."""
-    from scipy.special import ndtri
-
-    if samples.size < 20:
-        return np.zeros(samples.size, dtype=bool), samples, 0.0
-    baseline = _baseline(samples)
-    distance = np.abs(samples - baseline)
-    deviation = _DEVIATION * float(np.median(distance))
-    if deviation == 0:
-        # More than half of the samples lie on the baseline: coarse steps, of which one is no spike.
-        deviation = step_size(samples) or 0.0
-    if deviation == 0:
-        return np.zeros(samples.size, dtype=bool), baseline, 0.0
-    reach = max(_LEAST_DISTANCE, -float(ndtri(_FALSE_ALARMS / (2 * samples.size))))
-    spike = distance > reach * deviation
-    if spike.any():
-        # Coarse steps put the median deviation on a step; the others' root mean square is not.
-        spread = float(np.sqrt(np.mean(np.square(distance[~spike]))))
-        deviation = max(deviation, spread)
-        spike = distance > reach * deviation
-    return spike, baseline, deviation
 
 
 def _baseline(samples: FloatArray) -> FloatArray:

@@ -14,9 +14,9 @@ from imucal.recording import AxisSeries
 
 #: Method -> the module and the function that fit by it; the module is imported when it is used.
 METHODS: dict[str, tuple[str, str]] = {
-    "mle": ("imucal.fitting.spectral.mle", "fit_mle"),
-    "gmwm": ("imucal.fitting.moments.gmwm", "fit_gmwm"),
-    "slope": ("imucal.fitting.moments.slope", "fit_slope"),
+    "mle": ("imucal.fitting.spectral", "fit_mle"),
+    "gmwm": ("imucal.fitting.moments", "fit_gmwm"),
+    "slope": ("imucal.fitting.moments", "fit_slope"),
 }
 
 #: Information criteria that choose between models.

@@ -11,7 +11,7 @@ from imucal.allan.curve import AllanCurve
 from imucal.allan.deviation_table import read_curve
 from imucal.errors import ReadError
 from imucal.fitting import FitSettings
-from imucal.fitting.moments.gmwm import fit_gmwm
+from imucal.fitting.moments import fit_gmwm
 from imucal.recording import Sensor
 from tests.real_data import real_data
 

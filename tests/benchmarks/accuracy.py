@@ -23,17 +23,17 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.spectral import fit_mle, spectral_view
 from imucal.fitting.spectral.likelihood import evaluate
-from imucal.fitting.spectral.mle import fit_mle, spectral_view
 from imucal.fitting.spectral.ordinates import LAWS
 from imucal.fitting.spectral.scoring import covariance
 from imucal.fitting.spectral.selection import choose
 from imucal.fitting.spectral.structures import candidates_of, parameter_columns
-from imucal.fitting.spectral.transform import ordinates_of
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.noise.term import PowerLawTerm
 from imucal.noise.terms import GaussMarkov
 from imucal.recording import AxisSeries
+from tests.fitting.fits import ordinates_of
 
 #: The settings of the study: per-sample units, the sampling period is 1 s.
 SETTINGS = {

@@ -13,9 +13,9 @@ import time
 import numpy as np
 
 from imucal.fitting import FitSettings
-from imucal.fitting.moments.gmwm import fit_gmwm
+from imucal.fitting.moments import fit_gmwm
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.fitting.spectral.precision import relative_deviations
+from imucal.fitting.spectral import relative_deviations
 from imucal.noise.model import NoiseModel
 from tests.fitting.moments.curves import simulated_curve
 

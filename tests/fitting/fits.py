@@ -3,18 +3,21 @@
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
+from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.spectral import fit_mle
 from imucal.fitting.spectral.absent_terms import estimate_or_bound
+from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.estimates import Problem
-from imucal.fitting.spectral.mle import fit_mle
+from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.selection import choose
-from imucal.fitting.spectral.transform import ordinates_of
+from imucal.fitting.spectral.transform import bin_blocks
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.recording import AxisSeries
 
-__all__ = ["estimated", "fitted", "no_curve", "simulated"]
+__all__ = ["estimated", "fitted", "no_curve", "ordinates_of", "simulated"]
 
 
 def simulated(text: str, n: int, seed: int, *, rate_hz: float = 1.0) -> FloatArray:
@@ -48,6 +51,12 @@ def fitted(
         FitSettings(model=model, level=level, criterion=criterion, max_gm=max_gm),
         temperature,
     )
+
+
+def ordinates_of(samples: FloatArray) -> Ordinates:
+    """Return the binned ordinates of unbroken samples as they are, with the ramp as regressor."""
+    bins = dct_bins(samples.size)
+    return bin_blocks([Block(offset=0, bins=bins, ordinates=dct_ordinates(samples))], 1.0)
 
 
 def estimated(samples: FloatArray, model: str, *, level: float = 0.95) -> dict[str, Estimate]:

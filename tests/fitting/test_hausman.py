@@ -9,9 +9,9 @@ from imucal.allan import allan_curve
 from imucal.findings import Finding
 from imucal.fitting import FitSettings
 from imucal.fitting.cross_checks import second_opinion
-from imucal.fitting.moments.gmwm import fit_gmwm
+from imucal.fitting.moments import fit_gmwm
 from imucal.fitting.noise_fit import Estimate, NoiseFit
-from imucal.fitting.spectral.mle import fit_mle
+from imucal.fitting.spectral import fit_mle
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 from tests.fitting.moments.curves import simulated_curve

@@ -1,6 +1,7 @@
 """Estimates with intervals, in SI, of a model that was fitted to Allan variances."""
 
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from imucal.fitting.moments.av_points import AvarPoints, columns
 from imucal.fitting.moments.av_search import Solution, Weight, non_negative
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import ALWAYS, TERMS
+from imucal.noise.terms import ALWAYS, TERMS, term_keys
 
 _ORDER = "QNBKR"
 
@@ -44,13 +45,13 @@ def curve_estimates(
     laws = "".join(law for law in _ORDER if law in solution.laws or law in ALWAYS)
     spread = Spread(curve=CurveSpread.of_terms(points, laws, solution.times), weight=weight)
     reader = _Reader(points, spread, _padded(solution, laws), solution.laws, level)
-    entries: list[tuple[Estimate, int]] = []
-    for symbol in TERMS:
-        if symbol in laws:
-            entries.append((reader.law(symbol), laws.index(symbol)))
-        elif symbol == "GM":
-            places = range(len(laws), len(laws) + solution.times.size)
-            entries += [(reader.gauss_markov(place), place) for place in places]
+    symbols = sorted([*laws, *["GM"] * solution.times.size], key=list(TERMS).index)
+    gauss_markov = count(len(laws))
+    places = [next(gauss_markov) if s == "GM" else laws.index(s) for s in symbols]
+    entries = [
+        (reader.estimate(place, key, symbol), place)
+        for place, key, symbol in zip(places, term_keys(symbols), symbols, strict=True)
+    ]
     names, covariance = reader.covariance([(e, place) for e, place in entries if e.value is not None])
     return CurveEstimates(
         estimates=tuple(estimate for estimate, _ in entries),
@@ -86,35 +87,19 @@ class _Reader:
         self.free = self.inside & (solution.variances > 0)
         self.count = count
 
-    def law(self, symbol: str) -> Estimate:
-        place = self.solution.laws.index(symbol)
+    def estimate(self, place: int, key: str, symbol: str) -> Estimate:
         low, high = self._interval(place)
-        value = float(self.solution.variances[place])
         to_si = self.points.coefficient
-        shown = low > 0 and bool(self.inside[place])
+        if not (low > 0 and self.inside[place]):
+            return Estimate.bounded(key, symbol, to_si(symbol, high))
         return Estimate(
-            key=symbol,
+            key=key,
             symbol=symbol,
-            status="estimated" if shown else "bounded",
-            value=to_si(symbol, value) if shown else None,
-            low=to_si(symbol, low) if shown else 0.0,
+            status="estimated",
+            value=to_si(symbol, float(self.solution.variances[place])),
+            low=to_si(symbol, low),
             high=to_si(symbol, high),
-        )
-
-    def gauss_markov(self, place: int) -> Estimate:
-        low, high = self._interval(place)
-        value = float(self.solution.variances[place])
-        index, total = place - self.count, self.solution.times.size
-        to_si = self.points.coefficient
-        shown = low > 0
-        return Estimate(
-            key="GM" if total == 1 else f"GM{index + 1}",
-            symbol="GM",
-            status="estimated" if shown else "bounded",
-            value=to_si("GM", value) if shown else None,
-            low=to_si("GM", low) if shown else 0.0,
-            high=to_si("GM", high),
-            correlation_time=self._time(index) if shown else None,
+            correlation_time=self._time(place - self.count) if symbol == "GM" else None,
         )
 
     def _time(self, index: int) -> Interval:

@@ -11,7 +11,7 @@ of a logarithm; where other terms make the spread, it is Wald's; it always has a
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,12 +39,7 @@ class CurveSpread:
 
     def within(self, first: int) -> "CurveSpread":
         """Return it for the points from index `first` on."""
-        return CurveSpread(
-            points=self.points.within(first),
-            laws=self.laws,
-            times=self.times,
-            gaussian=self.gaussian.within(first),
-        )
+        return replace(self, points=self.points.within(first), gaussian=self.gaussian.within(first))
 
     def at(self, variances: FloatArray) -> FloatArray:
         """Return the covariance, shape (k, k), at variances in the order of `columns`.

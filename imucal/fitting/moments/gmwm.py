@@ -72,13 +72,25 @@ def fit_gmwm(
         rough = dictionary(points, eta3)
         spread = CurveSpread.of_terms(points, rough.laws, rough.times)
         kept, fitted = best_band(points, ModelSearch(spread, rough, settings))
-    return _result(
-        series,
-        curve,
-        points=kept,
-        dropped=points.size - kept.size,
-        fitted=fitted,
-        settings=settings,
+    solution = fitted.solution
+    found = curve_estimates(kept, solution, fitted.weight, level=settings.level)
+    fit = goodness(kept, solution, found.curve_covariance)
+    return NoiseFit(
+        method="gmwm",
+        sensor=series.sensor if series is not None else None,
+        rate_hz=series.rate_hz if series is not None else 1 / kept.tau0,
+        level=settings.level,
+        model=model_of(kept, solution),
+        estimates=found.estimates,
+        parameters=found.parameters,
+        covariance=read_only(found.covariance),
+        goodness=fit,
+        curve=_with_edf(curve, kept, solution, found.curve_covariance),
+        used=kept.used,
+        candidates=_candidates(fitted.ranking),
+        criterion=settings.chosen_by,
+        findings=_findings(series, kept, fit, points.size - kept.size, _text(solution)),
+        settings={"weights": settings.weights},
     )
 
 
@@ -104,37 +116,6 @@ def _eta3_widths(points: AvarPoints) -> FloatArray:
     edf = np.maximum(terms / (2 * points.m), 1.0)
     width = edf * points.avar * (1 / chdtri(edf, 0.975) - 1 / chdtri(edf, 0.025))
     return np.asarray(width, dtype=np.float64)
-
-
-def _result(
-    series: AxisSeries | None,
-    curve: AllanCurve,
-    *,
-    points: AvarPoints,
-    dropped: int,
-    fitted: CurveFit,
-    settings: FitSettings,
-) -> NoiseFit:
-    solution = fitted.solution
-    found = curve_estimates(points, solution, fitted.weight, level=settings.level)
-    fit = goodness(points, solution, found.curve_covariance)
-    return NoiseFit(
-        method="gmwm",
-        sensor=series.sensor if series is not None else None,
-        rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
-        level=settings.level,
-        model=model_of(points, solution),
-        estimates=found.estimates,
-        parameters=found.parameters,
-        covariance=read_only(found.covariance),
-        goodness=fit,
-        curve=_with_edf(curve, points, solution, found.curve_covariance),
-        used=points.used,
-        candidates=_candidates(fitted.ranking),
-        criterion=settings.chosen_by,
-        findings=_findings(series, points, fit, dropped, _text(solution)),
-        settings={"weights": settings.weights},
-    )
 
 
 def _with_edf(

@@ -1,3 +1,6 @@
-"""Maximum likelihood on the spectrum of the samples."""
+"""Maximum likelihood on the spectrum of the samples, and how well a record can tell a model."""
 
-__all__: list[str] = []
+from imucal.fitting.spectral.mle import fit_mle, spectral_view
+from imucal.fitting.spectral.precision import named_terms, relative_deviations
+
+__all__ = ["fit_mle", "named_terms", "relative_deviations", "spectral_view"]

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.fitting.noise_fit import Estimate
-from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, keys_of
+from imucal.fitting.spectral.estimates import Fitted, Problem, estimate
 from imucal.fitting.spectral.intervals import quantile
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import LAWS, MARKOV
 from imucal.fitting.spectral.scoring import bounds, maximize
 from imucal.fitting.spectral.selection import RankedModels
 from imucal.fitting.spectral.structures import Structure, candidates_of
-from imucal.noise.terms import ALWAYS, TERMS, in_order
+from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 
 #: An absent term's bound holds for all models whose criterion is within this of the best, at most so many.
 _BOUND_WITHIN, _BOUND_MODELS = 6.0, 4
@@ -107,13 +107,13 @@ def _bound(problem: Problem, choice: RankedModels, fitted: Fitted, symbol: str) 
 
 def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
     """Return the fit of the structure without some of its terms, started where it stands."""
-    kept = [(key, symbol) for key, symbol in keys_of(fitted.structure) if key not in keys]
-    structure = tuple(symbol for _, symbol in kept)
+    terms = list(zip(term_keys(fitted.structure), fitted.structure, strict=True))
+    structure = tuple(symbol for key, symbol in terms if key not in keys)
     candidate = _like(problem, fitted, structure, structure.count("GM"))
     start = np.zeros((1, candidate.width))
     start[0, :MARKOV] = fitted.maximum.theta[0, :MARKOV]
     old_room, room = fitted.candidate.room_markov, candidate.room_markov
-    markov = [key for key, symbol in keys_of(fitted.structure) if symbol == "GM"]
+    markov = [key for key, symbol in terms if symbol == "GM"]
     places = [i for i, key in enumerate(markov) if key not in keys]
     for new, old in enumerate(places):
         start[0, MARKOV + new] = fitted.maximum.theta[0, MARKOV + old]

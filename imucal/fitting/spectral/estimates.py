@@ -96,12 +96,8 @@ def estimate(problem: Problem, fitted: Fitted) -> tuple[Estimate, ...]:
         name: (float(value), float(low), float(high))
         for (name, _), value, low, high in zip(columns, values, lows, highs, strict=True)
     }
-    return tuple(_term(problem, key, symbol, table) for key, symbol in keys_of(fitted.structure))
-
-
-def keys_of(structure: Structure) -> list[tuple[str, str]]:
-    """Return key and symbol of each term: several Gauss-Markov terms are ``GM1``, ``GM2`` and so on."""
-    return list(zip(term_keys(structure), structure, strict=True))
+    keys = term_keys(fitted.structure)
+    return tuple(_term(problem, key, s, table) for key, s in zip(keys, fitted.structure, strict=True))
 
 
 def _term(problem: Problem, key: str, symbol: str, table: dict[str, tuple[float, float, float]]) -> Estimate:

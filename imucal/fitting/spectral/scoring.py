@@ -113,27 +113,28 @@ def maximize(
     low, high = bounds(ordinates, candidates, shortest=shortest)
     moving = candidates.free if free is None else free & candidates.free
     theta = np.clip(start, low, high)
-    state = _State(evaluate(ordinates, candidates, theta, ramp=ramp), theta)
+    state = evaluate(ordinates, candidates, theta, ramp=ramp)
     damping = np.full(candidates.count, 1e-3)
     active = np.isfinite(state.objective) & moving.any(axis=1)
     for _ in range(iterations):
         rows = np.flatnonzero(active)
         if not rows.size:
             break
-        trial = _step(state, rows, moving, damping, (low, high))
+        trial = _step(state, theta, rows, moving, damping, limits=(low, high))
         found = evaluate(ordinates, candidates.take(rows), trial, ramp=None if ramp is None else ramp[rows])
         gain = state.objective[rows] - found.objective
         noise = 1e-14 * np.abs(state.objective[rows])
         better = gain >= -noise
-        moved = np.max(np.abs(trial - state.theta[rows]), axis=1)
-        state.accept(rows[better], trial[better], found, better)
+        moved = np.max(np.abs(trial - theta[rows]), axis=1)
+        theta[rows[better]] = trial[better]
+        _accept(state, rows, found, better)
         damping[rows] = np.where(better, np.maximum(damping[rows] * 0.2, 1e-9), damping[rows] * 6)
         done = (better & ((gain < tolerance) & (moved < 1e-3) | (gain < 0.01 * tolerance + noise))) | (
             damping[rows] > 1e7
         )
         active[rows[done]] = False
     return Maximum(
-        theta=state.theta,
+        theta=theta,
         objective=state.objective,
         information=state.information,
         beta=state.beta,
@@ -142,38 +143,24 @@ def maximize(
     )
 
 
-class _State:
-    """Where every candidate stands; rows are replaced as they improve."""
-
-    def __init__(self, evaluation: Evaluation, theta: FloatArray) -> None:
-        self.theta = theta
-        self.objective = evaluation.objective
-        self.score = evaluation.score
-        self.information = evaluation.information
-        self.beta = evaluation.beta
-        self.beta_covariance = evaluation.beta_covariance
-
-    def accept(
-        self, rows: NDArray[np.int64], theta: FloatArray, found: Evaluation, better: NDArray[np.bool_]
-    ) -> None:
-        self.theta[rows] = theta
-        self.objective[rows] = found.objective[better]
-        self.score[rows] = found.score[better]
-        self.information[rows] = found.information[better]
-        self.beta[rows] = found.beta[better]
-        self.beta_covariance[rows] = found.beta_covariance[better]
+def _accept(state: Evaluation, rows: NDArray[np.int64], found: Evaluation, better: NDArray[np.bool_]) -> None:
+    """Put what was found for the better rows in their place."""
+    for name in ("objective", "score", "information", "beta", "beta_covariance"):
+        getattr(state, name)[rows[better]] = getattr(found, name)[better]
 
 
 def _step(
-    state: _State,
+    state: Evaluation,
+    at: FloatArray,
     rows: NDArray[np.int64],
     moving: NDArray[np.bool_],
     damping: FloatArray,
+    *,
     limits: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
     """Return the damped scoring step from where the rows stand, inside the bounds."""
     low, high = limits
-    theta, score = state.theta[rows], state.score[rows]
+    theta, score = at[rows], state.score[rows]
     at_bound = (theta <= low) & (score > 0) | (theta >= high) & (score < 0)
     move = moving[rows] & ~at_bound
     matrix = np.where(move[:, :, None] & move[:, None, :], state.information[rows], 0.0)

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.spectral.blocks import Block
@@ -83,12 +82,6 @@ def _bin(block: Block, names: tuple[str, ...]) -> dict[str, FloatArray]:
         "cross": cross,
         "gram": gram,
     }
-
-
-def ordinates_of(samples: FloatArray) -> Ordinates:
-    """Return the binned ordinates of unbroken samples as they are, with the ramp as regressor."""
-    bins = dct_bins(samples.size)
-    return bin_blocks([Block(offset=0, bins=bins, ordinates=dct_ordinates(samples))], 1.0)
 
 
 def choose_regressors(

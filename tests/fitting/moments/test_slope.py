@@ -5,7 +5,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.fitting import FitSettings, fit
-from imucal.fitting.moments.slope import fit_slope
+from imucal.fitting.moments import fit_slope
 from tests.fitting.moments.curves import simulated_curve
 
 

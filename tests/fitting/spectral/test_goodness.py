@@ -7,10 +7,9 @@ from imucal.fitting.cross_checks import distances, verify_findings
 from imucal.fitting.robust import heavy_tails
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.structures import candidates_of
-from imucal.fitting.spectral.transform import ordinates_of
 from imucal.noise.model import parse_structure
 from imucal.recording import AxisSeries
-from tests.fitting.fits import fitted, simulated
+from tests.fitting.fits import fitted, ordinates_of, simulated
 
 
 def test_score_of_the_truth_is_standard_normal() -> None:

@@ -5,8 +5,7 @@ import pytest
 
 from imucal.fitting.spectral.selection import choose
 from imucal.fitting.spectral.structures import all_structures
-from imucal.fitting.spectral.transform import ordinates_of
-from tests.fitting.fits import estimated, fitted, simulated
+from tests.fitting.fits import estimated, fitted, ordinates_of, simulated
 
 REPEATS = 150
 #: Three standard errors of a proportion of 0.95.

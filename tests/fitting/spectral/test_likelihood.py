@@ -8,8 +8,8 @@ from imucal.arrays import FloatArray
 from imucal.fitting.spectral.likelihood import Candidates, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.structures import candidates_of
-from imucal.fitting.spectral.transform import ordinates_of
 from imucal.noise.model import NoiseModel
+from tests.fitting.fits import ordinates_of
 
 
 def ordinates(n: int = 600, text: str = "N=1 + B=0.3 + K=0.05", seed: int = 1) -> Ordinates:

@@ -6,9 +6,8 @@ import pytest
 from imucal.fitting import fit
 from imucal.fitting.spectral.selection import choose, penalty
 from imucal.fitting.spectral.structures import all_structures, candidates_of, parameter_columns
-from imucal.fitting.spectral.transform import ordinates_of
 from imucal.recording import AxisSeries
-from tests.fitting.fits import fitted, simulated
+from tests.fitting.fits import fitted, ordinates_of, simulated
 
 
 @pytest.mark.parametrize(
