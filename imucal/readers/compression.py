@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
-from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.files import DamagedError
 
 #: Sizes up to this are taken as they come, in bytes.
 _SMALL = 1 << 26
@@ -31,7 +31,7 @@ def keep_freed_memory() -> None:
     del del_me
 
 
-def decompress(kind: str, data: memoryview, size: int, scratch: Scratch) -> memoryview:
+def decompress(kind: str, data: memoryview, size: int) -> memoryview:
     """Return the `size` bytes that `data` holds.
 
     Raises
@@ -51,7 +51,7 @@ def decompress(kind: str, data: memoryview, size: int, scratch: Scratch) -> memo
     if unpack is None:
         msg = f"compression {kind!r} is unknown; expected one of zstd, lz4, bz2"
         raise DamagedError(msg, code="compression")
-    raw = unpack(data, size, scratch)
+    raw = unpack(data, size)
     if len(raw) != size:
         msg = f"a chunk holds {len(raw)} bytes instead of the {size} it claims"
         raise DamagedError(msg)
@@ -122,7 +122,7 @@ def _gather(parts: object, size: int) -> bytes:
     return bytes(joined[:size])
 
 
-def _unpack_zstd(data: memoryview, size: int, scratch: Scratch) -> memoryview:
+def _unpack_zstd(data: memoryview, size: int) -> memoryview:
     import zstandard
 
     try:
@@ -134,14 +134,12 @@ def _unpack_zstd(data: memoryview, size: int, scratch: Scratch) -> memoryview:
     except (zstandard.ZstdError, MemoryError) as error:
         msg = f"a zstd chunk is damaged: {error}"
         raise DamagedError(msg) from error
-    del scratch
     return memoryview(raw)
 
 
-def _unpack_lz4(data: memoryview, size: int, scratch: Scratch) -> memoryview:
+def _unpack_lz4(data: memoryview, size: int) -> memoryview:
     import lz4.frame
 
-    del scratch
     try:
         stated = lz4.frame.get_frame_info(data[:32]).get("content_size", 0)
         if stated > size:
@@ -163,8 +161,7 @@ def _unpack_lz4(data: memoryview, size: int, scratch: Scratch) -> memoryview:
     return memoryview(b"".join(parts))
 
 
-def _unpack_bz2(data: memoryview, size: int, scratch: Scratch) -> memoryview:
-    del scratch
+def _unpack_bz2(data: memoryview, size: int) -> memoryview:
     try:
         machine = bz2.BZ2Decompressor()
         # One byte more than is wanted: the checksum is only looked at when the end is reached.
@@ -178,7 +175,7 @@ def _unpack_bz2(data: memoryview, size: int, scratch: Scratch) -> memoryview:
     return memoryview(raw)
 
 
-_UNPACK: dict[str, Callable[[memoryview, int, Scratch], memoryview]] = {
+_UNPACK: dict[str, Callable[[memoryview, int], memoryview]] = {
     "zstd": _unpack_zstd,
     "lz4": _unpack_lz4,
     "bz2": _unpack_bz2,

@@ -3,8 +3,6 @@
 import os
 import threading
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from imucal.errors import ReadError
 
@@ -33,14 +31,6 @@ class LogFile:
             raise ReadError(msg) from error
         self.path = path
         self._lock = threading.Lock()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the file."""
@@ -87,14 +77,13 @@ class LogFile:
 
 
 class Scratch:
-    """Buffers of one thread, used again for every chunk so that memory is touched once."""
+    """The buffer of one thread, used again for every chunk so that memory is touched once."""
 
     def __init__(self) -> None:
-        self._buffers: dict[str, bytearray] = {}
+        self._held = bytearray()
 
-    def buffer(self, name: str, size: int) -> memoryview:
+    def buffer(self, size: int) -> memoryview:
         """Return a buffer of `size` bytes; its content is that of the last use."""
-        held = self._buffers.get(name)
-        if held is None or len(held) < size:
-            held = self._buffers[name] = bytearray(size + size // 8)
-        return memoryview(held)[:size]
+        if len(self._held) < size:
+            self._held = bytearray(size + size // 8)
+        return memoryview(self._held)[:size]

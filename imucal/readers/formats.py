@@ -56,6 +56,8 @@ class Format:
         The first bytes, and the endings that its files usually have.
     damaged_start
         Whether a file of that ending which looks like text is one whose first bytes are damaged.
+    folders
+        Whether folders are of this format, unless they hold tables.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Format:
     magic: tuple[bytes, ...] = ()
     suffixes: tuple[str, ...] = ()
     damaged_start: bool = False
+    folders: bool = False
 
 
 #: In the order in which they are tried; the last one takes all text.
@@ -90,6 +93,7 @@ FORMATS: tuple[Format, ...] = (
         messages=True,
         magic=(b"SQLite format 3\x00",),
         suffixes=(".db3", ".db3.zstd", ".mcap.zstd"),
+        folders=True,
     ),
     Format(
         name="PX4 ULog",
@@ -121,20 +125,29 @@ def detect(path: Path) -> Format:
     if str(path) == STDIN:
         return text
     if path.is_dir():
-        return text if _holds_tables(path) else _named("ROS 2 bag")
+        return text if _holds_tables(path) else next(e for e in FORMATS if e.folders)
     head = _first_bytes(path)
-    by_magic = next((entry for entry in FORMATS if entry.magic and head.startswith(entry.magic)), None)
-    if by_magic is not None:
-        return by_magic
-    ending = _by_suffix(path)
+    # `startswith` is false of no magic at all.
+    by_magic = next((entry for entry in FORMATS if head.startswith(entry.magic)), None)
+    return by_magic or _by_ending(path, head)
+
+
+def _by_ending(path: Path, head: bytes) -> Format:
+    """Return the format of a file whose first bytes say only whether it is text, compressed or binary."""
+    text = FORMATS[-1]
+    name = path.name.lower()
+    ending = next((entry for entry in FORMATS if name.endswith(entry.suffixes)), text)
     if head.startswith(_COMPRESSED):
-        return ending or text
+        return ending
     if b"\x00" not in head or head.startswith(_BYTE_ORDER_MARKS):
         # A damaged binary log may have lost its first bytes; text never ends in .mcap.
-        return ending if ending is not None and ending.damaged_start else text
-    if ending is not None and ending is not text:
-        return ending
-    raise _unknown(path, head)
+        return ending if ending.damaged_start else text
+    if ending is text:
+        known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
+        start = head[:8].hex(" ")
+        msg = f"{path}: binary data of an unknown format (first bytes {start}); expected one of {known}"
+        raise ReadError(msg)
+    return ending
 
 
 def load(entry: Format) -> Reader:
@@ -151,27 +164,11 @@ def load_opener(entry: Format) -> Opener:
     return cast("Opener", importlib.import_module(entry.module))
 
 
-def _unknown(path: Path, head: bytes) -> ReadError:
-    known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
-    return ReadError(
-        f"{path}: binary data of an unknown format (first bytes {head[:8].hex(' ')}); expected one of {known}"
-    )
-
-
 def _holds_tables(folder: Path) -> bool:
     """Return whether a folder is an app's set of text tables, and not a bag."""
     names = [entry.name.lower() for entry in folder.iterdir()]
     bag = any(name == "metadata.yaml" or ".db3" in name or ".mcap" in name for name in names)
     return not bag and any(name.endswith(FORMATS[-1].suffixes) for name in names)
-
-
-def _named(name: str) -> Format:
-    return next(entry for entry in FORMATS if entry.name == name)
-
-
-def _by_suffix(path: Path) -> Format | None:
-    name = path.name.lower()
-    return next((entry for entry in FORMATS if name.endswith(entry.suffixes)), None)
 
 
 def _first_bytes(path: Path) -> bytes:

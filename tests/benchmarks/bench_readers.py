@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, cast
 
@@ -224,12 +225,12 @@ def _decompress_bag(path: Path) -> None:
     from imucal.readers.files import LogFile, Scratch
 
     bag, scratch = BagFile(path), Scratch()
-    with LogFile(path) as file:
+    with closing(LogFile(path)) as file:
         for task in bag.tasks(frozenset(channel.key for channel in bag.channels)):
             chunk = cast("BagChunkTask", task)
-            region = scratch.buffer("chunk", chunk.size)
+            region = scratch.buffer(chunk.size)
             file.into(chunk.position, region)
-            unpack(region, scratch)
+            unpack(region)
 
 
 def _unpackers() -> dict[str, Callable[[bytes], object]]:

@@ -51,9 +51,9 @@ class ChunkTask:
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
         """Yield the messages of each wanted channel; see `Task`."""
         chunk = self._chunk
-        region = scratch.buffer("chunk", self.size)
+        region = scratch.buffer(self.size)
         self._file.into(chunk.start, region)
-        raw = unpack(region[: chunk.length], scratch)
+        raw = unpack(region[: chunk.length])
         if not self._indexed:
             walked = walk_records(raw)
             for key in self.counts:
@@ -90,7 +90,7 @@ class ChunkTask:
     def _walked_counts(self, keys: frozenset[int]) -> dict[int, int]:
         """Count messages by walking; a damaged chunk counts none, and is reported when it is loaded."""
         try:
-            raw = unpack(memoryview(self._file.read(self._chunk.start, self._chunk.length)), Scratch())
+            raw = unpack(memoryview(self._file.read(self._chunk.start, self._chunk.length)))
         except DamagedError:
             # One message at least, so that the chunk is tried, and its loss is told.
             return dict.fromkeys(keys, 1)
@@ -143,7 +143,7 @@ class LooseTask:
     def _bytes(self, scratch: Scratch) -> memoryview:
         if self.data is not None:
             return memoryview(self.data)
-        region = scratch.buffer("chunk", self.size)
+        region = scratch.buffer(self.size)
         self.file.into(self.position, region)
         return region
 
@@ -166,7 +166,7 @@ def index_count(file: LogFile, key: int, position: int) -> int:
     return size // 16
 
 
-def unpack(record: memoryview, scratch: Scratch, *, cut: bool = False) -> memoryview:
+def unpack(record: memoryview, *, cut: bool = False) -> memoryview:
     """Return what a Chunk record holds; of a `cut` one what is left."""
     head = records.chunk_head(record)
     data = record[head.data : head.data + head.stored]
@@ -176,7 +176,7 @@ def unpack(record: memoryview, scratch: Scratch, *, cut: bool = False) -> memory
     if opcode != records.CHUNK or length + 9 != len(record) or len(data) != head.stored:
         msg = "a chunk's head is damaged"
         raise DamagedError(msg)
-    raw = decompress(head.compression, data, head.size, scratch)
+    raw = decompress(head.compression, data, head.size)
     check_crc(raw, head.crc)
     return raw
 

@@ -10,7 +10,7 @@ from imucal.findings import Finding
 from imucal.readers.containers import mcap_records as records
 from imucal.readers.containers.mcap_chunks import ChunkTask, LooseTask, index_count, unpack, walk_records
 from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChannelRecord, ChunkIndex, Schema
-from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.files import DamagedError, LogFile
 
 #: Messages outside chunks are loaded in parts of this many bytes.
 _PART = 1 << 22
@@ -165,7 +165,7 @@ class _Scan:
         """Keep the whole messages of a chunk that the end of the file cuts."""
         size = self._file.size - at
         try:
-            raw = unpack(memoryview(self._file.read(at, size)), Scratch(), cut=True)
+            raw = unpack(memoryview(self._file.read(at, size)), cut=True)
         except DamagedError:
             return
         self.book.define_all(raw)
@@ -182,7 +182,7 @@ class _Scan:
             if chunk.indexes and self.book.channels.keys() >= chunk.indexes.keys():
                 continue
             try:
-                raw = unpack(memoryview(self._file.read(chunk.start, chunk.length)), Scratch())
+                raw = unpack(memoryview(self._file.read(chunk.start, chunk.length)))
             except DamagedError:
                 continue
             self.book.define_all(raw)

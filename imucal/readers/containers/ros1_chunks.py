@@ -1,6 +1,5 @@
 """The chunks of a ROS 1 bag: loaded by their index records, walked where there are none."""
 
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -10,7 +9,7 @@ from imucal.arrays import IntArray
 from imucal.readers.compression import decompress, decompress_prefix
 from imucal.readers.containers import ros1_records as records
 from imucal.readers.containers.container import Batch, Guard, Loss
-from imucal.readers.containers.ros1_records import U32, header, number
+from imucal.readers.containers.ros1_records import Record, number, record
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
 
@@ -52,9 +51,9 @@ class BagChunkTask:
 
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
         """Yield the messages of each wanted connection; see `Task`."""
-        region = scratch.buffer("chunk", self.size)
+        region = scratch.buffer(self.size)
         self._file.into(self._chunk.start, region)
-        raw, end = unpack(region, scratch, cut=self._chunk.cut)
+        raw, end = unpack(region, cut=self._chunk.cut)
         indexes = self._indexes(region, end) if self._chunk.indexed else {}
         for key in self.counts:
             entries = indexes.get(key)
@@ -69,22 +68,20 @@ class BagChunkTask:
         found: dict[int, memoryview] = {}
         try:
             while at + 8 <= len(region):
-                head, end = header(region, at)
-                if head.get(b"op") != bytes([records.INDEX]):
+                entry = record(region, at)
+                if entry.opcode != records.INDEX:
                     break
-                size = U32.unpack_from(region, end)[0]
-                key, count = number(head, b"conn", 4), number(head, b"count", 4)
-                data = region[end + 4 : end + 4 + size]
-                if size != 12 * count or len(data) != size:
+                key, count = number(entry.head, b"conn", 4), number(entry.head, b"count", 4)
+                if entry.end - entry.start != 12 * count or entry.end > len(region):
                     break
-                found[key] = data
-                at = end + 4 + size
-        except (DamagedError, struct.error):
+                found[key] = region[entry.start : entry.end]
+                at = entry.end
+        except DamagedError:
             pass
         return found
 
 
-def unpack(region: memoryview, scratch: Scratch, *, cut: bool = False) -> tuple[memoryview, int]:
+def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
     """Return what the chunk at the start of a region holds, and where its record ends.
 
     Raises
@@ -92,37 +89,34 @@ def unpack(region: memoryview, scratch: Scratch, *, cut: bool = False) -> tuple[
     DamagedError
         If it is damaged.
     """
-    head, end = header(region, 0)
-    if head.get(b"op") != bytes([records.CHUNK]) or end + 4 > len(region):
+    entry = record(region, 0)
+    head, data = entry.head, region[entry.start : entry.end]
+    if head.get(b"op") != bytes([records.CHUNK]):
         msg = "a chunk's head is damaged"
         raise DamagedError(msg)
     kind = head.get(b"compression", b"none").decode("ascii", "replace")
     size = number(head, b"size", 4)
-    stored = U32.unpack_from(region, end)[0]
-    data = region[end + 4 : end + 4 + stored]
     if cut:
-        return memoryview(decompress_prefix(kind, data, size)), end + 4 + stored
-    if len(data) != stored:
+        return memoryview(decompress_prefix(kind, data, size)), entry.end
+    if entry.end > len(region):
         msg = "a chunk is cut"
         raise DamagedError(msg, code="truncated")
-    return decompress(kind, data, size, scratch), end + 4 + stored
+    return decompress(kind, data, size), entry.end
 
 
-def walk(raw: memoryview) -> Iterator[tuple[int, int, dict[bytes, bytes], memoryview]]:
-    """Yield position, opcode, header and data of each whole record in a chunk."""
+def walk(raw: memoryview) -> Iterator[tuple[int, Record]]:
+    """Yield opcode and record of each whole record in a chunk."""
     at = 0
     while at + 8 <= len(raw):
         try:
-            head, end = header(raw, at)
-            size = U32.unpack_from(raw, end)[0]
-            opcode = number(head, b"op", 1)
-        except (DamagedError, struct.error):
+            entry = record(raw, at)
+            opcode = entry.opcode
+        except DamagedError:
             return
-        after = end + 4 + size
-        if after > len(raw):
+        if entry.end > len(raw):
             return
-        yield at, opcode, head, raw[end + 4 : after]
-        at = after
+        yield opcode, entry
+        at = entry.end
 
 
 def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
@@ -142,20 +136,20 @@ def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
 
     if not starts.size:
         return Batch(buffer=raw, starts=starts, header=0, sizes=0, log_ns=log_ns)
+    last = int(starts[-1])
     try:
-        head, end = header(raw, int(starts[-1]))
-        size = U32.unpack_from(raw, end)[0]
-        opcode, owner = number(head, b"op", 1), number(head, b"conn", 4)
-    except (DamagedError, struct.error):
+        entry = record(raw, last)
+        others = entry.opcode != records.MESSAGE or number(entry.head, b"conn", 4) != key
+    except DamagedError:
         return check()
-    guards = _guards(bytes(raw[int(starts[-1]) : end + 4]))
-    if opcode != records.MESSAGE or owner != key or guards is None:
+    guards = _guards(bytes(raw[last : entry.start]))
+    if others or guards is None:
         return check()
     return Batch(
         buffer=raw,
         starts=starts,
-        header=end + 4 - int(starts[-1]),
-        sizes=size,
+        header=entry.start - last,
+        sizes=entry.end - entry.start,
         log_ns=log_ns,
         guards=guards,
         check=check,
@@ -183,7 +177,7 @@ def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> B
     try:
         for row, at in enumerate(starts.tolist()):
             payloads[row], sizes[row] = _message(raw, key, at)
-    except (DamagedError, struct.error):
+    except DamagedError:
         loss = Loss(code="index", text="an index points to other records; its chunk was walked instead")
         return _walked(raw, key, loss)
     return Batch(buffer=raw, starts=payloads, header=0, sizes=sizes, log_ns=log_ns)
@@ -191,33 +185,28 @@ def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> B
 
 def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
     """Return payload and size of the message at `at`, or behind the connection records there."""
-    while True:
-        head, end = header(raw, at)
-        size = U32.unpack_from(raw, end)[0]
-        opcode = number(head, b"op", 1)
-        if end + 4 + size > len(raw):
+    while (entry := record(raw, at)).end <= len(raw):
+        if entry.opcode == records.MESSAGE and number(entry.head, b"conn", 4) == key:
+            return entry.start, entry.end - entry.start
+        if entry.opcode != records.CONNECTION:
             break
-        if opcode == records.MESSAGE and number(head, b"conn", 4) == key:
-            return end + 4, size
-        if opcode != records.CONNECTION:
-            break
-        at = end + 4 + size
+        at = entry.end
     msg = "an index points to another record"
     raise DamagedError(msg, code="index")
 
 
 def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:
     """Return the messages of a connection in a chunk, found by walking it."""
-    places, sizes, times = [], [], []
-    for at, opcode, head, data in walk(raw):
-        if opcode == records.MESSAGE and int.from_bytes(head.get(b"conn", b""), "little") == key:
-            time = head.get(b"time", bytes(8)).ljust(8, b"\0")
+    starts, sizes, times = [], [], []
+    for opcode, entry in walk(raw):
+        if opcode == records.MESSAGE and int.from_bytes(entry.head.get(b"conn", b""), "little") == key:
+            time = entry.head.get(b"time", b"").ljust(8, b"\0")
             times.append(int.from_bytes(time[:4], "little") * 10**9 + int.from_bytes(time[4:8], "little"))
-            places.append(at + U32.unpack_from(raw, at)[0] + 8)
-            sizes.append(len(data))
+            starts.append(entry.start)
+            sizes.append(entry.end - entry.start)
     return Batch(
         buffer=raw,
-        starts=np.array(places, dtype=np.int64),
+        starts=np.array(starts, dtype=np.int64),
         header=0,
         sizes=np.array(sizes, dtype=np.int64),
         log_ns=np.array(times, dtype=np.int64),

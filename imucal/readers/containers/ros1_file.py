@@ -12,8 +12,8 @@ from imucal.readers.compression import KINDS
 from imucal.readers.containers import ros1_records as records
 from imucal.readers.containers.container import Bytes, Channel, Container, Task
 from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack, walk
-from imucal.readers.containers.ros1_records import MAGIC, U32, Connection, connection, header, number
-from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.containers.ros1_records import MAGIC, U32, Connection, connection, number, record
+from imucal.readers.files import DamagedError, LogFile
 from imucal.readers.read_options import Progress
 
 #: The index section has a few bytes for each chunk and connection; a larger one is damage.
@@ -89,7 +89,7 @@ class BagFile:
         DamagedError
             If there is none, or it is damaged.
         """
-        head, _ = header(self._file.read(0, min(_WINDOW, self.size)), len(MAGIC))
+        head = record(self._file.read(0, min(_WINDOW, self.size)), len(MAGIC)).head
         if head.get(b"encryptor"):
             name = head[b"encryptor"].decode("utf-8", "replace")
             msg = f"{self.path}: the bag is encrypted by {name}; expected a plain bag, decrypt it first"
@@ -113,18 +113,16 @@ class BagFile:
 
     def _index_record(self, section: memoryview, at: int) -> int:
         """Take one record of the index section; return where it ends."""
-        head, end = header(section, at)
-        size = U32.unpack_from(section, end)[0]
-        data = section[end + 4 : end + 4 + size]
-        if len(data) != size:
+        entry = record(section, at)
+        head, data, opcode = entry.head, section[entry.start : entry.end], entry.opcode
+        if entry.end > len(section):
             msg = "the index is cut"
             raise DamagedError(msg, code="truncated")
-        opcode = number(head, b"op", 1)
         if opcode == records.CONNECTION:
             found = connection(head, data)
             self._connections[found.id] = found
         elif opcode == records.CHUNK_INFO:
-            if size % 8:
+            if len(data) % 8:
                 msg = "a chunk's entry in the index is damaged"
                 raise DamagedError(msg)
             self._chunks.append(
@@ -136,8 +134,7 @@ class BagFile:
                     last_ns=_time(head.get(b"end_time", b"")),
                 )
             )
-        after: int = end + 4 + size
-        return after
+        return entry.end
 
     def _set_ends(self, index: int) -> None:
         """Let each chunk reach to the next one, the last to the index section."""
@@ -177,12 +174,10 @@ class BagFile:
                 size = U32.unpack_from(window, 0)[0]
                 if size + 8 > len(window):
                     window = self._file.read(at, size + 8)
-                head, end = header(window, 0)
-                opcode = number(head, b"op", 1)
-                data = U32.unpack_from(window, end)[0]
+                entry = record(window, 0)
+                opcode, after = entry.opcode, at + entry.end
             except (DamagedError, struct.error):
                 return at
-            after = at + end + 4 + data
             if after > self.size:
                 if opcode == records.CHUNK:
                     self._add_chunk(at, self.size - at, cut=True)
@@ -190,7 +185,7 @@ class BagFile:
             if opcode == records.CHUNK:
                 self._add_chunk(at, after - at, cut=False)
             elif opcode == records.CONNECTION:
-                self._add_connection(head, self._file.read(at + end + 4, data))
+                self._add_connection(entry.head, self._file.read(at + entry.start, entry.end - entry.start))
             at = after
         return at
 
@@ -205,12 +200,12 @@ class BagFile:
         chunk = BagChunk(start=at, size=size, indexed=False, cut=cut)
         self._chunks.append(chunk)
         try:
-            raw, _ = unpack(memoryview(self._file.read(at, size)), Scratch(), cut=cut)
-            for _, opcode, head, data in walk(raw):
+            raw, _ = unpack(memoryview(self._file.read(at, size)), cut=cut)
+            for opcode, entry in walk(raw):
                 if opcode == records.CONNECTION:
-                    self._add_connection(head, data)
+                    self._add_connection(entry.head, raw[entry.start : entry.end])
                 elif opcode == records.MESSAGE:
-                    key, time = number(head, b"conn", 4), _time(head.get(b"time", b""))
+                    key, time = number(entry.head, b"conn", 4), _time(entry.head.get(b"time", b""))
                     chunk.counts[key] = chunk.counts.get(key, 0) + 1
                     chunk.first_ns = min(chunk.first_ns or time, time)
                     chunk.last_ns = max(chunk.last_ns, time)
@@ -248,7 +243,7 @@ class BagFile:
             return "none"
         try:
             window = self._file.read(self._chunks[0].start, min(256, self.size - self._chunks[0].start))
-            kind = header(window, 0)[0].get(b"compression", b"none").decode("ascii", "replace")
+            kind = record(window, 0).head.get(b"compression", b"none").decode("ascii", "replace")
         except DamagedError:
             return "unknown"
         if kind not in KINDS:

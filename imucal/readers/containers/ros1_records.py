@@ -6,13 +6,14 @@ refuses unindexed and cut ones, and builds an object for each message when it op
 
 import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from imucal.readers.containers.container import Bytes
 from imucal.readers.files import DamagedError
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
-U32, U64 = struct.Struct("<I"), struct.Struct("<Q")
+U32 = struct.Struct("<I")
 #: Longest header of a record; a connection's is its topic's length.
 _MAX_HEADER = 1 << 20
 
@@ -27,8 +28,21 @@ class Connection:
     definition: str
 
 
-def header(buffer: Bytes, at: int) -> tuple[dict[bytes, bytes], int]:
-    """Return the fields of the record header at `at`, and where it ends.
+class Record(NamedTuple):
+    """A record: the fields of its header, and where its data start and end."""
+
+    head: dict[bytes, bytes]
+    start: int
+    end: int
+
+    @property
+    def opcode(self) -> int:
+        """What it is; raises DamagedError where the header doesn't say."""
+        return number(self.head, b"op", 1)
+
+
+def record(buffer: Bytes, at: int) -> Record:
+    """Return the record at `at`; its data may reach beyond the buffer.
 
     Raises
     ------
@@ -36,11 +50,11 @@ def header(buffer: Bytes, at: int) -> tuple[dict[bytes, bytes], int]:
         If there is no whole header.
     """
     try:
-        size = U32.unpack_from(buffer, at)[0]
-        end = at + 4 + size
-        if size > _MAX_HEADER or end > len(buffer):
+        end = at + 4 + U32.unpack_from(buffer, at)[0]
+        if end - at - 4 > _MAX_HEADER or end > len(buffer):
             raise _broken()
-        return fields(buffer, at + 4, end), end
+        head = fields(buffer, at + 4, end)
+        return Record(head, end + 4, end + 4 + U32.unpack_from(buffer, end)[0])
     except struct.error as error:
         raise _broken() from error
 

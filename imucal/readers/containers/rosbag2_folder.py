@@ -43,17 +43,10 @@ def open_folder(path: Path) -> Folder:
         If the folder holds none.
     """
     present = {entry.name: entry for entry in path.iterdir() if entry.name.endswith(ENDINGS)}
-    metadata = path / _METADATA
-    names: tuple[str, ...] = ()
-    mode, counts = "", None
-    if metadata.exists():
-        try:
-            names, mode, counts = parse_metadata(metadata.read_text(encoding="utf-8", errors="replace"))
-        except OSError as error:
-            msg = f"{metadata}: can't be read: {error.strerror or error}"
-            raise ReadError(msg) from error
-    files = [_present(present, name) for name in names]
-    found = tuple(file for file in files if file is not None)
+    names, mode, counts = _metadata(path / _METADATA)
+    files = [(name, _present(present, name)) for name in names]
+    found = tuple(file for _, file in files if file is not None)
+    missing = tuple(name for name, file in files if file is None)
     if not found:
         found = tuple(sorted(present.values(), key=natural))
         counts = None
@@ -61,13 +54,19 @@ def open_folder(path: Path) -> Folder:
         inside = ", ".join(sorted(entry.name for entry in path.iterdir())[:10]) or "nothing"
         msg = f"{path}: not the folder of a ROS 2 bag: it holds {inside}; expected .mcap or .db3 files"
         raise ReadError(msg)
-    missing = tuple(name for name, file in zip(names, files, strict=True) if file is None)
-    return Folder(
-        files=found,
-        missing=missing,
-        per_message=mode.upper() == "MESSAGE",
-        counts=None if missing else counts,
-    )
+    per_message = mode.upper() == "MESSAGE"
+    return Folder(files=found, missing=missing, per_message=per_message, counts=None if missing else counts)
+
+
+def _metadata(path: Path) -> tuple[tuple[str, ...], str, dict[str, int] | None]:
+    """Return what the metadata say; nothing where there are none."""
+    if not path.exists():
+        return (), "", None
+    try:
+        return parse_metadata(path.read_text(encoding="utf-8", errors="replace"))
+    except OSError as error:
+        msg = f"{path}: can't be read: {error.strerror or error}"
+        raise ReadError(msg) from error
 
 
 def parse_metadata(text: str) -> tuple[tuple[str, ...], str, dict[str, int] | None]:

@@ -158,7 +158,7 @@ class PageTask:
 
     def _read(self, scratch: Scratch) -> memoryview:
         """Read the pages side by side into a buffer: in one go where they are neighbours."""
-        buffer = scratch.buffer("pages", self.size)
+        buffer = scratch.buffer(self.size)
         steps = np.flatnonzero(np.diff(self._pages) != 1) + 1
         edges = [0, *steps.tolist(), self._pages.size]
         for first, last in pairwise(edges):

@@ -10,7 +10,7 @@ from imucal.readers.column_store import Columns
 from imucal.readers.containers import Batch, Loss, gather
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.definitions import Field
-from imucal.readers.messages.fields import write_fields
+from imucal.readers.messages.fields import Messages
 from imucal.readers.messages.message_types import ImuFields
 from imucal.readers.messages.template import Template, learn
 from imucal.readers.messages.walker import Found, Layout, Walker
@@ -152,7 +152,7 @@ class BinaryDecoder:
         found = self.walker.walk(batch.buffer, body, layout)
         self._check_size(batch, body, layout, found)
         columns.log[to] = batch.log_ns
-        write_fields(batch.buffer, body, found.places, self.imu, columns, to)
+        Messages(batch.buffer, body, found.places).write(self.imu, columns, to)
 
     def _check_size(self, batch: Batch, body: IntArray, layout: Layout, found: Found) -> None:
         """Refuse messages that end before the last wanted field; bytes after it are not looked at."""

@@ -1,5 +1,7 @@
 """Fields of messages -> columns: one gather a vector, whatever the layout."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,59 +12,65 @@ from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
 from imucal.readers.messages.walker import Place, Position
 
 
-def write_fields(  # noqa: PLR0917 - what lies where, and where it goes
-    buffer: Bytes,
-    starts: IntArray,
-    places: dict[str, Place],
-    imu: ImuFields,
-    columns: Columns,
-    to: slice | IntArray,
-) -> None:
-    """Gather the wanted fields and write them to the columns."""
-    if imu.stamp is None:
-        columns.stamps[to] = 0
-    else:
-        columns.stamps[to] = _stamps(buffer, starts, places, imu.stamp)
-    for vector in imu.vectors:
-        write_vector(buffer, starts, places, vector, columns, to)
-    write_temperature(buffer, starts, places, imu, columns, to)
+@dataclass(frozen=True, slots=True, eq=False)
+class Messages:
+    """Messages in a buffer: where each starts, shape (n,), and the place of each wanted field in it."""
 
+    buffer: Bytes
+    starts: IntArray
+    places: dict[str, Place]
 
-def write_vector(  # noqa: PLR0917 - as `write_fields`
-    buffer: Bytes,
-    starts: IntArray,
-    places: dict[str, Place],
-    vector: Vector,
-    columns: Columns,
-    to: slice | IntArray,
-) -> None:
-    """Gather x, y and z at once where they lie side by side, and turn increments into rates."""
-    rows = columns.vectors[vector.sensor]
-    if adjacent(places, vector):
-        first = places[vector.paths[0]]
-        size = np.dtype(first.dtype).itemsize
-        values = gather(buffer, starts + first.at, 3 * size).view(first.dtype).reshape(-1, 3)
-        rows[:, to] = values.T
-    else:
-        for row, path in zip(rows, vector.paths, strict=True):
-            row[to] = _column(buffer, starts, places[path])
-    if vector.divisor:
-        seconds = _column(buffer, starts, places[vector.divisor]).astype(np.float64) * 1e-6
-        seconds[seconds == 0] = np.nan
-        rows[:, to] /= seconds
+    def write(self, imu: ImuFields, columns: Columns, to: slice | IntArray) -> None:
+        """Gather the wanted fields and write them to the columns."""
+        columns.stamps[to] = 0 if imu.stamp is None else self._stamps(imu.stamp)
+        for vector in imu.vectors:
+            self.write_vector(vector, columns, to)
+        self.write_temperature(imu, columns, to)
 
+    def write_vector(self, vector: Vector, columns: Columns, to: slice | IntArray) -> None:
+        """Gather x, y and z at once where they lie side by side, and turn increments into rates."""
+        rows = columns.vectors[vector.sensor]
+        if adjacent(self.places, vector):
+            first = self.places[vector.paths[0]]
+            size = np.dtype(first.dtype).itemsize
+            values = gather(self.buffer, self.starts + first.at, 3 * size)
+            rows[:, to] = values.view(first.dtype).reshape(-1, 3).T
+        else:
+            for row, path in zip(rows, vector.paths, strict=True):
+                row[to] = self._field(path)
+        if vector.divisor:
+            seconds = self._field(vector.divisor).astype(np.float64) * 1e-6
+            seconds[seconds == 0] = np.nan
+            rows[:, to] /= seconds
 
-def write_temperature(  # noqa: PLR0917 - as `write_fields`
-    buffer: Bytes,
-    starts: IntArray,
-    places: dict[str, Place],
-    imu: ImuFields,
-    columns: Columns,
-    to: slice | IntArray,
-) -> None:
-    """Write the temperature, where there is one."""
-    if imu.temperature and columns.temperature is not None:
-        columns.temperature[to] = _column(buffer, starts, places[imu.temperature])
+    def write_temperature(self, imu: ImuFields, columns: Columns, to: slice | IntArray) -> None:
+        """Write the temperature, where there is one."""
+        if imu.temperature and columns.temperature is not None:
+            columns.temperature[to] = self._field(imu.temperature)
+
+    def _stamps(self, stamp: Stamp) -> IntArray:
+        """Return stamps in ns, shape (n,)."""
+        sec = self.places[stamp.sec]
+        if not stamp.nanosec:
+            return self._field(stamp.sec).astype(np.int64) * np.int64(stamp.scale)
+        nanosec = self.places[stamp.nanosec]
+        if _apart(sec.at, nanosec.at, 4):
+            both = gather(self.buffer, self.starts + sec.at, 8)
+            seconds = np.ndarray(both.shape, sec.dtype, buffer=both, strides=(8,))
+            rest = np.ndarray(both.shape, nanosec.dtype, buffer=both, offset=4, strides=(8,))
+        else:
+            seconds, rest = self._field(stamp.sec), self._field(stamp.nanosec)
+        result = seconds.astype(np.int64)
+        result *= 1_000_000_000
+        result += rest
+        return result
+
+    def _field(self, path: str) -> NDArray[np.float64]:
+        """Return one field of every message, shape (n,)."""
+        place = self.places[path]
+        dtype = np.dtype(place.dtype)
+        values: NDArray[np.float64] = gather(self.buffer, self.starts + place.at, dtype.itemsize).view(dtype)
+        return values
 
 
 def adjacent(places: dict[str, Place], vector: Vector) -> bool:
@@ -72,31 +80,6 @@ def adjacent(places: dict[str, Place], vector: Vector) -> bool:
     x, y, z = (places[path] for path in vector.paths)
     size = np.dtype(x.dtype).itemsize
     return x.dtype == y.dtype == z.dtype and _apart(x.at, y.at, size) and _apart(y.at, z.at, size)
-
-
-def _stamps(buffer: Bytes, starts: IntArray, places: dict[str, Place], stamp: Stamp) -> IntArray:
-    """Return stamps in ns, shape (n,)."""
-    sec = places[stamp.sec]
-    if not stamp.nanosec:
-        return _column(buffer, starts, sec).astype(np.int64) * np.int64(stamp.scale)
-    nanosec = places[stamp.nanosec]
-    if _apart(sec.at, nanosec.at, 4):
-        both = gather(buffer, starts + sec.at, 8)
-        seconds = np.ndarray((starts.size,), sec.dtype, buffer=both, strides=(8,))
-        rest = np.ndarray((starts.size,), nanosec.dtype, buffer=both, offset=4, strides=(8,))
-    else:
-        seconds, rest = _column(buffer, starts, sec), _column(buffer, starts, nanosec)
-    result = seconds.astype(np.int64)
-    result *= 1_000_000_000
-    result += rest
-    return result
-
-
-def _column(buffer: Bytes, starts: IntArray, place: Place) -> NDArray[np.float64]:
-    """Return one field of every message, shape (n,)."""
-    dtype = np.dtype(place.dtype)
-    values: NDArray[np.float64] = gather(buffer, starts + place.at, dtype.itemsize).view(dtype)
-    return values
 
 
 def _apart(first: Position, second: Position, size: int) -> bool:

@@ -4,6 +4,7 @@ Every record is compared with the first one (its head, its encapsulation, the le
 nothing is taken on trust; what differs goes to the walk.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.readers.column_store import Columns
 from imucal.readers.containers import Batch, Bytes, Guard
-from imucal.readers.messages.fields import adjacent, write_temperature, write_vector
+from imucal.readers.messages.fields import Messages, adjacent
 from imucal.readers.messages.message_types import ImuFields, Vector
 from imucal.readers.messages.walker import Found, Layout, Place, Position
 from imucal.recording import Sensor
@@ -82,9 +83,10 @@ class Template:
         for sensor, at, dtype in self.vectors:
             values = _gather(batch.buffer, starts, at, 3 * int(dtype[-1])).view(dtype).reshape(n, 3)
             columns.vectors[sensor][:, part] = values.T
+        messages = Messages(batch.buffer, starts, self.places)
         for vector in self.others:
-            write_vector(batch.buffer, starts, self.places, vector, columns, part)
-        write_temperature(batch.buffer, starts, self.places, self.imu, columns, part)
+            messages.write_vector(vector, columns, part)
+        messages.write_temperature(self.imu, columns, part)
         return True
 
 
@@ -105,24 +107,17 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
     """
     if not isinstance(batch.sizes, int):
         return None
-    skip = batch.header + (4 if code else 0)
-    words = list(batch.guards)
-    if code:
-        words.append((batch.header, "<u2", int.from_bytes(code, "little")))
-    words += [(skip + _fixed(at), layout.order + "u4", _fixed(length)) for at, length in found.lengths]
+    skip, end = batch.header + (4 if code else 0), batch.header + batch.sizes
     places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
-    stamp = imu.stamp
-    times = [places[path] for path in ((stamp.sec, stamp.nanosec) if stamp else ()) if path]
-    ends = [at + int(dtype[-1]) for at, dtype, _ in words]
-    ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
-    head, end = max([*ends, (batch.log_at or 0) + 8]), batch.header + batch.sizes
+    words = _words(batch, found, layout, code, skip)
+    head = _head(batch, words, places, imu)
     if head > min(_HEAD, end) or skip + _fixed(found.end) > end:
         return None
     plain = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
     firsts = [(vector.sensor, places[vector.paths[0]]) for vector in plain]
     return Template(
         guards=batch.guards,
-        words=tuple(words),
+        words=words,
         head=head,
         end=end,
         places=places,
@@ -130,6 +125,22 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
         vectors=tuple((sensor, _fixed(place.at), place.dtype) for sensor, place in firsts),
         others=tuple(vector for vector in imu.vectors if vector not in plain),
     )
+
+
+def _words(batch: Batch, found: Found, layout: Layout, code: bytes, skip: int) -> tuple[Guard, ...]:
+    """Return what every record must repeat: its head, the encapsulation and the lengths of strings."""
+    lengths = [(skip + _fixed(at), layout.order + "u4", _fixed(length)) for at, length in found.lengths]
+    encapsulation = [(batch.header, "<u2", int.from_bytes(code, "little"))] if code else []
+    return (*batch.guards, *encapsulation, *lengths)
+
+
+def _head(batch: Batch, words: Sequence[Guard], places: dict[str, Place], imu: ImuFields) -> int:
+    """Return how many bytes at the start of a record hold the words and the stamps."""
+    ends = [at + int(dtype[-1]) for at, dtype, _ in words]
+    if imu.stamp is not None:
+        times = [places[path] for path in (imu.stamp.sec, imu.stamp.nanosec) if path]
+        ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
+    return max([*ends, (batch.log_at or 0) + 8])
 
 
 def _gather(buffer: Bytes, starts: IntArray, at: int, width: int) -> NDArray[np.void]:

@@ -1,0 +1,135 @@
+"""Definitions to fields, and which fields of a vector are gathered at once."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucal.readers import read
+from imucal.readers.messages.definitions import DefinitionError, Field, flatten
+from imucal.readers.messages.fields import adjacent
+from imucal.readers.messages.message_types import Vector
+from imucal.readers.messages.walker import Place
+from imucal.recording import Sensor
+from tests.readers.logs import TOPIC, Message, samples, store, write_mcap
+
+_POINTS = "P[] points\nfloat64 x\n===\nMSG: pkg/P\n"
+
+
+def fields_of(text: str, *, ros1: bool = False) -> list[Field]:
+    """Return the fields of a message of the type pkg/M."""
+    return list(flatten("pkg/M", text, ros1=ros1))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("float64 a", Field("a", "number", "f8")),
+        ("float64[3] a", Field("a", "array", "f8", 3)),
+        ("float64[] a", Field("a", "sequence", "f8")),
+        ("float64[<=3] a", Field("a", "sequence", "f8")),
+        ("string a", Field("a", "string")),
+        ("string<=9 a", Field("a", "string")),
+        ("string[] a", Field("a", "other")),
+        ("wstring a", Field("a", "other")),
+        ("wstring[] a", Field("a", "other")),
+        ("time[2] a", Field("a", "other")),
+        ("time[] a", Field("a", "other")),
+    ],
+)
+def test_what_a_field_is(text: str, expected: Field) -> None:
+    """A number, a fixed array, a string, a sequence, or what can't be laid out."""
+    assert fields_of(text + "\n") == [expected]
+
+
+@pytest.mark.parametrize(
+    ("members", "expected"),
+    [
+        ("float64 x\nfloat64[2] y", Field("points", "sequence", "f8", 3)),
+        ("float64 x\nfloat32 y", Field("points", "other")),
+        ("string a\nstring b", Field("points", "other")),
+        ("float64[] x", Field("points", "other")),
+        ("float64 x\nstring[] y", Field("points", "other")),
+    ],
+)
+def test_a_sequence_of_structures_has_numbers_of_one_size_only(members: str, expected: Field) -> None:
+    """What follows another one is left out."""
+    follows = [Field("x", "number", "f8")] if expected.kind == "sequence" else []
+    assert fields_of(_POINTS + members) == [expected, *follows]
+
+
+@pytest.mark.parametrize(
+    ("ros1", "members", "paths"),
+    [
+        (False, "", ["e.structure_needs_at_least_one_member", "x"]),
+        (False, "uint8 a", ["e.a", "x"]),
+        (True, "", ["x"]),
+        (True, "uint8 a", ["e.a", "x"]),
+    ],
+)
+def test_an_empty_structure_takes_a_byte_in_ros2(ros1: bool, members: str, paths: list[str]) -> None:  # noqa: FBT001
+    """In ROS 1 it takes none."""
+    found = fields_of(f"E e\nfloat64 x\n===\nMSG: pkg/E\n{members}\n", ros1=ros1)
+    assert [field.path for field in found] == paths
+
+
+def test_a_type_is_looked_for_in_its_own_package_first() -> None:
+    """Then in std_msgs, then anywhere; a name with a package means that package."""
+    text = "E e\n===\nMSG: std_msgs/E\nfloat32 s\n===\nMSG: pkg/E\nfloat64 p\n"
+    assert fields_of(text) == [Field("e.p", "number", "f8")]
+    assert fields_of("E e\n===\nMSG: any/E\nfloat32 s\n") == [Field("e.s", "number", "f4")]
+    with pytest.raises(DefinitionError, match="type other/F is not defined"):
+        fields_of("other/F e\n===\nMSG: pkg/E\nfloat32 s\n")
+
+
+XYZ = Vector(sensor=Sensor.GYROSCOPE, paths=("x", "y", "z"))
+
+
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        ({"x": (0, "<f8"), "y": (8, "<f8"), "z": (16, "<f8")}, True),
+        ({"x": (4, "<f4"), "y": (8, "<f4"), "z": (12, "<f4")}, True),
+        ({"x": (0, "<f8"), "y": (16, "<f8"), "z": (24, "<f8")}, False),
+        ({"x": (0, "<f8"), "y": (8, "<f8"), "z": (24, "<f8")}, False),
+        ({"x": (0, "<f8"), "y": (8, "<f4"), "z": (16, "<f8")}, False),
+        ({"x": (0, "<f8"), "y": (8, "<f8"), "z": (16, "<f4")}, False),
+        ({"x": ([0, 4], "<f8"), "y": ([8, 12], "<f8"), "z": ([16, 20], "<f8")}, True),
+        ({"x": ([0, 4], "<f8"), "y": ([8, 16], "<f8"), "z": ([16, 24], "<f8")}, False),
+    ],
+)
+def test_which_vectors_lie_side_by_side(places: dict[str, Any], expected: bool) -> None:  # noqa: FBT001
+    """Three numbers of one type, each right behind the one before, in every message."""
+    found = {
+        path: Place(at if isinstance(at, int) else np.array(at), kind) for path, (at, kind) in places.items()
+    }
+    assert adjacent(found, XYZ) is expected
+
+
+def test_an_array_lies_side_by_side() -> None:
+    """It has one path for all three."""
+    assert adjacent({"g": Place(0, "<f4")}, Vector(sensor=Sensor.GYROSCOPE, paths=("g",)))
+
+
+@pytest.mark.parametrize("frames", [("imu",), ("a", "longer")])
+@pytest.mark.parametrize("code", ["float64", "float32"])
+def test_reads_vectors_whose_numbers_lie_apart(code: str, frames: tuple[str, ...], tmp_path: Path) -> None:
+    """Gyroscope and accelerometer take turns, axis by axis; z of the gyroscope has a type of its own."""
+    names = [f"{kind}_{axis}" for axis in "xyz" for kind in ("gyro", "accel")]
+    codes = [code if name != "gyro_z" else "float64" for name in names]
+    text = "std_msgs/Header header\n" + "\n".join(map(" ".join, zip(codes, names, strict=True)))
+    types, truth = store(pkg__msg__Apart=text), samples(120)
+    known = types.types
+    messages = []
+    for row, stamp in enumerate(truth.stamps.tolist()):
+        time = known["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+        head = known["std_msgs/msg/Header"](stamp=time, frame_id=frames[row % len(frames)])
+        values = np.stack([truth.gyro[row], truth.accel[row]], axis=1).reshape(-1)
+        message = known["pkg/msg/Apart"](header=head, **dict(zip(names, values.tolist(), strict=True)))
+        data = bytes(types.serialize_cdr(message, "pkg/msg/Apart"))
+        messages.append(Message(topic=TOPIC, type="pkg/msg/Apart", log=stamp, data=data))
+    recording = read(write_mcap(tmp_path / "log.mcap", messages, types=types))
+    for series, expected in zip(recording.series, truth.all.T, strict=True):
+        exact = code == "float64" or series.name == "gyro_z"
+        assert np.array_equal(series.samples, expected if exact else expected.astype(np.float32))
