@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-__all__ = ["pytest_addoption", "update_golden"]
+__all__ = ["pytest_addoption", "pytest_collection_modifyitems", "update_golden"]
 
 # Before NumPy is imported, here and in the workers: its matrices are small here, and threads of
 # several workers that wait for each other in a loop take twice the time of the work itself.
@@ -14,6 +14,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that renews golden files; look at the difference before you commit it."""
     parser.addoption("--update-golden", action="store_true", help="write the golden files anew")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest test, so that no worker is left alone with it at the end."""
+    items.sort(key=lambda item: item.path.name != "test_readme.py")
 
 
 @pytest.fixture

@@ -145,6 +145,21 @@ def test_the_generic_fit_finds_a_drift() -> None:
     assert found[1] == pytest.approx(slope, rel=0.4)
 
 
+def test_a_strong_drift_leaves_the_noise_as_it_is() -> None:
+    """The drift comes back to its standard error, and what remains is the noise without one."""
+    n, slope = 20_000, 1e-2
+    white = np.random.default_rng(12).standard_normal(n)
+    bins = dct_bins(n)
+    plain, steep = (
+        fit_spectrum(ordinates, bin_power(ordinates, bins), bins)
+        for ordinates in (dct_ordinates(white), dct_ordinates(white + slope * np.arange(n)))
+    )
+    assert steep.drift == pytest.approx(slope, abs=4 * np.sqrt(12 / n**3))
+    m = np.exp2(np.arange(10.0))
+    noise = GenericModel(variances=steep.variances)
+    npt.assert_allclose(noise.avar(m), GenericModel(variances=plain.variances).avar(m), rtol=0.02)
+
+
 def test_the_generic_fit_of_a_curve_returns_its_own() -> None:
     """From exact values the shares come back."""
     m = np.exp2(np.arange(12.0))

@@ -1,5 +1,7 @@
 """Missing samples: nothing is invented, nothing is biased, intervals still cover."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.testing as npt
 import pytest
@@ -10,6 +12,7 @@ from imucal.allan.estimators import ESTIMATORS
 from imucal.allan.gaps import longest_run, run_variances, window_variances
 from imucal.allan.variance import variances
 from imucal.arrays import FloatArray
+from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
 from imucal.recording import AxisSeries
@@ -190,6 +193,20 @@ def test_other_estimators_stay_inside_the_runs(name: str) -> None:
     assert curve.computed == "runs"
     assert curve.m[-1] <= table.drawn(1900)
     assert longest_run(series.clock) == 1900
+
+
+def test_segments_that_touch_are_one_run() -> None:
+    """Two files of one recording may follow each other without a gap; then a third begins after one."""
+    segments = ((0, 400, 0), (400, 1000, 400), (1000, 1500, 1007))
+    parts = tuple(Segment(start=start, stop=stop, offset=offset) for start, stop, offset in segments)
+    samples = np.random.default_rng(8).standard_normal(1500)
+    clock = Clock(source="given rate", rate_hz=100.0, segments=parts)
+    series = replace(_series(samples), clock=clock)
+    assert longest_run(clock) == 1000
+    m, table = np.array([1, 20, 300]), ESTIMATORS["hadamard"]
+    terms = np.array([[table.terms(n, k) if 3 * k <= n else 0 for k in m.tolist()] for n in (1000, 500)])
+    found = run_variances(series, m, table)
+    npt.assert_array_equal(found.terms, terms.sum(axis=0))
 
 
 def test_a_factor_beyond_every_run_is_left_out() -> None:

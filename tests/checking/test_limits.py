@@ -145,7 +145,10 @@ def test_a_baseline_is_sought_beside_the_file(tmp_path: Path) -> None:
     assert baseline.report == tmp_path / "golden" / "report.json"
     assert baseline.max_decrease == 0.5
     assert baseline.max_increase is None  # only what is asked
-    assert parse_limits("[baseline]").baseline is not None
+    alone = parse_limits("[baseline]").baseline
+    assert alone is not None
+    assert (alone.report, alone.max_increase, alone.max_decrease) == (None, 0.2, None)
+    assert alone.terms == ("N", "B", "K")
 
 
 def test_the_codes_are_those_of_the_page_on_findings() -> None:

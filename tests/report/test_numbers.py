@@ -9,12 +9,20 @@ from hypothesis import strategies as st
 from imucal.fitting.noise_fit import Estimate
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.numbers import Quantity, compact, with_interval, with_uncertainty
+from imucal.report.numbers import Quantity, compact, decimals, with_interval, with_uncertainty
 from tests.report.synthetic import consumer_report
 
 
 def _quantity(value: float | None, low: float, high: float, unit: str = "deg/h") -> Quantity:
     return Quantity(value=value, low=low, high=high, unit=unit)
+
+
+@pytest.mark.parametrize(
+    ("high", "places"), [(0.0994, 3), (0.0996, 2), (0.996, 1), (9.94, 1), (9.96, 0), (99.6, -1), (0.01, 3)]
+)
+def test_rounding_into_the_next_decade_takes_a_digit_less(high: float, places: int) -> None:
+    """Two digits of 0.0996 are 0.10, those of 9.96 are 10."""
+    assert decimals(_quantity(None, 0.0, high)) == places
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Records with gaps."""
 
 import numpy as np
+import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
@@ -54,6 +55,24 @@ def test_long_gaps_part_blocks_and_short_ones_are_completed() -> None:
         "The fit allows for gaps: the likelihoods of 2 blocks between long gaps are multiplied; "
         "10 missing samples in short gaps are completed by their expectation."
     )
+
+
+@pytest.mark.parametrize("count", [1, 64, 1000])
+def test_the_lowest_bins_hold_their_ordinates_and_no_more(count: int) -> None:
+    """At least as many ordinates as asked for, in whole bins, with all that belongs to them."""
+    samples = simulated(TEXT, N, 4)
+    samples[::100] = np.nan
+    (block,) = make_blocks(series_of(samples)).blocks
+    part = block.lowest(count)
+    size = int(part.bins.count.sum())
+    assert size >= count > size - part.bins.count[-1]
+    npt.assert_array_equal(part.ordinates, block.ordinates[:size])
+    for name in ("variance", "kept"):
+        whole, found = getattr(block, name), getattr(part, name)
+        assert (found is None) == (whole is None)
+        if whole is not None:
+            npt.assert_array_equal(found, whole[:size])
+    assert part.bins.n == block.bins.n
 
 
 def test_runs_that_are_too_short_are_left_out_and_counted() -> None:

@@ -24,6 +24,37 @@ def test_finds_frequency_and_amplitude(place: float, amplitude: float) -> None:
     assert lines[0].amplitude == pytest.approx(2 * amplitude, rel=0.1)
 
 
+@pytest.mark.parametrize("edge", ["first", "last"])
+def test_a_single_ordinate_is_left_out_with_its_neighbours(edge: str) -> None:
+    """At the first and at the last ordinate of a bin; X_k lies at k/(2 N) of the rate, to the digit."""
+    bins = dct_bins(N)
+    at = int(np.searchsorted(bins.first, 5000))
+    k = int(bins.first[at]) if edge == "first" else int(bins.first[at] + bins.count[at] - 1)
+    assert bins.count[at] > 1
+    ordinates = np.random.default_rng(3).standard_normal(N - 1)
+    ordinates[k - 1] = 1000.0
+    kept, (line,) = find_lines(ordinates, bins, scale=1.0, rate_hz=100.0)
+    assert kept is not None
+    assert line.frequency_hz == pytest.approx(100 * k / (2 * N), rel=1e-12)
+    assert line.amplitude == pytest.approx(1000 * np.sqrt(2 / N), rel=1e-3)
+    # The tail of so strong a line is longer than the 2 % of its frequency that may be left out.
+    reach = int(0.02 * (k - 1))
+    assert np.flatnonzero(~kept).tolist() == list(range(k - 1 - reach, k + reach))
+
+
+@pytest.mark.parametrize(("k", "first"), [(24, None), (25, 25), (27, 25), (40, 37)])
+def test_the_lowest_24_ordinates_stay(k: int, first: int | None) -> None:
+    """The 25th is the first that a line may take, and its neighbours on the left stay as well."""
+    ordinates = np.random.default_rng(4).standard_normal(N - 1)
+    ordinates[k - 1] = 1000.0
+    kept, lines = find_lines(ordinates, dct_bins(N), scale=1.0, rate_hz=1.0)
+    if first is None:
+        assert (kept, lines) == (None, ())
+    else:
+        assert kept is not None
+        assert (np.flatnonzero(~kept) + 1).tolist() == list(range(first, k + 4))
+
+
 def test_finds_none_in_noise() -> None:
     """One record in a hundred may show a line that is not there; of thirty at most two."""
     found = [find_lines(dct_ordinates(noise(s)), dct_bins(N), scale=1.0, rate_hz=1.0)[0] for s in range(30)]
