@@ -169,7 +169,7 @@ def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[
     assert axis is not None  # noqa: S101 - the name came from one of them
     in_a, in_b = _estimates(a), _estimates(b)
     differences = []
-    for key in sorted(in_a.keys() | in_b.keys(), key=_place):
+    for key in sorted(in_a.keys() | in_b.keys(), key=_order):
         first, second = in_a.get(key), in_b.get(key)
         symbol = _symbol(key)
         z = None
@@ -213,7 +213,7 @@ def _symbol(key: str) -> str:
     return key.removesuffix(_TIME).rstrip("0123456789")
 
 
-def _place(key: str) -> tuple[int, str]:
+def _order(key: str) -> tuple[int, str]:
     return list(TERMS).index(_symbol(key)), key
 
 

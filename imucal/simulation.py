@@ -1,7 +1,7 @@
 """Recordings of known truth: noise models of a gyroscope and an accelerometer -> Recording."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,13 +77,8 @@ def simulate_recording(
     if not keep.any():
         msg = "the gaps leave no samples"
         raise ValueError(msg)
-    clock = Clock(
-        source="simulated",
-        rate_hz=rate_hz,
-        segments=Clock.even(n, rate_hz).segments,
-        start_ns=START_NS,
-        jitter_s=0.0,
-    ).keeping(keep)
+    even = Clock.even(n, rate_hz, source="simulated")
+    clock = replace(even, start_ns=START_NS, jitter_s=0.0).keeping(keep)
     truths = {Sensor.GYROSCOPE: gyroscope, Sensor.ACCELEROMETER: accelerometer}
     series = tuple(
         AxisSeries(sensor=sensor, axis=axis, samples=row[keep], clock=clock)

@@ -1,12 +1,12 @@
 """check: a report against limits -> verdicts."""
 
+import math
 from collections.abc import Container, Iterator
 from itertools import chain
 
 from imucal.checking.limit_units import LOG_QUANTITIES
 from imucal.checking.limits import Baseline, Limit, Limits
-from imucal.checking.measure import axes_of, measure, relative, same_everywhere, sensors_of
-from imucal.checking.verdict import CheckResult, Row, judge
+from imucal.checking.verdict import CheckResult, Measured, Row, judge
 from imucal.errors import LimitsError
 from imucal.recording import Sensor
 from imucal.report.json_file import load
@@ -68,7 +68,7 @@ def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
         if name not in there:
             yield _fails(name, "axes", f"{name}: the report has no such axis; found {found}")
     for name in dict.fromkeys(limit.where for limit in limits.limits):
-        if "_" not in name and not axes_of(report, name):
+        if "_" not in name and not _axes_of(report, name):
             where = Sensor(name).short if name in tuple(Sensor) else name
             yield _fails(where, "axes", f"{name}: the report has no axis of it; found {found}")
     for sensor, axes in limits.required.items():
@@ -84,7 +84,7 @@ def _wanted(report: Report, limits: Limits) -> Iterator[str]:
         yield from (f"{sensor.short}_{axis}" for axis in axes)
     sections = {limit.where: None for limit in limits.limits}
     yield from (where for where in sections if "_" in where)
-    for finding in chain(report.findings, *(axis.findings for axis in report.axes)):
+    for finding in report.all_findings:
         if finding.level == "error" and finding.axis and _asked(finding.axis, sections):
             yield finding.axis
 
@@ -94,15 +94,21 @@ def _asked(name: str, sections: Container[str]) -> bool:
     return any(name.startswith(f"{sensor.short}_") and sensor in sections for sensor in Sensor)
 
 
+def _axes_of(report: Report, where: str) -> tuple[AxisReport, ...]:
+    """Return the axes that ``log``, a sensor or an axis name stands for."""
+    return tuple(axis for axis in report.axes if where in ("log", axis.sensor, axis.name))
+
+
 def _limit(report: Report, limit: Limit) -> Iterator[Row]:
-    axes = axes_of(report, limit.where)
+    axes = _axes_of(report, limit.where)
     if limit.quantity not in LOG_QUANTITIES:
         for axis in axes:
             yield from _axis_limit(axis, axis.name, limit)
         return
-    for sensor in sensors_of(axes):
+    for sensor in dict.fromkeys(axis.sensor for axis in axes):
         group = [axis for axis in axes if axis.sensor is sensor]
-        if len(group) > 1 and same_everywhere(group, limit.quantity):
+        # A quantity of the clock is most often one for all axes, and said once.
+        if len(group) > 1 and len({measure(axis, limit.quantity) for axis in group}) == 1:
             yield from _axis_limit(group[0], sensor.short, limit)
             continue
         for axis in group:
@@ -131,16 +137,14 @@ def _axis_limit(axis: AxisReport, where: str, limit: Limit) -> Iterator[Row]:
 
 
 def _findings(report: Report, limits: Limits) -> Iterator[Row]:
-    found = chain(report.findings, *(axis.findings for axis in report.axes))
-    forbidden = [
-        finding for finding in dict.fromkeys(found) if limits.findings.forbids(finding.level, finding.code)
-    ]
+    rules, found = limits.findings, dict.fromkeys(report.all_findings)
+    forbidden = [finding for finding in found if rules.forbids(finding.level, finding.code)]
     for finding in forbidden:
         where = finding.axis or "log"
         yield _fails(
             where, finding.code, f"{where}: forbidden {finding.level} [{finding.code}]: {finding.text}"
         )
-    if not forbidden and (limits.findings.level != "none" or limits.findings.forbid):
+    if not forbidden and (rules.level != "none" or rules.forbid):
         yield Row(where="log", subject="findings", verdict="pass", text="log: no forbidden finding")
 
 
@@ -168,6 +172,62 @@ def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) 
         if rules.max_decrease is not None:
             limit = 1 - rules.max_decrease
             yield judge(now.name, f"{key} / baseline", ratio, side="min", limit=limit)
+
+
+def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Measured], ...]:
+    """Return a quantity of an axis in SI, under its name; several for several Gauss-Markov terms."""
+    gaps = len(axis.gaps)
+    missing = sum(gap.missing for gap in axis.gaps)
+    exact = {
+        "rate": axis.rate_hz,
+        "duration": axis.duration_s,
+        "gaps": float(gaps),
+        "missing": missing / (axis.samples + missing) if missing else 0.0,
+        "mean": axis.mean,
+        "std": axis.std,
+    }
+    if quantity in exact:
+        return ((quantity, Measured.exactly(exact[quantity])),)
+    if quantity == "minimum":
+        return ((quantity, _minimum(axis)),)
+    return tuple(
+        (estimate.key, Measured(value=estimate.value, low=estimate.low, high=estimate.high))
+        for estimate in axis.fit.estimates
+        if estimate.symbol == quantity
+    )
+
+
+def relative(now: Measured, before: Measured) -> Measured:
+    """Return the ratio of two independent quantities with its interval.
+
+    The distances to the limits of both add in quadrature on the logarithmic scale (Zou & Donner
+    2008, the MOVER method). A bound is between 0 and its upper limit.
+    """
+    if now.value is None or before.value is None:
+        low = now.low / before.high if before.high else math.inf
+        high = now.high / before.low if before.low else math.inf
+        return Measured(value=None, low=low, high=high)
+    ratio = now.value / before.value if before.value else math.inf
+    down = math.hypot(_distance(now.low, now.value), _distance(before.value, before.high))
+    up = math.hypot(_distance(now.value, now.high), _distance(before.low, before.value))
+    return Measured(value=ratio, low=ratio * math.exp(-down), high=ratio * _exp(up))
+
+
+def _minimum(axis: AxisReport) -> Measured:
+    value, tau = axis.fit.curve.minimum
+    low, high = axis.fit.curve.confidence_interval(axis.fit.level)
+    index = int(abs(axis.fit.curve.tau - tau).argmin())
+    if not (math.isfinite(low[index]) and math.isfinite(high[index])):
+        return Measured.exactly(value)
+    return Measured(value=value, low=float(low[index]), high=float(high[index]))
+
+
+def _distance(low: float, high: float) -> float:
+    return math.log(high / low) if low > 0 else math.inf
+
+
+def _exp(x: float) -> float:
+    return math.exp(x) if x < 700 else math.inf
 
 
 def _fails(where: str, subject: str, text: str) -> Row:

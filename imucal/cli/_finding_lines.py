@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from imucal.findings import Finding, Level
-from imucal.report.result import Report
 
 _STYLES: dict[Level, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 
@@ -26,11 +25,6 @@ class _Line:
             return ""
         where = f", on {' '.join(self.others)}" if self.others else ""
         return f" ({self.more} more like it{where}; -v shows all)"
-
-
-def all_findings(report: Report) -> tuple[Finding, ...]:
-    """Return the findings of the log and of every axis."""
-    return report.findings + tuple(finding for axis in report.axes for finding in axis.findings)
 
 
 def has_warning(findings: Sequence[Finding]) -> bool:

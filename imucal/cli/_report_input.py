@@ -64,10 +64,10 @@ def is_report(path: Path) -> bool:
 
 
 def _characterise(request: LogRequest) -> Report:
-    from imucal.cli._finding_lines import all_findings, print_findings
+    from imucal.cli._finding_lines import print_findings
     from imucal.pipeline import Settings
 
     report = request.characterise(Settings(reading=request.settings()))
-    print_findings(all_findings(report), quiet=request.quiet, verbose=request.verbose)
+    print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
     say("Characterised with the defaults of 'imucal fit'", quiet=request.quiet)
     return report

@@ -11,7 +11,6 @@ from imucal.checking import Baseline, CheckResult, FindingRules, Limits
 from imucal.checking.verdict import Row, Verdict
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
-from imucal.report.result import Report
 
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
 _WIDTH = 80
@@ -89,7 +88,9 @@ def command(
     limits = _limits(limits_file, baseline)
     if undecided is not None:
         limits = replace(limits, undecided="fail" if undecided == "fail" else "pass")
-    older = None if limits.baseline is None else _older(limits.baseline.report)
+    older = None
+    if limits.baseline is not None and limits.baseline.report is not None:
+        older = read_report(limits.baseline.report)
     report = load_report(request)
     result = check(report, limits, baseline=older)
     if junit is not None:
@@ -122,11 +123,6 @@ def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
         msg = f'{limits_file}: the baseline names no report; write report = "…", or give --baseline REPORT'
         raise click.UsageError(msg)
     return limits
-
-
-def _older(path: Path | None) -> Report:
-    assert path is not None  # noqa: S101 - _limits saw to it
-    return read_report(path)
 
 
 def _table(result: CheckResult) -> str:

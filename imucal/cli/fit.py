@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._finding_lines import all_findings, has_warning, print_findings
+from imucal.cli._finding_lines import has_warning, print_findings
 from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say
 from imucal.errors import DataError
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
@@ -195,12 +195,12 @@ def command(
         click.echo(dumps(to_document(report)), nl=False)
     else:
         click.echo(summary_table(report, datasheet=datasheet))
-    print_findings(all_findings(report), quiet=request.quiet, verbose=request.verbose)
+    print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
     if not no_report:
         for path in write_report(report, folder, formats=formats, html=not no_html):
             say(str(path), quiet=request.quiet)
         say(f"Next: imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
-    if request.strict and has_warning(all_findings(report)):
+    if request.strict and has_warning(report.all_findings):
         click.get_current_context().exit(DataError.exit_code)
 
 

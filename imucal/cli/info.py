@@ -3,18 +3,18 @@
 import json
 import textwrap
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
 import click
 
 from imucal.cli import options_for
-from imucal.cli._info_json import TopicReading, as_json_value
 from imucal.cli._options import describe_duration
 from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.readers import LogContents, ReadOptions, TopicContents, describe, read
+from imucal.recording import Recording
 
 #: What ``--json`` prints follows this.
 SCHEMA = "imucal/info/1"
@@ -27,6 +27,14 @@ _Words: TypeAlias = tuple[str, str, str]
 _NO_DATE = 315_532_800_000_000_000
 #: Logs up to this size are read in full without being asked, in bytes: it takes less than a second.
 _SMALL = 64_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicReading:
+    """What reading a topic showed: its recording, or why there is none."""
+
+    recording: Recording | None = None
+    error: str = ""
 
 
 @click.command(
@@ -62,7 +70,7 @@ def command(logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, msg: Pat
         wanted = (small if gaps is None else gaps) and log != STANDARD_INPUT
         found = _read_topics(contents, msg) if wanted else {}
         if as_json:
-            entries.append(as_json_value(contents, found))
+            entries.append(_document(contents, found))
         else:
             click.echo("\n".join(_lines(contents, found, looked=wanted)))
     if as_json:
@@ -81,6 +89,50 @@ def _read_topics(contents: LogContents, msg: Path | None) -> dict[str, TopicRead
         except ImucalError as error:
             found[topic.name] = TopicReading(error=str(error))
     return found
+
+
+def _document(contents: LogContents, found: dict[str, TopicReading]) -> dict[str, object]:
+    """Return a log's entry: what it holds, and of the topics that were read their clocks and findings."""
+    return {
+        "path": contents.path,
+        "format": contents.format,
+        "compression": contents.compression,
+        "size_bytes": contents.size_bytes,
+        "start_ns": contents.start_ns,
+        "duration_s": contents.duration_s,
+        "topics": [_topic_json(topic, found.get(topic.name)) for topic in contents.topics],
+        "findings": [_finding_json(finding) for finding in contents.findings],
+    }
+
+
+def _topic_json(topic: TopicContents, found: TopicReading | None) -> dict[str, object]:
+    entry: dict[str, object] = {
+        **asdict(topic),
+        "sensors": [str(sensor) for sensor in topic.sensors],
+    }
+    if found is None:
+        return entry
+    if found.recording is None:
+        return {**entry, "error": found.error}
+    clocks = {series.sensor: series.clock for series in found.recording.series}
+    entry["clocks"] = {
+        str(sensor): {
+            "source": clock.source,
+            "rate_hz": clock.rate_hz,
+            "samples": clock.n,
+            "jitter_s": clock.jitter_s,
+            "missing": clock.missing,
+            "gaps": [asdict(gap) for gap in clock.gaps],
+        }
+        for sensor, clock in clocks.items()
+    }
+    entry["decisions"] = [list(pair) for pair in found.recording.source.decisions]
+    entry["findings"] = [_finding_json(finding) for finding in found.recording.findings]
+    return entry
+
+
+def _finding_json(finding: Finding) -> dict[str, object]:
+    return {name: getattr(finding, name) for name in ("level", "code", "axis", "text", "advice")}
 
 
 def _lines(contents: LogContents, found: dict[str, TopicReading], *, looked: bool) -> Iterator[str]:
@@ -138,7 +190,7 @@ def _head(contents: LogContents) -> Iterator[str]:
 
 def _table(topics: list[TopicContents]) -> Iterator[str]:
     """Yield a line a topic, and a second one for a note or for a name that does not fit."""
-    rows = [(topic.name, topic.type, *_figures(topic), _sensors(topic)) for topic in topics]
+    rows = [(topic.name, topic.type, *_figures(topic)) for topic in topics]
     heads = ("topic", "type", "messages", "rate", "duration", "sensors")
     widths = [max(len(heads[i]), *(len(row[i]) for row in rows)) for i in range(6)]
     spare = _WIDTH - 2 - 2 * 5 - sum(widths[2:])
@@ -160,14 +212,11 @@ def _row(cells: tuple[str, ...], widths: list[int]) -> str:
     return ("  " + "  ".join([*left, *middle, sensors])).rstrip()
 
 
-def _figures(topic: TopicContents) -> tuple[str, str, str]:
+def _figures(topic: TopicContents) -> tuple[str, str, str, str]:
     count = "?" if topic.count is None else str(topic.count)
     rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
-    return count, rate, "" if topic.duration_s is None else describe_duration(topic.duration_s)
-
-
-def _sensors(topic: TopicContents) -> str:
-    return ", ".join(sensor.short for sensor in topic.sensors)
+    duration = "" if topic.duration_s is None else describe_duration(topic.duration_s)
+    return count, rate, duration, ", ".join(sensor.short for sensor in topic.sensors)
 
 
 def _what_was_read(topic: TopicContents, found: TopicReading | None, said: set[_Words]) -> Iterator[str]:

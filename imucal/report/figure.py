@@ -133,21 +133,17 @@ def _recording_text(axis: AxisReport) -> str:
 
 def _rows(axes: list[AxisReport]) -> list[tuple[str, list[str]]]:
     """Return the rows under an overview: a name, and a text for each axis."""
-    rows = []
     estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
-    keys = dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol)
-    for key in keys:
+    rows = []
+    for key in dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol):
         texts = []
         for axis in axes:
             found = next((e for e in axis.fit.estimates if e.key == key), None)
             text = estimate_text(found, axis.sensor) if found else "–"
             texts.append(text.removeprefix(f"{key} ").replace("\n", ",  "))
         rows.append((key, texts))
-    texts = []
-    for axis in axes:
-        texts.append(numbers.with_interval(numbers.comfortable(numbers.minimum(axis)[1])))
-    rows.append(("minimum", texts))
-    return rows
+    lowest = [numbers.comfortable(numbers.minimum(axis)[1]) for axis in axes]
+    return [*rows, ("minimum", [numbers.with_interval(quantity) for quantity in lowest])]
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:

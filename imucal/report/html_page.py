@@ -12,7 +12,7 @@ from string import Template
 from imucal.report import numbers
 from imucal.report.figure import axis_title
 from imucal.report.figure_allan import shown_points
-from imucal.report.markup import Markup, element, join, row, table
+from imucal.report.markup import Markup, both_units, element, join, row, table
 from imucal.report.page_data import page_data
 from imucal.report.page_downstream import downstream_section
 from imucal.report.page_summary import findings_section, summary_section
@@ -86,8 +86,7 @@ def _axis_section(axis: AxisReport) -> Markup:
     curve = join(
         [
             f"Allan deviation of {where.lower()}: its minimum is ",
-            element("span", numbers.with_interval(numbers.comfortable(sheet)), class_="sheet"),
-            element("span", numbers.with_interval(plain), class_="si"),
+            both_units(numbers.with_interval(numbers.comfortable(sheet)), numbers.with_interval(plain)),
             f" at {numbers.seconds(tau)}. Model {str(axis.fit.model) or 'without a term'}.",
         ]
     )

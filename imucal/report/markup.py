@@ -33,6 +33,11 @@ def join(children: Iterable[Child]) -> Markup:
     return Markup("".join(_escaped(child) for child in children if child is not None))
 
 
+def both_units(sheet: str | Markup, plain: str | Markup) -> Markup:
+    """Return a text in data-sheet units and in SI, of which the page shows one."""
+    return join([element("span", sheet, class_="sheet"), element("span", plain, class_="si")])
+
+
 def row(*cells: Markup) -> Markup:
     """Return a table row."""
     return element("tr", *cells)

@@ -7,7 +7,7 @@ from imucal.errors import DataError
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports.config_numbers import Choices, Number, Numbers
-from imucal.report.markup import Markup, element, join, row, table
+from imucal.report.markup import Markup, both_units, element, join, row, table
 from imucal.report.result import Report
 from imucal.units import pretty
 
@@ -203,14 +203,10 @@ def _two_floors(report: Report) -> Markup:
             (low[1].scaled(1 / 0.664, low[1].unit), low[0].scaled(1 / 0.664, low[0].unit)),
         )
         cells = [
-            element(
-                "td",
-                element("span", numbers.with_interval(numbers.comfortable(one)), class_="sheet"),
-                element("span", numbers.with_interval(other), class_="si"),
-            )
+            both_units(numbers.with_interval(numbers.comfortable(one)), numbers.with_interval(other))
             for one, other in pairs
         ]
-        body.append(row(element("th", axis.name, scope="row"), *cells))
+        body.append(row(element("th", axis.name, scope="row"), *(element("td", cell) for cell in cells)))
     note = (
         "“Bias instability” has two meanings. B is the coefficient of flicker noise, whose floor lies at "
         "0.664 B. The minimum of the curve holds every term at once; divided by 0.664 it gives an upper "

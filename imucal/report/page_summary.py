@@ -9,7 +9,7 @@ from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.markup import Markup, element, join, row, table
+from imucal.report.markup import Markup, both_units, element, join, row, table
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from imucal.units import pretty
@@ -45,11 +45,6 @@ def findings_section(report: Report) -> Markup:
             parts.append(element("h3", f"{_HEADINGS[level]} ({len(items)})"))
             parts.append(element("ul", *items, class_=f"findings {level}"))
     return join(parts)
-
-
-def both_units(sheet: str | Markup, plain: str | Markup, *, tag: str = "span") -> Markup:
-    """Return a text in data-sheet units and in SI, of which the page shows one."""
-    return join([element(tag, sheet, class_="sheet"), element(tag, plain, class_="si")])
 
 
 def _all_findings(report: Report) -> list[tuple[str, Finding]]:

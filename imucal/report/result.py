@@ -117,3 +117,8 @@ class Report:
     settings: Mapping[str, object]
     version: str
     findings: tuple[Finding, ...] = ()
+
+    @property
+    def all_findings(self) -> tuple[Finding, ...]:
+        """The findings of the log and of every axis."""
+        return self.findings + tuple(finding for axis in self.axes for finding in axis.findings)

@@ -23,7 +23,7 @@ from imucal.screening.tones import check_tones
 from imucal.screening.unit_check import check_accelerometer_unit, check_gyroscope_unit, check_swapped
 from imucal.screening.warmup import check_warm_up
 
-__all__ = ["screen"]
+__all__ = ["AxisCheck", "LogCheck", "screen"]
 
 AxisCheck: TypeAlias = Callable[[Profile], tuple[Finding, ...]]
 LogCheck: TypeAlias = Callable[[Sequence[Profile]], tuple[Finding, ...]]

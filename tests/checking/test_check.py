@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucal.checking import CheckResult, Measured, check, parse_limits
-from imucal.checking.measure import measure, relative
+from imucal.checking.gate import measure, relative
 from imucal.checking.verdict import judge
 from imucal.errors import LimitsError, ReadError
 from imucal.findings import Finding

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from imucal.checking import Limits, parse_limits, read_limits
+from imucal.checking import Baseline, Limits, parse_limits, read_limits
 from imucal.checking.limit_units import SAMPLE_QUANTITIES, TERM_QUANTITIES, plain_unit, quantity_units
 from imucal.checking.limits import FINDING_CODES
 from imucal.errors import LimitsError
@@ -145,10 +145,10 @@ def test_a_baseline_is_sought_beside_the_file(tmp_path: Path) -> None:
     assert baseline.report == tmp_path / "golden" / "report.json"
     assert baseline.max_decrease == 0.5
     assert baseline.max_increase is None  # only what is asked
-    alone = parse_limits("[baseline]").baseline
-    assert alone is not None
-    assert (alone.report, alone.max_increase, alone.max_decrease) == (None, 0.2, None)
-    assert alone.terms == ("N", "B", "K")
+    # The command line's help says so: 20 % more N, B and K.
+    assert parse_limits("[baseline]").baseline == Baseline(
+        report=None, terms=("N", "B", "K"), max_increase=0.2, max_decrease=None
+    )
 
 
 def test_the_codes_are_those_of_the_page_on_findings() -> None:

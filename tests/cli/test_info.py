@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucal.cli._info_json import TopicReading
-from imucal.cli.info import _jitter, _what_was_read
+from imucal.cli.info import TopicReading, _jitter, _what_was_read
 from imucal.findings import Finding
 from imucal.readers import TopicContents
 from imucal.recording import AxisSeries, Recording, Sensor, Source

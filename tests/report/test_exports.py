@@ -20,7 +20,7 @@ from imucal.noise.terms import BiasInstability, GaussMarkov
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.document import to_document
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
-from imucal.report.exports.gauss_markov import flicker_bank
+from imucal.report.exports.kalman import flicker_bank
 from imucal.report.exports.target import comment, decimal, real
 from imucal.report.json_file import dumps, from_document
 from imucal.report.result import Report

@@ -58,6 +58,7 @@ def test_uncertainty_decides_the_digits(value: float, half: float, text: str) ->
         (_quantity(3.2, 1.1, math.inf), "3.2 [1.1, ?] deg/h"),
         (_quantity(3.587, 3.587, 3.587), "3.587 deg/h"),
         (_quantity(0.066, 0.066, 0.066, "m/s^2"), "0.06600 m/s²"),
+        (_quantity(0.099996, 0.099996, 0.099996), "0.1000 deg/h"),
     ],
 )
 def test_lopsided_bounded_and_unknown_are_said_as_such(quantity: Quantity, text: str) -> None:

@@ -2,63 +2,39 @@
 
 import difflib
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 
 from imucal.atomic import replacing
 from imucal.errors import WriteError
-from imucal.report.exports import (
-    euroc,
-    fast_lio,
-    gauss_markov,
-    gazebo,
-    gtsam,
-    isaac_ros,
-    kalibr,
-    kf_gins,
-    lio_sam,
-    matlab,
-    openvins,
-    orbslam3,
-    px4,
-    ros,
-    vins,
-)
 from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Choices, Numbers, Unidentified
 from imucal.report.exports.target import Target
 from imucal.report.result import Report
 
-__all__ = [
-    "INFLATABLE",
-    "TARGETS",
-    "AxisPolicy",
-    "Unidentified",
-    "export",
-    "find_target",
-    "render",
-]
+__all__ = ["INFLATABLE", "TARGETS", "AxisPolicy", "Unidentified", "export", "find_target", "render"]
+
+#: The modules of this folder that each hold one format, in the order of the list that users see.
+_FORMATS = (
+    "kalibr",
+    "openvins",
+    "vins",
+    "orbslam3",
+    "gtsam",
+    "lio_sam",
+    "fast_lio",
+    "ros",
+    "px4",
+    "gazebo",
+    "isaac_ros",
+    "euroc",
+    "kf_gins",
+    "matlab",
+    "kalman",
+)
+_FOUND: list[Target] = [import_module(f"{__name__}.{module}").TARGET for module in _FORMATS]
 
 #: Name of a downstream format -> how its file is written.
-TARGETS: dict[str, Target] = {
-    module.TARGET.name: module.TARGET
-    for module in (
-        kalibr,
-        openvins,
-        vins,
-        orbslam3,
-        gtsam,
-        lio_sam,
-        fast_lio,
-        ros,
-        px4,
-        gazebo,
-        isaac_ros,
-        euroc,
-        kf_gins,
-        matlab,
-        gauss_markov,
-    )
-}
-
+TARGETS: dict[str, Target] = {target.name: target for target in _FOUND}
 
 #: Words in the comment of every file.
 _OURS = "written by imucal "
@@ -155,17 +131,10 @@ def export(
     """
     path = Path(path)
     targets = tuple(TARGETS.values()) if target == "all" else (find_target(target),)
-    texts = {
-        each: render(
-            report,
-            each.name,
-            axis_policy=axis_policy,
-            inflate=inflate,
-            unidentified=unidentified,
-            topic=topic,
-        )
-        for each in targets
-    }
+    choices = Choices(
+        axis_policy=axis_policy, inflate=dict(inflate or {}), unidentified=unidentified, topic=topic
+    )
+    texts = {each: each.render(Numbers(report=report, choices=choices, target=each.name)) for each in targets}
     if target == "all":
         _make_folder(path)
     files = []

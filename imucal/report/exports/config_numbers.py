@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Estimate
@@ -16,6 +16,8 @@ Unidentified: TypeAlias = Literal["bound", "refuse"]
 
 #: What can be inflated -> the symbols of the terms it multiplies.
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
+#: Correlation time where none was measured, in s: long against the record, so that a walk stays one.
+NOMINAL_TIME_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,6 +92,42 @@ class Number:
         if self.bounded == self.axes:
             return f"{origin}, UPPER BOUND ({self.level:.0%}): the data do not show this term"
         return f"{origin}; UPPER BOUND ({self.level:.0%}) on {', '.join(self.bounded)}"
+
+
+class Densities(NamedTuple):
+    """N and K of both sensors, continuous, by the user's axis policy."""
+
+    accel_n: Number
+    accel_k: Number
+    gyro_n: Number
+    gyro_k: Number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlowNoise:
+    """A first-order Gauss-Markov process dx/dt = -x/T + driving * w(t).
+
+    Attributes
+    ----------
+    driving
+        Density of the driving noise, in U/sqrt(s); sigma = driving * sqrt(T/2).
+    correlation_time
+        T, in s.
+    number
+        The K it stands for; None where it is a Gauss-Markov term of the fit.
+    note
+        Where it comes from.
+    """
+
+    driving: float
+    correlation_time: float
+    number: Number | None
+    note: str
+
+    @property
+    def sigma(self) -> float:
+        """Steady-state standard deviation, in U."""
+        return self.driving * math.sqrt(self.correlation_time / 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,6 +211,47 @@ class Numbers:
             return None
         correlation_time, sigma = max(terms)
         return sigma * self.choices.factor("GM"), correlation_time
+
+    def densities(self) -> Densities:
+        """Return N and K of both sensors, which most formats hold."""
+        return Densities(
+            accel_n=self.one(Sensor.ACCELEROMETER, "N"),
+            accel_k=self.one(Sensor.ACCELEROMETER, "K"),
+            gyro_n=self.one(Sensor.GYROSCOPE, "N"),
+            gyro_k=self.one(Sensor.GYROSCOPE, "K"),
+        )
+
+    def slow(self, axis: AxisReport) -> SlowNoise:
+        """Return the process that best stands for what is slower than white noise.
+
+        A random walk that was found wins, with a nominal T: it goes on at the longest times, and a
+        short T would stop it. Else the slowest Gauss-Markov term, with its own T. Else the bound on K.
+        """
+        term = self.gauss_markov(axis)
+        if term is not None and axis.fit["K"].value is None:
+            sigma, time = term
+            return SlowNoise(
+                driving=sigma * math.sqrt(2 / time),
+                correlation_time=time,
+                number=None,
+                note=f"Gauss-Markov term of {axis.name}: sigma {sigma:.4g}, T {time:.4g} s",
+            )
+        walk = self.of(axis, "K")
+        note = f"{walk.note}; T is nominal"
+        return SlowNoise(driving=walk.value, correlation_time=NOMINAL_TIME_S, number=walk, note=note)
+
+    def topic(self) -> tuple[str, str]:
+        """Return the IMU topic to write, and a remark on where it comes from."""
+        if self.choices.topic is not None:
+            return self.choices.topic, "as given"
+        source = self.report.source
+        if not source.message_types:
+            return "/imu0", "the log names no topic; set yours"
+        # An IMU of a message that holds several is chosen as /topic:part; only the topic is ROS's.
+        topic = source.topics[0].partition(":")[0]
+        if len(source.topics) > 1:
+            return topic, f"one of {', '.join(source.topics)}; set the topic that holds both sensors"
+        return topic, "the log's topic"
 
     def _refuse_bound(self, axis: AxisReport, estimate: Estimate) -> None:
         if self.choices.unidentified != "refuse":

@@ -7,12 +7,11 @@ import numpy as np
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.densities import densities
 from imucal.report.exports.target import Body, Target, quoted, real, vector
 
 
 def _body(numbers: Numbers) -> Body:
-    values = densities(numbers)
+    values = numbers.densities()
     rows = np.eye(4).tolist()
     data = [f"  data: [{vector(rows[0])[1:-1]},"]
     data += [f"         {vector(row)[1:-1]}," for row in rows[1:-1]]
@@ -30,7 +29,7 @@ def _body(numbers: Numbers) -> Body:
         f"accelerometer_noise_density: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
         f"accelerometer_random_walk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
     ]
-    return values.all, lines
+    return values, lines
 
 
 TARGET = Target(

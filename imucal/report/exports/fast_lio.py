@@ -6,12 +6,11 @@ Source: FAST-LIO, ``src/IMU_Processing.hpp`` (UndistortPcl), ``include/IKFoM_too
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.densities import densities
 from imucal.report.exports.target import Body, Target, real
 
 
 def _body(numbers: Numbers) -> Body:
-    values = densities(numbers)
+    values = numbers.densities()
     accel, gyro = numbers.rate_hz(Sensor.ACCELEROMETER), numbers.rate_hz(Sensor.GYROSCOPE)
     lines = [
         "mapping:",
@@ -20,7 +19,7 @@ def _body(numbers: Numbers) -> Body:
         f"  b_acc_cov: {real(values.accel_k.value**2 * accel)}  # (m/s^3)^2; {values.accel_k.note}",
         f"  b_gyr_cov: {real(values.gyro_k.value**2 * gyro)}  # (rad/s^2)^2; {values.gyro_k.note}",
     ]
-    return values.all, lines
+    return values, lines
 
 
 TARGET = Target(

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 from imucal.recording import Sensor
-from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.densities import SlowNoise, slow_noise
+from imucal.report.exports.config_numbers import Number, Numbers, SlowNoise
 from imucal.report.exports.target import Body, Target, plain, real
 from imucal.report.result import AxisReport
 
@@ -30,7 +29,7 @@ def _body(numbers: Numbers) -> Body:
     for sensor, name in _ELEMENTS.items():
         element = ET.SubElement(imu, name)
         for axis in numbers.triad(sensor):
-            white, slow = numbers.of(axis, "N"), slow_noise(numbers, axis)
+            white, slow = numbers.of(axis, "N"), numbers.slow(axis)
             used += [white] if slow.number is None else [white, slow.number]
             _noise(ET.SubElement(element, axis.axis), axis, white, slow)
     ET.indent(root)

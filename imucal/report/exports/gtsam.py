@@ -6,7 +6,6 @@ names. Source: GTSAM, ``gtsam/navigation/PreintegrationCombinedParams.h``.
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.densities import densities
 from imucal.report.exports.target import Body, Target, real
 from imucal.units import G0
 
@@ -29,7 +28,7 @@ def imu_params(gravity: float = {gravity}) -> gtsam.PreintegrationCombinedParams
 
 
 def _body(numbers: Numbers) -> Body:
-    values = densities(numbers)
+    values = numbers.densities()
     lines = [
         "",
         "import gtsam",
@@ -43,7 +42,7 @@ def _body(numbers: Numbers) -> Body:
         *_correlation_times(numbers),
     ]
     lines.append(_FUNCTION.format(gravity=real(G0)).rstrip())
-    return values.all, lines
+    return values, lines
 
 
 def _assignment(name: str, number: Number, unit: str) -> str:

@@ -6,12 +6,11 @@ Source: Isaac ROS documentation, ``isaac_ros_visual_slam``, parameters.
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.densities import densities
 from imucal.report.exports.target import Body, Target, real
 
 
 def _body(numbers: Numbers) -> Body:
-    values = densities(numbers)
+    values = numbers.densities()
     rate = real(numbers.rate_hz(Sensor.GYROSCOPE))
     lines = [
         "/**:",
@@ -22,7 +21,7 @@ def _body(numbers: Numbers) -> Body:
         f"    accel_random_walk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
         f"    calibration_frequency: {rate}  # Hz, of the gyroscope",
     ]
-    return values.all, lines
+    return values, lines
 
 
 TARGET = Target(

@@ -7,15 +7,14 @@ Source: Kalibr, ``aslam_offline_calibration/kalibr/python/kalibr_common/ConfigRe
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.densities import densities, topic
 from imucal.report.exports.target import Body, Target, plain, quoted, real
 
 FORMULA = "noise_density = N (white noise), random_walk = K (of the bias); no factor of the rate"
 
 
 def _body(numbers: Numbers) -> Body:
-    values = densities(numbers)
-    name, remark = topic(numbers)
+    values = numbers.densities()
+    name, remark = numbers.topic()
     lines = [
         f"accelerometer_noise_density: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
         f"accelerometer_random_walk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
@@ -24,7 +23,7 @@ def _body(numbers: Numbers) -> Body:
         f"rostopic: {quoted(name)}  # {plain(remark)}",
         f"update_rate: {real(numbers.rate_hz(Sensor.GYROSCOPE))}  # Hz, of the gyroscope",
     ]
-    return values.all, lines
+    return values, lines
 
 
 TARGET = Target(

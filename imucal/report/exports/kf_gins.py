@@ -8,8 +8,7 @@ import math
 
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
-from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.densities import SlowNoise, slow_noise
+from imucal.report.exports.config_numbers import Numbers, SlowNoise
 from imucal.report.exports.target import Body, Target, comment, real, vector
 
 #: m/s^2 in a mGal.
@@ -19,8 +18,8 @@ _HOUR = 3600.0
 
 def _body(numbers: Numbers) -> Body:
     gyro, accel = numbers.each(Sensor.GYROSCOPE, "N"), numbers.each(Sensor.ACCELEROMETER, "N")
-    gyro_slow = [slow_noise(numbers, axis) for axis in numbers.triad(Sensor.GYROSCOPE)]
-    accel_slow = [slow_noise(numbers, axis) for axis in numbers.triad(Sensor.ACCELEROMETER)]
+    gyro_slow = [numbers.slow(axis) for axis in numbers.triad(Sensor.GYROSCOPE)]
+    accel_slow = [numbers.slow(axis) for axis in numbers.triad(Sensor.ACCELEROMETER)]
     slow = gyro_slow + accel_slow
     time = min(process.correlation_time for process in slow)
     arw = TERMS["N"].datasheet_unit(Sensor.GYROSCOPE).factor

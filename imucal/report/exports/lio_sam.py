@@ -5,13 +5,12 @@ Source: LIO-SAM, ``config/params.yaml``, ``src/imuPreintegration.cpp``.
 """
 
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.densities import densities
 from imucal.report.exports.target import Body, Target, real
 from imucal.units import G0
 
 
 def _body(numbers: Numbers) -> Body:
-    values = densities(numbers)
+    values = numbers.densities()
     lines = [
         "lio_sam:",
         f"  imuAccNoise: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
@@ -20,7 +19,7 @@ def _body(numbers: Numbers) -> Body:
         f"  imuGyrBiasN: {real(values.gyro_k.value)}  # rad/s^2/sqrt(Hz); {values.gyro_k.note}",
         f"  imuGravity: {real(G0)}  # m/s^2, standard gravity; set that of your place",
     ]
-    return values.all, lines
+    return values, lines
 
 
 TARGET = Target(

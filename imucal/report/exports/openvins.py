@@ -7,15 +7,14 @@ import numpy as np
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.densities import densities, topic
 from imucal.report.exports.kalibr import FORMULA
 from imucal.report.exports.target import Body, Target, matrix, opencv_yaml, plain, quoted, real
 
 
 def _body(numbers: Numbers) -> Body:
-    values = densities(numbers)
-    accel_n, accel_k, gyro_n, gyro_k = values.all
-    name, remark = topic(numbers)
+    values = numbers.densities()
+    accel_n, accel_k, gyro_n, gyro_k = values
+    name, remark = numbers.topic()
     unit, zero = np.eye(3).tolist(), np.zeros((3, 3)).tolist()
     lines = [
         "imu0:",
@@ -32,7 +31,7 @@ def _body(numbers: Numbers) -> Body:
     ]
     for key, rows in (("Tw", unit), ("R_IMUtoGYRO", unit), ("Ta", unit), ("R_IMUtoACC", unit), ("Tg", zero)):
         lines += [f"  {key}:", *matrix(rows, "    ")]
-    return values.all, lines
+    return values, lines
 
 
 TARGET = Target(

@@ -7,12 +7,11 @@ Source: ORB-SLAM3, ``src/Tracking.cc`` (newParameterLoader), ``src/ImuTypes.cc``
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.densities import densities
 from imucal.report.exports.target import Body, Target, opencv_yaml, real
 
 
 def _body(numbers: Numbers) -> Body:
-    values = densities(numbers)
+    values = numbers.densities()
     lines = [
         f"IMU.NoiseGyro: {real(values.gyro_n.value)}  # rad/s/sqrt(Hz); {values.gyro_n.note}",
         f"IMU.NoiseAcc: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
@@ -20,7 +19,7 @@ def _body(numbers: Numbers) -> Body:
         f"IMU.AccWalk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
         f"IMU.Frequency: {real(numbers.rate_hz(Sensor.GYROSCOPE))}  # Hz, of the gyroscope",
     ]
-    return values.all, lines
+    return values, lines
 
 
 TARGET = Target(

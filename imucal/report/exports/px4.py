@@ -8,7 +8,6 @@ vibration dominates in flight. Source: PX4, ``src/modules/ekf2/EKF/covariance.cp
 import math
 
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.densities import densities
 from imucal.report.exports.target import Body, Target, comment, decimal
 
 #: Period of EKF2's prediction, in s (EKF2_PREDICT_US = 10000).
@@ -27,12 +26,12 @@ _REAL32 = 9
 
 
 def _body(numbers: Numbers) -> Body:
-    densities_ = densities(numbers)
+    found = numbers.densities()
     values = {
-        "EKF2_GYR_NOISE": densities_.gyro_n,
-        "EKF2_ACC_NOISE": densities_.accel_n,
-        "EKF2_GYR_B_NOISE": densities_.gyro_k,
-        "EKF2_ACC_B_NOISE": densities_.accel_k,
+        "EKF2_GYR_NOISE": found.gyro_n,
+        "EKF2_ACC_NOISE": found.accel_n,
+        "EKF2_GYR_B_NOISE": found.gyro_k,
+        "EKF2_ACC_B_NOISE": found.accel_k,
     }
     lines = comment(f"{name}: {number.note}" for name, number in values.items())
     lines += comment(_out_of_range(values))
@@ -40,7 +39,7 @@ def _body(numbers: Numbers) -> Body:
     lines += [
         f"1\t1\t{name}\t{decimal(_discrete(number))}\t{_REAL32}" for name, number in sorted(values.items())
     ]
-    return densities_.all, lines
+    return found, lines
 
 
 def _discrete(number: Number) -> float:

@@ -203,9 +203,7 @@ def _left_out(axes: Iterable[AxisReport], carries: str) -> list[str]:
 
 
 def _warnings(numbers: Numbers) -> list[str]:
-    report = numbers.report
-    findings = [*report.findings, *(finding for axis in report.axes for finding in axis.findings)]
-    serious = dict.fromkeys(finding.code for finding in findings if finding.level != "info")
+    serious = dict.fromkeys(f.code for f in numbers.report.all_findings if f.level != "info")
     if not serious:
         return []
     return [f"read the report before you use these numbers; it warns of: {', '.join(serious)}"]

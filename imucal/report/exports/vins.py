@@ -10,13 +10,12 @@ import math
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.densities import densities
 from imucal.report.exports.target import Body, Target, opencv_yaml, real
 from imucal.units import G0
 
 
 def _body(numbers: Numbers) -> Body:
-    values = densities(numbers)
+    values = numbers.densities()
     accel, gyro = numbers.rate_hz(Sensor.ACCELEROMETER), numbers.rate_hz(Sensor.GYROSCOPE)
     lines = [
         f"acc_n: {real(values.accel_n.value * math.sqrt(2 * accel))}  # m/s^2; {values.accel_n.note}",
@@ -25,7 +24,7 @@ def _body(numbers: Numbers) -> Body:
         f"gyr_w: {real(values.gyro_k.value * math.sqrt(gyro))}  # rad/s^2; {values.gyro_k.note}",
         f"g_norm: {real(G0)}  # m/s^2, standard gravity; set that of your place",
     ]
-    return values.all, lines
+    return values, lines
 
 
 TARGET = Target(
