@@ -18,13 +18,13 @@ from imucal.fitting.spectral.structures import Structure, candidates_of
 from imucal.noise.model import structure_text
 
 #: Candidates within this much of the best of the coarse bins are fitted on all bins.
-_REFINE = 25.0
+_REFINED_WITHIN = 25.0
 #: Most candidates fitted on all bins.
-_MOST = 16
+_MOST_REFINED = 16
 #: Models whose criterion is within this of the best are listed.
-_NEAR = 6.0
+_LISTED_WITHIN = 6.0
 #: Twice the log-likelihood below which a second maximum is as good as the first.
-_MODES = 4.0
+_AS_GOOD = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,7 +101,7 @@ def choose(
     np.minimum.at(best, owner, 2 * rough.objective)
     value = best + cost
     order = np.argsort(value, kind="stable")
-    near = order[value[order] <= value[order[0]] + _REFINE][:_MOST]
+    near = order[value[order] <= value[order[0]] + _REFINED_WITHIN][:_MOST_REFINED]
     rows = [row for index in near for row in _distinct(np.flatnonzero(owner == index), rough.objective)]
     index = np.array(rows, dtype=np.int64)
     fine = maximize(ordinates, candidates.take(owner[index]), rough.theta[index], shortest=shortest)
@@ -167,7 +167,7 @@ def near_candidates(choice: RankedModels) -> tuple[Candidate, ...]:
     return tuple(
         Candidate(structure=structure_text(structure), delta=float(d))
         for structure, d in zip(choice.structures, delta, strict=True)
-        if d <= _NEAR
+        if d <= _LISTED_WITHIN
     )
 
 
@@ -189,7 +189,7 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
                 advice="Record for longer, or give the model if it is known.",
             )
         )
-    if choice.modes[0] < _MODES / 2:
+    if choice.modes[0] < _AS_GOOD / 2:
         findings.append(
             Finding(
                 level="warning",
