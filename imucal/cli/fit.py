@@ -1,5 +1,6 @@
 """``imucal fit``: the main job."""
 
+import functools
 from pathlib import Path
 
 import click
@@ -9,6 +10,9 @@ from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_option
 from imucal.errors import DataError
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
+
+#: An option whose default stands in its help.
+shown = functools.partial(click.option, show_default=True)
 
 _FORMATS = ("png", "svg", "pdf")
 
@@ -60,50 +64,18 @@ written, 130 interrupted."""
     metavar="DIR",
     help="Folder of the report. [default: NAME-imucal]",
 )
-@click.option(
+@shown(
     "--model",
     type=Structure(),
     default="auto",
-    show_default=True,
     metavar="TEXT",
     help='Terms, such as "N + B + K" or "N + 2*GM".',
 )
-@click.option(
-    "--method",
-    type=click.Choice(METHODS),
-    default="mle",
-    show_default=True,
-    help="Estimator.",
-)
-@click.option(
-    "--level",
-    type=LEVEL,
-    default=0.95,
-    show_default=True,
-    help="Confidence level of every interval.",
-)
-@click.option(
-    "--ic",
-    type=click.Choice(CRITERIA),
-    default="bic",
-    show_default=True,
-    help="Criterion that chooses the model.",
-)
-@click.option(
-    "--weights",
-    type=click.Choice(WEIGHTS),
-    default="full",
-    show_default=True,
-    help="Weights of gmwm.",
-)
-@click.option(
-    "--taus",
-    type=TauSet(),
-    default="octave",
-    show_default=True,
-    metavar="SET",
-    help="octave, decade, decade:20 or all.",
-)
+@shown("--method", type=click.Choice(METHODS), default="mle", help="Estimator.")
+@shown("--level", type=LEVEL, default=0.95, help="Confidence level of every interval.")
+@shown("--ic", type=click.Choice(CRITERIA), default="bic", help="Criterion that chooses the model.")
+@shown("--weights", type=click.Choice(WEIGHTS), default="full", help="Weights of gmwm.")
+@shown("--taus", type=TauSet(), default="octave", metavar="SET", help="octave, decade, decade:20 or all.")
 @click.option(
     "--edf",
     type=click.Choice(["hybrid", "model", "greenhall"]),

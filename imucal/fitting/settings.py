@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias, cast
 
+import numpy as np
+
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import NoiseFit
@@ -19,8 +21,15 @@ METHODS: dict[str, tuple[str, str]] = {
     "slope": ("imucal.fitting.moments", "fit_slope"),
 }
 
-#: Information criteria that choose between models.
-CRITERIA = ("bic", "hq", "aic")
+#: Information criterion that chooses between models -> price of one parameter for a sample of so
+#: many, in units of twice the log-likelihood, or of the weighted sum of squares. Source: Schwarz
+#: (1978), Annals of Statistics 6 (bic); Hannan & Quinn (1979), JRSS B 41 (hq); Akaike (1974), IEEE
+#: TAC 19 (aic).
+CRITERIA: dict[str, Callable[[float], float]] = {
+    "bic": lambda count: float(np.log(count)),
+    "hq": lambda count: float(2 * np.log(np.log(max(count, 3)))),
+    "aic": lambda _: 2.0,
+}
 
 #: Weights of gmwm: full covariance of the curve, or the published diagonal.
 WEIGHTS = ("full", "eta3")

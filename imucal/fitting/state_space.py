@@ -10,6 +10,8 @@ state, so that memory does not grow with the record.
 The level is unknown with a flat prior, whether a walk starts there or not: the likelihood is that
 of all contrasts between samples, as in `imucal.fitting.spectral.likelihood`.
 
+`fit_exact` is what ``verify`` compares a fit with; the tests hold the faster likelihood against it.
+
 Source: Rue & Held (2005), "Gaussian Markov random fields", sec. 2.3-2.4; the result equals the
 diffuse Kalman filter's, de Jong (1991), Ann. Statist. 19, 1073.
 """

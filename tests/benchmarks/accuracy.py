@@ -185,9 +185,7 @@ def _maximum(samples: FloatArray, model: str, key: str) -> float:
         view.ordinates,
         [structure],
         criterion="bic",
-        poles=view.band.poles,
-        zeros=view.band.zeros,
-        response=view.band.response,
+        band=view.band,
         common=view.common,
     )
     if key == "R":

@@ -1,5 +1,6 @@
 """The facade: fit(series) by every method."""
 
+import importlib
 import re
 from typing import Any
 
@@ -112,3 +113,11 @@ def test_a_curve_alone_is_too_little_for_maximum_likelihood() -> None:
     """The message names the methods that can do with a curve."""
     with pytest.raises(ValueError, match=r"^maximum likelihood needs the samples, got an Allan curve; use "):
         fit(allan_curve(series()))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_is_where_the_table_says(method: str) -> None:
+    """A new method is a file and a line of the table; its folder has to offer the function."""
+    folder, function = METHODS[method]
+    offered = importlib.import_module(folder)
+    assert function in offered.__all__, f"{method}: {folder}/__init__.py has to offer {function}"

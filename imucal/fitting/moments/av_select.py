@@ -18,7 +18,7 @@ from imucal.arrays import FloatArray
 from imucal.fitting.moments.av_intervals import CurveSpread, goodness
 from imucal.fitting.moments.av_points import AvarPoints, columns
 from imucal.fitting.moments.av_search import Solution, Weight, minimise, time_grid
-from imucal.fitting.settings import FitSettings
+from imucal.fitting.settings import CRITERIA, FitSettings
 
 _LAWS = "QNBKR"
 #: Models whose screened criterion is within so much of the best are computed in full, at most so many.
@@ -35,13 +35,6 @@ _MOST_DROPPED = 8
 _STEPS = 5
 #: At most so many models are tried for one that describes the curve.
 _CANDIDATES = 6
-
-
-def penalty(criterion: str, n: int) -> float:
-    """Return what a parameter costs in units of the sum of squares."""
-    if criterion == "bic":
-        return float(np.log(n))
-    return float(2 * np.log(np.log(max(n, 3)))) if criterion == "hq" else 2.0
 
 
 def dictionary(points: AvarPoints, weight: Weight) -> Solution:
@@ -73,7 +66,7 @@ def choose(
     grid are screened by their normal equations at once; a solution with a negative variance is one
     of a smaller model. The best are then computed with free correlation times.
     """
-    price = penalty(criterion, points.n)
+    price = CRITERIA[criterion](points.n)
     screened = sorted(_screen(points, weight, max_gm, price), key=lambda entry: entry[0])
     if not screened:
         return []

@@ -208,13 +208,14 @@ def _transform(
     series: AxisSeries, run: _Stretch, bins: DctBins, scale: float, temperature: FloatArray | None
 ) -> Block:
     samples = series.samples[run.start : run.stop] / scale
-    heat = None if temperature is None else temperature[run.start : run.stop]
+    if temperature is not None:
+        temperature = temperature[run.start : run.stop]
     if samples.size == run.size:
         return Block(
             offset=run.offset,
             bins=bins,
             ordinates=dct_ordinates(samples),
-            temperature=None if heat is None else dct_ordinates(heat),
+            temperature=None if temperature is None else dct_ordinates(temperature),
         )
     grid = series.clock.grid()[run.start : run.stop] - run.offset
     seen = np.zeros(run.size, dtype=bool)
@@ -222,10 +223,15 @@ def _transform(
     full = np.zeros(run.size)
     full[grid] = samples
     ordinates, variance, loss = complete(full, seen, bins)
-    if heat is not None:
-        heat = dct_ordinates(np.interp(np.arange(run.size), grid, heat))
+    if temperature is not None:
+        temperature = dct_ordinates(np.interp(np.arange(run.size), grid, temperature))
     return Block(
-        offset=run.offset, bins=bins, ordinates=ordinates, variance=variance, loss=loss, temperature=heat
+        offset=run.offset,
+        bins=bins,
+        ordinates=ordinates,
+        variance=variance,
+        loss=loss,
+        temperature=temperature,
     )
 
 

@@ -164,7 +164,7 @@ def _flattest(seen: Ordinates, high: NDArray[np.bool_], numerator: FloatArray, o
         shape = numerator / (x[:, None] ** np.arange(poles + 1) @ form)
         ratio = (seen.power / shape)[high]
         level = ratio.sum() / seen.size[high].sum()
-        misfit_ = float(np.sum(seen.size[high] * np.log(level * shape[high]) + ratio / level))
-        if misfit_ < best:
-            best, solution = misfit_, form / level
+        cost = float(np.sum(seen.size[high] * np.log(level * shape[high]) + ratio / level))
+        if cost < best:
+            best, solution = cost, form / level
     return solution

@@ -83,9 +83,7 @@ def fit_mle(
         view.ordinates,
         _structures(structure, max_gm, filtered=band.poles > 0),
         criterion=settings.criterion,
-        poles=band.poles,
-        zeros=band.zeros,
-        response=band.response,
+        band=band,
         common=view.common,
         shortest=shortest,
     )

@@ -8,6 +8,8 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate
+from imucal.fitting.settings import CRITERIA
+from imucal.fitting.spectral.filter_response import Band
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
 from imucal.fitting.spectral.scoring import Maximum, maximize
@@ -16,13 +18,13 @@ from imucal.fitting.spectral.structures import Structure, candidates_of
 from imucal.noise.model import structure_text
 
 #: Candidates within this much of the best of the coarse bins are fitted on all bins.
-_REFINE = 25.0
+_REFINED_WITHIN = 25.0
 #: Most candidates fitted on all bins.
-_MOST = 16
+_MOST_REFINED = 16
 #: Models whose criterion is within this of the best are listed.
-_NEAR = 6.0
+_LISTED_WITHIN = 6.0
 #: Twice the log-likelihood below which a second maximum is as good as the first.
-_MODES = 4.0
+_AS_GOOD = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,23 +50,12 @@ class RankedModels:
     modes: FloatArray
 
 
-def penalty(criterion: str, count: float) -> float:
-    """Return the price of one parameter, in units of twice the log-likelihood.
-
-    Source: Schwarz (1978), Annals of Statistics 6 (bic); Hannan & Quinn (1979), JRSS B 41 (hq);
-    Akaike (1974), IEEE TAC 19 (aic).
-    """
-    return float({"bic": np.log(count), "hq": 2 * np.log(np.log(count)), "aic": 2.0}[criterion])
-
-
 def choose(
     ordinates: Ordinates,
     structures: list[Structure],
     *,
     criterion: str,
-    poles: int = 0,
-    zeros: int = 0,
-    response: FloatArray | None = None,
+    band: Band | None = None,
     common: tuple[str, ...] = (),
     shortest: float = 2.0,
 ) -> RankedModels:
@@ -72,22 +63,23 @@ def choose(
 
     Parameters
     ----------
-    poles, zeros, response
-        Order of the output filter's response and its starting coefficients, shape (poles,).
+    band
+        The output filter's response: its order, and coefficients to start from.
     common
         Regressors that every candidate has.
     shortest
         Shortest correlation time of a Gauss-Markov term, in samples.
     """
+    poles, zeros = (band.poles, band.zeros) if band else (0, 0)
     candidates = candidates_of(structures, ordinates.names, poles=poles, zeros=zeros, common=common)
     coarse = coarser(ordinates, singles=48, merge=3)
     starts = find_starts(coarse, candidates, shortest=shortest, keep=(1, 2, 3))
-    if response is not None:
-        starts.theta[:, candidates.width - poles :] = _positive(response, ordinates)
+    if band:
+        starts.theta[:, candidates.width - poles :] = _positive(band.response, ordinates)
     owner = starts.candidate
     # The response was found with the richest model: it stays as it is in the first round.
     free = candidates.free[owner]
-    if response is not None:
+    if band:
         free[:, candidates.width - poles :] = False
     rough = maximize(
         coarse,
@@ -104,12 +96,12 @@ def choose(
             "look at the samples for values that are not measurements"
         )
         raise DataError(msg)
-    cost = penalty(criterion, ordinates.count) * candidates.parameters.astype(np.float64)
+    cost = CRITERIA[criterion](ordinates.count) * candidates.parameters.astype(np.float64)
     best = np.full(candidates.count, np.inf)
     np.minimum.at(best, owner, 2 * rough.objective)
     value = best + cost
     order = np.argsort(value, kind="stable")
-    near = order[value[order] <= value[order[0]] + _REFINE][:_MOST]
+    near = order[value[order] <= value[order[0]] + _REFINED_WITHIN][:_MOST_REFINED]
     rows = [row for index in near for row in _distinct(np.flatnonzero(owner == index), rough.objective)]
     index = np.array(rows, dtype=np.int64)
     fine = maximize(ordinates, candidates.take(owner[index]), rough.theta[index], shortest=shortest)
@@ -175,7 +167,7 @@ def near_candidates(choice: RankedModels) -> tuple[Candidate, ...]:
     return tuple(
         Candidate(structure=structure_text(structure), delta=float(d))
         for structure, d in zip(choice.structures, delta, strict=True)
-        if d <= _NEAR
+        if d <= _LISTED_WITHIN
     )
 
 
@@ -197,7 +189,7 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
                 advice="Record for longer, or give the model if it is known.",
             )
         )
-    if choice.modes[0] < _MODES / 2:
+    if choice.modes[0] < _AS_GOOD / 2:
         findings.append(
             Finding(
                 level="warning",

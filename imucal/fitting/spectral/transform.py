@@ -6,6 +6,7 @@ against the noise at the same frequencies.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -31,25 +32,12 @@ _STRUCTURE = ("N", "B", "GM", "K", "R")
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
     """Return the binned ordinates of all blocks; the regressors `names` are common to them."""
     parts = [_bin(block, names) for block in blocks]
-
-    def join(key: str) -> FloatArray:
-        return np.concatenate([part[key] for part in parts], axis=-1)
-
-    return Ordinates(
-        scale=scale,
-        size=join("size"),
-        power=join("power"),
-        lam=join("lam"),
-        length=join("length"),
-        sign=join("sign"),
-        basis=join("basis"),
-        names=names,
-        cross=join("cross"),
-        gram=join("gram"),
-    )
+    joined: dict[str, Any] = {key: np.concatenate([part[key] for part in parts], axis=-1) for key in parts[0]}
+    return Ordinates(scale=scale, names=names, **joined)
 
 
-def _bin(block: Block, names: tuple[str, ...]) -> dict[str, FloatArray]:
+def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
+    """Return the arrays of one block's `Ordinates`, by their names."""
     bins, kept = block.bins, block.kept
 
     def total(values: FloatArray) -> FloatArray:

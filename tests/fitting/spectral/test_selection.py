@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imucal.fitting import fit
-from imucal.fitting.spectral.selection import choose, penalty
+from imucal.fitting import CRITERIA, fit
+from imucal.fitting.spectral.selection import choose
 from imucal.fitting.spectral.structures import all_structures, candidates_of, parameter_columns
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, ordinates_of, simulated
@@ -41,9 +41,9 @@ def test_tries_every_sum() -> None:
 
 def test_prices_of_a_parameter() -> None:
     """BIC log n, Hannan-Quinn 2 log log n, AIC 2."""
-    assert penalty("bic", 1e6) == pytest.approx(np.log(1e6))
-    assert penalty("hq", 1e6) == pytest.approx(2 * np.log(np.log(1e6)))
-    assert penalty("aic", 1e6) == 2
+    assert CRITERIA["bic"](1e6) == pytest.approx(np.log(1e6))
+    assert CRITERIA["hq"](1e6) == pytest.approx(2 * np.log(np.log(1e6)))
+    assert CRITERIA["aic"](1e6) == 2
 
 
 def test_a_lower_price_never_chooses_fewer_parameters() -> None:
