@@ -16,12 +16,12 @@ import numpy as np
 
 from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.columns import sensor_of_name
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.text import TextSource, open_text
 from imucal.readers.tables.text_table import EXTERNAL, ExternalTime, plan_of_head, read_table
 from imucal.readers.tables.timing import TimeChoice
-from imucal.readers.tables.vectors import sensor_of_name
 from imucal.recording import Recording, Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
@@ -165,7 +165,7 @@ def read_together(paths: Sequence[Path], options: ReadOptions) -> Recording | No
 def _sensors_of(path: Path, options: ReadOptions) -> tuple[Sensor, ...]:
     try:
         with open_text(path) as source:
-            _, plan = plan_of_head(source.name, source.head, options, path.name)
+            plan = plan_of_head(source, options, path.name)
     except ImucalError:
         return ()
     return tuple(sensor.triad.sensor for sensor in plan.sensors)
@@ -222,7 +222,7 @@ def _read_times(path: Path) -> ExternalTime:
     unit = parse_time_unit(column.unit) if column.unit else None
     choice = TimeChoice(
         kind="stamp",
-        places=(EXTERNAL,),
+        indices=(EXTERNAL,),
         name=column.header,
         ns=TIME_UNITS_NS[unit] if unit else None,
         ns_source=f"from the header of {path.name}" if unit else "",
