@@ -5,8 +5,7 @@ from pathlib import Path
 
 import click
 
-from imucal.allan.adev_table import is_adev_table, read_adev_table
-from imucal.allan.deviation_table import NamedCurve, read_curve
+from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
 from imucal.cli._options import say
 from imucal.fitting import fit
 from imucal.fitting.noise_fit import Estimate, NoiseFit
