@@ -8,6 +8,7 @@ from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import (
     Cells,
+    NamedTable,
     Triad,
     columns_text,
     find_bare_triads,
@@ -16,9 +17,9 @@ from imucal.readers.tables.columns import (
     pick,
     triad_of,
 )
-from imucal.readers.tables.columns_text import ColumnSpec, ask, parse_columns_text
+from imucal.readers.tables.columns_text import ColumnSpec, parse_columns_text
 from imucal.readers.tables.dialects import Dialect, find_dialect
-from imucal.readers.tables.names import NamedColumn, Role, parse_column
+from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.timing import TimeChoice, choose_times, named_time, time_of_columns
 from imucal.recording import Sensor
 
@@ -70,25 +71,6 @@ class TablePlan:
     decisions: tuple[tuple[str, str], ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Table:
-    """A table before the choice."""
-
-    path: str
-    columns: tuple[NamedColumn, ...]
-    cells: Cells
-    dialect: Dialect | None
-
-    @property
-    def headers(self) -> list[str]:
-        return [column.header for column in self.columns]
-
-    @property
-    def time(self) -> str:
-        """Index of the first column named as a time, as text; empty where there is none."""
-        return next((str(column.index) for column in self.columns if column.role is Role.TIME), "")
-
-
 def make_plan(
     path: str,
     headers: Sequence[str],
@@ -129,7 +111,7 @@ def make_plan(
         parse_column(header, index, unit=row_units[index], context=context)
         for index, header in enumerate(headers)
     )
-    table = _Table(path=path, columns=columns, cells=cells, dialect=find_dialect(headers, preamble))
+    table = NamedTable(path=path, columns=columns, cells=cells, dialect=find_dialect(headers, preamble))
     if options.columns is not None:
         return _as_asked(table, parse_columns_text(options.columns, headers, path), options)
     gyro, accel, reason = _sensors(table, options, name or PurePath(path).name)
@@ -138,35 +120,34 @@ def make_plan(
     _refuse_instances(table, gyro, accel)
     triads = [triad for triad in (gyro, accel) if triad is not None]
     near = [index for triad in triads for index in triad.indices]
-    sensors = tuple(_with_time(table, triad, options) for triad in triads)
+    sensors = [_with_time(table, triad, options) for triad in triads]
     return _plan(table, sensors, find_temperature(columns, near=near), reason)
 
 
-def _plan(table: _Table, sensors: tuple[SensorPlan, ...], temperature: int | None, reason: str) -> TablePlan:
-    decisions = [
-        (f"{plan.triad.sensor} columns", f"{', '.join(_shown(table, plan.triad))}, {reason}")
-        for plan in sensors
-    ]
+def _plan(
+    table: NamedTable, sensors: Sequence[SensorPlan], temperature: int | None, reason: str
+) -> TablePlan:
+    headers = table.headers
+    decisions = []
+    for plan in sensors:
+        shown = ", ".join(headers[index] or f"column {index}" for index in plan.triad.indices)
+        decisions.append((f"{plan.triad.sensor} columns", f"{shown}, {reason}"))
     if table.dialect is not None:
         decisions.append(("layout", f"{table.dialect.name}, from the column names"))
     return TablePlan(
-        headers=tuple(table.headers),
-        sensors=sensors,
+        headers=tuple(headers),
+        sensors=tuple(sensors),
         temperature=temperature,
         dialect=table.dialect,
         decisions=tuple(decisions),
     )
 
 
-def _shown(table: _Table, triad: Triad) -> list[str]:
-    return [table.headers[index] or f"column {index}" for index in triad.indices]
-
-
-def _as_asked(table: _Table, asked: ColumnSpec, options: ReadOptions) -> TablePlan:
+def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> TablePlan:
     """Return the plan of a columns text."""
     time = None
     if asked.time:
-        time = time_of_columns(asked.time, table.columns, table.cells, table.dialect, table.path)
+        time = time_of_columns(table, asked.time)
     sensors = []
     for sensor, indices, rows in (
         (Sensor.GYROSCOPE, asked.gyro, asked.gyro_rows),
@@ -176,29 +157,28 @@ def _as_asked(table: _Table, asked: ColumnSpec, options: ReadOptions) -> TablePl
             triad = triad_of(sensor, [table.columns[index] for index in indices], rows)
             plan = SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
             sensors.append(plan)
-    return _plan(table, tuple(sensors), asked.temperature, "as given")
+    return _plan(table, sensors, asked.temperature, "as given")
 
 
-def _sensors(table: _Table, options: ReadOptions, name: str) -> tuple[Triad | None, Triad | None, str]:
+def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Triad | None, Triad | None, str]:
     """Return gyroscope and accelerometer, and how they were found."""
     given = []
     if options.gyro_unit is not None or options.gyro_scale is not None:
         given.append(Sensor.GYROSCOPE)
     if options.accel_unit is not None or options.accel_scale is not None:
         given.append(Sensor.ACCELEROMETER)
-    triads = find_triads(table.columns, table.path, units_given=given)
+    triads = find_triads(table, units_given=given)
     if not triads:
-        return find_bare_triads(table.path, table.columns, table.cells, name)
-    gyro = pick(triads, Sensor.GYROSCOPE, table.path, table.headers, table.time)
-    accel = pick(triads, Sensor.ACCELEROMETER, table.path, table.headers, table.time)
+        return find_bare_triads(table, name)
+    gyro = pick(table, triads, Sensor.GYROSCOPE)
+    accel = pick(table, triads, Sensor.ACCELEROMETER)
     return gyro, accel, "by name"
 
 
-def _with_time(table: _Table, triad: Triad, options: ReadOptions) -> SensorPlan:
+def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorPlan:
     if options.time is not None and options.time not in _CLOCKS:
-        time = named_time(options.time, table.columns, table.cells, table.dialect, table.path)
-        return SensorPlan(triad=triad, time=time)
-    times = choose_times(table.columns, table.cells, table.dialect, triad.sensor)
+        return SensorPlan(triad=triad, time=named_time(table, options.time))
+    times = choose_times(table, triad.sensor)
     stamps = [time for time in times if time.kind != "counter"]
     if options.time == "log":
         return SensorPlan(triad=triad, time=_log_time(table, times, stamps))
@@ -210,7 +190,7 @@ def _with_time(table: _Table, triad: Triad, options: ReadOptions) -> SensorPlan:
     return SensorPlan(triad=triad, time=next(iter(times), None))
 
 
-def _log_time(table: _Table, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
+def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
     if len(stamps) > 1:
         return stamps[1]
     names = ", ".join(time.name for time in times) or "none"
@@ -221,7 +201,7 @@ def _log_time(table: _Table, times: Sequence[TimeChoice], stamps: Sequence[TimeC
     raise ChoiceError(msg)
 
 
-def _refuse_instances(table: _Table, gyro: Triad | None, accel: Triad | None) -> None:
+def _refuse_instances(table: NamedTable, gyro: Triad | None, accel: Triad | None) -> None:
     """Refuse rows of several sensors in one table: the column I of ArduPilot's IMU message."""
     for column in table.columns:
         name = column.header.strip()
@@ -232,10 +212,10 @@ def _refuse_instances(table: _Table, gyro: Triad | None, accel: Triad | None) ->
             shown = sorted(cells, key=int)
             texts = [columns_text(table.time, gyro, accel, f"@{name}:{cell}") for cell in shown[:4]]
             problem = f"rows of {len(cells)} sensors, told apart by column {name} ({', '.join(shown)})"
-            raise ask(table.path, problem, table.headers, example=" or ".join(texts))
+            raise table.ask(problem, example=" or ".join(texts))
 
 
-def _nothing_found(table: _Table) -> ChoiceError:
+def _nothing_found(table: NamedTable) -> ChoiceError:
     """Return the error for a table without a complete triad."""
     partial = [
         f"{column.header} ({column.role})"
@@ -248,4 +228,4 @@ def _nothing_found(table: _Table) -> ChoiceError:
         problem = f"x, y and z of one sensor are needed, found only {', '.join(partial)}"
     else:
         problem = "no column is named as a gyroscope or accelerometer axis (such as gyro_x, wx, accel_x, ax)"
-    return ask(table.path, problem, table.headers, example=f"t={table.time or 0},g=1:4,a=4:7")
+    return table.ask(problem, example=f"t={table.time or 0},g=1:4,a=4:7")

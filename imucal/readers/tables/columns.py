@@ -7,7 +7,8 @@ from itertools import product
 from typing import TypeAlias
 
 from imucal.errors import ChoiceError
-from imucal.readers.tables.columns_text import ask, list_columns
+from imucal.readers.tables.columns_text import EXAMPLE, ask, list_columns
+from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role
 from imucal.recording import Sensor
@@ -22,6 +23,42 @@ _PARTNERS = {
     for gyro, accel in (("gyro", "accel"), ("gyroscope", "accelerometer"), ("gyr", "acc"))
     for case in (str.lower, str.capitalize, str.upper)
 }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NamedTable:
+    """A table before its columns are chosen.
+
+    Attributes
+    ----------
+    path
+        For messages.
+    columns
+        What their names say.
+    cells
+        Gives the first cells of a column.
+    dialect
+        The one the names show, or None.
+    """
+
+    path: str
+    columns: tuple[NamedColumn, ...]
+    cells: Cells
+    dialect: Dialect | None
+
+    @property
+    def headers(self) -> list[str]:
+        """Names of the columns."""
+        return [column.header for column in self.columns]
+
+    @property
+    def time(self) -> str:
+        """Index of the first column named as a time, as text; empty where there is none."""
+        return next((str(column.index) for column in self.columns if column.role is Role.TIME), "")
+
+    def ask(self, problem: str, *, example: str = EXAMPLE) -> ChoiceError:
+        """Return the error that shows the columns and a ready text for them."""
+        return ask(self.path, problem, self.headers, example=example)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,9 +112,7 @@ def _unit_of(sensor: Sensor, column: NamedColumn) -> str | None:
     return parsed[1] if parsed and parsed[0] is sensor else None
 
 
-def find_triads(
-    columns: Sequence[NamedColumn], path: str, *, units_given: Sequence[Sensor] = ()
-) -> list[Triad]:
+def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> list[Triad]:
     """Return every complete x, y, z of a sensor, in the order of the table; second choices last.
 
     A vector without a sensor (bare x, y, z) is not among them.
@@ -89,10 +124,10 @@ def find_triads(
         have the same name.
     """
     triads = []
-    for axes in _complete(columns, {Role.GYROSCOPE, Role.ACCELEROMETER}, path):
+    for axes in _complete(table, {Role.GYROSCOPE, Role.ACCELEROMETER}):
         sensor = Sensor(str(axes[0].role))
         if sensor not in units_given:
-            _require_one_unit(sensor, axes, columns, path)
+            _require_one_unit(table, sensor, axes)
         triads.append(triad_of(sensor, axes))
     with_gravity = [triad for triad in triads if not _is_linear(triad)]
     measured = {triad.sensor for triad in with_gravity}
@@ -100,31 +135,20 @@ def find_triads(
     return sorted(kept, key=lambda triad: triad.sensor is Sensor.ACCELEROMETER)
 
 
-def _complete(
-    columns: Sequence[NamedColumn], roles: set[Role], path: str
-) -> Iterator[tuple[NamedColumn, ...]]:
+def _complete(table: NamedTable, roles: set[Role]) -> Iterator[tuple[NamedColumn, ...]]:
     """Yield the columns of some roles in sets of x, y, z that differ in nothing else."""
     families: dict[tuple[str, ...], list[NamedColumn]] = {}
-    for column in columns:
+    for column in table.columns:
         if column.axis is not None and column.role in roles:
             families.setdefault(column.family, []).append(column)
-    headers = [column.header for column in columns]
     for members in families.values():
-        axes = _in_order(members, path, headers)
-        if axes is not None:
-            yield axes
+        axes = _in_order(table, members)
+        if {0, 1, 2} <= axes.keys():
+            yield axes[0], axes[1], axes[2]
 
 
-def _in_order(
-    members: Sequence[NamedColumn], path: str, headers: Sequence[str]
-) -> tuple[NamedColumn, ...] | None:
-    """Return the columns of a family as x, y, z; None where one is missing.
-
-    Raises
-    ------
-    ChoiceError
-        If two columns claim the same axis.
-    """
+def _in_order(table: NamedTable, members: Sequence[NamedColumn]) -> dict[int, NamedColumn]:
+    """Return the columns of a family by axis; refuse two of the same axis."""
     numbers = sorted(column.axis for column in members if column.axis is not None)
     first = 1 if numbers == [1, 2, 3] and all(column.numbered for column in members) else 0
     axes: dict[int, NamedColumn] = {}
@@ -132,24 +156,21 @@ def _in_order(
         axis = (column.axis or 0) - first
         if axis in axes:
             problem = f"columns {axes[axis].index} and {column.index} are both {column.header.strip()!r}"
-            raise ask(path, problem, headers)
+            raise table.ask(problem)
         axes[axis] = column
-    return (axes[0], axes[1], axes[2]) if {0, 1, 2} <= axes.keys() else None
+    return axes
 
 
-def _require_one_unit(
-    sensor: Sensor, axes: Sequence[NamedColumn], columns: Sequence[NamedColumn], path: str
-) -> None:
+def _require_one_unit(table: NamedTable, sensor: Sensor, axes: Sequence[NamedColumn]) -> None:
     units = [_unit_of(sensor, column) for column in axes]
     if len(set(units)) == 1:
         return
-    shown = ", ".join(
-        f"{column.header} in {unit or 'no unit'}" for column, unit in zip(axes, units, strict=True)
-    )
+    named = zip(axes, units, strict=True)
+    shown = ", ".join(f"{column.header} in {unit or 'no unit'}" for column, unit in named)
     msg = (
-        f"{path}: the axes of the {sensor} carry different units ({shown}), so at least one of them is "
-        f"wrong; expected one unit; give the unit of the {sensor}, or correct the header; "
-        f"found columns: {list_columns([column.header for column in columns])}"
+        f"{table.path}: the axes of the {sensor} carry different units ({shown}), so at least one of them "
+        f"is wrong; expected one unit; give the unit of the {sensor}, or correct the header; "
+        f"found columns: {list_columns(table.headers)}"
     )
     raise ChoiceError(msg)
 
@@ -159,9 +180,7 @@ def _is_linear(triad: Triad) -> bool:
     return triad.sensor is Sensor.ACCELEROMETER and triad.headers[0].lower().lstrip("\"'").startswith("lin")
 
 
-def find_bare_triads(
-    path: str, columns: Sequence[NamedColumn], cells: Cells, name: str
-) -> tuple[Triad | None, Triad | None, str]:
+def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad | None, str]:
     """Return the sensors of bare columns x, y, z: by a column of tags, or by the name of the file.
 
     Gyroscope, accelerometer, and how they were found; None twice where there are no such columns.
@@ -171,13 +190,13 @@ def find_bare_triads(
     ChoiceError
         If nothing says which sensor they are.
     """
-    axes = next(_complete(columns, {Role.VECTOR}, path), None)
+    axes = next(_complete(table, {Role.VECTOR}), None)
     if axes is None:
         return None, None, ""
     gyro = triad_of(Sensor.GYROSCOPE, axes)
     accel = replace(gyro, sensor=Sensor.ACCELEROMETER)
-    for column in columns:
-        texts = {cell.strip("\"'") for cell in cells(column.index) if cell and not is_number(cell)}
+    for column in table.columns:
+        texts = {cell.strip("\"'") for cell in table.cells(column.index) if cell and not is_number(cell)}
         gyro_tag, accel_tag = _tags(texts)
         if gyro_tag or accel_tag:
             return (
@@ -188,8 +207,8 @@ def find_bare_triads(
     sensor = sensor_of_name(name)
     if sensor is None:
         problem = f"x, y and z are there ({', '.join(gyro.headers)}), but not of which sensor"
-        example = " or ".join((columns_text("0", gyro, None), columns_text("0", None, accel)))
-        raise ask(path, problem, [column.header for column in columns], example=example)
+        texts_ready = (columns_text("0", gyro, None), columns_text("0", None, accel))
+        raise table.ask(problem, example=" or ".join(texts_ready))
     by_name = "by the name of the file"
     return (gyro, None, by_name) if sensor is Sensor.GYROSCOPE else (None, accel, by_name)
 
@@ -218,9 +237,7 @@ def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()
     return min(indices, key=lambda index: min((abs(index - n) for n in near), default=0), default=None)
 
 
-def pick(
-    triads: Sequence[Triad], sensor: Sensor, path: str, headers: Sequence[str], time: str
-) -> Triad | None:
+def pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad | None:
     """Return the only triad of a sensor, or None.
 
     Raises
@@ -233,9 +250,9 @@ def pick(
         return found[0] if found else None
     gyros: list[Triad | None] = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE]
     accels: list[Triad | None] = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER]
-    texts = [columns_text(time, gyro, accel) for gyro, accel in product(gyros or [None], accels or [None])]
+    pairs = list(product(gyros or [None], accels or [None]))[:4]
     problem = f"{len(found)} sets of {sensor} columns: " + ", ".join(triad.headers[0] for triad in found)
-    raise ask(path, problem, headers, example=" or ".join(texts[:4]))
+    raise table.ask(problem, example=" or ".join(columns_text(table.time, *pair) for pair in pairs))
 
 
 def columns_text(time: str, gyro: Triad | None, accel: Triad | None, rows: str = "") -> str:

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from imucal.errors import ChoiceError
 from imucal.readers.tables.layout import Rows
 
+#: A columns text that shows how one is written.
+EXAMPLE = "t=0,g=1:4,a=4:7"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnSpec:
@@ -21,12 +24,12 @@ class ColumnSpec:
 
 _KEYS = {
     "t": "t",
-    "time": "t",
     "g": "g",
-    "gyro": "g",
     "a": "a",
-    "accel": "a",
     "temp": "temp",
+    "time": "t",
+    "gyro": "g",
+    "accel": "a",
     "temperature": "temp",
 }
 
@@ -38,7 +41,7 @@ def list_columns(headers: Sequence[str], *, most: int = 60) -> str:
     return ", ".join(shown) + more
 
 
-def ask(path: str, problem: str, headers: Sequence[str], *, example: str = "t=0,g=1:4,a=4:7") -> ChoiceError:
+def ask(path: str, problem: str, headers: Sequence[str], *, example: str = EXAMPLE) -> ChoiceError:
     """Return the error that shows the columns and a ready text for them."""
     msg = (
         f"{path}: {problem}; found columns: {list_columns(headers)}; "

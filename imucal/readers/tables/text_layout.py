@@ -13,12 +13,10 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, ReadError
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.columns_text import EXAMPLE
 from imucal.readers.tables.dialects import find_messages, name_columns
 from imucal.readers.tables.layout import TextLayout, find_layout, is_number, rows_of_tag, split_line
 from imucal.units import G0
-
-#: A columns text that shows how one is written.
-_EXAMPLE = "t=0,g=1:4,a=4:7"
 
 #: A tag that marks the rows of an inertial sensor.
 _INERTIAL = re.compile(
@@ -51,7 +49,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
         msg = (
             f"{path}: the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
             f"belongs to a column; found the row {', '.join(layout.rows[0][:40])}; "
-            f"correct the header, or say which columns are which by a columns text such as {_EXAMPLE} "
+            f"correct the header, or say which columns are which by a columns text such as {EXAMPLE} "
             "(places from 0 with the end left out)"
         )
         raise ChoiceError(msg)
@@ -76,7 +74,7 @@ def _propose_columns(lines: Sequence[str], layout: TextLayout) -> str:
         layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tags[0]))) or layout
     numeric = [index for index in range(layout.width) if _is_numeric(layout, index)]
     if len(numeric) < 3:
-        return _EXAMPLE
+        return EXAMPLE
     table = np.array([layout.cells(index) for index in numeric], dtype=np.float64).T
     time = _time_column(table)
     gyro_tag, accel_tag = _first(tags, "gyr"), _first(tags, "acc")
@@ -101,7 +99,7 @@ def _proposal(numeric: Sequence[int], time: int | None, accel: int | None, suffi
     else:
         gyro = _nearest(starts, accel)
     if gyro is None and accel is None:
-        return _EXAMPLE
+        return EXAMPLE
     parts = [f"t={numeric[time]}"] if time is not None else []
     for key, first in (("g", gyro), ("a", accel)):
         if first is not None:

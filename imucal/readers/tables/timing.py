@@ -6,8 +6,8 @@ from itertools import pairwise
 from typing import Literal, TypeAlias
 
 from imucal.errors import ChoiceError
-from imucal.readers.tables.columns import Cells
-from imucal.readers.tables.columns_text import ask, index_of, list_columns
+from imucal.readers.tables.columns import NamedTable
+from imucal.readers.tables.columns_text import index_of, list_columns
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.names import NamedColumn, Role
@@ -90,28 +90,24 @@ class TimeChoice:
     ns_source: str = ""
 
 
-def choose_times(
-    columns: Sequence[NamedColumn], cells: Cells, dialect: Dialect | None, sensor: Sensor
-) -> list[TimeChoice]:
+def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
     """Return the times that a table offers for a sensor's samples, best first.
 
     Stamps come before counters; columns that are empty, or stand still over the first rows, come
     after those that go on.
     """
-    found = [*_pairs(columns, cells), *_weeks(columns), *_dates(columns, cells)]
+    found = [*_pairs(table), *_weeks(table), *_dates(table)]
     taken = {index for _, choice in found for index in choice.indices}
-    for column in columns:
+    for column in table.columns:
         if column.role is Role.TIME and column.index not in taken:
-            choice = _single(column, cells(column.index), dialect)
+            choice = _single(table, column)
             if choice is not None:
-                found.append((_score(column, cells(column.index), sensor), choice))
+                found.append((_score(column, table.cells(column.index), sensor), choice))
     found.sort(key=lambda entry: -entry[0])
-    return [choice for score, choice in found if score > 0] + _counters(columns, cells)
+    return [choice for score, choice in found if score > 0] + _counters(table)
 
 
-def time_of_columns(
-    indices: Sequence[int], columns: Sequence[NamedColumn], cells: Cells, dialect: Dialect | None, path: str
-) -> TimeChoice:
+def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
     """Return the time in one column, or in two that hold seconds and nanoseconds.
 
     Raises
@@ -119,14 +115,15 @@ def time_of_columns(
     ChoiceError
         If the cells of the one column are no times.
     """
-    if len(indices) > 1:
-        return _pair(*(columns[index] for index in indices))
-    column = columns[indices[0]]
-    choice = _single(column, cells(column.index), dialect)
+    columns = [table.columns[index] for index in indices]
+    if len(columns) > 1:
+        return _pair(*columns)
+    (column,) = columns
+    choice = _single(table, column)
     if choice is None:
-        found = next((cell for cell in cells(column.index) if cell), "nothing")
+        found = next((cell for cell in table.cells(column.index) if cell), "nothing")
         problem = f"column {column.index} ({column.header}) is no time: it holds {found!r}"
-        raise ask(path, problem, [c.header for c in columns])
+        raise table.ask(problem)
     if column.role is Role.COUNTER:
         return TimeChoice(kind="counter", indices=(column.index,), name=column.header)
     return choice
@@ -138,9 +135,7 @@ def _pair(second: NamedColumn, fraction: NamedColumn) -> TimeChoice:
     return TimeChoice(kind="pair", indices=indices, name=name, ns=1, ns_source="seconds + nanoseconds")
 
 
-def named_time(
-    name: str, columns: Sequence[NamedColumn], cells: Cells, dialect: Dialect | None, path: str
-) -> TimeChoice:
+def named_time(table: NamedTable, name: str) -> TimeChoice:
     """Return the time in the column a user named.
 
     Raises
@@ -148,17 +143,17 @@ def named_time(
     ChoiceError
         If there is no such column, or it is no time.
     """
-    headers = [column.header for column in columns]
     try:
-        indices = [index_of(part, headers, path, name) for part in name.split("+")]
+        indices = [index_of(part, table.headers, table.path, name) for part in name.split("+")]
     except ChoiceError as error:
-        msg = f"{path}: there is no time column {name!r}; found columns: {list_columns(headers)}"
+        found = list_columns(table.headers)
+        msg = f"{table.path}: there is no time column {name!r}; found columns: {found}"
         raise ChoiceError(msg) from error
-    return time_of_columns(indices[:2], columns, cells, dialect, path)
+    return time_of_columns(table, indices[:2])
 
 
-def _single(column: NamedColumn, cells: Sequence[str], dialect: Dialect | None) -> TimeChoice | None:
-    filled = [cell.strip("\"'") for cell in cells if cell]
+def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
+    filled = [cell.strip("\"'") for cell in table.cells(column.index) if cell]
     if not filled:
         return None
     name = column.header or str(column.index)
@@ -166,7 +161,7 @@ def _single(column: NamedColumn, cells: Sequence[str], dialect: Dialect | None) 
         if sum(map(is_text_stamp, filled)) < 0.5 * len(filled):
             return None
         return TimeChoice(kind="text", indices=(column.index,), name=name, ns=1, ns_source="text")
-    ns, source = _unit(column, dialect)
+    ns, source = _unit(column, table.dialect)
     return TimeChoice(kind="stamp", indices=(column.index,), name=name, ns=ns, ns_source=source)
 
 
@@ -221,12 +216,12 @@ def _cells_score(filled: Sequence[str]) -> int:
     return score + (10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0)
 
 
-def _pairs(columns: Sequence[NamedColumn], cells: Cells) -> list[tuple[float, TimeChoice]]:
+def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
     """Return seconds with nanoseconds, both whole numbers, of names that differ in nothing else."""
     seconds: dict[tuple[str, ...], NamedColumn] = {}
     fractions: dict[tuple[str, ...], NamedColumn] = {}
-    for column in columns:
-        counts = _counts(cells(column.index)) if column.role is Role.TIME else []
+    for column in table.columns:
+        counts = _counts(table.cells(column.index)) if column.role is Role.TIME else []
         if not counts:
             continue
         spelled = {*column.words, (column.unit or "").lower()}
@@ -237,35 +232,29 @@ def _pairs(columns: Sequence[NamedColumn], cells: Cells) -> list[tuple[float, Ti
             seconds.setdefault(stem, column)
     # Nanoseconds that stand still are the last choice.
     return [
-        (92.0 if len(set(cells(fraction.index))) > 1 else 4.0, _pair(seconds[stem], fraction))
+        (92.0 if len(set(table.cells(fraction.index))) > 1 else 4.0, _pair(seconds[stem], fraction))
         for stem, fraction in fractions.items()
         if stem in seconds
     ]
 
 
-def _weeks(columns: Sequence[NamedColumn]) -> list[tuple[float, TimeChoice]]:
-    week = next((c for c in columns if "week" in c.words and c.axis is None), None)
-    tow = next((c for c in columns if "tow" in c.words and c.role is Role.TIME), None)
+def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
+    week = next((c for c in table.columns if "week" in c.words and c.axis is None), None)
+    tow = next((c for c in table.columns if "tow" in c.words and c.role is Role.TIME), None)
     if week is None or tow is None:
         return []
     ns = TIME_UNITS_NS.get(parse_time_unit(tow.unit) or "") if tow.unit else None
-    name = f"{week.header}+{tow.header}"
-    choice = TimeChoice(
-        kind="week",
-        indices=(week.index, tow.index),
-        name=name,
-        ns=ns,
-        ns_source="from the column header" if ns else "",
-    )
-    return [(60.0, choice)]
+    name, indices = f"{week.header}+{tow.header}", (week.index, tow.index)
+    source = "from the column header" if ns else ""
+    return [(60.0, TimeChoice(kind="week", indices=indices, name=name, ns=ns, ns_source=source))]
 
 
-def _dates(columns: Sequence[NamedColumn], cells: Cells) -> list[tuple[float, TimeChoice]]:
+def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
     """Return the time that columns of year, month, day, hour, minute and second give together."""
     parts: list[NamedColumn] = []
     for names in _DATE_PARTS:
-        column = next((c for c in columns if names.intersection(c.words) and c not in parts), None)
-        if column is None or not all(is_number(cell) for cell in cells(column.index) if cell):
+        column = next((c for c in table.columns if names.intersection(c.words) and c not in parts), None)
+        if column is None or not all(map(is_number, filter(None, table.cells(column.index)))):
             break
         parts.append(column)
     if len(parts) < _DATE_NEEDED:
@@ -275,10 +264,10 @@ def _dates(columns: Sequence[NamedColumn], cells: Cells) -> list[tuple[float, Ti
     return [(58.0, TimeChoice(kind="date", indices=indices, name=name, ns=1, ns_source="date and time"))]
 
 
-def _counters(columns: Sequence[NamedColumn], cells: Cells) -> list[TimeChoice]:
+def _counters(table: NamedTable) -> list[TimeChoice]:
     found = []
-    for column in columns:
-        counts = _counts(cells(column.index)) if column.role is Role.COUNTER else []
+    for column in table.columns:
+        counts = _counts(table.cells(column.index)) if column.role is Role.COUNTER else []
         if len(counts) > 1 and sum(b > a for a, b in pairwise(counts)) > 0.5 * len(counts):
             found.append(TimeChoice(kind="counter", indices=(column.index,), name=column.header))
     return found
