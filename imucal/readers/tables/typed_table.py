@@ -17,7 +17,7 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.stamps import parse_text_stamps
 from imucal.readers.tables.table_clock import Numbers
-from imucal.readers.tables.table_files import Column, TableFile, open_table
+from imucal.readers.tables.table_files import TableFile, TypedColumn, open_table
 from imucal.readers.tables.tabular import SensorColumns, assemble, units_note
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording, Sensor, Source
@@ -30,7 +30,7 @@ _HEAD = 400
 class _Part:
     """Columns of one length and what was chosen of them."""
 
-    columns: tuple[Column, ...]
+    columns: tuple[TypedColumn, ...]
     plan: TablePlan
 
 
@@ -136,7 +136,7 @@ def _without_doubles(path: Path, parts: Sequence[_Part]) -> list[_Part]:
     return list(parts)
 
 
-def _part(path: Path, columns: Sequence[Column], options: ReadOptions) -> _Part:
+def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
     cells = [column.cells(_HEAD) for column in columns]
     plan = make_plan(
         str(path),
@@ -178,7 +178,7 @@ def _times(part: _Part, time: TimeChoice | None) -> tuple[Numbers, ...]:
     return tuple(map(_numbers, columns))
 
 
-def _numbers(column: Column) -> Numbers:
+def _numbers(column: TypedColumn) -> Numbers:
     values = column.values()
     if values.dtype.kind == "M":
         return np.asarray(values.astype("datetime64[ns]").astype(np.int64))
@@ -187,5 +187,5 @@ def _numbers(column: Column) -> Numbers:
     return np.asarray(values, dtype=np.float64)
 
 
-def _floats(column: Column) -> Any:  # noqa: ANN401 - numpy's astype
+def _floats(column: TypedColumn) -> Any:  # noqa: ANN401 - numpy's astype
     return np.array(column.values(), dtype=np.float64)
