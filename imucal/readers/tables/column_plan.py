@@ -29,17 +29,7 @@ _CLOCKS = ("header", "log")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorPlan:
-    """The columns of one sensor.
-
-    Attributes
-    ----------
-    triad
-        Its axes.
-    time
-        Its stamps; None where the table has none.
-    log_time
-        When the rows were recorded, where the table has that beside the stamps.
-    """
+    """The columns of one sensor: its axes, its stamps, and beside them the time of recording."""
 
     triad: Triad
     time: TimeChoice | None
@@ -81,24 +71,10 @@ def make_plan(
     preamble: Sequence[str] = (),
     name: str = "",
 ) -> TablePlan:
-    """Choose the columns of a table.
+    """Choose the columns of a table, from their names and first cells.
 
-    Parameters
-    ----------
-    path
-        For messages.
-    headers
-        Names of the columns.
-    cells
-        Gives the first cells of a column.
-    options
-        What the user said.
-    units
-        From a row of units.
-    preamble
-        Lines before the header.
-    name
-        Of the file or the table; it may name the sensor.
+    `units` come from a row of units, `preamble` are the lines before the header, and `name`, that of
+    the file or the table, may name the sensor.
 
     Raises
     ------

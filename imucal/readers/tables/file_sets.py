@@ -162,7 +162,7 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
 def _sensors_of(path: Path, options: ReadOptions) -> tuple[Sensor, ...]:
     try:
         with open_text(path) as source:
-            plan = plan_of_head(source, options, path.name)
+            _, plan = plan_of_head(source, options, path.name)
     except ImucalError:
         return ()
     return tuple(sensor.triad.sensor for sensor in plan.sensors)

@@ -137,10 +137,8 @@ def _named_delimiter(lines: Sequence[str]) -> str | None:
     return None
 
 
-def rows_of_tag(lines: Sequence[str], delimiter: str, rows: Rows) -> list[str]:
+def rows_of_tag(lines: Sequence[str], delimiter: str, rows: tuple[int, str]) -> list[str]:
     """Return the lines whose cell holds a tag."""
-    if rows is None:
-        return list(lines)
     index, tag = rows
     found = []
     for line in lines:
@@ -224,8 +222,6 @@ def _finish(lines: Sequence[str], split: _Split) -> TextLayout:
     rate = None
     if match:
         rate = float(match["rate"] or match["plain"]) * (1000 if match["kilo"] or match["kilos"] else 1)
-    rows = tuple(tuple(split.rows[i]) for i in split.fitting)
-    quoted = any('"' in lines[i] for i in split.fitting)
     return TextLayout(
         delimiter=split.delimiter,
         decimal=split.decimal,
@@ -234,9 +230,9 @@ def _finish(lines: Sequence[str], split: _Split) -> TextLayout:
         units=tuple(units),
         preamble=tuple(text for text in before if text.strip()),
         start=split.start,
-        rows=rows,
+        rows=tuple(tuple(split.rows[i]) for i in split.fitting),
         rate_hz=rate if rate and rate > 0 else None,
-        quoted=quoted,
+        quoted=any('"' in lines[i] for i in split.fitting),
         mismatch=mismatch,
     )
 

@@ -138,17 +138,9 @@ def parse_column(
 ) -> NamedColumn:
     """Return what the name of a column says.
 
-    Parameters
-    ----------
-    header
-        Its name.
-    index
-        Its index, from 0.
-    unit
-        Its unit from a row of units, which goes before a unit in the name.
-    context
-        Names of the table's other columns in small letters: ``alpha_x`` is an acceleration only
-        beside an ``omega_x``, and p, q, r are rates only together.
+    A `unit` from a row of units goes before one in the name. `context` holds the names of the table's
+    other columns in small letters: ``alpha_x`` is an acceleration only beside an ``omega_x``, and p, q,
+    r are rates only together.
     """
     shown = header.strip().strip("\ufeff").strip()
     text = shown.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")

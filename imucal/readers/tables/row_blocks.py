@@ -22,24 +22,11 @@ _COMMENTS = ("#", "%", "//", ";")
 
 @dataclass(slots=True)
 class RowCounts:
-    """What became of the rows of a text.
-
-    Attributes
-    ----------
-    good
-        Rows read.
-    bad
-        Rows dropped: too few or too many cells, or text where a number belongs.
-    first_bad
-        The first of them.
-    cut
-        The last line, where it has no line end and may therefore be cut.
-    """
+    """How many rows were read, how many are none of the table, and the first of those."""
 
     good: int = 0
     bad: int = 0
     first_bad: str = ""
-    cut: str = ""
 
 
 @dataclass(slots=True, kw_only=True)

@@ -66,17 +66,7 @@ class Work:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unscaled:
-    """A sensor's samples in the unit of the log.
-
-    Attributes
-    ----------
-    triad
-        Which columns they are.
-    axes
-        x, y, z; shape (n,) each.
-    rate_hz
-        Sampling rate.
-    """
+    """A sensor's samples in the unit of the log: x, y and z, shape (n,) each."""
 
     triad: Triad
     axes: Sequence[FloatArray]
@@ -159,14 +149,12 @@ def _inferred_scale(work: Work, entry: Unscaled, accel_unit: str | None) -> tupl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnitGuess:
-    """What samples say of their unit.
+    """What samples say of their unit, and the reason in words.
 
     Attributes
     ----------
     unit
         A key of `imucal.units.SAMPLE_UNITS`, or ``count``; None where it is open.
-    reason
-        In words.
     scale
         SI per count, where the unit is ``count``.
     assumed
@@ -215,17 +203,7 @@ def infer_accel_unit(rows: FloatArray) -> UnitGuess:
 
 
 def infer_gyro_unit(rows: FloatArray, *, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:
-    """Return the unit of samples of shape (k, 3).
-
-    Parameters
-    ----------
-    rows
-        Rates, in an unknown unit.
-    rate_hz
-        Sampling rate, where known.
-    accel_unit
-        Unit of the accelerometer beside it.
-    """
+    """Return the unit of rates of shape (k, 3), beside an accelerometer whose unit is known."""
     if not rows.size:
         return UnitGuess(reason="there are no finite samples")
     if bool((rows == np.round(rows)).all()) and bool(rows.any()):

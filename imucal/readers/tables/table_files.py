@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from imucal.errors import ReadError
 
+#: Errors of a file that is damaged, or is none of the formats.
+_DAMAGE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
+
 #: Columns of a matrix beyond which it is no matrix of samples.
 _WIDEST = 64
 
@@ -87,12 +90,10 @@ def open_table(path: Path) -> TableFile:
     kind, reader = _reader(path, head)
     try:
         columns, rate = reader(path)
-    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        msg = f"{path}: not a readable {kind} file: {error}"
-        raise ReadError(msg) from error
     except Exception as error:
         # polars and scipy have error classes of their own; anything else is a bug and goes on.
-        if type(error).__module__.partition(".")[0] not in {"polars", "scipy"}:
+        package = type(error).__module__.partition(".")[0]
+        if not isinstance(error, _DAMAGE) and package not in {"polars", "scipy"}:
             raise
         msg = f"{path}: not a readable {kind} file: {error}"
         raise ReadError(msg) from error

@@ -24,24 +24,13 @@ from imucal.recording import Recording, Source
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
-
 #: The index of times that stand in a file of their own.
 EXTERNAL = -1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExternalTime:
-    """The times of a table's rows, from another file.
-
-    Attributes
-    ----------
-    path
-        Of that file.
-    choice
-        What the times are; its index is `EXTERNAL`.
-    values
-        Shape (n,).
-    """
+    """The times of a table's rows, shape (n,), from the file at `path`; `choice` has the index `EXTERNAL`."""
 
     path: str
     choice: TimeChoice
@@ -74,16 +63,8 @@ def read_table(
 ) -> Recording:
     """Read the table of an opened text.
 
-    Parameters
-    ----------
-    source
-        The text.
-    options
-        What the user said.
-    name
-        The file's own name, which may name the sensor.
-    stamps
-        Times of the rows that stand in a file of their own.
+    `name` is the file's own, which may name the sensor; `stamps` are times of the rows that stand in a
+    file of their own.
 
     Raises
     ------
@@ -96,8 +77,7 @@ def read_table(
     """
     # The blocks of text are as large as its chunks: freed, they are to be used again.
     keep_freed_memory()
-    layout = lay_out(source.name, source.head, options)
-    plan = _plan(source.name, layout, options, name or PurePath(source.name).name)
+    layout, plan = plan_of_head(source, options, name)
     if stamps is not None:
         plan = stamps.replace_times(plan)
     groups = _by_rows(plan)
@@ -132,8 +112,8 @@ def read_table(
     )
 
 
-def plan_of_head(source: TextSource, options: ReadOptions, name: str) -> TablePlan:
-    """Return the columns of a text from its first lines.
+def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
+    """Return the layout and the columns of a text from its first lines; its name may name the sensor.
 
     Raises
     ------
@@ -142,14 +122,17 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str) -> TablePl
     ReadError
         If it is no table.
     """
-    return _plan(source.name, lay_out(source.name, source.head, options), options, name)
-
-
-def _plan(path: str, layout: TextLayout, options: ReadOptions, name: str) -> TablePlan:
-    headers = layout.headers or ("",) * layout.width
-    return make_plan(
-        path, headers, layout.cells, options, units=layout.units, preamble=layout.preamble, name=name
+    layout = lay_out(source.name, source.head, options)
+    plan = make_plan(
+        source.name,
+        layout.headers or ("",) * layout.width,
+        layout.cells,
+        options,
+        units=layout.units,
+        preamble=layout.preamble,
+        name=name or PurePath(source.name).name,
     )
+    return layout, plan
 
 
 def _by_rows(plan: TablePlan) -> list[list[SensorPlan]]:

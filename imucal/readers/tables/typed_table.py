@@ -112,28 +112,22 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
             errors.append(error)
     if not parts:
         raise errors[0]
-    return _without_doubles(path, parts)
+    _refuse_doubles(path, parts)
+    return parts
 
 
-def _without_doubles(path: Path, parts: Sequence[_Part]) -> list[_Part]:
+def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
     """Refuse a sensor that stands in two tables."""
-    found: dict[Sensor, _Part] = {}
-    for part in parts:
-        for sensor in part.plan.sensors:
-            if sensor.triad.sensor in found:
-                names = [
-                    other.triad.headers[0]
-                    for each in (found[sensor.triad.sensor], part)
-                    for other in each.plan.sensors
-                    if other.triad.sensor is sensor.triad.sensor
-                ]
-                msg = (
-                    f"{path}: two tables hold a {sensor.triad.sensor}: {' and '.join(names)}; "
-                    "expected one; give the columns"
-                )
-                raise ChoiceError(msg)
-            found[sensor.triad.sensor] = part
-    return list(parts)
+    found: dict[Sensor, list[str]] = {}
+    for triad in (plan.triad for part in parts for plan in part.plan.sensors):
+        names = found.setdefault(triad.sensor, [])
+        names.append(triad.headers[0])
+        if len(names) > 1:
+            msg = (
+                f"{path}: two tables hold a {triad.sensor}: {' and '.join(names)}; "
+                "expected one; give the columns"
+            )
+            raise ChoiceError(msg)
 
 
 def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
@@ -155,13 +149,11 @@ def _columns(part: _Part, sensor: SensorPlan) -> SensorColumns:
     time, log = _times(part, sensor.time), _times(part, sensor.log_time)
     at = part.plan.temperature
     temperature = _floats(part.columns[at]) if at is not None else None
-    keep = None
     if sensor.triad.rows is not None:
         index, tag = sensor.triad.rows
         keep = part.columns[index].is_text(tag)
         axes = (x[keep], y[keep], z[keep])
-        time = tuple(column[keep] for column in time)
-        log = tuple(column[keep] for column in log)
+        time, log = tuple(column[keep] for column in time), tuple(column[keep] for column in log)
         temperature = temperature[keep] if temperature is not None else None
     sparse = any(part.columns[index].has_gaps for index in sensor.triad.indices)
     return SensorColumns(

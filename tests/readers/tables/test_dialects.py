@@ -75,7 +75,7 @@ def _without_example(dialect: Dialect, folder: Path, styles: Sequence[Style]) ->
         options = ReadOptions(**given)
         with open_text(write(style, folder)) as source:
             try:
-                found = plan_of_head(source, options, style.file).dialect
+                found = plan_of_head(source, options)[1].dialect
             except ChoiceError as error:
                 names = lay_out(source.name, source.head, options).headers
                 sentence = (
