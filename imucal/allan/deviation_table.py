@@ -1,11 +1,13 @@
-"""Allan deviations made by another tool: a text table of averaging times and deviations."""
+"""Allan deviations in a text table: made by another tool, or printed by `imucal adev`."""
 
+import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
@@ -14,13 +16,18 @@ from imucal.findings import Finding
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, pretty
 
+#: Heading of the table that `imucal adev` prints: curves of several axes below one another, in SI.
+COLUMNS = ("axis", "tau", "m", "adev", "low", "high", "edf")
+
 _TAU = re.compile(r"(tau|taus|time|t|averaging[ _]?time|cluster[ _]?time)\b", re.IGNORECASE)
 _VARIANCE = re.compile(r"avar|variance", re.IGNORECASE)
 _OTHER = re.compile(
     r"(m|n|edf|samples|low|high|lower|upper|err\w*|model\w*|ci\w*)\b|.*_(low|high|edf)\b", re.IGNORECASE
 )
-_GYROSCOPE = re.compile(r"gyr|angular|rate|omega|^w_?[xyz]\b", re.IGNORECASE)
-_ACCELEROMETER = re.compile(r"acc|specific|^a_?[xyz]\b", re.IGNORECASE)
+_SENSORS = (
+    (Sensor.GYROSCOPE, re.compile(r"gyr|angular|rate|omega|^w_?[xyz]\b", re.IGNORECASE)),
+    (Sensor.ACCELEROMETER, re.compile(r"acc|specific|^a_?[xyz]\b", re.IGNORECASE)),
+)
 _UNIT = re.compile(r"[\[(]([^\])]+)[\])]\s*$")
 #: Averaging times within this of a multiple of the shortest are taken for multiples of it.
 _MULTIPLE = 0.02
@@ -89,43 +96,45 @@ def read_curve(
     """
     path = Path(path)
     headings, rows = _parse(path)
-    place = _tau_column(headings)
-    order = np.argsort(rows[:, place], kind="stable")
-    rows = rows[order]
-    tau = rows[:, place]
+    first = _tau_column(headings)
+    rows = rows[np.argsort(rows[:, first], kind="stable")]
+    tau = rows[:, first]
     _require_times(path, tau)
     m, findings = _factors(tau, rate_hz)
-    wanted = [i for i in range(rows.shape[1]) if i != place and not _OTHER.fullmatch(_bare(headings[i]))]
+    wanted = [i for i, name in enumerate(headings) if i != first and not _OTHER.fullmatch(_bare(name))]
     given = list(units) * len(wanted) if len(units) == 1 else [*units]
     if given and len(given) != len(wanted):
         msg = f"{path}: {len(given)} units for {len(wanted)} columns of deviations; give one, or one each"
         raise ReadError(msg)
+    if not wanted:
+        msg = f"{path}: no column of deviations beside {headings[first]!r}; found {', '.join(headings)}"
+        raise ReadError(msg)
     curves = []
-    for number, column in enumerate(wanted):
-        heading = headings[column]
-        unit = given[number] if given else _unit_of(heading)
-        sensor, factor = _meaning(path, heading, unit)
-        values = rows[:, column]
-        good = np.isfinite(values) & (values > 0)
-        if not good.any():
-            msg = f"{path}: column {heading!r} holds no positive number; expected Allan deviations"
-            raise ReadError(msg)
-        power = 1 if _VARIANCE.search(heading) else 2
+    for i, unit in zip(wanted, given or [_unit_of(headings[i]) for i in wanted], strict=True):
+        sensor, factor = _meaning(path, headings[i], unit)
+        good, avar = _variances(path, headings[i], rows[:, i], factor or 1.0)
         curves.append(
             NamedCurve(
-                name=_bare(heading),
+                name=_bare(headings[i]),
                 sensor=sensor,
                 unit=sensor.unit if sensor and factor else "",
-                curve=_curve(
-                    tau[good], m[good], values[good] ** power * (factor or 1.0) ** 2, n=n, estimator=estimator
-                ),
+                curve=_curve(tau[good], m[good], avar, n=n, estimator=estimator),
                 findings=findings,
             )
         )
-    if not curves:
-        msg = f"{path}: no column of deviations beside {headings[place]!r}; found {', '.join(headings)}"
-        raise ReadError(msg)
     return tuple(curves)
+
+
+def _variances(
+    path: Path, heading: str, values: FloatArray, factor: float
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Return which values of a column are positive numbers, and their Allan variances."""
+    good = np.isfinite(values) & (values > 0)
+    if not good.any():
+        msg = f"{path}: column {heading!r} holds no positive number; expected Allan deviations"
+        raise ReadError(msg)
+    power = 1 if _VARIANCE.search(heading) else 2
+    return good, values[good] ** power * factor**2
 
 
 def _curve(tau: FloatArray, m: IntArray, avar: FloatArray, *, n: int | None, estimator: str) -> AllanCurve:
@@ -148,6 +157,24 @@ def _curve(tau: FloatArray, m: IntArray, avar: FloatArray, *, n: int | None, est
 
 def _parse(path: Path) -> tuple[list[str], FloatArray]:
     """Return the headings and the numbers, shape (rows, columns); missing numbers are NaN."""
+    fields = _fields(path)
+    if all(len(cells) > 1 and not cells[-1] for _, cells in fields):
+        # Every line ends with a separator: there is no column after it.
+        fields = [(i, cells[:-1]) for i, cells in fields]
+    headings = fields.pop(0)[1] if _number(fields[0][1][0]) is None else []
+    width = len(fields[0][1]) if fields else 0
+    if len(fields) < 2 or width < 2:
+        msg = (
+            f"{path}: has {len(fields)} rows of {width} columns; expected at least 2 rows of tau and "
+            "one or more deviations"
+        )
+        raise ReadError(msg)
+    headings = headings or ["tau", *(f"column {i}" for i in range(2, width + 1))]
+    return headings, _numbers(path, headings, fields)
+
+
+def _fields(path: Path) -> list[tuple[int, list[str]]]:
+    """Return the number and the cells of each line that is no comment."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -156,28 +183,12 @@ def _parse(path: Path) -> tuple[list[str], FloatArray]:
     except UnicodeDecodeError as error:
         msg = f"{path}: is not a text table (byte {error.start} is not UTF-8); expected tau and deviations"
         raise ReadError(msg) from error
-    lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), start=1)]
-    lines = [(i, line) for i, line in lines if line and line[0] not in "#%"]
-    if not lines:
+    lines = enumerate(map(str.strip, text.splitlines()), start=1)
+    fields = [(i, _split(line)) for i, line in lines if line and line[0] not in "#%"]
+    if not fields:
         msg = f"{path}: is empty; expected a table of tau and deviations"
         raise ReadError(msg)
-    fields = [(i, _split(line)) for i, line in lines]
-    if all(len(cells) > 1 and not cells[-1] for _, cells in fields):
-        # Every line ends with a separator: there is no column after it.
-        fields = [(i, cells[:-1]) for i, cells in fields]
-    headings: list[str] = []
-    if _number(fields[0][1][0]) is None:
-        headings = fields.pop(0)[1]
-    if len(fields) < 2 or len(fields[0][1]) < 2:
-        width = len(fields[0][1]) if fields else 0
-        msg = (
-            f"{path}: has {len(fields)} rows of {width} columns; expected at least 2 rows of tau and "
-            "one or more deviations"
-        )
-        raise ReadError(msg)
-    width = len(fields[0][1])
-    headings = headings or ["tau", *(f"column {i}" for i in range(2, width + 1))]
-    return headings, _numbers(path, headings, fields)
+    return fields
 
 
 def _numbers(path: Path, headings: Sequence[str], fields: list[tuple[int, list[str]]]) -> FloatArray:
@@ -269,4 +280,40 @@ def _meaning(path: Path, heading: str, unit: str) -> tuple[Sensor | None, float 
     raise ReadError(msg)
 
 
-_SENSORS = ((Sensor.GYROSCOPE, _GYROSCOPE), (Sensor.ACCELEROMETER, _ACCELEROMETER))
+def is_adev_table(path: Path) -> bool:
+    """Say whether a file starts with the heading of the table that `imucal adev` prints."""
+    with path.open("rb") as stream:
+        return stream.readline(200).decode("utf-8-sig", "replace").strip() == ",".join(COLUMNS)
+
+
+def read_adev_table(path: Path) -> tuple[NamedCurve, ...]:
+    """Return the curve of each axis, with its averaging factors and degrees of freedom.
+
+    Raises
+    ------
+    ReadError
+        If a line is not as `imucal adev` writes it.
+    """
+    rows: dict[str, list[list[float]]] = {}
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        for cells in list(csv.reader(stream))[1:]:
+            try:
+                axis, tau, m, adev, _, _, edf = cells
+                rows.setdefault(axis, []).append([float(tau), float(m), float(adev), float(edf or "nan")])
+            except ValueError as error:
+                msg = f"{path}: a line is {','.join(cells)!r}; expected values of {', '.join(COLUMNS)}"
+                raise ReadError(msg) from error
+    curves = []
+    for axis, values in rows.items():
+        tau, m, adev, edf = np.array(values).T
+        try:
+            curve = AllanCurve(tau=tau, m=m.astype(np.int64), avar=adev**2, edf=edf, n=0, computed="given")
+        except ValueError as error:
+            msg = f"{path}: axis {axis}: {error}; expected each averaging time once, rising"
+            raise ReadError(msg) from error
+        sensor = next((sensor for sensor in Sensor if axis.startswith(sensor.short)), None)
+        curves.append(NamedCurve(name=axis, sensor=sensor, unit=sensor.unit if sensor else "", curve=curve))
+    if not curves:
+        msg = f"{path}: has no rows below its heading"
+        raise ReadError(msg)
+    return tuple(curves)

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from imucal.allan.adev_table import is_adev_table, read_adev_table
-from imucal.allan.deviation_table import NamedCurve, read_curve
+from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
 from imucal.cli._options import say
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS

@@ -13,7 +13,7 @@ from imucal.readers.containers.rosbag2_folder import natural
 from imucal.readers.formats import Format, detect, load, load_opener
 from imucal.readers.message_logs import read_logs
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.csv_log import read_many
+from imucal.readers.tables import read_many
 from imucal.recording import AxisSeries, Recording
 
 #: Two files of one recording may differ this much in their measured rates.

@@ -6,7 +6,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.allan import allan_curve
-from imucal.allan.adev_table import COLUMNS, is_adev_table, read_adev_table
+from imucal.allan.deviation_table import COLUMNS, is_adev_table, read_adev_table
 from imucal.errors import ReadError
 from imucal.readers import read
 from tests.cli.run import SAMPLE_LOGS, run

@@ -3,27 +3,60 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imucal.readers.tables.columns import Rows, ask
+from imucal.errors import ChoiceError
+from imucal.readers.tables.layout import Rows
+
+#: A columns text that shows how one is written.
+EXAMPLE = "t=0,g=1:4,a=4:7"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
-    """The columns a user gave, by place."""
+class ColumnSpec:
+    """The columns a user gave, by index."""
 
     time: tuple[int, ...] = ()
-    gyro: tuple[int, int, int] | None = None
-    accel: tuple[int, int, int] | None = None
+    gyro: tuple[int, ...] = ()
+    accel: tuple[int, ...] = ()
     temperature: int | None = None
     gyro_rows: Rows = None
     accel_rows: Rows = None
 
 
-def parse_columns_text(text: str, headers: Sequence[str], path: str) -> Asked:
+_KEYS = {
+    "t": "t",
+    "g": "g",
+    "a": "a",
+    "temp": "temp",
+    "time": "t",
+    "gyro": "g",
+    "accel": "a",
+    "temperature": "temp",
+}
+
+
+def list_columns(headers: Sequence[str], *, most: int = 60) -> str:
+    """Return the columns of a table with their indices, for a message."""
+    shown = [f"{index} {header.strip() or '(no name)'}" for index, header in enumerate(headers[:most])]
+    more = f", … {len(headers) - most} more" if len(headers) > most else ""
+    return ", ".join(shown) + more
+
+
+def ask(path: str, problem: str, headers: Sequence[str], *, example: str = EXAMPLE) -> ChoiceError:
+    """Return the error that shows the columns and a ready text for them."""
+    msg = (
+        f"{path}: {problem}; found columns: {list_columns(headers)}; "
+        f"say which are which by a columns text such as {example} "
+        "(places from 0 with the end left out, or three names joined by +)"
+    )
+    return ChoiceError(msg)
+
+
+def parse_columns_text(text: str, headers: Sequence[str], path: str) -> ColumnSpec:
     """Return the columns that a text such as ``t=0,g=1:4,a=4:7`` names.
 
     ``t`` is the time (``t=0+1`` joins seconds and nanoseconds), ``g`` the gyroscope, ``a`` the
-    accelerometer, ``temp`` the temperature. Three columns are places from 0 with the end left out
-    (``1:4``) or places or names joined by ``+`` (``wx+wy+wz``). ``a=2:5@imu`` takes only the rows
+    accelerometer, ``temp`` the temperature. Three columns are indices from 0 with the end left out
+    (``1:4``) or indices or names joined by ``+`` (``wx+wy+wz``). ``a=2:5@imu`` takes only the rows
     that have ``imu`` in one of their cells, ``a=2:5@I:0`` those with 0 in column I.
 
     Raises
@@ -33,67 +66,58 @@ def parse_columns_text(text: str, headers: Sequence[str], path: str) -> Asked:
     """
     found: dict[str, tuple[int, ...]] = {}
     rows: dict[str, Rows] = {}
-    for part in (piece for piece in text.split(",") if piece.strip()):
-        key, equals, value = part.partition("=")
-        key = _KEYS.get(key.strip().lower(), "")
-        if not (key and equals):
-            raise ask(
-                path, f"columns text {text!r}: {part.strip()!r} is not t=…, g=…, a=… or temp=…", headers
-            )
+    for part in filter(str.strip, text.split(",")):
+        name, equals, value = part.partition("=")
+        key = _KEYS.get(name.strip().lower())
+        if key is None or not equals:
+            raise _wrong(text, f"{part.strip()!r} is not t=…, g=…, a=… or temp=…", headers, path)
         value, at, tag = value.partition("@")
-        found[key] = _places(value, headers, path, text)
+        found[key] = _indices(value, headers, path, text)
         if at:
-            rows[key] = _tag(tag, headers, path, text)
-    for key in ("g", "a"):
-        if key in found and len(found[key]) != 3:
-            raise ask(
-                path, f"columns text {text!r}: {key} names {len(found[key])} columns, expected 3", headers
-            )
-    if "g" not in found and "a" not in found:
-        raise ask(path, f"columns text {text!r}: names neither gyroscope (g) nor accelerometer (a)", headers)
-    if len(found.get("t", ())) > 2 or len(found.get("temp", ())) > 1:
-        raise ask(path, f"columns text {text!r}: t takes one or two columns, temp one", headers)
-    gyro, accel = found.get("g"), found.get("a")
-    return Asked(
+            rows[key] = _rows(tag, headers, path, text)
+    problem = _problem(found)
+    if problem:
+        raise _wrong(text, problem, headers, path)
+    return ColumnSpec(
         time=found.get("t", ()),
-        gyro=(gyro[0], gyro[1], gyro[2]) if gyro else None,
-        accel=(accel[0], accel[1], accel[2]) if accel else None,
-        temperature=found["temp"][0] if found.get("temp") else None,
+        gyro=found.get("g", ()),
+        accel=found.get("a", ()),
+        temperature=next(iter(found.get("temp", ())), None),
         gyro_rows=rows.get("g"),
         accel_rows=rows.get("a"),
     )
 
 
-_KEYS = {
-    "t": "t",
-    "time": "t",
-    "g": "g",
-    "gyro": "g",
-    "a": "a",
-    "accel": "a",
-    "temp": "temp",
-    "temperature": "temp",
-}
+def _wrong(text: str, problem: str, headers: Sequence[str], path: str) -> ChoiceError:
+    return ask(path, f"columns text {text!r}: {problem}", headers)
 
 
-def _places(value: str, headers: Sequence[str], path: str, text: str) -> tuple[int, ...]:
+def _problem(found: dict[str, tuple[int, ...]]) -> str:
+    """Return what is wrong with the numbers of columns, or an empty text."""
+    for key in ("g", "a"):
+        if key in found and len(found[key]) != 3:
+            return f"{key} names {len(found[key])} columns, expected 3"
+    if "g" not in found and "a" not in found:
+        return "names neither gyroscope (g) nor accelerometer (a)"
+    if len(found.get("t", ())) > 2 or len(found.get("temp", ())) > 1:
+        return "t takes one or two columns, temp one"
+    return ""
+
+
+def _indices(value: str, headers: Sequence[str], path: str, text: str) -> tuple[int, ...]:
     first, colon, stop = value.strip().partition(":")
     if colon and first.strip().isdigit() and stop.strip().isdigit():
-        places = tuple(range(int(first), min(int(stop), int(first) + len(headers) + 4)))
+        indices = tuple(range(int(first), min(int(stop), int(first) + len(headers) + 4)))
     else:
-        places = tuple(place_of(name, headers, path, text) for name in value.split("+"))
-    for place in places:
-        if place >= len(headers):
-            raise ask(
-                path,
-                f"columns text {text!r}: there is no column {place}, the last is {len(headers) - 1}",
-                headers,
-            )
-    return places
+        indices = tuple(index_of(name, headers, path, text) for name in value.split("+"))
+    for index in indices:
+        if index >= len(headers):
+            raise _wrong(text, f"there is no column {index}, the last is {len(headers) - 1}", headers, path)
+    return indices
 
 
-def place_of(name: str, headers: Sequence[str], path: str, text: str) -> int:
-    """Return the place of a column given by name or place.
+def index_of(name: str, headers: Sequence[str], path: str, text: str) -> int:
+    """Return the index of a column given by name or index.
 
     Raises
     ------
@@ -101,23 +125,18 @@ def place_of(name: str, headers: Sequence[str], path: str, text: str) -> int:
         If there is no such column, or several.
     """
     name = name.strip()
-    plain = [_plain(header) for header in headers]
-    matches = [place for place, header in enumerate(plain) if header == _plain(name)]
+    matches = [index for index, header in enumerate(headers) if _plain(header) == _plain(name)]
     if len(matches) == 1:
         return matches[0]
-    if name.isdigit() and not matches:
-        place = int(name)
-        if place < len(headers):
-            return place
+    if name.isdigit() and not matches and int(name) < len(headers):
+        return int(name)
     found = f"{len(matches)} columns are called {name!r}" if matches else f"there is no column {name!r}"
-    raise ask(path, f"columns text {text!r}: {found}", headers)
+    raise _wrong(text, found, headers, path)
 
 
-def _tag(tag: str, headers: Sequence[str], path: str, text: str) -> Rows:
+def _rows(tag: str, headers: Sequence[str], path: str, text: str) -> Rows:
     column, colon, value = tag.partition(":")
-    if colon:
-        return place_of(column, headers, path, text), value.strip()
-    return -1, tag.strip()
+    return (index_of(column, headers, path, text), value.strip()) if colon else (-1, tag.strip())
 
 
 def _plain(header: str) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from imucal.errors import ChoiceError, DataError
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.file_sets import is_set, read_set, read_together
+from imucal.readers.tables.file_sets import is_set, read_set
 from imucal.readers.tables.tabular import units_note
 from imucal.readers.tables.text import STANDARD_INPUT, TextSource, open_text
 from imucal.readers.tables.text_table import read_table
@@ -45,17 +45,6 @@ def read(path: Path, options: ReadOptions) -> Recording:
         return read_set(path, options)
     with open_text(path, progress=options.progress) as source:
         return read_table(source, options)
-
-
-def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
-    """Read files that hold one sensor each, perhaps with a file of times; None where they are no such files.
-
-    Raises
-    ------
-    ReadError
-        If one of them can't be read.
-    """
-    return read_together(paths, options)
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:

@@ -7,21 +7,21 @@ import re
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePath
-from typing import BinaryIO, cast
+from typing import BinaryIO, NamedTuple, cast
 
 import numpy as np
 
 from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.columns import sensor_of_name
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.text import TextSource, open_text
 from imucal.readers.tables.text_table import EXTERNAL, ExternalTime, plan_of_head, read_table
 from imucal.readers.tables.timing import TimeChoice
-from imucal.readers.tables.vectors import sensor_of_name
 from imucal.recording import Recording, Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
@@ -35,8 +35,7 @@ _LEFT_OUT = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Member:
+class _Member(NamedTuple):
     """A file of a set: its name and how to open it."""
 
     name: str
@@ -66,13 +65,12 @@ def read_set(path: Path, options: ReadOptions) -> Recording:
     """
     if path.is_dir():
         entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
-        members = [_Member(name=entry.name, open=partial(open_text, entry)) for entry in entries]
+        members = [_Member(entry.name, partial(open_text, entry)) for entry in entries]
         return _read_members(str(path), members, options)
     try:
         with zipfile.ZipFile(path) as archive:
-            members = [
-                _of_zip(archive, info, path) for info in archive.infolist() if _is_table(info.filename)
-            ]
+            infos = [info for info in archive.infolist() if _is_table(info.filename)]
+            members = [_Member(info.filename, partial(_open_member, path, archive, info)) for info in infos]
             return _read_members(str(path), members, options)
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
         msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
@@ -83,46 +81,51 @@ def _is_table(name: str) -> bool:
     return name.lower().endswith(_SUFFIXES) and not name.startswith("__MACOSX")
 
 
-def _of_zip(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> _Member:
-    def open_member() -> TextSource:
-        raw = cast("BinaryIO", archive.open(info))
-        return TextSource(f"{path}:{info.filename}", raw, size=None, progress=None)
-
-    return _Member(name=info.filename, open=open_member)
+def _open_member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> TextSource:
+    raw = cast("BinaryIO", archive.open(info))
+    return TextSource(f"{path}:{info.filename}", raw, size=None, progress=None)
 
 
 def _read_members(path: str, members: Sequence[_Member], options: ReadOptions) -> Recording:
-    names = ", ".join(member.name for member in members) or "no text files"
-    if len(members) == 1:
-        return _named(_read_one(members[0], options), path)
-    gyro = _choose(path, members, Sensor.GYROSCOPE, names)
-    accel = _choose(path, members, Sensor.ACCELEROMETER, names)
-    chosen = [member for member in (gyro, accel) if member is not None]
+    chosen = members
+    if len(members) != 1:
+        both = [_choose(path, members, sensor) for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER)]
+        chosen = [member for member in both if member is not None]
     if not chosen:
         msg = (
-            f"{path}: no file is named as a gyroscope or an accelerometer; found {names}; "
-            "name the file to read"
+            f"{path}: no file is named as a gyroscope or an accelerometer; "
+            f"found {_names(members) or 'no text files'}; name the file to read"
         )
         raise ChoiceError(msg)
-    parts = [_read_one(member, options) for member in dict.fromkeys(chosen)]
-    return _named(_merged(parts, [member.name for member in dict.fromkeys(chosen)]), path)
+    parts = []
+    for member in chosen:
+        with member.open() as source:
+            parts.append(read_table(source, options, name=PurePath(member.name).name))
+    return _merged(parts, [member.name for member in chosen], path)
 
 
-def _choose(path: str, members: Sequence[_Member], sensor: Sensor, names: str) -> _Member | None:
+def _names(members: Sequence[_Member]) -> str:
+    return ", ".join(member.name for member in members)
+
+
+def _choose(path: str, members: Sequence[_Member], sensor: Sensor) -> _Member | None:
     """Return the file of a sensor by its name; raw before corrected, with gravity before without."""
-    found = []
-    for member in members:
-        plain = PurePath(member.name).stem.lower()
-        if sensor_of_name(plain) is sensor and not _LEFT_OUT.search(plain):
-            found.append(member)
+    stems = [(PurePath(member.name).stem.lower(), member) for member in members]
+    found = [
+        (stem, member)
+        for stem, member in stems
+        if sensor_of_name(stem) is sensor and not _LEFT_OUT.search(stem)
+    ]
     if len(found) <= 1:
-        return found[0] if found else None
+        return found[0][1] if found else None
     for preferred in _PREFERRED[sensor]:
-        exact = [member for member in found if PurePath(member.name).stem.lower() == preferred]
+        exact = [member for stem, member in found if stem == preferred]
         if len(exact) == 1:
             return exact[0]
-    shown = ", ".join(member.name for member in found)
-    msg = f"{path}: several files hold a {sensor} ({shown}) of {names}; unpack it and name the files to read"
+    msg = (
+        f"{path}: several files hold a {sensor} ({_names([member for _, member in found])}) "
+        f"of {_names(members)}; unpack it and name the files to read"
+    )
     raise ChoiceError(msg)
 
 
@@ -134,12 +137,7 @@ _PREFERRED = {
 }
 
 
-def _read_one(member: _Member, options: ReadOptions) -> Recording:
-    with member.open() as source:
-        return read_table(source, options, name=PurePath(member.name).name)
-
-
-def read_together(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
+def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
     """Read files that hold one sensor each, perhaps with a file of times; None where they are no such files.
 
     Raises
@@ -150,56 +148,45 @@ def read_together(paths: Sequence[Path], options: ReadOptions) -> Recording | No
     times = [path for path in paths if _is_time_file(path)]
     tables = [path for path in paths if path not in times]
     sensors = [_sensors_of(path, options) for path in tables]
-    if len(times) > 1 or not tables or any(len(found) != 1 for found in sensors):
-        return None
-    if len({found[0] for found in sensors}) != len(tables):
+    one_each = all(len(found) == 1 for found in sensors) and len(set(sensors)) == len(tables)
+    if len(times) > 1 or not tables or not one_each:
         return None
     stamps = _read_times(times[0]) if times else None
     parts = []
     for path in tables:
         with open_text(path, progress=options.progress) as source:
             parts.append(read_table(source, options, stamps=stamps))
-    return _named(_merged(parts, [path.name for path in tables]), ", ".join(str(path) for path in paths))
+    return _merged(parts, [path.name for path in tables], ", ".join(map(str, paths)))
 
 
 def _sensors_of(path: Path, options: ReadOptions) -> tuple[Sensor, ...]:
     try:
         with open_text(path) as source:
-            _, plan = plan_of_head(source.name, source.head, options, path.name)
+            _, plan = plan_of_head(source, options, path.name)
     except ImucalError:
         return ()
     return tuple(sensor.triad.sensor for sensor in plan.sensors)
 
 
-def _merged(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
+def _merged(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
     """Return the sensors of several recordings as one; each keeps its own clock."""
+    source = replace(parts[0].source, path=path)
     if len(parts) == 1:
-        return parts[0]
-    series = tuple(
-        sorted((s for part in parts for s in part.series), key=lambda s: s.sensor is Sensor.ACCELEROMETER)
-    )
-    decisions = [("files", ", ".join(names))]
-    decisions += [decision for part in parts for decision in part.source.decisions]
-    findings = [finding for part in parts for finding in part.findings]
-    clocks = {series.clock for series in series if series.axis == "x"}
-    if len(clocks) == 1:
-        one = clocks.pop()
-        series = tuple(replace(entry, clock=one) for entry in series)
+        return replace(parts[0], source=source)
+    every = [series for part in parts for series in part.series]
+    series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
+    if all(one.clock == series[0].clock for one in series):
+        series = [replace(one, clock=series[0].clock) for one in series]
+    decisions = [decision for part in parts for decision in part.source.decisions]
+    topics = [topic for part in parts for topic in part.source.topics]
+    found = [("files", ", ".join(names)), *decisions]
     return replace(
         parts[0],
-        source=replace(
-            parts[0].source,
-            topics=tuple(topic for part in parts for topic in part.source.topics),
-            decisions=tuple(dict.fromkeys(decisions)),
-        ),
-        series=series,
+        source=replace(source, topics=tuple(topics), decisions=tuple(dict.fromkeys(found))),
+        series=tuple(series),
         temperature=next((part.temperature for part in parts if part.temperature is not None), None),
-        findings=tuple(dict.fromkeys(findings)),
+        findings=tuple(dict.fromkeys(finding for part in parts for finding in part.findings)),
     )
-
-
-def _named(recording: Recording, path: str) -> Recording:
-    return replace(recording, source=replace(recording.source, path=path))
 
 
 def _is_time_file(path: Path) -> bool:
@@ -222,7 +209,7 @@ def _read_times(path: Path) -> ExternalTime:
     unit = parse_time_unit(column.unit) if column.unit else None
     choice = TimeChoice(
         kind="stamp",
-        places=(EXTERNAL,),
+        indices=(EXTERNAL,),
         name=column.header,
         ns=TIME_UNITS_NS[unit] if unit else None,
         ns_source=f"from the header of {path.name}" if unit else "",

@@ -3,10 +3,14 @@
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from imucal.units import is_unit
+
+#: Rows of a sensor: the index of a column, -1 for any, and the text its cells must hold; None for all rows.
+Rows: TypeAlias = tuple[int, str] | None
 
 #: The delimiter that stands for runs of blanks and tabs.
 BLANKS = " "
@@ -36,17 +40,15 @@ _RATE = re.compile(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class TextLayout:
     """The layout of a text table.
 
     Attributes
     ----------
-    delimiter
-        ``,`` ``;`` tab ``|``, or `BLANKS` for runs of blanks and tabs.
-    decimal
-        ``.`` or ``,``.
     width
         Cells of a row.
+    rows
+        The first rows of data, as cells without blanks around them.
     headers
         Names of the columns; empty where there is no header.
     units
@@ -55,31 +57,39 @@ class Layout:
         Lines before the header.
     start
         Lines before the first row of data.
-    rows
-        The first rows of data, as cells without blanks around them.
+    delimiter
+        ``,`` ``;`` tab ``|``, or `BLANKS` for runs of blanks and tabs.
+    decimal
+        ``.`` or ``,``.
     rate_hz
         Sampling rate from the preamble.
     quoted
         Whether cells stand in quotation marks.
     mismatch
         Cells of the header line where they don't fit the rows: names can't be told apart then.
+    tag
+        The rows that have this layout, where others stand between them.
+    prepare
+        Turns a block of lines into rows of plain cells, where they are none.
     """
 
-    delimiter: str
-    decimal: str
     width: int
-    headers: tuple[str, ...]
-    units: tuple[str | None, ...]
-    preamble: tuple[str, ...]
-    start: int
     rows: tuple[tuple[str, ...], ...]
+    headers: tuple[str, ...] = ()
+    units: tuple[str | None, ...] = ()
+    preamble: tuple[str, ...] = ()
+    start: int = 0
+    delimiter: str = ","
+    decimal: str = "."
     rate_hz: float | None = None
     quoted: bool = False
     mismatch: int | None = None
+    tag: Rows = None
+    prepare: Callable[[bytes], bytes] | None = None
 
-    def cells(self, place: int) -> list[str]:
+    def cells(self, index: int) -> list[str]:
         """Return the first cells of a column, decimal point in place."""
-        cells = [row[place] for row in self.rows if place < len(row)]
+        cells = [row[index] for row in self.rows if index < len(row)]
         return [cell.replace(",", ".") for cell in cells] if self.decimal == "," else cells
 
 
@@ -104,18 +114,14 @@ class _Split:
         return len(self.fitting) * min(self.width, _WIDE)
 
 
-def find_layout(lines: Sequence[str]) -> Layout | None:
+def find_layout(lines: Sequence[str]) -> TextLayout | None:
     """Return the layout of a table from its first lines; None where they hold no rows of numbers."""
     lines = list(lines[:_LINES])
     only = _named_delimiter(lines)
-    splits = [
-        split for delimiter in _DELIMITERS if only in {None, delimiter} if (split := _split(lines, delimiter))
-    ]
-    if not splits and only is not None:
-        splits = [split for delimiter in _DELIMITERS if (split := _split(lines, delimiter))]
+    splits = _splits(lines, (only,)) if only else []
+    splits = splits or _splits(lines, _DELIMITERS)
     if not splits:
         return None
-    splits.sort(key=lambda split: -split.score)
     layouts = [_finish(lines, split) for split in splits if split.score >= _CLOSE * splits[0].score]
     # Blanks within dates and names make more cells than there are names.
     return next((layout for layout in layouts if layout.headers), layouts[0])
@@ -131,6 +137,17 @@ def _named_delimiter(lines: Sequence[str]) -> str | None:
     return None
 
 
+def rows_of_tag(lines: Sequence[str], delimiter: str, rows: tuple[int, str]) -> list[str]:
+    """Return the lines whose cell holds a tag."""
+    index, tag = rows
+    found = []
+    for line in lines:
+        cells = [cell.strip("\"'") for cell in split_line(line, delimiter)]
+        if tag in (cells if index < 0 else cells[index : index + 1]):
+            found.append(line)
+    return found
+
+
 def split_line(line: str, delimiter: str) -> list[str]:
     """Return the cells of one line, without blanks around them."""
     if delimiter == BLANKS:
@@ -138,11 +155,16 @@ def split_line(line: str, delimiter: str) -> list[str]:
     if '"' not in line:
         return [cell.strip() for cell in line.split(delimiter)]
     try:
-        return [
-            cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-        ]
+        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
-        return [cell.strip() for cell in line.split(delimiter)]
+        cells = line.split(delimiter)
+    return [cell.strip() for cell in cells]
+
+
+def _splits(lines: Sequence[str], delimiters: Sequence[str]) -> list[_Split]:
+    """Return the ways of cutting the lines that give rows of numbers, the likeliest first."""
+    splits = [split for delimiter in delimiters if (split := _split(lines, delimiter))]
+    return sorted(splits, key=lambda split: -split.score)
 
 
 def _split(lines: Sequence[str], delimiter: str) -> _Split | None:
@@ -150,19 +172,25 @@ def _split(lines: Sequence[str], delimiter: str) -> _Split | None:
         return None
     rows = [split_line(line, delimiter) if line.strip() else [] for line in lines]
     decimal = _decimal(rows) if delimiter != "," else "."
-    numbers = [_numbers(row, decimal) for row in rows]
-    filled = [sum(1 for cell in row if cell) for row in rows]
-    likely = [i for i, row in enumerate(rows) if numbers[i] >= 3 and numbers[i] >= 0.4 * filled[i]]
-    if not likely:
+    width, fitting = _fitting(rows, decimal)
+    if not fitting:
         return None
+    start = _start(fitting, len(lines))
+    return _Split(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start))
+
+
+def _fitting(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, list[int]]:
+    """Return the width of the table in some lines, and which of them are its rows."""
+    filled = [len(row) - row.count("") for row in rows]
+    numbers = [_numbers(row, decimal) for row in rows]
+    likely = {i for i, count in enumerate(numbers) if count >= max(3, 0.4 * filled[i])}
+    if not likely:
+        return 0, []
     widths = Counter(len(rows[i]) for i in likely)
     width = max(widths, key=lambda cells: (widths[cells] * min(cells, _WIDE), cells))
     # A table of several topics has rows with a few cells filled.
-    sparse = {i for i, row in enumerate(rows) if len(row) == width and 0 < filled[i] == numbers[i]}
-    fitting = tuple(sorted({i for i in likely if len(rows[i]) == width} | sparse))
-    start = _start(fitting, len(lines))
-    fitting = tuple(i for i in fitting if i >= start)
-    return _Split(delimiter, decimal, rows, width, start, fitting)
+    sparse = {i for i, count in enumerate(numbers) if 0 < count == filled[i]}
+    return width, sorted(i for i in likely | sparse if len(rows[i]) == width)
 
 
 def _start(fitting: Sequence[int], lines: int) -> int:
@@ -186,7 +214,7 @@ def _numbers(row: Sequence[str], decimal: str) -> int:
     return plain + (sum(1 for cell in row if _COMMA_NUMBER.fullmatch(cell)) if decimal == "," else 0)
 
 
-def _finish(lines: Sequence[str], split: _Split) -> Layout:
+def _finish(lines: Sequence[str], split: _Split) -> TextLayout:
     line, headers, units = _find_header(split)
     before = lines[: line if line is not None else split.start]
     headers, mismatch = _fit(headers, split)
@@ -194,9 +222,7 @@ def _finish(lines: Sequence[str], split: _Split) -> Layout:
     rate = None
     if match:
         rate = float(match["rate"] or match["plain"]) * (1000 if match["kilo"] or match["kilos"] else 1)
-    rows = tuple(tuple(split.rows[i]) for i in split.fitting)
-    quoted = any('"' in lines[i] for i in split.fitting)
-    return Layout(
+    return TextLayout(
         delimiter=split.delimiter,
         decimal=split.decimal,
         width=split.width,
@@ -204,9 +230,9 @@ def _finish(lines: Sequence[str], split: _Split) -> Layout:
         units=tuple(units),
         preamble=tuple(text for text in before if text.strip()),
         start=split.start,
-        rows=rows,
+        rows=tuple(tuple(split.rows[i]) for i in split.fitting),
         rate_hz=rate if rate and rate > 0 else None,
-        quoted=quoted,
+        quoted=any('"' in lines[i] for i in split.fitting),
         mismatch=mismatch,
     )
 
@@ -219,15 +245,16 @@ def _find_header(split: _Split) -> tuple[int | None, list[str], list[str | None]
         row = row[1:] if row and row[0] in {"#", "%", "//"} else row
         if abs(len(row) - split.width) > 1 or len(row) < 2:
             continue
-        named = [cell.strip("[]()") for cell in row]
-        if not units and sum(is_unit(cell) for cell in named) >= 0.3 * len(row) and not _is_axes(row):
-            units = [cell if is_unit(cell) else None for cell in named]
-            continue
-        if not any(re.search(r"[^\W\d_]", cell) for cell in row):
-            continue
-        above = split.rows[line - 1] if line else []
-        return line, _two_rows(above, row), units
+        if not units and _is_row_of_units(row):
+            units = [unit if is_unit(unit) else None for unit in (cell.strip("[]()") for cell in row)]
+        elif any(re.search(r"[^\W\d_]", cell) for cell in row):
+            above = split.rows[line - 1] if line else []
+            return line, _two_rows(above, row), units
     return None, [], units
+
+
+def _is_row_of_units(row: Sequence[str]) -> bool:
+    return sum(is_unit(cell.strip("[]()")) for cell in row) >= 0.3 * len(row) and not _is_axes(row)
 
 
 def _is_axes(row: Sequence[str]) -> bool:

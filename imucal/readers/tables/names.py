@@ -21,12 +21,12 @@ class Role(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Column:
+class NamedColumn:
     """A column and what its name says.
 
     Attributes
     ----------
-    place
+    index
         From 0.
     header
         The name as it stands in the log.
@@ -34,19 +34,19 @@ class Column:
         The name in small letters, cut into words, without axis and unit.
     role
         What it holds.
-    index
+    axis
         0, 1, 2 for x, y, z; for a numbered axis its number; None where the name has no axis.
     numbered
-        Whether `index` is a number in the name, which may count from 1.
+        Whether `axis` is a number in the name, which may count from 1.
     unit
         The unit in the name, as written; None where there is none.
     """
 
-    place: int
+    index: int
     header: str
     words: tuple[str, ...]
     role: Role
-    index: int | None = None
+    axis: int | None = None
     numbered: bool = False
     unit: str | None = None
 
@@ -82,10 +82,16 @@ _REJECTED_STARTS = (
     *("quat", "orient", "magn", "euler", "covar", "freeacc", "useracc", "accura", "accum", "deltav"),
 )
 
-_GYRO_STARTS = (
-    *("gyr", "angular", "angvel", "angrate", "omega", "rotationrate", "rotrate", "turnrate", "bodyrate"),
+#: How the words of a name spell a sensor: the start of a word, a word, two words, or a letter at an end.
+#: A first letter counts only before words that are short as well: w_RS_S, not w_heading.
+_GYROSCOPE = re.compile(
+    r"\b(gyr|angular|angvel|angrate|omega|rotationrate|rotrate|turnrate|bodyrate)|\b(rate|rotation|rot)\b"
+    r"|\bang\b.*\bvel\b|\bvel\b.*\bang\b|\b[gw]$|^w( \w{1,2})*$"
 )
-_ACCEL_STARTS = ("acc", "linacc", "linearacc", "specificforce")
+_ACCELEROMETER = re.compile(
+    r"\b(acc|linacc|linearacc|specificforce)"
+    r"|\bspecific\b.*\bforce\b|\bforce\b.*\bspecific\b|\b[af]$|^[af]( \w{1,2})*$"
+)
 
 #: A sensor and an axis in one word: gx, wz, ax, fy, gyrox, xaccel.
 _GLUED = re.compile(
@@ -109,64 +115,51 @@ _NOT_COUNTER = _words("id type rate satellites sats gps")
 
 #: Last words of a name -> the unit they spell.
 _UNIT_TAILS: dict[tuple[str, ...], str] = {
-    ("deg", "s"): "deg/s",
-    ("deg", "sec"): "deg/s",
-    ("deg", "per", "s"): "deg/s",
-    ("deg", "per", "sec"): "deg/s",
-    ("rad", "s"): "rad/s",
-    ("rad", "sec"): "rad/s",
-    ("rad", "per", "s"): "rad/s",
-    ("rad", "per", "sec"): "rad/s",
+    **{
+        (angle, *second): f"{angle}/s"
+        for angle in ("deg", "rad")
+        for second in (("s",), ("sec",), ("per", "s"), ("per", "sec"))
+    },
     ("mrad", "s"): "mrad/s",
     ("mdeg", "s"): "mdeg/s",
     ("rad",): "rad/s",
-    ("m", "s2"): "m/s^2",
-    ("m", "s", "2"): "m/s^2",
-    ("m", "s", "s"): "m/s^2",
-    ("m", "per", "s2"): "m/s^2",
-    ("m", "per", "sec2"): "m/s^2",
-    **{(word,): word for word in ("dps", "mdps", "rads", "radps", "degs", "degps", "mps2", "ms2", "mss")},
-    **{(word,): word for word in ("g", "mg", "ug", "ns", "us", "ms", "s", "sec", "usec", "msec", "nsec")},
+    **dict.fromkeys(
+        (("m", "s2"), ("m", "s", "2"), ("m", "s", "s"), ("m", "per", "s2"), ("m", "per", "sec2")), "m/s^2"
+    ),
+    **{(word,): word for word in _words("dps mdps rads radps degs degps mps2 ms2 mss")},
+    **{(word,): word for word in _words("g mg ug ns us ms s sec usec msec nsec")},
     ("c",): "degC",
     ("degc",): "degC",
 }
 
 
 def parse_column(
-    header: str, place: int, *, unit: str | None = None, context: frozenset[str] = frozenset()
-) -> Column:
+    header: str, index: int, *, unit: str | None = None, context: frozenset[str] = frozenset()
+) -> NamedColumn:
     """Return what the name of a column says.
 
-    Parameters
-    ----------
-    header
-        Its name.
-    place
-        Its place, from 0.
-    unit
-        Its unit from a row of units, which goes before a unit in the name.
-    context
-        Names of the table's other columns in small letters: ``alpha_x`` is an acceleration only
-        beside an ``omega_x``, and p, q, r are rates only together.
+    A `unit` from a row of units goes before one in the name. `context` holds the names of the table's
+    other columns in small letters: ``alpha_x`` is an acceleration only beside an ``omega_x``, and p, q,
+    r are rates only together.
     """
     shown = header.strip().strip("\ufeff").strip()
     text = shown.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")
-    text, named_unit, index = _without_brackets(text)
+    text, named_unit, number = _without_brackets(text)
     unit = unit or named_unit
-    words = [word.lower() for word in _WORD.findall(text)]
-    numbered = index is not None
-    words, axis = _take_axis(words)
-    if axis is not None:
-        index, numbered = axis, False
-    elif not numbered and len(words) > 1 and words[-1] in {"0", "1", "2", "3"} and not _is_time(words):
-        index, numbered = int(words.pop()), True
+    words, axis = _take_axis([word.lower() for word in _WORD.findall(text)])
+    numbered = axis is None and number is not None
+    if numbered:
+        axis = number
+    elif axis is None and len(words) > 1 and words[-1] in {"0", "1", "2", "3"} and not _is_time(words):
+        axis, numbered = int(words.pop()), True
     if words in (["p"], ["q"], ["r"]) and {"p", "q", "r"} <= context:
-        index, words = "pqr".index(words[0]), ["rate"]
-    role, words, unit = _classify(words, index, unit, omega=_has_omega(context))
-    if role is Role.TEMPERATURE or role is Role.OTHER or text == "T":
+        axis, words = "pqr".index(words[0]), ["rate"]
+    omega = any("omega" in name for name in context)
+    role, words, unit = _classify(words, axis, unit, omega=omega)
+    if role in {Role.TEMPERATURE, Role.OTHER} or text == "T":
         role = _temperature(text, unit, role)
-    return Column(
-        place=place, header=shown, words=tuple(words), role=role, index=index, numbered=numbered, unit=unit
+    return NamedColumn(
+        index=index, header=shown, words=tuple(words), role=role, axis=axis, numbered=numbered, unit=unit
     )
 
 
@@ -209,7 +202,7 @@ def _take_axis(words: list[str]) -> tuple[list[str], int | None]:
 
 
 def _classify(
-    words: list[str], index: int | None, unit: str | None, *, omega: bool
+    words: list[str], axis: int | None, unit: str | None, *, omega: bool
 ) -> tuple[Role, list[str], str | None]:
     """Return the role, the words left and the unit of a name."""
     if unit is None:
@@ -217,11 +210,11 @@ def _classify(
             spelled = _UNIT_TAILS.get(tuple(words[-size:])) if len(words) > size else None
             if spelled is None:
                 continue
-            role = _role(words[:-size], index, omega=omega)
+            role = _role(words[:-size], axis, omega=omega)
             agreed = _agreed(role, spelled)
             if agreed is not None and (role is not Role.VECTOR or spelled != "s"):
                 return agreed, words[:-size], spelled
-    role = _role(words, index, omega=omega)
+    role = _role(words, axis, omega=omega)
     return (role if unit is None else _agreed(role, unit) or Role.OTHER), words, unit
 
 
@@ -239,11 +232,11 @@ def _agreed(role: Role, unit: str) -> Role | None:
     return role
 
 
-def _role(words: list[str], index: int | None, *, omega: bool) -> Role:
+def _role(words: list[str], axis: int | None, *, omega: bool) -> Role:
     stems = [word.rstrip("0123456789") or word for word in words]
-    if _is_time(words) and not (index is not None and _sensor(stems, omega=omega)):
+    if _is_time(words) and not (axis is not None and _sensor(stems, omega=omega)):
         return Role.TIME
-    if index is not None:
+    if axis is not None:
         return _axis_role(stems, omega=omega)
     if any(stem in _COUNTER_WORDS for stem in stems) and not _NOT_COUNTER.intersection(stems):
         return Role.COUNTER
@@ -264,12 +257,9 @@ def _axis_role(stems: list[str], *, omega: bool) -> Role:
 
 def _sensor(stems: list[str], *, omega: bool) -> Sensor | None:
     """Return the sensor that words name, if they name one and only one."""
-    short = bool(stems) and all(len(stem) <= 2 for stem in stems)
-    gyro = any(stem.startswith(_GYRO_STARTS) or stem in {"rate", "rotation", "rot"} for stem in stems)
-    gyro = gyro or {"ang", "vel"} <= set(stems) or (short and stems[0] == "w") or stems[-1:] in (["g"], ["w"])
-    accel = any(stem.startswith(_ACCEL_STARTS) for stem in stems) or {"specific", "force"} <= set(stems)
-    accel = accel or (short and stems[0] in {"a", "f"}) or stems[-1:] in (["a"], ["f"])
-    accel = accel or (omega and "alpha" in stems)
+    text = " ".join(stems)
+    gyro = _GYROSCOPE.search(text) is not None
+    accel = _ACCELEROMETER.search(text) is not None or (omega and "alpha" in stems)
     if gyro == accel:
         return None
     return Sensor.GYROSCOPE if gyro else Sensor.ACCELEROMETER
@@ -291,7 +281,3 @@ def _temperature(text: str, unit: str | None, role: Role) -> Role:
     if text == "T" or (degrees and text.lower().startswith("t")):
         return Role.TEMPERATURE
     return role
-
-
-def _has_omega(context: frozenset[str]) -> bool:
-    return any("omega" in name for name in context)

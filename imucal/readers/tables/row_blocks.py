@@ -3,42 +3,30 @@
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.readers.column_store import GrowingColumn
-from imucal.readers.tables.columns import Rows
-from imucal.readers.tables.layout import BLANKS, Layout, split_line
-from imucal.readers.tables.stamps import parse_text_stamps
+from imucal.readers.tables.layout import BLANKS, Rows, TextLayout, split_line
+from imucal.readers.tables.stamps import NO_STAMP, parse_text_stamps
 
 #: What the cells of a column are read as.
 Kind: TypeAlias = Literal["integer", "float", "text"]
+
+_Number = TypeVar("_Number", int, float)
 
 _COMMENTS = ("#", "%", "//", ";")
 
 
 @dataclass(slots=True)
 class RowCounts:
-    """What became of the rows of a text.
-
-    Attributes
-    ----------
-    good
-        Rows read.
-    bad
-        Rows dropped: too few or too many cells, or text where a number belongs.
-    first_bad
-        The first of them.
-    cut
-        The last line, where it has no line end and may therefore be cut.
-    """
+    """How many rows were read, how many are none of the table, and the first of those."""
 
     good: int = 0
     bad: int = 0
     first_bad: str = ""
-    cut: str = ""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -50,11 +38,9 @@ class BlockReader:
     layout
         Of the table.
     kinds
-        Place of each wanted column -> what its cells are.
+        Index of each wanted column -> what its cells are.
     needed
-        Places whose cells must not be empty; a row that lacks one is bad.
-    optional
-        Sets of places; a row is bad if all cells of all sets are empty, or a set is half empty.
+        Columns whose cells must not be empty; a row that lacks one is bad.
     rows
         The rows to read.
     limit
@@ -65,7 +51,7 @@ class BlockReader:
         Turns a block of lines into lines of plain cells, where the format needs it.
     """
 
-    layout: Layout
+    layout: TextLayout
     kinds: dict[int, Kind]
     needed: frozenset[int]
     rows: Rows = None
@@ -75,16 +61,16 @@ class BlockReader:
     counts: RowCounts = field(default_factory=RowCounts)
     columns: dict[int, GrowingColumn] = field(init=False)
     _pattern: re.Pattern[bytes] | None = field(init=False)
-    _places: list[int] = field(init=False)
+    _wanted: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
         self.columns = {
-            place: GrowingColumn(
+            index: GrowingColumn(
                 np.float64 if kind == "float" else np.int64, limit=self.limit, expected=self.expected
             )
-            for place, kind in self.kinds.items()
+            for index, kind in self.kinds.items()
         }
-        self._places = sorted(self.kinds)
+        self._wanted = sorted(self.kinds)
         self._pattern = _row_pattern(self.rows, self.layout.delimiter)
 
     def add(self, block: bytes) -> None:
@@ -103,10 +89,10 @@ class BlockReader:
             values = self._by_polars(plain, last_try=True)
         if values is None:
             values = self._by_hand(plain)
-        rows = len(values[self._places[0]])
+        rows = len(values[self._wanted[0]])
         self.counts.good += rows
-        for place, column in self.columns.items():
-            column.append(values[place])
+        for index, column in self.columns.items():
+            column.append(values[index])
 
     def _plain(self, block: bytes) -> bytes:
         """Return a block that the parser takes: one delimiter, decimal points, no blank lines."""
@@ -132,11 +118,25 @@ class BlockReader:
 
         Rows that lack a cell are such before the last try: they may be blank lines.
         """
+        table = self._parsed(block)
+        if table is None:
+            return None
+        values = {index: self._values(table[str(index)], self.kinds[index]) for index in self._wanted}
+        empty = self._lacking(table, values)
+        if empty.any():
+            if not last_try:
+                return None
+            self._note_bad(int(empty.sum()), lambda: block.split(b"\n")[int(np.flatnonzero(empty)[0])])
+            values = {index: array[~empty] for index, array in values.items()}
+        return values
+
+    def _parsed(self, block: bytes) -> Any:  # noqa: ANN401 - polars is imported late
+        """Return a block as polars' table of the columns that are looked at; None where it can't be one."""
         import polars as pl
 
         types: dict[Kind, Any] = {"integer": pl.Int64, "float": pl.Float64, "text": pl.String}
-        schema = {str(place): types[self.kinds.get(place, "text")] for place in range(self.layout.width)}
-        guards = sorted(self.needed | frozenset(self._places))
+        schema = {str(index): types[self.kinds.get(index, "text")] for index in range(self.layout.width)}
+        looked_at = sorted(self.needed | frozenset(self._wanted))
         try:
             table = pl.read_csv(
                 block,
@@ -144,76 +144,69 @@ class BlockReader:
                 separator=self._separator,
                 quote_char='"' if self.layout.quoted else None,
                 schema=schema,
-                columns=guards if len(guards) < self.layout.width else None,
+                columns=looked_at if len(looked_at) < self.layout.width else None,
             )
         except (pl.exceptions.PolarsError, UnicodeDecodeError):
             return None
         # A quotation mark that stands open may swallow lines.
         if self.layout.quoted and table.height != block.count(b"\n") + (not block.endswith(b"\n")):
             return None
-        nulls = {int(name): table[name].null_count() for name in table.columns}
-        empty = np.zeros(table.height, dtype=np.bool_)
-        for place in self.needed or self._places:
-            if nulls[place]:
-                empty |= table[str(place)].is_null().to_numpy()
-        values = {place: self._values(table[str(place)], nulls[place]) for place in self._places}
-        for place in self._places:
-            if self.kinds[place] == "text":
-                empty |= values[place] == _NO_STAMP
-        if empty.any():
-            if not last_try:
-                return None
-            self._note_bad(int(empty.sum()), lambda: block.split(b"\n")[int(np.flatnonzero(empty)[0])])
-            values = {place: array[~empty] for place, array in values.items()}
-        return values
+        return table
 
-    def _values(self, series: Any, nulls: int) -> NDArray[Any]:  # noqa: ANN401 - polars is imported late
-        kind = self.kinds[int(series.name)]
+    @staticmethod
+    def _values(series: Any, kind: Kind) -> NDArray[Any]:  # noqa: ANN401 - polars is imported late
         if kind == "text":
             return parse_text_stamps(series.fill_null("").to_list())
-        if kind == "integer":
-            return np.asarray(series.fill_null(0).to_numpy() if nulls else series.to_numpy())
+        if kind == "integer" and series.null_count():
+            series = series.fill_null(0)
         return np.asarray(series.to_numpy())
+
+    def _lacking(self, table: Any, values: dict[int, NDArray[Any]]) -> NDArray[np.bool_]:  # noqa: ANN401
+        """Return which rows lack a cell that each must have, or a time that can be read."""
+        lacking = np.zeros(table.height, dtype=np.bool_)
+        for index in self.needed or self._wanted:
+            series = table[str(index)]
+            if series.null_count():
+                lacking |= series.is_null().to_numpy()
+        for index in self._wanted:
+            if self.kinds[index] == "text":
+                lacking |= values[index] == NO_STAMP
+        return lacking
 
     def _by_hand(self, block: bytes) -> dict[int, NDArray[Any]]:
         """Return the wanted columns of the good rows of a block, row by row."""
         lines = block.decode("utf-8", "replace").split("\n")
-        header = self._separator.join(self.layout.headers)
-        found: dict[int, list[Any]] = {place: [] for place in self._places}
+        header = self._separator.join(self.layout.headers).replace(" ", "")
+        found: dict[int, list[Any]] = {index: [] for index in self._wanted}
         for line in lines:
             text = line.strip("\r\n")
-            if (
-                not text.strip()
-                or text.startswith(_COMMENTS)
-                or text.replace(" ", "") == header.replace(" ", "")
-            ):
+            if not text.strip() or text.startswith(_COMMENTS) or text.replace(" ", "") == header:
                 continue
-            cells = split_line(text, self._separator)
-            row = self._row(cells)
+            row = self._row(split_line(text, self._separator))
             if row is None:
                 self._note_bad(1, lambda text=text: text.encode())  # type: ignore[misc]
                 continue
-            for place, value in zip(self._places, row, strict=True):
-                found[place].append(value)
-        return {place: self._array(place, values) for place, values in found.items()}
+            for index, value in zip(self._wanted, row, strict=True):
+                found[index].append(value)
+        return {index: self._array(index, values) for index, values in found.items()}
 
     def _row(self, cells: Sequence[str]) -> list[int | float | str] | None:
         """Return the wanted cells of a row as numbers; None for a bad row."""
         if len(cells) > self.layout.width or len(cells) <= max(self.needed, default=0):
             return None
-        if any(not cells[place] for place in self.needed):
+        if any(not cells[index] for index in self.needed):
             return None
         row: list[int | float | str] = []
-        for place in self._places:
-            cell = cells[place] if place < len(cells) else ""
-            value = _number(cell, self.kinds[place])
+        for index in self._wanted:
+            cell = cells[index] if index < len(cells) else ""
+            value = _number(cell, self.kinds[index])
             if value is None:
                 return None
             row.append(value)
         return row
 
-    def _array(self, place: int, values: list[Any]) -> NDArray[Any]:
-        kind = self.kinds[place]
+    def _array(self, index: int, values: list[Any]) -> NDArray[Any]:
+        kind = self.kinds[index]
         if kind == "text":
             return parse_text_stamps(values)
         if kind == "integer" and all(isinstance(value, int) for value in values):
@@ -226,28 +219,22 @@ class BlockReader:
         self.counts.bad += count
 
 
-#: What a time of day that can't be read becomes.
-_NO_STAMP = np.iinfo(np.int64).min
-
-
 def _number(cell: str, kind: Kind) -> int | float | str | None:
-    """Return a cell's value; an empty cell is NaN; None where it is none."""
+    """Return a cell's value; an empty cell of floats is NaN; None where it has none."""
     if kind == "text":
         return cell
     if "_" in cell:
         return None
-    try:
-        if kind == "integer":
-            value = int(cell)
-            return value if -(2**63) <= value < 2**63 else None
-        return float(cell) if cell else float("nan")
-    except ValueError:
-        return _float(cell) if kind == "integer" else None
+    if kind == "float" and not cell:
+        return float("nan")
+    if kind == "integer" and (value := _converted(int, cell)) is not None:
+        return value if -(2**63) <= value < 2**63 else None
+    return _converted(float, cell)
 
 
-def _float(cell: str) -> float | None:
+def _converted(number: Callable[[str], _Number], cell: str) -> _Number | None:
     try:
-        return float(cell)
+        return number(cell)
     except ValueError:
         return None
 
@@ -256,25 +243,21 @@ def _row_pattern(rows: Rows, delimiter: str) -> re.Pattern[bytes] | None:
     """Return the pattern of the lines whose cell holds a text."""
     if rows is None:
         return None
-    place, text = rows
-    mark = re.escape(delimiter.encode()) if delimiter != BLANKS else rb"[ \t]"
+    index, text = rows
+    blanks = delimiter == BLANKS
+    mark = rb"[ \t]" if blanks else re.escape(delimiter.encode())
+    start = rb"[ \t]*" if blanks else b""
+    cell = rb"[^\n \t]*[ \t]+" if blanks else rb"[^\n" + mark + rb"]*" + mark
+    before = rb"(?:" + cell + (rb")*?" if index < 0 else rb"){" + str(index).encode() + rb"}")
     tag = rb'[ \t]*"?' + re.escape(text.encode()) + rb'"?[ \t]*'
-    many = rb"+" if delimiter == BLANKS else b""
-    cell = rb"[^\n" + (mark if delimiter != BLANKS else rb" \t") + rb"]*" + mark + many
-    before = rb"(?:" + cell + rb")*?" if place < 0 else rb"(?:" + cell + rb"){" + str(place).encode() + rb"}"
-    start = rb"[ \t]*" if delimiter == BLANKS else b""
     return re.compile(rb"(?m)^" + start + before + tag + rb"(?:" + mark + rb"[^\n]*)?$")
 
 
 def without_start(blocks: Iterable[bytes], lines: int) -> Iterable[bytes]:
     """Yield blocks without the first lines."""
     for block in blocks:
-        if lines:
-            place = 0
-            while lines and (end := block.find(b"\n", place)) >= 0:
-                place, lines = end + 1, lines - 1
-            if lines:
-                continue
-            yield block[place:]
-        else:
-            yield block
+        start = 0
+        while lines and (end := block.find(b"\n", start)) >= 0:
+            start, lines = end + 1, lines - 1
+        if not lines:
+            yield block[start:] if start else block

@@ -1,17 +1,51 @@
-"""The unit of a table's samples: as given, from the header, from the format, or inferred; and why."""
+"""The unit of a table's samples: as given, from the header, from the dialect, or inferred; and why.
+
+Gravity settles an accelerometer. Nothing settles a gyroscope as surely: its converter's step does where
+it can be seen; otherwise rad/s beside an accelerometer in m/s^2 is taken, with a warning, where noise
+and rate are those of a real gyroscope.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import Triad
-from imucal.readers.tables.inference import infer_accel_unit, infer_gyro_unit, sample_of
-from imucal.readers.tables.signatures import Signature
+from imucal.readers.tables.dialects import Dialect
 from imucal.recording import Sensor
-from imucal.units import SAMPLE_UNITS, parse_sample_unit
+from imucal.units import G0, SAMPLE_UNITS, parse_sample_unit
+
+#: Counts per g of 16 bit converters at 2, 4, 8 and 16 g.
+_COUNTS_PER_G = (16384.0, 8192.0, 4096.0, 2048.0)
+
+#: Scale errors of cheap sensors; the units themselves lie a factor of ten apart.
+_GRAVITY_TOLERANCE = 0.15
+#: The ranges of counts lie a factor of two apart, and a wrong one is a wrong result.
+_COUNT_TOLERANCE = 0.05
+
+_DEGREE = np.pi / 180
+
+#: Steps of gyroscope converters, in deg/s per count, at the narrowest range; ranges double.
+#: InvenSense (1/131 at 250 deg/s), Bosch and others (full range / 32768), ST (8.75 and 4.375 mdps).
+_STEPS = tuple(
+    base * 2.0**k
+    for base, powers in ((1 / 131, range(-1, 4)), (125 / 32768, range(6)), (8.75e-3, range(-1, 5)))
+    for k in powers
+)
+#: Agreement of a seen step with a known one; the next known steps are 28 % away.
+_STEP_TOLERANCE = 1e-3
+
+#: A gyroscope at rest does not turn faster, in rad/s.
+_FASTEST_REST = 0.5
+#: The noise of any gyroscope on sale is below this, in rad/s/sqrt(Hz) (0.3 deg/s/sqrt(Hz)).
+_NOISIEST = 5e-3
+
+#: Samples that are looked at.
+_SAMPLE = 20_000
 
 
 @dataclass(slots=True, kw_only=True)
@@ -20,7 +54,7 @@ class Work:
 
     path: str
     options: ReadOptions
-    signature: Signature | None
+    dialect: Dialect | None
     rate_hz: float | None
     decisions: list[tuple[str, str]] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
@@ -32,17 +66,7 @@ class Work:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unscaled:
-    """A sensor's samples in the unit of the log.
-
-    Attributes
-    ----------
-    triad
-        Which columns they are.
-    axes
-        x, y, z; shape (n,) each.
-    rate_hz
-        Sampling rate.
-    """
+    """A sensor's samples in the unit of the log: x, y and z, shape (n,) each."""
 
     triad: Triad
     axes: Sequence[FloatArray]
@@ -56,11 +80,7 @@ def find_scales(work: Work, timed: Sequence[Unscaled]) -> dict[Sensor, float]:
     for entry in sorted(timed, key=lambda entry: entry.triad.sensor is Sensor.GYROSCOPE):
         sensor = entry.triad.sensor
         stated = _stated_scale(work, entry)
-        if stated is None:
-            stated = _inferred_accel(work, entry) if sensor is Sensor.ACCELEROMETER else None
-        if stated is None:
-            stated = _inferred_gyro(work, entry, accel_unit)
-        unit, scales[sensor], reason = stated
+        unit, scales[sensor], reason = stated or _inferred_scale(work, entry, accel_unit)
         if sensor is Sensor.ACCELEROMETER:
             accel_unit = unit
         work.decide(f"{sensor} unit", f"{unit}, {reason}")
@@ -69,57 +89,53 @@ def find_scales(work: Work, timed: Sequence[Unscaled]) -> dict[Sensor, float]:
 
 def _stated_scale(work: Work, entry: Unscaled) -> tuple[str, float, str] | None:
     """Return unit, scale and reason where the user, the header or the format states the unit."""
-    triad = entry.triad
-    gyro = triad.sensor is Sensor.GYROSCOPE
-    options, signature = work.options, work.signature
-    unit = options.gyro_unit if gyro else options.accel_unit
-    scale = options.gyro_scale if gyro else options.accel_scale
+    sensor = entry.triad.sensor
+    unit, scale, usual = _given(work, sensor)
     if unit is not None and scale is not None:
         msg = (
-            f"{work.path}: both a unit ({unit}) and a scale ({scale:g}) are given for the {triad.sensor}; "
+            f"{work.path}: both a unit ({unit}) and a scale ({scale:g}) are given for the {sensor}; "
             "expected one of them"
         )
         raise ChoiceError(msg)
     if scale is not None:
-        return "count", scale, f"{scale:g} {triad.sensor.unit} per count as given"
+        return "count", scale, f"{scale:g} {sensor.unit} per count as given"
     if unit is not None:
         parsed = parse_sample_unit(unit)
-        if parsed is None or parsed[0] is not triad.sensor:
-            known = ", ".join(SAMPLE_UNITS[triad.sensor])
-            msg = f"{work.path}: {unit!r} is no unit of the {triad.sensor}; expected one of {known}"
+        if parsed is None or parsed[0] is not sensor:
+            known = ", ".join(SAMPLE_UNITS[sensor])
+            msg = f"{work.path}: {unit!r} is no unit of the {sensor}; expected one of {known}"
             raise ChoiceError(msg)
-        return parsed[1], SAMPLE_UNITS[triad.sensor][parsed[1]], "as given"
-    if triad.unit is not None:
-        return triad.unit, SAMPLE_UNITS[triad.sensor][triad.unit], "from the column header"
-    known_unit = None if signature is None else signature.gyro_unit if gyro else signature.accel_unit
-    if known_unit is not None and signature is not None:
-        return known_unit, SAMPLE_UNITS[triad.sensor][known_unit], f"as {signature.name} logs it"
+        return parsed[1], SAMPLE_UNITS[sensor][parsed[1]], "as given"
+    if entry.triad.unit is not None:
+        return entry.triad.unit, SAMPLE_UNITS[sensor][entry.triad.unit], "from the column header"
+    if usual is not None and work.dialect is not None:
+        return usual, SAMPLE_UNITS[sensor][usual], f"as {work.dialect.name} logs it"
     return None
 
 
-def _inferred_accel(work: Work, entry: Unscaled) -> tuple[str, float, str]:
-    found = infer_accel_unit(sample_of(entry.axes))
-    if found.unit is None:
-        known = ", ".join(SAMPLE_UNITS[Sensor.ACCELEROMETER])
-        msg = (
-            f"{work.path}: the unit of the accelerometer is open: no header says it, and {found.reason}; "
-            f"expected one of {known}; give its unit, or the scale of its counts in m/s^2 per count"
-        )
-        raise ChoiceError(msg)
-    scale = found.scale if found.scale is not None else SAMPLE_UNITS[Sensor.ACCELEROMETER][found.unit]
-    return found.unit, scale, f"inferred: {found.reason}"
+def _given(work: Work, sensor: Sensor) -> tuple[str | None, float | None, str | None]:
+    """Return the unit and the scale that the user gave for a sensor, and the unit of the dialect."""
+    options, dialect = work.options, work.dialect
+    if sensor is Sensor.GYROSCOPE:
+        return options.gyro_unit, options.gyro_scale, dialect.gyro_unit if dialect else None
+    return options.accel_unit, options.accel_scale, dialect.accel_unit if dialect else None
 
 
-def _inferred_gyro(work: Work, entry: Unscaled, accel_unit: str | None) -> tuple[str, float, str]:
-    found = infer_gyro_unit(sample_of(entry.axes), rate_hz=entry.rate_hz, accel_unit=accel_unit)
+def _inferred_scale(work: Work, entry: Unscaled, accel_unit: str | None) -> tuple[str, float, str]:
+    """Return unit, scale and reason as the samples themselves show them."""
+    sensor, rows = entry.triad.sensor, _sample_of(entry.axes)
+    if sensor is Sensor.ACCELEROMETER:
+        found = infer_accel_unit(rows)
+    else:
+        found = infer_gyro_unit(rows, rate_hz=entry.rate_hz, accel_unit=accel_unit)
     if found.unit is None:
-        known = ", ".join(SAMPLE_UNITS[Sensor.GYROSCOPE])
         msg = (
-            f"{work.path}: the unit of the gyroscope is open: no header says it, and {found.reason}; "
-            f"expected one of {known}; give its unit, or the scale of its counts in rad/s per count"
+            f"{work.path}: the unit of the {sensor} is open: no header says it, and {found.reason}; "
+            f"expected one of {', '.join(SAMPLE_UNITS[sensor])}; "
+            f"give its unit, or the scale of its counts in {sensor.unit} per count"
         )
         raise ChoiceError(msg)
-    if not found.sure:
+    if found.assumed:
         text = f"The unit of the gyroscope is taken to be {found.unit}: {found.reason}."
         advice = (
             "Give its unit if that is wrong: deg/s instead of rad/s changes every result by a factor of 57."
@@ -127,4 +143,134 @@ def _inferred_gyro(work: Work, entry: Unscaled, accel_unit: str | None) -> tuple
         work.findings.append(
             Finding(level="warning", code="unit-assumed", axis="gyro", text=text, advice=advice)
         )
-    return found.unit, SAMPLE_UNITS[Sensor.GYROSCOPE][found.unit], f"inferred: {found.reason}"
+    scale = SAMPLE_UNITS[sensor][found.unit] if found.scale is None else found.scale
+    return found.unit, scale, f"inferred: {found.reason}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnitGuess:
+    """What samples say of their unit, and the reason in words.
+
+    Attributes
+    ----------
+    unit
+        A key of `imucal.units.SAMPLE_UNITS`, or ``count``; None where it is open.
+    scale
+        SI per count, where the unit is ``count``.
+    assumed
+        Whether it is taken for want of anything better.
+    """
+
+    unit: str | None = None
+    reason: str
+    scale: float | None = None
+    assumed: bool = False
+
+
+def _sample_of(axes: Sequence[FloatArray]) -> FloatArray:
+    """Return up to 20 000 rows of a triad, spread over the log, finite ones only; shape (k, 3)."""
+    n = min(axis.size for axis in axes)
+    size = _SAMPLE // 4
+    starts = sorted({max(0, min(n - size, k * n // 4)) for k in range(4)})
+    rows = np.concatenate(
+        [np.stack([axis[first : first + size] for axis in axes], axis=1) for first in starts]
+    )
+    return np.asarray(rows[np.isfinite(rows).all(axis=1)], dtype=np.float64)
+
+
+def infer_accel_unit(rows: FloatArray) -> UnitGuess:
+    """Return the unit in which samples of shape (k, 3) have the magnitude of gravity."""
+    if not rows.size:
+        return UnitGuess(reason="there are no finite samples")
+    size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
+    seen = f"median magnitude {size:.4g}"
+    for unit, gravity in (("m/s^2", G0), ("g", 1.0), ("mg", 1000.0)):
+        if abs(size / gravity - 1) <= _GRAVITY_TOLERANCE:
+            return UnitGuess(unit=unit, reason=f"{seen} is gravity in {unit}")
+    integers = bool((rows == np.round(rows)).all())
+    for counts in _COUNTS_PER_G if integers else ():
+        if abs(size / counts - 1) <= _COUNT_TOLERANCE:
+            return UnitGuess(
+                unit="count", scale=G0 / counts, reason=f"{seen} is gravity at {counts:.0f} counts per g"
+            )
+    if integers:
+        reason = f"integer counts of {seen}, which is 1 g at no usual range"
+        if size > 1000:
+            near = min(_COUNTS_PER_G, key=lambda counts: abs(np.log(size / counts)))
+            reason += f"; a 16 bit sensor of {32768 / near:.0f} g range has {near:.0f} counts per g"
+        return UnitGuess(reason=reason)
+    return UnitGuess(reason=f"{seen} is gravity in none of m/s^2, g and mg")
+
+
+def infer_gyro_unit(rows: FloatArray, *, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:
+    """Return the unit of rates of shape (k, 3), beside an accelerometer whose unit is known."""
+    if not rows.size:
+        return UnitGuess(reason="there are no finite samples")
+    if bool((rows == np.round(rows)).all()) and bool(rows.any()):
+        return UnitGuess(reason="the rates are integer counts of an unknown scale")
+    return _by_step(rows) or _by_size(rows, rate_hz, accel_unit)
+
+
+def _by_step(rows: FloatArray) -> UnitGuess | None:
+    """Return the unit in which the converter's step is a known one."""
+    step = _step(rows)
+    for unit, factor in (("deg/s", 1.0), ("rad/s", _DEGREE)):
+        for known in _STEPS:
+            if step is not None and abs(step / (known * factor) - 1) < _STEP_TOLERANCE:
+                reason = f"the rates come in steps of {step:.6g}, a converter's {known:.6g} deg/s"
+                return UnitGuess(unit=unit, reason=reason)
+    return None
+
+
+def _by_size(rows: FloatArray, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:
+    """Return rad/s where rate and noise are those of a gyroscope in SI, beside an accelerometer in SI."""
+    size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
+    if size > _FASTEST_REST:
+        return UnitGuess(
+            reason=f"the median rate {size:.3g} is too fast for rad/s at rest, so deg/s is likely"
+        )
+    noise = _white_noise(rows, rate_hz)
+    if noise is not None and noise > _NOISIEST:
+        return UnitGuess(
+            reason=f"a noise of {noise:.2g} rad/s/sqrt(Hz) is more than any gyroscope has, so deg/s is likely"
+        )
+    unsaid = "nothing in the log says it"
+    if accel_unit == "m/s^2":
+        return UnitGuess(unit="rad/s", assumed=True, reason=f"{unsaid}; SI as the accelerometer beside it")
+    return UnitGuess(
+        reason=f"beside an accelerometer in {accel_unit}, deg/s is likely" if accel_unit else unsaid
+    )
+
+
+def _step(rows: FloatArray) -> float | None:
+    """Return the step of which all values are multiples; None where there is none."""
+    steps = []
+    for axis in rows.T:
+        values = np.unique(axis)
+        if values.size < 3:
+            continue
+        differences = np.diff(values)
+        # Values that differ by rounding alone are the same value.
+        differences = differences[differences > 1e-6 * np.abs(values).max()]
+        if not differences.size:
+            continue
+        step = float(differences.min())
+        near = differences[differences < 1.5 * step]
+        step = float(near.mean())
+        multiples = differences / step
+        if np.mean(np.abs(multiples - np.round(multiples)) < 0.05) < 0.98:
+            return None
+        steps.append(step)
+    if not steps or max(steps) > 1.02 * min(steps):
+        return None
+    return float(np.mean(steps))
+
+
+def _white_noise(rows: FloatArray, rate_hz: float | None) -> float | None:
+    """Return the white noise density that steps between samples show, in units/sqrt(Hz)."""
+    if rate_hz is None or rows.shape[0] < 100:
+        return None
+    differences = np.abs(np.diff(rows, axis=0))
+    # 0.6745: the median of a normal deviate's magnitude; sqrt(2): a difference of two.
+    sigma = np.median(differences, axis=0) / (0.6745 * np.sqrt(2))
+    return float(sigma.min() / np.sqrt(rate_hz))

@@ -10,7 +10,7 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.units import TIME_UNITS_NS
 
 #: ns of a text that is no time.
-_NO_STAMP = int(np.iinfo(np.int64).min)
+NO_STAMP = int(np.iinfo(np.int64).min)
 
 _SECOND = 10**9
 _DAY = 86_400 * _SECOND
@@ -41,7 +41,7 @@ def parse_text_stamps(cells: Sequence[str]) -> IntArray:
     days: dict[tuple[str, str, str], int] = {}
     for i, cell in enumerate(cells):
         match = _DATE_TIME.fullmatch(cell.strip("\"'"))
-        result[i] = _NO_STAMP if match is None else _ns_of(match, days)
+        result[i] = NO_STAMP if match is None else _ns_of(match, days)
     return result
 
 
@@ -51,8 +51,8 @@ def _ns_of(match: re.Match[str], days: dict[tuple[str, str, str], int]) -> int:
         key = (match["year"], match["month"], match["day"])
         if key not in days:
             days[key] = _days_since_1970(*key)
-        if days[key] == _NO_STAMP:
-            return _NO_STAMP
+        if days[key] == NO_STAMP:
+            return NO_STAMP
         day = days[key]
     fraction = int(((match["fraction"] or "") + "0" * 9)[:9])
     seconds = int(match["hour"]) * 3600 + int(match["minute"]) * 60 + int(match["second"])
@@ -67,7 +67,7 @@ def _days_since_1970(year: str, month: str, day: str) -> int:
     try:
         return int(np.datetime64(f"{year}-{int(month):02d}-{int(day):02d}", "D").astype(np.int64))
     except ValueError:
-        return _NO_STAMP
+        return NO_STAMP
 
 
 def date_stamps(parts: Sequence[NDArray[np.int64] | FloatArray]) -> IntArray:

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from imucal.errors import ReadError
 
+#: Errors of a file that is damaged, or is none of the formats.
+_DAMAGE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
+
 #: Columns of a matrix beyond which it is no matrix of samples.
 _WIDEST = 64
 
@@ -25,7 +28,7 @@ _NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Column:
+class TypedColumn:
     """A named column.
 
     Attributes
@@ -34,8 +37,8 @@ class Column:
         As the rules for names take them.
     size
         Rows.
-    load
-        Reads its values, shape (size,).
+    values
+        Reads them, shape (size,).
     head
         The first values.
     has_gaps
@@ -44,14 +47,10 @@ class Column:
 
     name: str
     size: int
-    load: Callable[[], NDArray[Any]] = field(repr=False)
+    values: Callable[[], NDArray[Any]] = field(repr=False)
     head: NDArray[Any] = field(repr=False)
     unit: str | None = None
     has_gaps: bool = False
-
-    def values(self) -> NDArray[Any]:
-        """Return all values."""
-        return self.load()
 
     def cells(self, rows: int) -> list[str]:
         """Return the first values as the cells of a text table; an empty one for NaN."""
@@ -70,7 +69,7 @@ class TableFile:
     """The columns of a file, its format, and the sampling rate where it states one."""
 
     format: str
-    columns: tuple[Column, ...]
+    columns: tuple[TypedColumn, ...]
     rate_hz: float | None = None
 
 
@@ -91,19 +90,17 @@ def open_table(path: Path) -> TableFile:
     kind, reader = _reader(path, head)
     try:
         columns, rate = reader(path)
-    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        msg = f"{path}: not a readable {kind} file: {error}"
-        raise ReadError(msg) from error
     except Exception as error:
         # polars and scipy have error classes of their own; anything else is a bug and goes on.
-        if type(error).__module__.partition(".")[0] not in {"polars", "scipy"}:
+        package = type(error).__module__.partition(".")[0]
+        if not isinstance(error, _DAMAGE) and package not in {"polars", "scipy"}:
             raise
         msg = f"{path}: not a readable {kind} file: {error}"
         raise ReadError(msg) from error
     return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate)
 
 
-_Reader = Callable[[Path], tuple[list[Column], float | None]]
+_Reader = Callable[[Path], tuple[list[TypedColumn], float | None]]
 
 
 def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
@@ -125,7 +122,7 @@ def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
     raise ReadError(msg)
 
 
-def _parquet(path: Path) -> tuple[list[Column], float | None]:
+def _parquet(path: Path) -> tuple[list[TypedColumn], float | None]:
     import polars as pl
 
     # A foreign encoding of a column is polars' business; only the columns read are decoded.
@@ -133,7 +130,7 @@ def _parquet(path: Path) -> tuple[list[Column], float | None]:
     schema = scan.collect_schema()
     rows = scan.select(pl.len()).collect()["len"].to_list()[0]
     head = scan.head(400).collect()
-    columns: list[Column] = []
+    columns: list[TypedColumn] = []
     for name, dtype in schema.items():
         if isinstance(dtype, pl.Struct):
             fields = [(f"{name}.{part.name}", pl.col(name).struct.field(part.name)) for part in dtype.fields]
@@ -148,11 +145,11 @@ def _parquet(path: Path) -> tuple[list[Column], float | None]:
         for label, expression in fields:
             first = head.select(expression.alias("v"))["v"]
             columns.append(
-                Column(
+                TypedColumn(
                     name=label,
                     size=rows,
                     head=first.to_numpy(),
-                    load=lambda e=expression: scan.select(e.alias("v")).collect()["v"].to_numpy(),  # type: ignore[misc]
+                    values=lambda e=expression: scan.select(e.alias("v")).collect()["v"].to_numpy(),  # type: ignore[misc]
                     unit="ns" if isinstance(first.dtype, pl.Datetime) else None,
                     has_gaps=first.null_count() > 0,
                 )
@@ -160,17 +157,17 @@ def _parquet(path: Path) -> tuple[list[Column], float | None]:
     return columns, None
 
 
-def _npy(path: Path) -> tuple[list[Column], float | None]:
+def _npy(path: Path) -> tuple[list[TypedColumn], float | None]:
     array = np.load(path, mmap_mode="r", allow_pickle=False)
     return list(_of_array("", array)), None
 
 
-def _npz(path: Path) -> tuple[list[Column], float | None]:
+def _npz(path: Path) -> tuple[list[TypedColumn], float | None]:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         return _of_arrays({name: archive[name] for name in archive.files})
 
 
-def _mat(path: Path) -> tuple[list[Column], float | None]:
+def _mat(path: Path) -> tuple[list[TypedColumn], float | None]:
     import scipy.io
 
     content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
@@ -197,9 +194,9 @@ def _flatten(name: str, value: Any, arrays: dict[str, NDArray[Any]], depth: int 
         arrays[name] = array
 
 
-def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> tuple[list[Column], float | None]:
+def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> tuple[list[TypedColumn], float | None]:
     rate = None
-    columns: list[Column] = []
+    columns: list[TypedColumn] = []
     for name, array in arrays.items():
         last = name.rpartition(".")[2].lower()
         if array.size == 1 and array.dtype.kind in "iuf":
@@ -215,7 +212,7 @@ def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> tuple[list[Column], float 
     return columns, rate
 
 
-def _of_array(name: str, array: NDArray[Any], *, unit: str | None = None) -> Iterable[Column]:
+def _of_array(name: str, array: NDArray[Any], *, unit: str | None = None) -> Iterable[TypedColumn]:
     """Return the columns of an array: of a record, of a matrix, or itself."""
     if array.dtype.names is not None:
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
@@ -234,7 +231,9 @@ def _of_array(name: str, array: NDArray[Any], *, unit: str | None = None) -> Ite
     return [_plain(label, array[:, i], unit) for i, label in enumerate(labels)]
 
 
-def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> Column:
+def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColumn:
     unit = "ns" if array.dtype.kind == "M" else unit
     gaps = array.dtype.kind == "f" and bool(np.isnan(array[:400]).any())
-    return Column(name=name, size=array.size, load=lambda: array, head=array[:400], unit=unit, has_gaps=gaps)
+    return TypedColumn(
+        name=name, size=array.size, values=lambda: array, head=array[:400], unit=unit, has_gaps=gaps
+    )

@@ -14,8 +14,8 @@ from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan
+from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
-from imucal.readers.tables.signatures import Signature
 from imucal.readers.tables.table_clock import Numbers, table_clock
 from imucal.recording import Recording, Source
 
@@ -65,7 +65,7 @@ def assemble(
     sensors: Sequence[SensorColumns],
     options: ReadOptions,
     *,
-    signature: Signature | None = None,
+    signature: Dialect | None = None,
     rate_hz: float | None = None,
     findings: Sequence[Finding] = (),
 ) -> Recording:
@@ -94,7 +94,7 @@ def assemble(
         If there are no samples, or no rate.
     """
     clocks: _Clocks = {}
-    work = Work(path=source.path, options=options, signature=signature, rate_hz=rate_hz)
+    work = Work(path=source.path, options=options, dialect=signature, rate_hz=rate_hz)
     work.decisions.extend(source.decisions)
     work.findings.extend(findings)
     timed = [_timed(work, columns, clocks) for columns in sensors]

@@ -28,6 +28,8 @@ _HEAD = 1 << 18
 _BLOCK = 8 << 20
 #: Bytes before the end of a block in which its last line is looked for first.
 _TAIL = 1 << 12
+#: Errors of a stream that is cut or damaged.
+_DAMAGE = (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError)
 #: A line longer than this is no row of a table.
 _LONGEST_LINE = 1 << 20
 
@@ -177,20 +179,17 @@ class TextSource:
                     break
                 pieces.append(piece)
                 missing -= len(piece)
-        except (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError) as error:
-            self._ended = True
-            self._note_damage(error)
         except Exception as error:
             # zstandard and lz4 have error classes of their own; anything else is a bug and goes on.
-            if type(error).__module__.partition(".")[0] not in {"zstandard", "lz4", "backports"}:
+            package = type(error).__module__.partition(".")[0]
+            if not isinstance(error, _DAMAGE) and package not in {"zstandard", "lz4", "backports"}:
                 raise
             self._ended = True
-            self._note_damage(error)
+            text = (
+                f"The {self.compression} stream is cut or damaged ({error}); what could be unpacked was read."
+            )
+            self.findings.append(Finding(level="warning", code="truncated", text=text))
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
-
-    def _note_damage(self, error: Exception) -> None:
-        text = f"The {self.compression} stream is cut or damaged ({error}); what could be unpacked was read."
-        self.findings.append(Finding(level="warning", code="truncated", text=text))
 
     def _plain(self, data: bytes) -> bytes:
         """Return bytes as UTF-8 where they are UTF-16; all other encodings share the digits."""

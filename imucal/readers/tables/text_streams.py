@@ -5,6 +5,7 @@ import codecs
 import gzip
 import io
 import lzma
+from collections.abc import Callable
 from typing import BinaryIO, cast
 
 from imucal.errors import ReadError
@@ -49,20 +50,9 @@ def read_fully(raw: BinaryIO, size: int) -> bytes:
 
 def unpacked(start: bytes, raw: BinaryIO, compression: str) -> BinaryIO:
     """Return the stream of what a stream holds packed, its first bytes having been read."""
-    raw = cast("BinaryIO", _Joined(start, raw))
-    if compression == "gzip":
-        return cast("BinaryIO", gzip.GzipFile(fileobj=raw, mode="rb"))
-    if compression == "bzip2":
-        return cast("BinaryIO", bz2.BZ2File(raw, "rb"))
-    if compression == "xz":
-        return cast("BinaryIO", lzma.LZMAFile(raw, "rb"))
-    if compression == "zstd":
-        return cast("BinaryIO", _Zstd(raw))
-    if compression == "lz4":
-        import lz4.frame
-
-        return cast("BinaryIO", lz4.frame.LZ4FrameFile(raw, "rb"))
-    return raw
+    joined = cast("BinaryIO", _Joined(start, raw))
+    opener = _OPENERS.get(compression)
+    return joined if opener is None else cast("BinaryIO", opener(joined))
 
 
 class _Joined(io.RawIOBase):
@@ -128,6 +118,21 @@ class _Zstd:
 
     #: One read gives what there is.
     read = read1
+
+
+def _lz4(raw: BinaryIO) -> object:
+    import lz4.frame
+
+    return lz4.frame.LZ4FrameFile(raw, "rb")
+
+
+_OPENERS: dict[str, Callable[[BinaryIO], object]] = {
+    "gzip": lambda raw: gzip.GzipFile(fileobj=raw, mode="rb"),
+    "bzip2": bz2.BZ2File,
+    "xz": lzma.LZMAFile,
+    "zstd": _Zstd,
+    "lz4": _lz4,
+}
 
 
 def find_encoding(head: bytes, name: str) -> str:

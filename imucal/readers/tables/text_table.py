@@ -13,36 +13,23 @@ from imucal.findings import Finding
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
-from imucal.readers.tables.columns import Rows
-from imucal.readers.tables.headless import rows_of_tag
-from imucal.readers.tables.layout import Layout, split_line
+from imucal.readers.tables.layout import Rows, TextLayout, rows_of_tag, split_line
 from imucal.readers.tables.row_blocks import BlockReader, Kind, RowCounts, without_start
 from imucal.readers.tables.tabular import SensorColumns, assemble
 from imucal.readers.tables.text import TextSource
-from imucal.readers.tables.text_layout import TextLayout, lay_out
+from imucal.readers.tables.text_layout import lay_out
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording, Source
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
-
-#: The place of times that stand in a file of their own.
+#: The index of times that stand in a file of their own.
 EXTERNAL = -1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExternalTime:
-    """The times of a table's rows, from another file.
-
-    Attributes
-    ----------
-    path
-        Of that file.
-    choice
-        What the times are; its place is `EXTERNAL`.
-    values
-        Shape (n,).
-    """
+    """The times of a table's rows, shape (n,), from the file at `path`; `choice` has the index `EXTERNAL`."""
 
     path: str
     choice: TimeChoice
@@ -75,16 +62,8 @@ def read_table(
 ) -> Recording:
     """Read the table of an opened text.
 
-    Parameters
-    ----------
-    source
-        The text.
-    options
-        What the user said.
-    name
-        The file's own name, which may name the sensor.
-    stamps
-        Times of the rows that stand in a file of their own.
+    `name` is the file's own, which may name the sensor; `stamps` are times of the rows that stand in a
+    file of their own.
 
     Raises
     ------
@@ -97,13 +76,11 @@ def read_table(
     """
     # The blocks of text are as large as its chunks: freed, they are to be used again.
     keep_freed_memory()
-    text = lay_out(source.name, source.head, options)
-    layout = text.layout
-    plan = _plan(source.name, layout, options, name or PurePath(source.name).name)
+    layout, plan = plan_of_head(source, options, name)
     if stamps is not None:
         plan = stamps.replace_times(plan)
     groups = _by_rows(plan)
-    readers = [_reader(text, plan, group, options, source.expected_rows) for group in groups]
+    readers = [_reader(source, layout, plan, group, options) for group in groups]
     cut = _read_blocks(source, layout, readers)
     if options.strict and source.findings:
         msg = f"{source.name}: {source.findings[0].text} Expected an undamaged log"
@@ -111,7 +88,7 @@ def read_table(
     findings = [*source.findings, *_row_findings(source.name, cut, layout, readers, options)]
     sensors = []
     for reader, group in zip(readers, groups, strict=True):
-        values = {place: column.take() for place, column in reader.columns.items()}
+        values = {index: column.take() for index, column in reader.columns.items()}
         if stamps is not None:
             values[EXTERNAL] = stamps.of_rows(reader.counts, source.name)
         if reader.counts.good:
@@ -123,21 +100,19 @@ def read_table(
         Source(
             path=source.name,
             format="csv",
-            topics=tuple(plan.headers[place] for s in plan.sensors for place in s.triad.places),
+            topics=tuple(plan.headers[index] for s in plan.sensors for index in s.triad.indices),
             decisions=plan.decisions,
         ),
         sensors,
         options,
-        signature=plan.signature,
+        signature=plan.dialect,
         rate_hz=layout.rate_hz,
         findings=findings,
     )
 
 
-def plan_of_head(
-    path: str, lines: Sequence[str], options: ReadOptions, name: str
-) -> tuple[Layout, TablePlan]:
-    """Return the layout and the columns of a text from its first lines.
+def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
+    """Return the layout and the columns of a text from its first lines; its name may name the sensor.
 
     Raises
     ------
@@ -146,15 +121,17 @@ def plan_of_head(
     ReadError
         If it is no table.
     """
-    layout = lay_out(path, lines, options).layout
-    return layout, _plan(path, layout, options, name)
-
-
-def _plan(path: str, layout: Layout, options: ReadOptions, name: str) -> TablePlan:
-    headers = layout.headers or ("",) * layout.width
-    return make_plan(
-        path, headers, layout.cells, options, units=layout.units, preamble=layout.preamble, name=name
+    layout = lay_out(source.name, source.head, options)
+    plan = make_plan(
+        source.name,
+        layout.headers or ("",) * layout.width,
+        layout.cells,
+        options,
+        units=layout.units,
+        preamble=layout.preamble,
+        name=name or PurePath(source.name).name,
     )
+    return layout, plan
 
 
 def _by_rows(plan: TablePlan) -> list[list[SensorPlan]]:
@@ -166,20 +143,24 @@ def _by_rows(plan: TablePlan) -> list[list[SensorPlan]]:
 
 
 def _reader(
-    text: TextLayout, plan: TablePlan, sensors: Sequence[SensorPlan], options: ReadOptions, expected: int
+    source: TextSource,
+    layout: TextLayout,
+    plan: TablePlan,
+    sensors: Sequence[SensorPlan],
+    options: ReadOptions,
 ) -> BlockReader:
     """Return the reader of one group's rows."""
-    rows = sensors[0].triad.rows or text.rows
-    layout = _of_rows(text, rows)
+    rows = sensors[0].triad.rows or layout.tag
+    layout = _of_rows(source.head, layout, rows)
     kinds: dict[int, Kind] = {}
     for sensor in sensors:
-        kinds |= dict.fromkeys(sensor.triad.places, "float")
+        kinds |= dict.fromkeys(sensor.triad.indices, "float")
         for time in (sensor.time, sensor.log_time):
-            if time is not None and EXTERNAL not in time.places:
+            if time is not None and EXTERNAL not in time.indices:
                 kinds |= {
-                    place: _kind(layout.cells(place), text=time.kind == "text") for place in time.places
+                    index: _kind(layout.cells(index), text=time.kind == "text") for index in time.indices
                 }
-    needed = frozenset(place for place in kinds if all(layout.cells(place)))
+    needed = frozenset(index for index in kinds if all(layout.cells(index)))
     if plan.temperature is not None and plan.temperature not in kinds:
         kinds[plan.temperature] = "float"
     last = layout.width - 1
@@ -193,22 +174,22 @@ def _reader(
         needed=needed,
         rows=rows,
         limit=limit,
-        expected=expected,
-        prepare=text.prepare,
+        expected=source.expected_rows,
+        prepare=layout.prepare,
     )
 
 
-def _of_rows(text: TextLayout, rows: Rows) -> Layout:
+def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout:
     """Return the layout of some of the rows: tagged rows differ in width."""
-    if rows is None or rows == text.rows:
-        return text.layout
-    lines = rows_of_tag(text.lines[text.layout.start :], text.layout.delimiter, rows)
-    cells = [tuple(split_line(line, text.layout.delimiter)) for line in lines]
+    if rows is None or rows == layout.tag:
+        return layout
+    lines = rows_of_tag(lines[layout.start :], layout.delimiter, rows)
+    cells = [tuple(split_line(line, layout.delimiter)) for line in lines]
     if not cells:
-        return text.layout
+        return layout
     width = Counter(len(row) for row in cells).most_common(1)[0][0]
     same = tuple(row for row in cells if len(row) == width)
-    return replace(text.layout, width=width, rows=same)
+    return replace(layout, width=width, rows=same)
 
 
 def _kind(cells: Sequence[str], *, text: bool) -> Kind:
@@ -219,7 +200,7 @@ def _kind(cells: Sequence[str], *, text: bool) -> Kind:
     return "integer" if integers and all(-(2**63) <= int(cell) < 2**63 for cell in filled) else "float"
 
 
-def _read_blocks(source: TextSource, layout: Layout, readers: Sequence[BlockReader]) -> str:
+def _read_blocks(source: TextSource, layout: TextLayout, readers: Sequence[BlockReader]) -> str:
     """Read all rows; returns the last line where it may be cut, else an empty text."""
     cut = ""
     for block in without_start(source.blocks(), layout.start):
@@ -234,7 +215,7 @@ def _read_blocks(source: TextSource, layout: Layout, readers: Sequence[BlockRead
     return cut
 
 
-def _is_complete(line: bytes, layout: Layout) -> bool:
+def _is_complete(line: bytes, layout: TextLayout) -> bool:
     """Return whether a line without an end has all its cells, the last one as long as any other."""
     cells = split_line(line.decode("utf-8", "replace"), layout.delimiter)
     if len(cells) != layout.width:
@@ -245,7 +226,7 @@ def _is_complete(line: bytes, layout: Layout) -> bool:
 
 
 def _row_findings(
-    path: str, cut: str, layout: Layout, readers: Sequence[BlockReader], options: ReadOptions
+    path: str, cut: str, layout: TextLayout, readers: Sequence[BlockReader], options: ReadOptions
 ) -> list[Finding]:
     """Return what was wrong with the rows; refuse a table of which hardly a row can be read."""
     findings = []
@@ -271,12 +252,12 @@ def _row_findings(
 def _columns(
     reader: BlockReader, sensor: SensorPlan, values: dict[int, Any], temperature: int | None
 ) -> SensorColumns:
-    x, y, z = (values[place] for place in sensor.triad.places)
+    x, y, z = (values[index] for index in sensor.triad.indices)
     return SensorColumns(
         plan=sensor,
         axes=(x, y, z),
-        time=tuple(values[place] for place in sensor.time.places) if sensor.time else (),
-        log_time=tuple(values[place] for place in sensor.log_time.places) if sensor.log_time else (),
+        time=tuple(values[index] for index in sensor.time.indices) if sensor.time else (),
+        log_time=tuple(values[index] for index in sensor.log_time.indices) if sensor.log_time else (),
         temperature=values.get(temperature) if temperature is not None else None,
-        sparse=not set(sensor.triad.places) <= reader.needed,
+        sparse=not set(sensor.triad.indices) <= reader.needed,
     )

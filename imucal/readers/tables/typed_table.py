@@ -17,8 +17,9 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.stamps import parse_text_stamps
 from imucal.readers.tables.table_clock import Numbers
-from imucal.readers.tables.table_files import Column, TableFile, open_table
+from imucal.readers.tables.table_files import TableFile, TypedColumn, open_table
 from imucal.readers.tables.tabular import SensorColumns, assemble, units_note
+from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording, Sensor, Source
 
 #: Rows shown to the rules that choose columns.
@@ -29,7 +30,7 @@ _HEAD = 400
 class _Part:
     """Columns of one length and what was chosen of them."""
 
-    columns: tuple[Column, ...]
+    columns: tuple[TypedColumn, ...]
     plan: TablePlan
 
 
@@ -55,9 +56,9 @@ def read(path: Path, options: ReadOptions) -> Recording:
     parts = _parts(path, table, options)
     sensors = [_columns(part, sensor) for part in parts for sensor in part.plan.sensors]
     decisions = dict.fromkeys(decision for part in parts for decision in part.plan.decisions)
-    names = (part.plan.headers[p] for part in parts for s in part.plan.sensors for p in s.triad.places)
+    names = (part.plan.headers[p] for part in parts for s in part.plan.sensors for p in s.triad.indices)
     source = Source(path=str(path), format=table.format, topics=tuple(names), decisions=tuple(decisions))
-    signature = next((part.plan.signature for part in parts if part.plan.signature), None)
+    signature = next((part.plan.dialect for part in parts if part.plan.dialect), None)
     return assemble(source, sensors, options, signature=signature, rate_hz=table.rate_hz)
 
 
@@ -100,7 +101,7 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
         msg = f"{path}: no columns of samples, found {shown}; expected arrays of a gyroscope or accelerometer"
         raise ReadError(msg)
     if len(groups) == 1 or options.columns is not None:
-        # The places in a columns text are those of the longest table.
+        # The indices in a columns text are those of the longest table.
         longest = max(groups, key=lambda group: (len(group), group[0].size))
         return [_part(path, longest, options)]
     parts, errors = [], []
@@ -111,36 +112,30 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
             errors.append(error)
     if not parts:
         raise errors[0]
-    return _without_doubles(path, parts)
+    _refuse_doubles(path, parts)
+    return parts
 
 
-def _without_doubles(path: Path, parts: Sequence[_Part]) -> list[_Part]:
+def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
     """Refuse a sensor that stands in two tables."""
-    found: dict[Sensor, _Part] = {}
-    for part in parts:
-        for sensor in part.plan.sensors:
-            if sensor.triad.sensor in found:
-                names = [
-                    other.triad.headers[0]
-                    for each in (found[sensor.triad.sensor], part)
-                    for other in each.plan.sensors
-                    if other.triad.sensor is sensor.triad.sensor
-                ]
-                msg = (
-                    f"{path}: two tables hold a {sensor.triad.sensor}: {' and '.join(names)}; "
-                    "expected one; give the columns"
-                )
-                raise ChoiceError(msg)
-            found[sensor.triad.sensor] = part
-    return list(parts)
+    found: dict[Sensor, list[str]] = {}
+    for triad in (plan.triad for part in parts for plan in part.plan.sensors):
+        names = found.setdefault(triad.sensor, [])
+        names.append(triad.headers[0])
+        if len(names) > 1:
+            msg = (
+                f"{path}: two tables hold a {triad.sensor}: {' and '.join(names)}; "
+                "expected one; give the columns"
+            )
+            raise ChoiceError(msg)
 
 
-def _part(path: Path, columns: Sequence[Column], options: ReadOptions) -> _Part:
+def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
     cells = [column.cells(_HEAD) for column in columns]
     plan = make_plan(
         str(path),
         [column.name for column in columns],
-        lambda place: cells[place],
+        lambda index: cells[index],
         options,
         units=[column.unit for column in columns],
         name=path.name,
@@ -149,33 +144,33 @@ def _part(path: Path, columns: Sequence[Column], options: ReadOptions) -> _Part:
 
 
 def _columns(part: _Part, sensor: SensorPlan) -> SensorColumns:
-    x, y, z = (_floats(part.columns[place]) for place in sensor.triad.places)
+    x, y, z = (_floats(part.columns[index]) for index in sensor.triad.indices)
     axes = (x, y, z)
-    time = _times(part, sensor.time.places, text=sensor.time.kind == "text") if sensor.time else ()
-    log = _times(part, sensor.log_time.places, text=sensor.log_time.kind == "text") if sensor.log_time else ()
-    warmth = part.plan.temperature
-    temperature = _floats(part.columns[warmth]) if warmth is not None else None
-    keep = None
+    time, log = _times(part, sensor.time), _times(part, sensor.log_time)
+    at = part.plan.temperature
+    temperature = _floats(part.columns[at]) if at is not None else None
     if sensor.triad.rows is not None:
-        place, tag = sensor.triad.rows
-        keep = part.columns[place].is_text(tag)
+        index, tag = sensor.triad.rows
+        keep = part.columns[index].is_text(tag)
         axes = (x[keep], y[keep], z[keep])
-        time = tuple(column[keep] for column in time)
-        log = tuple(column[keep] for column in log)
+        time, log = tuple(column[keep] for column in time), tuple(column[keep] for column in log)
         temperature = temperature[keep] if temperature is not None else None
-    sparse = any(part.columns[place].has_gaps for place in sensor.triad.places)
+    sparse = any(part.columns[index].has_gaps for index in sensor.triad.indices)
     return SensorColumns(
         plan=sensor, axes=axes, time=time, log_time=log, temperature=temperature, sparse=sparse
     )
 
 
-def _times(part: _Part, places: Sequence[int], *, text: bool) -> tuple[Numbers, ...]:
-    if text:
-        return (parse_text_stamps([str(cell) for cell in part.columns[places[0]].values()]),)
-    return tuple(_numbers(part.columns[place]) for place in places)
+def _times(part: _Part, time: TimeChoice | None) -> tuple[Numbers, ...]:
+    if time is None:
+        return ()
+    columns = [part.columns[index] for index in time.indices]
+    if time.kind == "text":
+        return (parse_text_stamps([str(cell) for cell in columns[0].values()]),)
+    return tuple(map(_numbers, columns))
 
 
-def _numbers(column: Column) -> Numbers:
+def _numbers(column: TypedColumn) -> Numbers:
     values = column.values()
     if values.dtype.kind == "M":
         return np.asarray(values.astype("datetime64[ns]").astype(np.int64))
@@ -184,5 +179,5 @@ def _numbers(column: Column) -> Numbers:
     return np.asarray(values, dtype=np.float64)
 
 
-def _floats(column: Column) -> Any:  # noqa: ANN401 - numpy's astype
+def _floats(column: TypedColumn) -> Any:  # noqa: ANN401 - numpy's astype
     return np.array(column.values(), dtype=np.float64)

@@ -74,7 +74,7 @@ GYRO, ACCEL = Role.GYROSCOPE, Role.ACCELEROMETER
 def test_names(header: str, role: Role, index: int | None, unit: str | None) -> None:
     """A name says sensor, axis and unit; what is no raw sample of either sensor says so too."""
     column = parse_column(header, 0)
-    assert (column.role, column.index, column.unit) == (role, index, unit)
+    assert (column.role, column.axis, column.unit) == (role, index, unit)
 
 
 def test_alpha_is_an_acceleration_beside_an_omega_only() -> None:

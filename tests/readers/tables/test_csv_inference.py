@@ -9,7 +9,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.csv_log import read
-from imucal.readers.tables.inference import infer_accel_unit, infer_gyro_unit
+from imucal.readers.tables.scales import infer_accel_unit, infer_gyro_unit
 from imucal.units import G0
 from tests.readers.tables.texts import N, lines, own_counts, own_plain, seconds, truth, xyz
 
@@ -59,7 +59,7 @@ def test_steps_of_the_converter_settle_the_gyroscope(step: float, unit: str, fac
     # Logs print some digits only.
     rows = np.array([float(f"{value:.7g}") for value in (counts * step * factor).ravel()]).reshape(-1, 3)
     found = infer_gyro_unit(rows, rate_hz=100.0, accel_unit="m/s^2")
-    assert (found.unit, found.sure) == (unit, True)
+    assert (found.unit, found.assumed) == (unit, False)
 
 
 def noise(scale: float, mean: float = 0.0) -> FloatArray:
@@ -90,7 +90,7 @@ def noise(scale: float, mean: float = 0.0) -> FloatArray:
 def test_gyroscope(rows: FloatArray, accel: str | None, unit: str | None, reason: str) -> None:
     """Only SI beside SI is taken, where rate and noise are those of a gyroscope; and never as sure."""
     found = infer_gyro_unit(rows, rate_hz=100.0, accel_unit=accel)
-    assert (found.unit, found.sure, found.reason) == (unit, False, reason)
+    assert (found.unit, found.assumed, found.reason) == (unit, unit is not None, reason)
 
 
 def test_assumed_unit_is_a_warning(tmp_path: Path) -> None:

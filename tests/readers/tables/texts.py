@@ -213,6 +213,11 @@ def rosbag_to_csv(t: Truth) -> str:
     )
 
 
+def ros_acceleration(t: Truth) -> str:
+    header = "Time,header.seq," + ",".join(f"accel.linear_acceleration.{a}" for a in "xyz")
+    return lines(header, [repr((EPOCH + ns) * 1e-9) for ns in t.ns], range(N), *xyz(t.accel))
+
+
 def plotjuggler(t: Truth) -> str:
     """Every other row belongs to another topic: the cells of the sensor are empty."""
     header = ",".join(
@@ -235,6 +240,13 @@ def xsens(t: Truth) -> str:
     header = "PacketCounter\tSampleTimeFine\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z"
     counter = [(65_400 + i) % 65_536 for i in range(N)]
     return preamble + lines(header, counter, [""] * N, *xyz(t.accel), *xyz(t.gyro), mark="\t")
+
+
+def xsens_plain(t: Truth) -> str:
+    preamble = "// Start Time: Unknown\n// Update Rate: 100.0Hz\n"
+    return preamble + lines(
+        "Acc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z", *xyz(t.accel), *xyz(t.gyro), mark="\t"
+    )
 
 
 def xsens_ticks(t: Truth) -> str:
@@ -617,8 +629,10 @@ STYLES: tuple[Style, ...] = (
     Style(name="ros2 topic echo --csv", build=ros2_echo, layout="ROS", tolerance=0),
     Style(name="bagpy", build=bagpy, layout="ROS", tolerance=0),
     Style(name="rosbag_to_csv", build=rosbag_to_csv, layout="ROS", tolerance=0),
+    Style(name="ROS acceleration", build=ros_acceleration, layout="ROS", gyro=False, tolerance=0),
     Style(name="PlotJuggler", build=plotjuggler, layout="ROS", tolerance=0),
     Style(name="Xsens MT Manager", build=xsens, file="log.txt", layout="Xsens", tolerance=0),
+    Style(name="Xsens without counter", build=xsens_plain, file="log.txt", layout="Xsens", tolerance=0),
     Style(name="Xsens ticks", build=xsens_ticks, file="log.txt", layout="Xsens", tolerance=0),
     Style(name="Xsens DOT", build=xsens_dot, layout="Xsens DOT"),
     Style(name="PX4 ulog2csv", build=px4, layout="PX4", tolerance=0),

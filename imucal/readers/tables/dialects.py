@@ -1,0 +1,268 @@
+"""Text dialects: how known programs and devices write their logs, where the header does not say it.
+
+A new dialect is one entry of `DIALECTS`, about 5 lines; its test is one example in
+`tests/readers/tables/texts.py`, about 7 lines; and `docs/formats.md` names it, a word. `test_dialects.py`
+says which of these is missing. Only names that say no sensor to `names.py` need a word there as well.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from imucal.readers.tables.layout import BLANKS, TextLayout, is_number, rows_of_tag, split_line
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dialect:
+    """A way of writing a table of text. A unit in the header goes before the one given here.
+
+    Attributes
+    ----------
+    name
+        What people call it.
+    headers
+        Regular expressions; each must match the whole of some column's name, in small letters.
+    preamble
+        Regular expression that must be found in the lines before the header, or empty.
+    gyro_unit, accel_unit
+        Units of its samples; None where they differ from file to file.
+    time_ns
+        Name of a time column in small letters -> ns per count.
+    has_log_time
+        Whether the time of recording stands beside the sensor's own stamps.
+    columns
+        Names of the columns, where no header is written and the order is fixed; `headers` must match them.
+    fits
+        Whether a table without a header, as wide as `columns`, can be one of these.
+    messages
+        Finds the layout of a log whose lines are messages, from its first lines.
+    """
+
+    name: str
+    headers: tuple[str, ...]
+    preamble: str = ""
+    gyro_unit: str | None = None
+    accel_unit: str | None = None
+    time_ns: tuple[tuple[str, int], ...] = ()
+    has_log_time: bool = False
+    columns: tuple[str, ...] = ()
+    fits: Callable[[TextLayout], bool] | None = None
+    messages: Callable[[Sequence[str]], TextLayout | None] | None = None
+
+    def matches(self, headers: Sequence[str], preamble: str) -> bool:
+        """Return whether a table with these columns and this preamble is written so."""
+        if self.preamble and not re.search(self.preamble, preamble, re.IGNORECASE | re.MULTILINE):
+            return False
+        return all(any(re.fullmatch(pattern, name) for name in headers) for pattern in self.headers)
+
+
+def find_dialect(headers: Sequence[str], preamble: Sequence[str] = ()) -> Dialect | None:
+    """Return the dialect that a table's column names and preamble show, or None."""
+    plain = [header.strip().strip("\"'").lstrip("#%/ ").lower() for header in headers]
+    text = "\n".join(preamble)
+    return next((dialect for dialect in DIALECTS if dialect.matches(plain, text)), None)
+
+
+def find_messages(lines: Sequence[str]) -> TextLayout | None:
+    """Return the layout of a log whose lines are messages of a known dialect, or None."""
+    layouts = (dialect.messages(lines) for dialect in DIALECTS if dialect.messages is not None)
+    return next((layout for layout in layouts if layout is not None), None)
+
+
+def name_columns(layout: TextLayout) -> TextLayout:
+    """Return a layout without a header with the names of the dialect that it fits, if there is one."""
+    if layout.headers or layout.mismatch is not None:
+        return layout
+    for dialect in DIALECTS:
+        if layout.width == len(dialect.columns) and dialect.fits is not None and dialect.fits(layout):
+            return replace(layout, headers=dialect.columns)
+    return layout
+
+
+#: `ros2 topic echo --csv` of sensor_msgs/msg/Imu: the fields of the message in their order.
+_ROS2_IMU = (
+    *("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
+    *(f"orientation.{axis}" for axis in "xyzw"),
+    *(f"orientation_covariance.{i}" for i in range(9)),
+    *(f"angular_velocity.{axis}" for axis in "xyz"),
+    *(f"angular_velocity_covariance.{i}" for i in range(9)),
+    *(f"linear_acceleration.{axis}" for axis in "xyz"),
+    *(f"linear_acceleration_covariance.{i}" for i in range(9)),
+)
+
+
+def _is_ros2(layout: TextLayout) -> bool:
+    """Return whether rows are two whole numbers, a text, and numbers only."""
+    return all(
+        len(row) == len(_ROS2_IMU)
+        and not is_number(row[2])
+        and (row[0] + row[1]).isdigit()
+        and all(map(is_number, row[3:]))
+        for row in layout.rows[:20]
+    )
+
+
+#: KITTI raw data, oxts/dataformat.txt.
+_KITTI = (
+    *("lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu"),
+    *("oxts ax", "oxts ay", "oxts az", "af", "al", "au"),
+    *("oxts wx", "oxts wy", "oxts wz", "wf", "wl", "wu"),
+    *("pos_accuracy", "vel_accuracy", "navstat", "numsats", "posmode", "velmode", "orimode"),
+)
+
+
+def _is_kitti(layout: TextLayout) -> bool:
+    """Return whether rows have a position on Earth, three angles, and five whole numbers at the end."""
+
+    def is_row(row: Sequence[str]) -> bool:
+        if not all(map(is_number, row)) or not all(cell.isdigit() for cell in row[-5:]):
+            return False
+        lat, lon, _, *angles = (abs(float(cell)) for cell in row[:6])
+        return not (lat > 90 or lon > 180 or max(angles) > 2 * np.pi)
+
+    return layout.delimiter == BLANKS and all(map(is_row, layout.rows[:20]))
+
+
+#: A line of ArduPilot's text log that says which fields the IMU message has.
+_FORMAT_LINE = re.compile(r"FMT,[^,]*,[^,]*,\s*IMU\s*,[^,]*,\s*(?P<names>.+)", re.IGNORECASE)
+
+
+def _find_ardupilot(lines: Sequence[str]) -> TextLayout | None:
+    """Return the layout of the IMU rows of a text log of tagged rows, whose FMT lines name their fields."""
+    match = next(filter(None, map(_FORMAT_LINE.match, lines)), None)
+    if match is None:
+        return None
+    headers = ("tag", *(name.strip() for name in match["names"].split(",")))
+    tag = (0, "IMU")
+    cells = [tuple(split_line(row, ",")) for row in rows_of_tag(lines, ",", tag)]
+    rows = tuple(row for row in cells if len(row) == len(headers))
+    return TextLayout(width=len(headers), headers=headers, rows=rows, tag=tag) if rows else None
+
+
+#: Message with raw samples -> its fields. Source: VectorNav VN-100 user manual UM001, registers 27 and 54.
+_VECTORNAV: dict[str, tuple[str, ...]] = {
+    "VNYMR": (
+        *("$VNYMR", "yaw", "pitch", "roll", "MagX", "MagY", "MagZ"),
+        *("AccelX", "AccelY", "AccelZ", "GyroX", "GyroY", "GyroZ"),
+    ),
+    "VNIMU": (
+        *("$VNIMU", "MagX", "MagY", "MagZ", "AccelX", "AccelY", "AccelZ"),
+        *("GyroX", "GyroY", "GyroZ", "Temp", "Pressure"),
+    ),
+}
+
+_SENTENCE = re.compile(r"\$(?P<name>VNYMR|VNIMU),")
+
+#: What stands before a message, the message, and its checksum of two or four digits.
+_CHECKED = re.compile(
+    rb"(?m)^([^$\n]*)\$((?:VNYMR|VNIMU),[^*\n]*)\*([0-9A-Fa-f]{2})(?:[0-9A-Fa-f]{2})?[ \t]*$"
+)
+
+
+def _find_vectornav(lines: Sequence[str]) -> TextLayout | None:
+    """Return the layout of a log of VectorNav's ASCII messages with raw samples.
+
+    What stands in front of a message, such as the time of the computer that logged it, comes first.
+    """
+    matches = [match for line in lines if (match := _SENTENCE.search(line))]
+    if len(matches) < 0.3 * sum(bool(line.strip()) for line in lines) or not matches:
+        return None
+    name = matches[0]["name"]
+    before = split_line(matches[0].string[: matches[0].start()].rstrip(", \t"), ",")
+    before = before if any(before) else []
+    names = ["host time" if len(before) == 1 else f"prefix {i}" for i in range(len(before))]
+    headers = (*names, *_VECTORNAV[name])
+    cells = [split_line(m.string.partition("*")[0], ",") for m in matches if m["name"] == name]
+    rows = tuple(tuple(row) for row in cells if len(row) == len(headers) and is_number(row[-1]))
+    if not rows:
+        return None
+    return TextLayout(width=len(headers), headers=headers, rows=rows, prepare=_good_sentences)
+
+
+def _good_sentences(block: bytes) -> bytes:
+    """Return the messages of a block whose checksum is right, as rows of cells.
+
+    A message with a wrong checksum stays as a row that no parser takes, so that it is counted.
+    """
+    lines = []
+    for match in _CHECKED.finditer(block):
+        before, sentence, checksum = match.groups()
+        right = int(np.bitwise_xor.reduce(np.frombuffer(sentence, dtype=np.uint8))) == int(checksum, 16)
+        lines.append(before + b"$" + sentence if right else b"wrong checksum")
+    return b"\n".join(lines) + b"\n"
+
+
+_SI: Any = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
+_ROS: Any = {"name": "ROS", **_SI, "has_log_time": True}
+
+#: In the order in which they are tried.
+DIALECTS: tuple[Dialect, ...] = (
+    # EuRoC and TUM-VI data.csv; the header of the data sets has the units, copies often lost them.
+    Dialect(name="EuRoC", headers=(r"w_rs_s_x.*", r"a_rs_s_x.*"), **_SI),
+    # Kalibr's bagextractor and OpenVINS.
+    Dialect(name="Kalibr", headers=(r"omega_x", r"alpha_x"), **_SI),
+    # sensor_msgs/Imu: REP 103 and the message's own comments.
+    Dialect(
+        headers=(r"field\.header\.stamp", r"field\..*(angular_velocity|linear_acceleration)\.x"),
+        time_ns=(("field.header.stamp", 1),),
+        **_ROS,
+    ),
+    Dialect(headers=(r".*angular_velocity[./_ ]?x.*",), columns=_ROS2_IMU, fits=_is_ros2, **_ROS),
+    Dialect(headers=(r".*linear_acceleration[./_ ]?x.*",), **_ROS),
+    # Xsens DOT User Manual XD0502P: SampleTimeFine counts microseconds, Gyr is in deg/s.
+    Dialect(
+        name="Xsens DOT",
+        headers=(r"gyr_x", r"acc_x"),
+        preamble=r"^DeviceTag|^Measurement server",
+        gyro_unit="deg/s",
+        accel_unit="m/s^2",
+        time_ns=(("sampletimefine", 1_000),),
+    ),
+    # Xsens MTi low-level protocol: SampleTimeFine counts 10 kHz ticks.
+    Dialect(
+        name="Xsens",
+        headers=(r"gyr_x", r"acc_x", r"packetcounter|counter"),
+        **_SI,
+        time_ns=(("sampletimefine", 100_000),),
+    ),
+    Dialect(name="Xsens", headers=(r"gyr_x", r"acc_x"), preamble=r"^// ", **_SI),
+    # ArduPilot dataflash message IMU.
+    Dialect(name="ArduPilot", headers=(r"timeus", r"gyrx", r"accx"), **_SI, messages=_find_ardupilot),
+    # PX4 sensor_combined, sensor_gyro and sensor_accel through ulog2csv: microseconds since boot.
+    Dialect(name="PX4", headers=(r"timestamp", r"gyro_rad\[0\]"), **_SI, time_ns=(("timestamp", 1_000),)),
+    Dialect(
+        name="PX4",
+        headers=(r"timestamp", r"timestamp_sample", r"device_id", r"x"),
+        **_SI,
+        time_ns=(("timestamp", 1_000), ("timestamp_sample", 1_000)),
+    ),
+    # Betaflight blackbox_decode: gyroADC in deg/s, accelerometer in raw counts.
+    Dialect(
+        name="Betaflight",
+        headers=(r"loopiteration", r"gyroadc\[0\].*"),
+        gyro_unit="deg/s",
+        time_ns=(("time", 1_000), ("time (us)", 1_000)),
+    ),
+    # SensorLog for iOS: Core Motion gives g and rad/s.
+    Dialect(
+        name="SensorLog",
+        headers=(r"accelerometeraccelerationx.*", r"gyrorotationx.*"),
+        gyro_unit="rad/s",
+        accel_unit="g",
+    ),
+    # librealsense: rs-data-collect.
+    Dialect(name="RealSense", headers=(r"stream type", r"3dof_x"), **_SI),
+    # Sensor Logger for Android and iOS.
+    Dialect(name="Sensor Logger", headers=(r"time", r"seconds_elapsed", r"x", r"y", r"z"), **_SI),
+    # MicroStrain: MIP descriptors 0x8004 scaled accelerometer (g), 0x8005 scaled gyroscope (rad/s).
+    Dialect(name="MicroStrain", headers=(r"x accel \[x8004\]",), gyro_unit="rad/s", accel_unit="g"),
+    Dialect(name="MicroStrain", headers=(r"scaledaccelx.*",), gyro_unit="rad/s", accel_unit="g"),
+    # VectorNav Control Center and INSTINCT.
+    Dialect(name="VectorNav", headers=(r"uncompgyrox|uncompaccx",), **_SI),
+    Dialect(name="VectorNav", headers=(r"\$vn.*", r"gyrox", r"accelx"), **_SI, messages=_find_vectornav),
+    # KITTI raw data: oxts/dataformat.txt.
+    Dialect(name="KITTI", headers=(r"oxts wx", r"oxts ax"), **_SI, columns=_KITTI, fits=_is_kitti),
+)

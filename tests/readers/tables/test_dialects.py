@@ -1,0 +1,168 @@
+"""A text dialect is one entry of a table, one example and one word in the manual; what is missing is said."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy.testing as npt
+import pytest
+
+from imucal.errors import ChoiceError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables import dialects
+from imucal.readers.tables.csv_log import read
+from imucal.readers.tables.dialects import DIALECTS, Dialect, find_dialect
+from imucal.readers.tables.names import Role, parse_column
+from imucal.readers.tables.text import open_text
+from imucal.readers.tables.text_layout import lay_out
+from imucal.readers.tables.text_table import plan_of_head
+from imucal.recording import Sensor
+from imucal.units import SAMPLE_UNITS
+from tests.readers.tables.texts import STYLES, Style, Truth, lines, stamps, truth, write, xyz
+
+MANUAL = Path(__file__).parents[3] / "docs" / "formats.md"
+
+
+def forgotten(
+    dialect: Dialect, folder: Path, styles: Sequence[Style] = STYLES, manual: str | None = None
+) -> list[str]:
+    """Return what an entry of `DIALECTS` still lacks, a sentence each."""
+    missing = [*_wrong_units(dialect), *_wrong_names(dialect), *_without_example(dialect, folder, styles)]
+    known = (manual or MANUAL.read_text(encoding="utf-8")).partition("## Tables")[2].partition("## Units")[0]
+    if not re.search(rf"\b{re.escape(dialect.name)}\b", known):
+        missing.append("docs/formats.md does not name it: add it to the headers listed under Tables")
+    return [f"{dialect.name}: {sentence}" for sentence in missing]
+
+
+def _wrong_units(dialect: Dialect) -> list[str]:
+    missing = []
+    if dialect.gyro_unit is None:
+        missing.append("no gyro_unit: no sample tells a gyroscope's unit, so take it from the maker's manual")
+    given = ((Sensor.GYROSCOPE, dialect.gyro_unit), (Sensor.ACCELEROMETER, dialect.accel_unit))
+    for sensor, unit in given:
+        if unit is not None and unit not in SAMPLE_UNITS[sensor]:
+            known = ", ".join(SAMPLE_UNITS[sensor])
+            missing.append(f"{unit!r} is no unit of the {sensor}: write one of {known}")
+    return missing
+
+
+def _wrong_names(dialect: Dialect) -> list[str]:
+    missing = []
+    if not dialect.headers:
+        missing.append("no headers: it would be found in every table")
+    names = (*dialect.headers, *(name for name, _ in dialect.time_ns))
+    missing += [
+        f"{name!r} has a capital letter: names are compared in small letters"
+        for name in names
+        if re.search(r"(?<!\\)[A-Z]", name)
+    ]
+    if dialect.columns and (dialect.fits is None or find_dialect(dialect.columns) is not dialect):
+        missing.append("columns without a header need `fits`, and `headers` that match them first")
+    return missing
+
+
+def _without_example(dialect: Dialect, folder: Path, styles: Sequence[Style]) -> list[str]:
+    """Read the examples of a dialect: one of them must show the entry."""
+    examples = [s for s in styles if s.layout == dialect.name and not s.file.endswith(".zip")]
+    if not examples:
+        example = f"Style(layout={dialect.name!r})"
+        return [f"no example: add a {example} to STYLES in tests/readers/tables/texts.py"]
+    taken = []
+    for style in examples:
+        given: dict[str, Any] = dict(style.options)
+        options = ReadOptions(**given)
+        with open_text(write(style, folder)) as source:
+            try:
+                found = plan_of_head(source, options)[1].dialect
+            except ChoiceError as error:
+                names = lay_out(source.name, source.head, options).headers
+                sentence = (
+                    f"no sensor is found in its example {style.name!r}: {_strange(names)} name none; "
+                    f"teach them to imucal/readers/tables/names.py ({error})"
+                )
+                return [sentence]
+        if found is dialect:
+            return []
+        taken.append(f"{style.name!r} shows {found.headers if found else 'no dialect'}")
+    sentence = (
+        f"no example shows this entry with headers {dialect.headers} ({'; '.join(taken)}): "
+        "add one, correct the headers, or put the entry before the one that is found"
+    )
+    return [sentence]
+
+
+def _strange(names: Sequence[str]) -> str:
+    """Return the names that have an axis but say no sensor."""
+    columns = [parse_column(name, i) for i, name in enumerate(names)]
+    return ", ".join(c.header for c in columns if c.axis is not None and c.role is Role.OTHER)
+
+
+@pytest.mark.parametrize("dialect", DIALECTS, ids=lambda dialect: dialect.name)
+def test_nothing_is_forgotten(dialect: Dialect, tmp_path: Path) -> None:
+    """Each entry has units, an example that shows it, and its word in the manual."""
+    assert forgotten(dialect, tmp_path) == []
+
+
+def _acme_text(true: Truth) -> str:
+    header = "time_ms," + ",".join(f"{kind}_{axis}" for kind in ("turn_gyro", "push_accel") for axis in "xyz")
+    return lines(header, stamps(true, 10**6), *xyz(true.deg), *xyz(true.g))
+
+
+ACME = Dialect(name="Acme", headers=("turn_gyro_x", "push_accel_x"), gyro_unit="deg/s", accel_unit="g")
+EXAMPLE = Style(name="Acme logger", build=_acme_text, layout="Acme")
+WORDS = "## Tables\nHeaders of Acme and others are known.\n## Units"
+
+
+def test_one_entry_and_one_example_make_a_dialect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing else has to be touched for its units to be known."""
+    path = write(EXAMPLE, tmp_path)
+    with pytest.raises(ChoiceError, match="the unit of the gyroscope is open"):
+        read(path, ReadOptions())
+    monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, ACME))
+    assert forgotten(ACME, tmp_path, (*STYLES, EXAMPLE), WORDS) == []
+    recording = read(path, ReadOptions())
+    npt.assert_allclose(recording.axis("gyroscope", "x").samples, truth().gyro[:, 0], rtol=1e-12)
+    npt.assert_allclose(recording.axis("accelerometer", "z").samples, truth().accel[:, 2], rtol=1e-12)
+    assert dict(recording.source.decisions)["gyroscope unit"] == "deg/s, as Acme logs it"
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            {"gyro_unit": None},
+            "no gyro_unit: no sample tells a gyroscope's unit, so take it from the maker's",
+        ),
+        ({"accel_unit": "G"}, "'G' is no unit of the accelerometer: write one of m/s^2, g, mg, ug"),
+        ({"headers": ()}, "no headers: it would be found in every table"),
+        ({"headers": ("Turn_Gyro_X",)}, "'Turn_Gyro_X' has a capital letter: names are compared in small"),
+        ({"headers": ("turn_x",)}, "no example shows this entry with headers ('turn_x',)"),
+        ({"columns": ("time", "gx", "gy", "gz")}, "columns without a header need `fits`, and `headers` that"),
+        ({"name": "Apex"}, "no example: add a Style(layout='Apex') to STYLES in tests/readers/tables"),
+        ({"name": "Apex"}, "docs/formats.md does not name it: add it to the headers listed under Tables"),
+    ],
+)
+def test_what_is_forgotten_is_said(
+    change: dict[str, Any], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A half-made entry fails with a sentence that says what to do."""
+    broken = replace(ACME, **change)
+    monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, broken))
+    said = forgotten(broken, tmp_path, (*STYLES, EXAMPLE), WORDS)
+    assert any(each.startswith(f"{broken.name}: {sentence}") for each in said), said
+
+
+def test_a_word_for_a_sensor_that_nobody_knows_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the names of the columns say no sensor, the sentence names them and the module to teach."""
+    strange = replace(ACME, headers=("twirl_x",))
+    example = replace(EXAMPLE, build=lambda true: re.sub("turn_gyro|push_accel", "twirl", _acme_text(true)))
+    monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, strange))
+    (said,) = forgotten(strange, tmp_path, (*STYLES, example), WORDS)
+    assert said.startswith(
+        "Acme: no sensor is found in its example 'Acme logger': twirl_x, twirl_y, twirl_z, twirl_x, "
+        "twirl_y, twirl_z name none; teach them to imucal/readers/tables/names.py ("
+    )
