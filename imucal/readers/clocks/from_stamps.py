@@ -24,7 +24,7 @@ from imucal.readers.clocks.clock_notes import (
     stamp_notes,
     zero_note,
 )
-from imucal.readers.clocks.placing import NO_BREAKS, Breaks, find_breaks, fit_period, look_at_steps
+from imucal.readers.clocks.placing import NO_BREAKS, Breaks, find_breaks, fit_period, step_statistics
 from imucal.readers.clocks.rate import Period, estimate_period
 
 #: Name of the time at which a message was recorded.
@@ -160,10 +160,10 @@ def _filled(stamps: IntArray) -> IntArray:
     good, bad = np.flatnonzero(stamps), np.flatnonzero(stamps == 0)
     since = stamps[good] - stamps[good[0]]
     step = float(since[-1]) / max(int(good[-1] - good[0]), 1)
-    places = np.interp(bad, good, since)
-    places += np.minimum(bad - good[0], 0) * step + np.maximum(bad - good[-1], 0) * step
+    between = np.interp(bad, good, since)
+    between += np.minimum(bad - good[0], 0) * step + np.maximum(bad - good[-1], 0) * step
     filled = stamps.copy()
-    filled[bad] = stamps[good[0]] + np.round(places).astype(np.int64)
+    filled[bad] = stamps[good[0]] + np.round(between).astype(np.int64)
     return filled
 
 
@@ -177,7 +177,7 @@ def _read(  # noqa: PLR0917 - all that is known of the samples
     notes: list[Finding],
 ) -> ClockReading:
     """Place every sample on the grid, twice: the second time with the rate that the first gave."""
-    steps = look_at_steps(stamps, period.tau_ns)
+    steps = step_statistics(stamps, period.tau_ns)
     resets = steps.resets
     if resets.size > max(1000, stamps.size // _RESETS):
         msg = f"the stamps ({source}) go back {resets.size} times in {stamps.size} samples; expected a clock"
@@ -244,28 +244,27 @@ def _believable(
     missing = breaks.missing.copy()
     jumps = {at: by_log(at) for at in resets.tolist()}
     typical = 10 * tau * stamps.size
-    for place in np.flatnonzero(missing >= 10).tolist():
-        at = int(breaks.at[place])
+    for index in np.flatnonzero(missing >= 10).tolist():
+        at = int(breaks.at[index])
         step = int(stamps[at]) - int(stamps[at - 1])
         if log_ns is not None:
-            wrong = by_log(at) < missing[place] / 2 and step > 1e9
+            wrong = by_log(at) < missing[index] / 2 and step > 1e9
         else:
             wrong = step > max(_DAY, typical)
         if wrong:
-            missing[place] = jumps[at] = by_log(at)
+            missing[index] = jumps[at] = by_log(at)
     return missing, jumps
 
 
 def _segments(n: int, breaks: Breaks, missing: IntArray, jumps: dict[int, int]) -> tuple[Segment, ...]:
     """Return the runs between breaks, numbered in the samples that are kept."""
     lost = dict(zip(breaks.at.tolist(), missing.tolist(), strict=True)) | jumps
-    places = sorted(lost)
-    ends = np.array([*places, n], dtype=np.int64)
-    stops = (ends - np.searchsorted(np.sort(breaks.doubled), ends)).tolist()
+    ends = [*sorted(lost), n]
+    stops = (np.array(ends) - np.searchsorted(np.sort(breaks.doubled), ends)).tolist()
     segments, start, offset = [], 0, 0
-    for stop, place in zip(stops, [*places, n], strict=True):
+    for stop, end in zip(stops, ends, strict=True):
         if stop > start:
             segments.append(Segment(start=start, stop=stop, offset=offset))
-        offset += stop - start + lost.get(place, 0)
+        offset += stop - start + lost.get(end, 0)
         start = stop
     return tuple(segments)
