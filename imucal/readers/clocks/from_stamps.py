@@ -24,7 +24,7 @@ from imucal.readers.clocks.clock_notes import (
     stamp_notes,
     zero_note,
 )
-from imucal.readers.clocks.placing import NO_BREAKS, Breaks, find_breaks, fit_period, look_at_steps
+from imucal.readers.clocks.placing import NO_BREAKS, Breaks, find_breaks, fit_period, step_statistics
 from imucal.readers.clocks.rate import Period, estimate_period
 
 #: Name of the time at which a message was recorded.
@@ -90,7 +90,7 @@ def clock_from_stamps(
         If there is no sample, or no rate can be measured and none is given.
     """
     try:
-        return _clock(np.ascontiguousarray(stamps_ns, dtype=np.int64), source, log_ns, rate_hz, repeated)
+        return _Stamps(stamps_ns, source, log_ns).read(rate_hz, repeated)
     except DataError as error:
         if not where:
             raise
@@ -98,61 +98,97 @@ def clock_from_stamps(
         raise DataError(msg) from error
 
 
-def _clock(
-    stamps: IntArray,
-    source: str,
-    log_ns: IntArray | None,
-    rate_hz: float | None,
-    repeated: NDArray[np.bool_] | None,
-) -> ClockReading:
-    notes: list[Finding] = []
-    if not stamps.size:
-        msg = f"no samples to take the {source} of; expected at least two"
-        raise DataError(msg)
-    order: IntArray | None = None
-    if repeated is not None and repeated.any():
-        order = np.flatnonzero(~repeated)
-        notes.append(repeated_note(stamps.size - order.size, stamps.size))
-        stamps = stamps[order]
-        log_ns = log_ns[order] if log_ns is not None else None
-    stamps, source, period = _advancing(*_usable(stamps, source, log_ns, notes), log_ns, notes)
-    if period is None and rate_hz is None:
-        less = "one sample" if stamps.size == 1 else f"{stamps.size} samples whose stamps do not advance"
-        msg = f"{less} ({source}); expected stamps that give a rate, or the rate itself"
-        raise DataError(msg)
-    if period is None:
-        clock = Clock.even(stamps.size, float(rate_hz or 1.0))
-        return ClockReading(clock=clock, order=order, findings=tuple(notes))
-    return _read(stamps, source, log_ns, period, rate_hz, order, notes)
+class _Stamps:
+    """Stamps while their clock is looked for, and what was seen."""
 
+    def __init__(self, stamps: IntArray, source: str, log_ns: IntArray | None) -> None:
+        self.stamps = np.ascontiguousarray(stamps, dtype=np.int64)
+        self.source = source
+        self.log_ns = log_ns
+        self.order: IntArray | None = None
+        self.notes: list[Finding] = []
 
-def _advancing(
-    stamps: IntArray, source: str, log_ns: IntArray | None, notes: list[Finding]
-) -> tuple[IntArray, str, Period | None]:
-    """Return stamps with their period, those of the log where the others give none."""
-    period = estimate_period(stamps)
-    if period is None and log_ns is not None and source != LOG_TIME and stamps.size > 1:
-        notes.append(log_time_note(f"The stamps ({source}) do not advance"))
-        stamps, source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
-        period = estimate_period(stamps)
-    return stamps, source, period
+    def read(self, rate_hz: float | None, repeated: NDArray[np.bool_] | None) -> ClockReading:
+        if not self.stamps.size:
+            msg = f"no samples to take the {self.source} of; expected at least two"
+            raise DataError(msg)
+        if repeated is not None and repeated.any():
+            self._drop(repeated)
+        self._replace_zeros()
+        period = estimate_period(self.stamps)
+        if period is None and self.log_ns is not None and self.source != LOG_TIME and self.stamps.size > 1:
+            self._use(self.log_ns, "do not advance")
+            period = estimate_period(self.stamps)
+        n = self.stamps.size
+        if period is not None:
+            clock = self._clock(period, rate_hz)
+        elif rate_hz is not None:
+            clock = Clock.even(n, float(rate_hz or 1.0))
+        else:
+            less = "one sample" if n == 1 else f"{n} samples whose stamps do not advance"
+            msg = f"{less} ({self.source}); expected stamps that give a rate, or the rate itself"
+            raise DataError(msg)
+        return ClockReading(clock=clock, order=self.order, findings=tuple(self.notes))
 
+    def _drop(self, repeated: NDArray[np.bool_]) -> None:
+        self.order = np.flatnonzero(~repeated)
+        self.notes.append(repeated_note(self.stamps.size - self.order.size, self.stamps.size))
+        self.stamps = self.stamps[self.order]
+        self.log_ns = self.log_ns[self.order] if self.log_ns is not None else None
 
-def _usable(
-    stamps: IntArray, source: str, log_ns: IntArray | None, notes: list[Finding]
-) -> tuple[IntArray, str]:
-    """Return stamps that advance: log time instead of zeros or constants, single zeros filled."""
-    zeros = int(np.count_nonzero(stamps == 0))
-    constant = stamps.size > 1 and bool((stamps == stamps[0]).all())
-    if (zeros > _ZEROS * stamps.size or constant) and log_ns is not None:
-        what = "are all the same" if constant and not zeros else f"{zeros} of {stamps.size} are zero"
-        what = "are all zero" if zeros == stamps.size else what
-        notes.append(log_time_note(f"The stamps ({source}) {what}"))
-        return np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
-    if 0 < zeros <= _ZEROS * stamps.size:
-        stamps = _filled(stamps)
-        notes.append(zero_note(zeros, stamps.size))
-    return stamps, source
+    def _replace_zeros(self) -> None:
+        """Take log time instead of zeros or constants; fill single zeros."""
+        stamps = self.stamps
+        zeros = int(np.count_nonzero(stamps == 0))
+        constant = stamps.size > 1 and bool((stamps == stamps[0]).all())
+        if (zeros > _ZEROS * stamps.size or constant) and self.log_ns is not None:
+            what = "are all the same" if constant and not zeros else f"{zeros} of {stamps.size} are zero"
+            self._use(self.log_ns, "are all zero" if zeros == stamps.size else what)
+        elif 0 < zeros <= _ZEROS * stamps.size:
+            self.stamps = _filled(stamps)
+            self.notes.append(zero_note(zeros, stamps.size))
+
+    def _use(self, log_ns: IntArray, why: str) -> None:
+        """Take log time instead of the stamps."""
+        self.notes.append(log_time_note(f"The stamps ({self.source}) {why}"))
+        self.stamps, self.source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
+
+    def _clock(self, period: Period, rate_hz: float | None) -> Clock:
+        """Place every sample on the grid, twice: the second time with the rate that the first gave."""
+        stamps, notes = self.stamps, self.notes
+        steps = step_statistics(stamps, period.tau_ns)
+        resets = steps.resets
+        if resets.size > max(1000, stamps.size // _RESETS):
+            times = f"{resets.size} times in {stamps.size} samples"
+            msg = f"the stamps ({self.source}) go back {times}; expected a clock"
+            raise DataError(msg)
+        edges = [0, *resets.tolist(), stamps.size]
+        breaks = NO_BREAKS
+        # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
+        for longest in (10,) if steps.even else (10, 1000):
+            breaks = breaks if steps.even else _all_breaks(stamps, edges, period)
+            tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
+            if 0.5 < tau / period.tau_ns < 2:
+                period = replace(period, tau_ns=tau)
+        log_ns = self.log_ns if self.source != LOG_TIME else None
+        missing, jumps = _believable(stamps, log_ns, breaks, resets, period.tau_ns)
+        notes += stamp_notes(steps, stamps.size, breaks, period)
+        notes += jump_notes(stamps, jumps)
+        measured = 1e9 / period.tau_ns
+        if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
+            notes.append(rate_note(rate_hz, measured))
+        clock = Clock(
+            source=self.source,
+            rate_hz=rate_hz or measured,
+            segments=_segments(stamps.size, breaks, missing, jumps),
+            start_ns=int(stamps[0]),
+            jitter_s=jitter / 1e9,
+        )
+        notes += gap_notes(clock)
+        if breaks.doubled.size:
+            kept = np.delete(np.arange(stamps.size), breaks.doubled)
+            self.order = kept if self.order is None else self.order[kept]
+        return clock
 
 
 def _filled(stamps: IntArray) -> IntArray:
@@ -160,58 +196,11 @@ def _filled(stamps: IntArray) -> IntArray:
     good, bad = np.flatnonzero(stamps), np.flatnonzero(stamps == 0)
     since = stamps[good] - stamps[good[0]]
     step = float(since[-1]) / max(int(good[-1] - good[0]), 1)
-    places = np.interp(bad, good, since)
-    places += np.minimum(bad - good[0], 0) * step + np.maximum(bad - good[-1], 0) * step
+    between = np.interp(bad, good, since)
+    between += np.minimum(bad - good[0], 0) * step + np.maximum(bad - good[-1], 0) * step
     filled = stamps.copy()
-    filled[bad] = stamps[good[0]] + np.round(places).astype(np.int64)
+    filled[bad] = stamps[good[0]] + np.round(between).astype(np.int64)
     return filled
-
-
-def _read(  # noqa: PLR0917 - all that is known of the samples
-    stamps: IntArray,
-    source: str,
-    log_ns: IntArray | None,
-    period: Period,
-    rate_hz: float | None,
-    order: IntArray | None,
-    notes: list[Finding],
-) -> ClockReading:
-    """Place every sample on the grid, twice: the second time with the rate that the first gave."""
-    steps = look_at_steps(stamps, period.tau_ns)
-    resets = steps.resets
-    if resets.size > max(1000, stamps.size // _RESETS):
-        msg = f"the stamps ({source}) go back {resets.size} times in {stamps.size} samples; expected a clock"
-        raise DataError(msg)
-    edges = [0, *resets.tolist(), stamps.size]
-    breaks = NO_BREAKS
-    # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
-    for longest in (10,) if steps.even else (10, 1000):
-        breaks = breaks if steps.even else _all_breaks(stamps, edges, period)
-        tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
-        if not 0.5 < tau / period.tau_ns < 2:
-            tau = period.tau_ns
-        period = replace(period, tau_ns=tau)
-    missing, jumps = _believable(
-        stamps, log_ns if source != LOG_TIME else None, breaks, resets, period.tau_ns
-    )
-    notes += stamp_notes(steps, stamps.size, breaks, period)
-    notes += jump_notes(stamps, jumps)
-    segments = _segments(stamps.size, breaks, missing, jumps)
-    measured = 1e9 / period.tau_ns
-    if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
-        notes.append(rate_note(rate_hz, measured))
-    clock = Clock(
-        source=source,
-        rate_hz=rate_hz or measured,
-        segments=segments,
-        start_ns=int(stamps[0]),
-        jitter_s=jitter / 1e9,
-    )
-    notes += gap_notes(clock)
-    if breaks.doubled.size:
-        kept = np.delete(np.arange(stamps.size), breaks.doubled)
-        order = kept if order is None else order[kept]
-    return ClockReading(clock=clock, order=order, findings=tuple(notes))
 
 
 def _all_breaks(stamps: IntArray, edges: list[int], period: Period) -> Breaks:
@@ -244,28 +233,27 @@ def _believable(
     missing = breaks.missing.copy()
     jumps = {at: by_log(at) for at in resets.tolist()}
     typical = 10 * tau * stamps.size
-    for place in np.flatnonzero(missing >= 10).tolist():
-        at = int(breaks.at[place])
+    for index in np.flatnonzero(missing >= 10).tolist():
+        at = int(breaks.at[index])
         step = int(stamps[at]) - int(stamps[at - 1])
         if log_ns is not None:
-            wrong = by_log(at) < missing[place] / 2 and step > 1e9
+            wrong = by_log(at) < missing[index] / 2 and step > 1e9
         else:
             wrong = step > max(_DAY, typical)
         if wrong:
-            missing[place] = jumps[at] = by_log(at)
+            missing[index] = jumps[at] = by_log(at)
     return missing, jumps
 
 
 def _segments(n: int, breaks: Breaks, missing: IntArray, jumps: dict[int, int]) -> tuple[Segment, ...]:
     """Return the runs between breaks, numbered in the samples that are kept."""
     lost = dict(zip(breaks.at.tolist(), missing.tolist(), strict=True)) | jumps
-    places = sorted(lost)
-    ends = np.array([*places, n], dtype=np.int64)
-    stops = (ends - np.searchsorted(np.sort(breaks.doubled), ends)).tolist()
+    ends = [*sorted(lost), n]
+    stops = (np.array(ends) - np.searchsorted(np.sort(breaks.doubled), ends)).tolist()
     segments, start, offset = [], 0, 0
-    for stop, place in zip(stops, [*places, n], strict=True):
+    for stop, end in zip(stops, ends, strict=True):
         if stop > start:
             segments.append(Segment(start=start, stop=stop, offset=offset))
-        offset += stop - start + lost.get(place, 0)
+        offset += stop - start + lost.get(end, 0)
         start = stop
     return tuple(segments)

@@ -19,7 +19,7 @@ _BLOCK = 1 << 16
 #: Samples that may catch up after a pause, at most.
 _REACH = 1 << 13
 #: Samples before and after a step that say where the clock stood.
-_NEAR = 8
+_SAMPLES_AROUND = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,8 +59,8 @@ class Steps:
     even: bool
 
 
-def look_at_steps(stamps: IntArray, tau: float) -> Steps:
-    """Look once at all steps of stamps in ns, shape (n,).
+def step_statistics(stamps: IntArray, tau: float) -> Steps:
+    """Return what all steps of stamps in ns, shape (n,), show.
 
     A single stamp out of order is no reset: the median of five after it is not below that of five before.
     """
@@ -94,7 +94,7 @@ def _resets(stamps: IntArray, at: IntArray) -> IntArray:
 def find_breaks(stamps: IntArray, period: Period) -> Breaks:
     """Return the missing and doubled samples of stamps in ns, shape (n,), of one clock."""
     spread = (period.burst - 1) if period.burst > 1 else min(3 * period.jitter, 0.3)
-    near = min(max(_NEAR, 2 * period.burst), _REACH)
+    near = min(max(_SAMPLES_AROUND, 2 * period.burst), _REACH)
     at, missing, doubled = [], [], []
     for first, block, inner in _blocks(stamps, period.tau_ns):
         lifts, counts, extra = _breaks(block, inner, period, near, spread)

@@ -94,9 +94,9 @@ def _plateau(blocks: list[IntArray]) -> float:
         return (int(block[-1]) - int(block[0])) / (block.size - 1)
     slopes = [_slope(blocks, width) for width in widths]
     changes = [abs(b / a - 1) if a > 0 else np.inf for a, b in pairwise(slopes)]
-    for place, change in enumerate(changes):
+    for index, change in enumerate(changes):
         if change <= _SAME:
-            return slopes[place + 1]
+            return slopes[index + 1]
     best = int(np.argmin(changes)) + 1 if changes else 0
     return slopes[best]
 

@@ -121,23 +121,23 @@ class LooseTask:
     @property
     def counts(self) -> dict[int, int]:
         """Channel -> number of messages."""
-        return {key: len(places) for key, places in self.starts.items()}
+        return {key: len(positions) for key, positions in self.starts.items()}
 
     def only(self, keys: frozenset[int]) -> "LooseTask":
         """Return the same part with some channels only."""
-        chosen = {key: places for key, places in self.starts.items() if key in keys}
+        chosen = {key: positions for key, positions in self.starts.items() if key in keys}
         return LooseTask(self.file, self.position, self.size, chosen, self.data)
 
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
         """Yield the messages of each channel; see `Task`."""
         raw = self._bytes(scratch)
-        for key, places in self.starts.items():
-            yield key, batch_of(raw, places)
+        for key, positions in self.starts.items():
+            yield key, batch_of(raw, positions)
 
     def spans(self) -> dict[int, tuple[int, int]]:
         """Return first and last log time of each channel, in ns."""
         raw = self._bytes(Scratch())
-        times = {key: batch_of(raw, places).log_ns for key, places in self.starts.items()}
+        times = {key: batch_of(raw, positions).log_ns for key, positions in self.starts.items()}
         return {key: (int(values.min()), int(values.max())) for key, values in times.items()}
 
     def _bytes(self, scratch: Scratch) -> memoryview:
@@ -183,7 +183,7 @@ def unpack(record: memoryview, *, cut: bool = False) -> memoryview:
 
 def walk_records(raw: Bytes) -> dict[int, list[int]]:
     """Return channel -> positions of its Message records, up to the first that is not whole."""
-    places: dict[int, list[int]] = {}
+    positions: dict[int, list[int]] = {}
     at, end, head = 0, len(raw), _RECORD.unpack_from
     while at + 11 <= end:
         opcode, length, channel = head(raw, at)
@@ -191,14 +191,14 @@ def walk_records(raw: Bytes) -> dict[int, list[int]]:
         if after > end or not opcode:
             break
         if opcode == records.MESSAGE and length >= _MESSAGE - 9:
-            places.setdefault(channel, []).append(at)
+            positions.setdefault(channel, []).append(at)
         at = after
-    return places
+    return positions
 
 
-def batch_of(raw: Bytes, places: Sequence[int]) -> Batch:
-    """Return the messages whose whole records start at `places`."""
-    starts = np.array(places, dtype=np.int64)
+def batch_of(raw: Bytes, positions: Sequence[int]) -> Batch:
+    """Return the messages whose whole records start at `positions`."""
+    starts = np.array(positions, dtype=np.int64)
     heads = gather(raw, starts, _MESSAGE)
     sizes = _field(heads, 1, "<i8") - (_MESSAGE - 9)
     return Batch.of(raw, starts, sizes, _field(heads, 15, "<i8"), header=_MESSAGE)

@@ -3,6 +3,7 @@
 An intact file is read by the index at its end; a cut, unindexed or damaged one by scanning its records.
 """
 
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
@@ -51,7 +52,10 @@ class McapFile:
             raise
 
     def _prepare(self) -> None:
-        self._book = self._open()
+        try:
+            self._book = self._summary()
+        except DamagedError as error:
+            self._book = scan(self._file, error)
         self.findings = self._book.findings
         self.start_ns, self.end_ns = self._book.start_ns, self._book.end_ns
         kinds = sorted({chunk.compression or "none" for chunk in self._book.chunks})
@@ -76,13 +80,6 @@ class McapFile:
             part = loose.only(keys)
             if part.counts:
                 yield cast("Task", part)
-
-    def _open(self) -> Bookkeeping:
-        """Read the summary; scan the file where there is none, or it is damaged."""
-        try:
-            return self._summary()
-        except DamagedError as error:
-            return scan(self._file, error)
 
     def _summary(self) -> Bookkeeping:
         """Read the summary section.
@@ -113,7 +110,9 @@ class McapFile:
             msg = "the footer points beyond the file"
             raise DamagedError(msg)
         summary = self._file.read(start, size - _FOOTER_SIZE - start)
-        _check_summary(summary, tail, crc)
+        if crc and zlib.crc32(tail[:25], zlib.crc32(summary)) != crc:
+            msg = "the index's checksum does not match"
+            raise DamagedError(msg, code="crc")
         return self._parse(summary)
 
     def _parse(self, summary: bytearray) -> Bookkeeping:
@@ -202,11 +201,3 @@ class McapFile:
                 held = spans.get(key, (begin, end))
                 spans[key] = (min(held[0], begin), max(held[1], end))
         return spans
-
-
-def _check_summary(summary: bytearray, tail: bytearray, crc: int) -> None:
-    import zlib
-
-    if crc and zlib.crc32(tail[:25], zlib.crc32(summary)) != crc:
-        msg = "the index's checksum does not match"
-        raise DamagedError(msg, code="crc")

@@ -164,9 +164,8 @@ def _guards(head: bytes) -> tuple[Guard, ...] | None:
     words: list[Guard] = []
     for first, last in ((0, at), (at + 8, len(head))):
         size = next((size for size in (8, 4, 2, 1) if size <= last - first), 1)
-        places = [*range(first, last - size + 1, size), last - size] if last > first else []
-        numbers = [int.from_bytes(head[place : place + size], "little") for place in places]
-        words += [(place, f"<u{size}", number) for place, number in zip(places, numbers, strict=True)]
+        offsets = [*range(first, last - size + 1, size), last - size] if last > first else []
+        words += [(o, f"<u{size}", int.from_bytes(head[o : o + size], "little")) for o in offsets]
     return tuple(words)
 
 

@@ -54,21 +54,21 @@ def parse_rows(buffer: memoryview, page: int, usable: int) -> Rows:
     identity, topic, time, blob = kinds
     known = (at == record + head) & (identity <= 6) & (topic <= 9) & (time <= 9) & (blob >= 12)
     known &= (blob & 1 == 0) & (blob >> 1 <= size + 6) & (size >= head) & (cells < ends - 8)
-    places = [record + head]
+    columns = [record + head]
     for kind in (identity, topic, time):
-        places.append(places[-1] + _SIZES[np.clip(kind, 0, 11)])
+        columns.append(columns[-1] + _SIZES[np.clip(kind, 0, 11)])
     sizes = (blob - 12) >> 1
-    known &= places[3] + sizes == record + size
+    known &= columns[3] + sizes == record + size
     long = known & (size > usable - 35)
     whole = np.flatnonzero(known & ~long & (record + size <= ends))
-    apart = np.flatnonzero(long & (places[2] <= ends))
+    apart = np.flatnonzero(long & (columns[2] <= ends))
     return Rows(
-        topics=_integers(data, places[1][whole], topic[whole]),
-        times=_integers(data, places[2][whole], time[whole]),
-        starts=places[3][whole],
+        topics=_integers(data, columns[1][whole], topic[whole]),
+        times=_integers(data, columns[2][whole], time[whole]),
+        starts=columns[3][whole],
         sizes=sizes[whole],
         long_ids=ids[apart],
-        long_topics=_integers(data, places[1][apart], topic[apart]),
+        long_topics=_integers(data, columns[1][apart], topic[apart]),
         damaged=cells.size - whole.size - apart.size + wrong,
     )
 
@@ -84,8 +84,8 @@ def _cells(data: NDArray[np.uint8], page: int) -> tuple[IntArray, IntArray, int]
     within = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts)
     base = np.repeat(firsts, counts)
     words = base + 8 + 2 * within
-    places = (data[words].astype(np.int64) << 8) | data[words + 1]
-    return base + places, base + page, int(np.count_nonzero(wrong))
+    within_page = (data[words].astype(np.int64) << 8) | data[words + 1]
+    return base + within_page, base + page, int(np.count_nonzero(wrong))
 
 
 def varint(data: NDArray[np.uint8], at: IntArray) -> tuple[IntArray, IntArray]:
@@ -95,11 +95,11 @@ def varint(data: NDArray[np.uint8], at: IntArray) -> tuple[IntArray, IntArray]:
     value = (byte & 0x7F).astype(np.int64)
     end = at + 1
     more = np.flatnonzero(byte & 0x80)
-    for place in range(1, 9):
+    for step in range(1, 9):
         if not more.size:
             break
-        byte = data[np.minimum(at[more] + place, last)]
-        whole = place == 8
+        byte = data[np.minimum(at[more] + step, last)]
+        whole = step == 8
         value[more] = (value[more] << (8 if whole else 7)) | (byte if whole else byte & 0x7F)
         end[more] += 1
         if whole:

@@ -128,7 +128,9 @@ def find_imus(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | N
     known = _plain(plain_type(name), fields, topic, sensor) or _px4(plain_type(name), fields)
     if known is not None:
         return {"": known}
-    found = {kind: _named(fields, stems) for kind, stems in _STEMS.items()}
+    found = {
+        kind: [vector for stem in stems for vector in _called(fields, stem)] for kind, stems in _STEMS.items()
+    }
     imus = _imus(found)
     taken = {paths for imu in imus.values() for paths in imu.values()}
     spare = [paths for vectors in found.values() for _, paths in vectors if paths not in taken]
@@ -189,26 +191,23 @@ def _px4(name: str, fields: Sequence[Field]) -> ImuFields | None:
     """PX4's own types: time in µs, increments instead of rates in VehicleImu."""
     if not name.startswith("px4_msgs/"):
         return None
-    by_path = {field.path: field for field in fields}
-    clock = next((path for path in ("timestamp_sample", "timestamp") if path in by_path), None)
+    paths = {field.path for field in fields}
+    clock = next((path for path in ("timestamp_sample", "timestamp") if path in paths), None)
     stamp = Stamp(sec=clock) if clock else None
-    temperature = "temperature" if "temperature" in by_path else ""
-    if {"delta_angle", "delta_velocity", "delta_angle_dt"} <= by_path.keys():
-        velocity_dt = "delta_velocity_dt" if "delta_velocity_dt" in by_path else "dt"
-        vectors: tuple[Vector, ...] = (
-            Vector(sensor=_GYRO, paths=("delta_angle",), divisor="delta_angle_dt"),
-            Vector(sensor=_ACCEL, paths=("delta_velocity",), divisor=velocity_dt),
-        )
-        return ImuFields(stamp=stamp, vectors=vectors)
+    if {"delta_angle", "delta_velocity", "delta_angle_dt"} <= paths:
+        angle = Vector(sensor=_GYRO, paths=("delta_angle",), divisor="delta_angle_dt")
+        velocity_dt = "delta_velocity_dt" if "delta_velocity_dt" in paths else "dt"
+        velocity = Vector(sensor=_ACCEL, paths=("delta_velocity",), divisor=velocity_dt)
+        return ImuFields(stamp=stamp, vectors=(angle, velocity))
     single = {"px4_msgs/SensorGyro": _GYRO, "px4_msgs/SensorAccel": _ACCEL}.get(name)
-    if single is not None and {"x", "y", "z"} <= by_path.keys():
-        return ImuFields(
-            stamp=stamp, vectors=(Vector(sensor=single, paths=("x", "y", "z")),), temperature=temperature
-        )
-    if {"gyro_rad", "accelerometer_m_s2"} <= by_path.keys():
-        both = ((_GYRO, "gyro_rad"), (_ACCEL, "accelerometer_m_s2"))
-        vectors = tuple(Vector(sensor=sensor, paths=(path,)) for sensor, path in both)
-        return ImuFields(stamp=Stamp(sec="timestamp"), vectors=vectors)
+    if single is not None and {"x", "y", "z"} <= paths:
+        vector = Vector(sensor=single, paths=("x", "y", "z"))
+        temperature = "temperature" if "temperature" in paths else ""
+        return ImuFields(stamp=stamp, vectors=(vector,), temperature=temperature)
+    if {"gyro_rad", "accelerometer_m_s2"} <= paths:
+        gyro = Vector(sensor=_GYRO, paths=("gyro_rad",))
+        accel = Vector(sensor=_ACCEL, paths=("accelerometer_m_s2",))
+        return ImuFields(stamp=Stamp(sec="timestamp"), vectors=(gyro, accel))
     return None
 
 
@@ -230,13 +229,8 @@ def _imus(found: dict[Sensor, list[tuple[str, tuple[str, ...]]]]) -> dict[str, d
     return owned
 
 
-def _named(fields: Sequence[Field], stems: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
-    """Return owner and paths of the vectors of these names, at any depth, the best name first."""
-    return [vector for stem in stems for vector in _called(fields, stem)]
-
-
 def _called(fields: Sequence[Field], stem: str) -> list[tuple[str, tuple[str, ...]]]:
-    """Return the vectors called `stem` in the order of the fields: what holds them, and their paths."""
+    """Return the vectors called `stem`, at any depth, in order: what holds them, and their paths."""
     vectors: list[tuple[str, tuple[str, ...]]] = []
     for field in fields:
         owner, _, last = field.path.rpartition(".")

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
@@ -50,7 +49,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
         raise ReadError(msg)
     chosen = _choose(path, _instances(log), options)
     work = RecordingBuilder(path=str(path), format="ulog", findings=findings)
-    work.decisions.append(("topics", f"{', '.join(one.name for one in chosen)}, {_reason(options)}"))
+    how = "as asked" if options.topics else "the only ones logged at the full rate"
+    work.decisions.append(("topics", f"{', '.join(one.name for one in chosen)}, {how}"))
     timed = _timed(path, chosen, options)
     scales = _scales(path, options)
     given = [sensor for sensor in (_GYRO, _ACCEL) if sensor in scales]
@@ -166,7 +166,8 @@ def _log_findings(log: Any) -> list[Finding]:  # noqa: ANN401 - pyulog has no ty
 
 
 def _instances(log: Any) -> list[Instance]:  # noqa: ANN401 - pyulog has no types
-    known = [entry for entry in log.data_list if entry.name in MESSAGES and _is_whole(entry.data)]
+    logged = (entry for entry in log.data_list if entry.name in MESSAGES)
+    known = [entry for entry in logged if np.size(entry.data.get("timestamp", ()))]
     names = [entry.name for entry in known]
     return [
         Instance(
@@ -177,10 +178,6 @@ def _instances(log: Any) -> list[Instance]:  # noqa: ANN401 - pyulog has no type
         )
         for entry in known
     ]
-
-
-def _is_whole(data: dict[str, NDArray[Any]]) -> bool:
-    return "timestamp" in data and data["timestamp"].size > 0
 
 
 def _choose(path: Path, instances: Sequence[Instance], options: ReadOptions) -> list[Instance]:
@@ -222,10 +219,6 @@ def _listed(instances: Sequence[Instance]) -> str:
         + (f", {instance.rate_hz:.4g} Hz)" if instance.rate_hz else ")")
         for instance in instances
     )
-
-
-def _reason(options: ReadOptions) -> str:
-    return "as asked" if options.topics else "the only ones logged at the full rate"
 
 
 def _clock(path: Path, instance: Instance, samples: Samples, options: ReadOptions) -> ClockReading:

@@ -124,13 +124,13 @@ def _of_fifo(data: dict[str, NDArray[Any]]) -> Samples:
     step = np.asarray(data["dt"], dtype=np.float64) * 1e3
     last = _sample_times(data)
     good = (last >= 0) & np.isfinite(step) & (count > 0) & (count <= depth)
-    place = np.arange(depth)
-    filled = (place < count[:, None]) & good[:, None]
-    before = (count[:, None] - 1 - place) * np.where(good, step, 0.0)[:, None]
+    index = np.arange(depth)
+    filled = (index < count[:, None]) & good[:, None]
+    before = (count[:, None] - 1 - index) * np.where(good, step, 0.0)[:, None]
     stamps = (last[:, None] - np.round(before).astype(np.int64))[filled]
     scale = np.asarray(data["scale"], dtype=np.float64)[:, None]
     axes = [
-        (np.stack([np.asarray(data[f"{axis}[{i}]"], dtype=np.float64) for i in place], axis=1) * scale)[
+        (np.stack([np.asarray(data[f"{axis}[{i}]"], dtype=np.float64) for i in index], axis=1) * scale)[
             filled
         ]
         for axis in _AXES
