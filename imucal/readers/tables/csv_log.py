@@ -14,7 +14,7 @@ from imucal.errors import ChoiceError, DataError
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.file_sets import is_set, read_set
-from imucal.readers.tables.tabular import units_note
+from imucal.readers.tables.tabular import contents_of
 from imucal.readers.tables.text import STANDARD_INPUT, TextSource, open_text
 from imucal.readers.tables.text_table import read_table
 from imucal.recording import Recording
@@ -88,23 +88,5 @@ def _described(
         return LogContents(
             path=str(path), format="csv", size_bytes=size, topics=(topic,), compression=compression
         )
-    first = recording.series[0]
-    decisions = dict(recording.source.decisions)
-    topic = TopicContents(
-        name=path.name,
-        type=decisions.get("layout", "table").partition(",")[0],
-        count=first.n,
-        rate_hz=first.rate_hz,
-        duration_s=first.duration_s,
-        sensors=tuple(dict.fromkeys(series.sensor for series in recording.series)),
-        note=units_note(recording),
-    )
-    return LogContents(
-        path=str(path),
-        format="csv",
-        size_bytes=size,
-        topics=(topic,),
-        start_ns=first.clock.start_ns,
-        duration_s=first.duration_s,
-        compression=compression,
-    )
+    layout = dict(recording.source.decisions).get("layout", "table").partition(",")[0]
+    return contents_of(recording, path, size=size, layout=layout, compression=compression)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,6 +13,7 @@ from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
+from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan
 from imucal.readers.tables.dialects import Dialect
@@ -109,10 +111,30 @@ def assemble(
     return builder.build(topics=source.topics)
 
 
-def units_note(recording: Recording) -> str:
-    """Return the units of a recording's log and where they come from, as one short sentence."""
-    found = [(what, how) for what, how in recording.source.decisions if what.endswith("unit")]
-    return "; ".join(f"{what} {how}" for what, how in found)
+def contents_of(
+    recording: Recording, path: Path, *, size: int | None, layout: str = "table", compression: str = ""
+) -> LogContents:
+    """Return what the table of a recording holds: its layout, its units and where they come from."""
+    first = recording.series[0]
+    units = [f"{what} {how}" for what, how in recording.source.decisions if what.endswith("unit")]
+    topic = TopicContents(
+        name=path.name,
+        type=layout,
+        count=first.n,
+        rate_hz=first.rate_hz,
+        duration_s=first.duration_s,
+        sensors=tuple(dict.fromkeys(series.sensor for series in recording.series)),
+        note="; ".join(units),
+    )
+    return LogContents(
+        path=str(path),
+        format=recording.source.format,
+        size_bytes=size,
+        topics=(topic,),
+        start_ns=first.clock.start_ns,
+        duration_s=first.duration_s,
+        compression=compression,
+    )
 
 
 def _unscaled(entry: _Timed) -> Unscaled:

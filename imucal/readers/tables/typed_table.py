@@ -18,7 +18,7 @@ from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.stamps import parse_text_stamps
 from imucal.readers.tables.table_clock import Numbers
 from imucal.readers.tables.table_files import TableFile, TypedColumn, open_table
-from imucal.readers.tables.tabular import SensorColumns, assemble, units_note
+from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording, Sensor, Source
 
@@ -68,28 +68,10 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     table = open_table(path)
     shown = ", ".join(f"{column.name} ({column.size})" for column in table.columns[:60])
     try:
-        recording = read(path, options)
+        return contents_of(read(path, options), path, size=size)
     except ImucalError as error:
         topic = TopicContents(name=path.name, type="table", note=f"{error}; columns: {shown}")
         return LogContents(path=str(path), format=table.format, size_bytes=size, topics=(topic,))
-    first = recording.series[0]
-    topic = TopicContents(
-        name=path.name,
-        type="table",
-        count=first.n,
-        rate_hz=first.rate_hz,
-        duration_s=first.duration_s,
-        sensors=tuple(dict.fromkeys(series.sensor for series in recording.series)),
-        note=units_note(recording),
-    )
-    return LogContents(
-        path=str(path),
-        format=table.format,
-        size_bytes=size,
-        topics=(topic,),
-        start_ns=first.clock.start_ns,
-        duration_s=first.duration_s,
-    )
 
 
 def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
