@@ -16,7 +16,8 @@ from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 
 #: An absent term's bound holds for all models whose criterion is within this of the best, at most so many.
 _BOUND_WITHIN, _BOUND_MODELS = 6.0, 4
-_COLUMN = {law.value: index for index, law in enumerate(LAWS)}
+#: Symbol of a power-law term -> its column in a row of parameters.
+COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 
 
 def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, tuple[Estimate, ...]]:
@@ -25,7 +26,7 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, t
     A term whose interval holds zero is bounded and left out of the model; the other terms keep the
     values and intervals that they have beside it, since it may be there.
     """
-    fitted = _candidate(choice, 0)
+    fitted = fitted_model(choice, 0)
     bounded: dict[str, Estimate] = {}
     estimates = estimate(problem, fitted)
     while len(estimates) > 1 and (gone := _can_not_stay(problem, fitted, estimates)):
@@ -85,7 +86,8 @@ def _without_least(problem: Problem, fitted: Fitted, gone: list[Estimate]) -> tu
     return fits[best].by_time(), gone[best]
 
 
-def _candidate(choice: RankedModels, index: int) -> Fitted:
+def fitted_model(choice: RankedModels, index: int) -> Fitted:
+    """Return one of the ranked models, its Gauss-Markov terms by rising time."""
     row = np.array([index])
     return Fitted(
         structure=choice.structures[index],
@@ -97,7 +99,7 @@ def _candidate(choice: RankedModels, index: int) -> Fitted:
 def _bound(problem: Problem, choice: RankedModels, fitted: Fitted, symbol: str) -> Estimate:
     """Return the bound of an absent term: the highest that any model near the best leaves it."""
     near = np.flatnonzero(choice.criterion - choice.criterion[0] <= _BOUND_WITHIN)[1 : _BOUND_MODELS + 1]
-    models = [fitted, *(_candidate(choice, int(i)) for i in near)]
+    models = [fitted, *(fitted_model(choice, int(i)) for i in near)]
     bounds = [
         upper_bound(problem, model if symbol in model.structure else add_term(problem, model, symbol), symbol)
         for model in models
@@ -140,7 +142,7 @@ def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
     structure = in_order((*fitted.structure, symbol))
     candidate = _like(problem, fitted, structure, fitted.candidate.room_markov)
     low, _ = bounds(problem.ordinates, candidate)
-    column = _COLUMN[symbol]
+    column = COLUMN[symbol]
     starts = np.repeat(fitted.maximum.theta, 2, axis=0)
     starts[:, column] = low[column] + np.array([8.0, 16.0])
     both = candidate.take(np.zeros(2, dtype=np.int64))
@@ -151,7 +153,7 @@ def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
 
 def upper_bound(problem: Problem, fitted: Fitted, symbol: str) -> Estimate:
     """Return the bound of a power-law term that was added."""
-    _, highs = problem.limits(fitted, [_COLUMN[symbol]])
-    value = float(fitted.maximum.theta[0, _COLUMN[symbol]])
+    _, highs = problem.limits(fitted, [COLUMN[symbol]])
+    value = float(fitted.maximum.theta[0, COLUMN[symbol]])
     high = value + problem.widening.get(symbol, 1.0) * (float(highs[0]) - value)
     return Estimate.bounded(symbol, symbol, problem.deviation(symbol) * float(np.exp(high / 2)))

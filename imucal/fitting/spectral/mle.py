@@ -16,6 +16,7 @@ from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.estimates import Problem, covariance_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
+from imucal.fitting.spectral.hull import hull_estimates
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Misfit, misfit
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
@@ -101,6 +102,8 @@ def fit_mle(
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, estimates)
     model = model_of(problem, fitted, estimates)
+    if structure is None:
+        estimates = hull_estimates(problem, choice, estimates)
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
     findings += filter_finding(

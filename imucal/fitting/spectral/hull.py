@@ -1,0 +1,99 @@
+"""Intervals that hold though the model was chosen: over every model near the best, completed.
+
+An interval that takes the chosen structure for granted does not cover: a weak term is dropped by the
+choice, and its neighbour takes its power with a narrow interval. So each model whose criterion is near
+the best is completed with the terms that every fit reports, at zero where the data want them there, and
+a term's interval reaches from its lowest limit in any of them to its highest. What a model has to say
+gets less with its distance from the best. The choice decides what is drawn, not the interval.
+
+Leeb & Pötscher (2005), Econometric Theory 21, 21, "Model selection and inference: facts and fiction",
+show why a remedy is needed; how well this one covers is measured by `tests/benchmarks/coverage_auto.py`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from imucal.fitting.noise_fit import Estimate, Interval
+from imucal.fitting.spectral.absent_terms import add_term, fitted_model
+from imucal.fitting.spectral.estimates import Fitted, Problem, estimate
+from imucal.fitting.spectral.intervals import quantile
+from imucal.fitting.spectral.selection import RankedModels
+from imucal.noise.terms import ALWAYS, TERMS, in_order
+
+#: A model has its full say up to the first distance in the criterion from the best, none from the second on.
+_FULL_SAY, _NO_SAY = 6.0, 12.0
+#: Most models that are looked at.
+_MOST = 16
+
+
+def hull_estimates(
+    problem: Problem, choice: RankedModels, estimates: tuple[Estimate, ...]
+) -> tuple[Estimate, ...]:
+    """Return the estimates with intervals that hold for every model near the best.
+
+    A term whose interval reaches down to zero is bounded, also where the chosen model has it; N, B or K
+    is estimated where no near model can do without, also where the chosen model was too simple for it.
+    """
+    models = [
+        {e.key: e for e in estimate(_with_say(problem, distance), model)}
+        for distance, model in _completed(problem, choice)
+    ]
+    own = {e.key: e for e in estimates}
+    spans = {key: [model[key] for model in models if key in model] for key in (*own, *ALWAYS)}
+    shown = {key for key in ALWAYS if all(e.low > 0 for e in spans[key])}
+    if any(key not in own or own[key].value is None for key in shown):
+        # The chosen model was too simple: its own values are those of terms that stand in for others.
+        own |= {key: models[0][key] for key in shown}
+    found = {key: _hull(own.get(key), spans[key]) for key in spans}
+    order = list(TERMS)
+    return tuple(sorted(found.values(), key=lambda e: (order.index(e.symbol), e.key)))
+
+
+def _hull(own: Estimate | None, span: list[Estimate]) -> Estimate:
+    """Return an estimate with the limits of all models; itself where no near model has its term."""
+    if own is None or not span:
+        return own or max(span, key=lambda e: e.high)
+    high = max(e.high for e in span)
+    if own.value is None or any(e.low <= 0 for e in span):
+        return Estimate.bounded(own.key, own.symbol, high)
+    return replace(
+        own,
+        low=min(own.value, *(e.low for e in span)),
+        high=max(own.value, high),
+        correlation_time=_time_hull(own, span),
+    )
+
+
+def _time_hull(own: Estimate, span: list[Estimate]) -> Interval | None:
+    time = own.correlation_time
+    if time is None:
+        return None
+    times = [e.correlation_time for e in span if e.correlation_time]
+    return replace(
+        time, low=min([time.low, *(t.low for t in times)]), high=max([time.high, *(t.high for t in times)])
+    )
+
+
+def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, Fitted]]:
+    """Yield the distinct completions of the near models and their distances, that of the best first."""
+    distances = choice.criterion - choice.criterion[0]
+    seen = set()
+    for index in np.flatnonzero(distances < _NO_SAY)[:_MOST].tolist():
+        model = fitted_model(choice, index)
+        missing = [symbol for symbol in ALWAYS if symbol not in model.structure]
+        structure = in_order((*model.structure, *missing))
+        if structure not in seen:
+            seen.add(structure)
+            for symbol in missing:
+                model = add_term(problem, model, symbol)
+            yield float(distances[index]), model
+
+
+def _with_say(problem: Problem, distance: float) -> Problem:
+    """Return the problem at the level that a model at that distance deserves."""
+    from scipy.special import ndtr
+
+    say = min((_NO_SAY - distance) / (_NO_SAY - _FULL_SAY), 1.0)
+    return replace(problem, level=float(2 * ndtr(say * quantile(problem.level)) - 1))
