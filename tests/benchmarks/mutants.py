@@ -15,6 +15,7 @@ import hashlib
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -44,6 +45,10 @@ _OPTIONS = ("-q", "-p", "tests.benchmarks.mutant_plugin", "-p", "no:cacheprovide
 _ALONE = ("-o", "addopts=--import-mode=importlib", "-p", "no:xdist", "-x")
 #: Exit codes of pytest that say nothing about the mutant: all passed, and there was no test.
 _SURVIVED = frozenset({0, 5})
+
+
+#: What pytest printed for the last mutant of a tree.
+_SAID = "said.txt"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,7 +222,7 @@ def _fate(tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: f
             ended = _run(tree, part, timeout=timeout + 3 * sum(suite.seconds[test] for test in part))
             noticed = ended not in _SURVIVED
             if noticed:
-                how = "hung" if ended is None else ""
+                how = "hung" if ended is None else _failure(tree)
                 break
     old = (ROOT / path).read_bytes()[mutation.start : mutation.stop].decode()
     change = f"{old!r} -> {mutation.new!r}"
@@ -256,14 +261,15 @@ def _run(tree: Path, tests: list[str], *, timeout: float) -> int | None:
     arguments.write_text("\n".join(tests), encoding="utf-8")
     place = f"--basetemp={tree.parent / (tree.name + '-pytest')}"
     command = [sys.executable, "-m", "pytest", *_OPTIONS, *_ALONE, place, f"@{arguments}"]
-    process = subprocess.Popen(  # noqa: S603 - our own tests
-        command,
-        cwd=tree,
-        env=_environment(tree),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    with (tree / _SAID).open("wb") as said:
+        process = subprocess.Popen(  # noqa: S603 - our own tests
+            command,
+            cwd=tree,
+            env=_environment(tree),
+            stdout=said,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
     try:
         return process.wait(timeout)
     except subprocess.TimeoutExpired:
@@ -272,6 +278,13 @@ def _run(tree: Path, tests: list[str], *, timeout: float) -> int | None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+def _failure(tree: Path) -> str:
+    """Return the test that noticed the last mutant, or that none could begin."""
+    said = (tree / _SAID).read_text(encoding="utf-8", errors="replace")
+    found = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+    return found[1] if found else "the tests can not begin"
 
 
 def _difference(path: str, mutation: Mutation) -> Iterator[str]:
