@@ -95,7 +95,7 @@ def main() -> None:
         copies: Queue[Path] = Queue()
         for number in range(options.jobs):
             copies.put(_copy(Path(folder) / f"tree{number}"))
-        suite = _recorded(Path(folder))
+        suite = _recorded(Path(folder), options.tests)
         chosen = _chosen(options.rooms, options.n, options.seed)
 
         def fate(job: tuple[str, Mutation]) -> tuple[bool, str]:
@@ -123,6 +123,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--n", type=int, default=100, help="number of mutants")
     parser.add_argument("--seed", type=int, default=1, help="chooses them")
     parser.add_argument("--rooms", nargs="+", default=ROOMS, help="folders of the package")
+    parser.add_argument(
+        "--tests", nargs="+", default=["tests"], help="those that may notice, for a quick look"
+    )
     parser.add_argument("--timeout", type=float, default=60.0, help="seconds beyond what the tests take")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     return parser.parse_args()
@@ -160,26 +163,26 @@ def _copy(place: Path) -> Path:
     return place
 
 
-def _recorded(folder: Path) -> Suite:
+def _recorded(folder: Path, chosen: list[str]) -> Suite:
     """Return which test runs which line, from an earlier run if no file has changed since."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256("\n".join(chosen).encode())
     for file in sorted(p for name in ("imucal", "tests") for p in (ROOT / name).rglob("*") if p.is_file()):
         if "__pycache__" not in file.parts:
             digest.update(file.relative_to(ROOT).as_posix().encode() + file.read_bytes())
     kept = Path(tempfile.gettempdir()) / f"imucal-lines-{digest.hexdigest()[:16]}.json"
     if not kept.exists():
         print("running the suite once, to see which test runs which line ...", flush=True)
-        suite = _record(folder)
+        suite = _record(folder, chosen)
         kept.write_text(json.dumps({"lines": suite.lines, "seconds": suite.seconds}), encoding="utf-8")
     found = json.loads(kept.read_text(encoding="utf-8"))
     return Suite(lines=found["lines"], seconds=found["seconds"])
 
 
-def _record(folder: Path) -> Suite:
+def _record(folder: Path, chosen: list[str]) -> Suite:
     tree, lines = _copy(folder / "recorded"), folder / "lines"
     lines.mkdir()
     environment = {**_environment(tree), "IMUCAL_LINES": str(lines)}
-    command = [sys.executable, "-m", "pytest", *_OPTIONS, f"--basetemp={folder / 'pytest'}"]
+    command = [sys.executable, "-m", "pytest", *_OPTIONS, f"--basetemp={folder / 'pytest'}", *chosen]
     subprocess.run(command, cwd=tree, env=environment, check=False, stdout=subprocess.DEVNULL)  # noqa: S603
     seconds: dict[str, float] = {}
     failed: set[str] = set()
