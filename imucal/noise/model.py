@@ -45,34 +45,25 @@ class NoiseModel:
 
     def avar(self, m: FloatArray, *, rate_hz: float) -> FloatArray:
         """Return the exact Allan variance at averaging factors `m`, shape (k,), in U²."""
-        m = np.asarray(m, dtype=np.float64)
-        total = np.zeros(m.shape)
-        for term in self.terms:
-            total += term.avar(m, 1 / rate_hz)
-        return total
+        return self._total("avar", m, rate_hz)
 
     def psd(self, f: FloatArray, *, rate_hz: float) -> FloatArray:
         """Return the exact two-sided psd at frequencies `f` in Hz, shape (k,), in U²/Hz."""
-        f = np.asarray(f, dtype=np.float64)
-        total = np.zeros(f.shape)
-        for term in self.terms:
-            total += term.psd(f, 1 / rate_hz)
-        return total
+        return self._total("psd", f, rate_hz)
 
     def structure(self, k: FloatArray, *, rate_hz: float) -> FloatArray:
         """Return the mean square difference of samples `k` apart, shape (j,), in U²."""
-        k = np.asarray(k, dtype=np.float64)
-        total = np.zeros(k.shape)
-        for term in self.terms:
-            total += term.structure(k, 1 / rate_hz)
-        return total
+        return self._total("structure", k, rate_hz)
 
     def sum_variance(self, n: FloatArray, *, rate_hz: float) -> FloatArray:
         """Return V(n), the generalised variance of the sum of `n` samples, shape (j,), in U²."""
-        n = np.asarray(n, dtype=np.float64)
-        total = np.zeros(n.shape)
+        return self._total("sum_variance", n, rate_hz)
+
+    def _total(self, formula: str, at: FloatArray, rate_hz: float) -> FloatArray:
+        at = np.asarray(at, dtype=np.float64)
+        total = np.zeros(at.shape)
         for term in self.terms:
-            total += term.sum_variance(n, 1 / rate_hz)
+            total += getattr(term, formula)(at, 1 / rate_hz)
         return total
 
     def simulate(self, n: int, *, rate_hz: float, rng: np.random.Generator) -> FloatArray:

@@ -14,8 +14,6 @@ from pathlib import Path
 import pytest
 from coverage import Coverage
 
-__all__ = ["pytest_configure", "pytest_runtest_logreport", "pytest_runtest_protocol", "pytest_sessionfinish"]
-
 _MEMORY = 12 << 30
 _FOLDER = os.environ.get("IMUCAL_LINES")
 _RECORDER = (
@@ -42,8 +40,16 @@ def pytest_configure() -> None:
     settings.load_profile("mutants")
     if _RECORDER:
         _RECORDER.start()
-    else:
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Limit the memory, but not that of a browser, which reserves far more than it uses."""
+    if not (_RECORDER or any(map(_has_browser, session.items))):
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+
+
+def _has_browser(item: pytest.Item) -> bool:
+    return isinstance(item, pytest.Function) and "browser" in item.fixturenames
 
 
 @pytest.hookimpl(wrapper=True)

@@ -15,6 +15,7 @@ import hashlib
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -44,6 +45,10 @@ _OPTIONS = ("-q", "-p", "tests.benchmarks.mutant_plugin", "-p", "no:cacheprovide
 _ALONE = ("-o", "addopts=--import-mode=importlib", "-p", "no:xdist", "-x")
 #: Exit codes of pytest that say nothing about the mutant: all passed, and there was no test.
 _SURVIVED = frozenset({0, 5})
+
+
+#: What pytest printed for the last mutant of a tree.
+_SAID = "said.txt"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +95,7 @@ def main() -> None:
         copies: Queue[Path] = Queue()
         for number in range(options.jobs):
             copies.put(_copy(Path(folder) / f"tree{number}"))
-        suite = _recorded(Path(folder))
+        suite = _recorded(Path(folder), options.tests)
         chosen = _chosen(options.rooms, options.n, options.seed)
 
         def fate(job: tuple[str, Mutation]) -> tuple[bool, str]:
@@ -118,6 +123,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--n", type=int, default=100, help="number of mutants")
     parser.add_argument("--seed", type=int, default=1, help="chooses them")
     parser.add_argument("--rooms", nargs="+", default=ROOMS, help="folders of the package")
+    parser.add_argument(
+        "--tests", nargs="+", default=["tests"], help="those that may notice, for a quick look"
+    )
     parser.add_argument("--timeout", type=float, default=60.0, help="seconds beyond what the tests take")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     return parser.parse_args()
@@ -155,26 +163,26 @@ def _copy(place: Path) -> Path:
     return place
 
 
-def _recorded(folder: Path) -> Suite:
+def _recorded(folder: Path, chosen: list[str]) -> Suite:
     """Return which test runs which line, from an earlier run if no file has changed since."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256("\n".join(chosen).encode())
     for file in sorted(p for name in ("imucal", "tests") for p in (ROOT / name).rglob("*") if p.is_file()):
         if "__pycache__" not in file.parts:
             digest.update(file.relative_to(ROOT).as_posix().encode() + file.read_bytes())
     kept = Path(tempfile.gettempdir()) / f"imucal-lines-{digest.hexdigest()[:16]}.json"
     if not kept.exists():
         print("running the suite once, to see which test runs which line ...", flush=True)
-        suite = _record(folder)
+        suite = _record(folder, chosen)
         kept.write_text(json.dumps({"lines": suite.lines, "seconds": suite.seconds}), encoding="utf-8")
     found = json.loads(kept.read_text(encoding="utf-8"))
     return Suite(lines=found["lines"], seconds=found["seconds"])
 
 
-def _record(folder: Path) -> Suite:
+def _record(folder: Path, chosen: list[str]) -> Suite:
     tree, lines = _copy(folder / "recorded"), folder / "lines"
     lines.mkdir()
     environment = {**_environment(tree), "IMUCAL_LINES": str(lines)}
-    command = [sys.executable, "-m", "pytest", *_OPTIONS, f"--basetemp={folder / 'pytest'}"]
+    command = [sys.executable, "-m", "pytest", *_OPTIONS, f"--basetemp={folder / 'pytest'}", *chosen]
     subprocess.run(command, cwd=tree, env=environment, check=False, stdout=subprocess.DEVNULL)  # noqa: S603
     seconds: dict[str, float] = {}
     failed: set[str] = set()
@@ -217,7 +225,7 @@ def _fate(tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: f
             ended = _run(tree, part, timeout=timeout + 3 * sum(suite.seconds[test] for test in part))
             noticed = ended not in _SURVIVED
             if noticed:
-                how = "hung" if ended is None else ""
+                how = "hung" if ended is None else _failure(tree)
                 break
     old = (ROOT / path).read_bytes()[mutation.start : mutation.stop].decode()
     change = f"{old!r} -> {mutation.new!r}"
@@ -256,14 +264,15 @@ def _run(tree: Path, tests: list[str], *, timeout: float) -> int | None:
     arguments.write_text("\n".join(tests), encoding="utf-8")
     place = f"--basetemp={tree.parent / (tree.name + '-pytest')}"
     command = [sys.executable, "-m", "pytest", *_OPTIONS, *_ALONE, place, f"@{arguments}"]
-    process = subprocess.Popen(  # noqa: S603 - our own tests
-        command,
-        cwd=tree,
-        env=_environment(tree),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    with (tree / _SAID).open("wb") as said:
+        process = subprocess.Popen(  # noqa: S603 - our own tests
+            command,
+            cwd=tree,
+            env=_environment(tree),
+            stdout=said,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
     try:
         return process.wait(timeout)
     except subprocess.TimeoutExpired:
@@ -272,6 +281,13 @@ def _run(tree: Path, tests: list[str], *, timeout: float) -> int | None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+def _failure(tree: Path) -> str:
+    """Return the test that noticed the last mutant, or that none could begin."""
+    said = (tree / _SAID).read_text(encoding="utf-8", errors="replace")
+    found = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+    return found[1] if found else "the tests can not begin"
 
 
 def _difference(path: str, mutation: Mutation) -> Iterator[str]:

@@ -125,7 +125,7 @@ def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
 def _parquet(path: Path) -> tuple[list[TypedColumn], float | None]:
     import polars as pl
 
-    # A foreign encoding of a column is polars' business; only the columns read are decoded.
+    # Only the columns that are read are decoded, so that one in an unknown encoding does no harm.
     scan = pl.scan_parquet(path)
     schema = scan.collect_schema()
     rows = scan.select(pl.len()).collect()["len"].to_list()[0]

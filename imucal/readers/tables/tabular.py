@@ -67,7 +67,7 @@ def assemble(
     sensors: Sequence[SensorColumns],
     options: ReadOptions,
     *,
-    signature: Dialect | None = None,
+    dialect: Dialect | None = None,
     rate_hz: float | None = None,
     findings: Sequence[Finding] = (),
 ) -> Recording:
@@ -81,8 +81,8 @@ def assemble(
         Columns of the gyroscope, the accelerometer, or both.
     options
         What the user said.
-    signature
-        The format that the column names show.
+    dialect
+        The one that the column names show.
     rate_hz
         Sampling rate that the log itself states.
     findings
@@ -96,7 +96,7 @@ def assemble(
         If there are no samples, or no rate.
     """
     clocks: _Clocks = {}
-    work = Work(path=source.path, options=options, dialect=signature, rate_hz=rate_hz)
+    work = Work(path=source.path, options=options, dialect=dialect, rate_hz=rate_hz)
     work.decisions.extend(source.decisions)
     work.findings.extend(findings)
     timed = [_timed(work, columns, clocks) for columns in sensors]

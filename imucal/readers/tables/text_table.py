@@ -105,7 +105,7 @@ def read_table(
         ),
         sensors,
         options,
-        signature=plan.dialect,
+        dialect=plan.dialect,
         rate_hz=layout.rate_hz,
         findings=findings,
     )

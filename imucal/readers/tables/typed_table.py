@@ -58,8 +58,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
     decisions = dict.fromkeys(decision for part in parts for decision in part.plan.decisions)
     names = (part.plan.headers[p] for part in parts for s in part.plan.sensors for p in s.triad.indices)
     source = Source(path=str(path), format=table.format, topics=tuple(names), decisions=tuple(decisions))
-    signature = next((part.plan.dialect for part in parts if part.plan.dialect), None)
-    return assemble(source, sensors, options, signature=signature, rate_hz=table.rate_hz)
+    dialect = next((part.plan.dialect for part in parts if part.plan.dialect), None)
+    return assemble(source, sensors, options, dialect=dialect, rate_hz=table.rate_hz)
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
