@@ -23,7 +23,7 @@ from imucal.fitting.spectral.selection import RankedModels
 from imucal.noise.terms import ALWAYS, TERMS, in_order
 
 #: A model has its full say up to the first distance in the criterion from the best, none from the second on.
-_FULL_SAY, _NO_SAY = 6.0, 12.0
+_FULL_SAY, _NO_SAY = 6.0, 9.0
 #: Most models that are looked at.
 _MOST = 16
 
