@@ -3,15 +3,16 @@
 import shutil
 from pathlib import Path
 
+from tests.cli.run import run
 from tests.code_blocks import code_blocks, run_block
 
 ROOT = Path(__file__).parents[1]
 
 
 def test_the_readme_runs_from_top_to_bottom(tmp_path: Path) -> None:
-    """In order, in one folder that holds the sample logs and a `log.mcap`."""
+    """In order, in one folder that holds the sample logs and a short `log.mcap`."""
     shutil.copytree(ROOT / "sample_logs", tmp_path / "sample_logs")
-    shutil.copy(ROOT / "sample_logs" / "consumer_mems.mcap", tmp_path / "log.mcap")
+    run("simulate", "N=1e-4", "--accel", "N=1e-3", "--duration", "20s", "-o", "log.mcap", cwd=tmp_path)
     blocks = code_blocks(ROOT / "README.md")
     assert {"python", "console", "toml", "json"} <= {language for language, _ in blocks}
     for language, text in blocks:

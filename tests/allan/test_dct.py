@@ -28,6 +28,13 @@ def test_bins_widen_steadily() -> None:
     assert abs(int(octave.sum()) - 48) <= 1
 
 
+def test_bins_begin_at_powers_of_their_ratio() -> None:
+    """After four single ordinates, two bins an octave: 5 times powers of the root of two."""
+    bins = dct_bins(41, singles=4, per_octave=2)
+    npt.assert_array_equal(bins.first, [1, 2, 3, 4, 5, 7, 10, 14, 20, 28, 40])
+    npt.assert_array_equal(bins.count, [1, 1, 1, 1, 2, 3, 4, 6, 8, 12, 1])
+
+
 def test_ordinates_are_the_definition() -> None:
     """X_k = sqrt(2/n) sum y_t cos(pi k (t + 1/2) / n); the mean does not matter."""
     rng = np.random.default_rng(0)

@@ -156,6 +156,16 @@ def test_intervals_cover_through_gaps(kind: str) -> None:
     assert 0.92 < share.mean() < 0.98
 
 
+def test_no_value_has_less_than_one_degree_of_freedom() -> None:
+    """Of 64 places, half of them lost, the longest averages have exactly that one."""
+    rng = np.random.default_rng(0)
+    keep = rng.random(64) >= 0.5
+    keep[0] = keep[-1] = True
+    edf = allan_curve(_series(rng.standard_normal(64), keep)).edf
+    assert edf[-1] == 1.0
+    assert np.all(edf >= 1.0)
+
+
 def test_too_little_is_refused() -> None:
     """Three samples far apart have no neighbouring windows."""
     keep = np.zeros(2001, dtype=bool)

@@ -278,7 +278,8 @@ def one(reader: str, path: Path, n: int) -> None:
     """Read once in this process; imports are not counted."""
     import imucal.readers.containers.mcap_file
     import imucal.readers.containers.ros1_file
-    import imucal.readers.containers.ros2_bag  # noqa: F401
+    import imucal.readers.containers.ros2_bag
+    import imucal.readers.message_logs  # noqa: F401
 
     cpu, wall = time.process_time(), time.perf_counter()
     found = READERS[reader](path, n)

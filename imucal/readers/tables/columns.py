@@ -207,8 +207,8 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad 
     sensor = sensor_of_name(name)
     if sensor is None:
         problem = f"x, y and z are there ({', '.join(gyro.headers)}), but not of which sensor"
-        texts_ready = (columns_text("0", gyro, None), columns_text("0", None, accel))
-        raise table.ask(problem, example=" or ".join(texts_ready))
+        choices = (columns_text("0", gyro, None), columns_text("0", None, accel))
+        raise table.ask(problem, example=" or ".join(choices))
     by_name = "by the name of the file"
     return (gyro, None, by_name) if sensor is Sensor.GYROSCOPE else (None, accel, by_name)
 

@@ -53,8 +53,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
     work.decisions.append(("topics", f"{', '.join(one.name for one in chosen)}, {how}"))
     timed = _timed(path, chosen, options)
     scales = _scales(path, options)
-    given = [sensor for sensor in (_GYRO, _ACCEL) if sensor in scales]
-    work.decisions += [(f"{sensor} unit", f"{scales[sensor][0]}, as given") for sensor in given]
+    work.decisions += [(f"{sensor} unit", f"{unit}, as given") for sensor, (unit, _) in scales.items()]
     for entry in sorted(timed, key=lambda entry: entry.sensor is _ACCEL):
         _, scale = scales.get(entry.sensor, ("", 1.0))
         work.add_sensor(

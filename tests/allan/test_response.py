@@ -1,0 +1,33 @@
+"""What the estimators let through of a spectrum."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.allan.dct import dct_bins
+from imucal.allan.estimators import ESTIMATORS
+from imucal.allan.response import power_response
+
+
+def test_single_ordinates_have_the_published_response() -> None:
+    """NIST SP 1065, eq. 65, for sampled data: 2 sin(m w/2)^4 / (m sin(w/2))², and its square."""
+    bins, m = dct_bins(2000), 3
+    half = bins.omega[:100] / 2
+    expected = 2 * np.sin(m * half) ** 4 / (m * np.sin(half)) ** 2
+    response, squared = power_response(bins, m, ESTIMATORS["overlapping"])
+    npt.assert_allclose(response[:100], expected, rtol=1e-9)
+    npt.assert_allclose(squared[:100], expected**2, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["overlapping", "hadamard"])
+def test_wide_bins_have_the_mean_of_their_ripples(name: str) -> None:
+    """The mean over so fine a grid that it follows each ripple, and that of the square."""
+    bins, m, estimator = dct_bins(400_000), 40_000, ESTIMATORS[name]
+    at = bins.size - 40
+    grid = np.pi / bins.n * np.linspace(bins.first[at], bins.first[at] + bins.count[at], 400_001)
+    ripple = (2 * np.sin(m * grid / 2)) ** (2 * estimator.order)
+    tail = (2 * np.sin(bins.omega[at] / 2)) ** (-2 * estimator.integrations) / estimator.scale(m)
+    response, squared = power_response(bins, m, estimator)
+    # The bin holds some two hundred ripples, of which one may be cut off.
+    npt.assert_allclose(response[at], ripple.mean() * tail, rtol=0.01)
+    npt.assert_allclose(squared[at], (ripple**2).mean() * tail**2, rtol=0.01)

@@ -1,0 +1,74 @@
+"""Columns in memory and in a temporary file hold the same, and a recording says nothing twice."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.clock import Clock
+from imucal.findings import Finding
+from imucal.readers.builder import RecordingBuilder
+from imucal.readers.column_store import Columns, GrowingColumn
+from imucal.recording import Sensor
+
+LIMITS = [1 << 30, 800]
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_a_growing_column_turns_into_floats_with_all_before(limit: int) -> None:
+    """Integers that are in the file already too."""
+    column = GrowingColumn(np.int64, limit=limit)
+    blocks = [np.arange(0, 150), np.arange(150, 200), np.linspace(0.5, 9.5, 70), np.arange(5)]
+    for block in blocks:
+        column.append(block)
+    taken = column.take()
+    assert taken.dtype == np.float64
+    npt.assert_array_equal(taken, np.concatenate(blocks))
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_integers_stay_integers(limit: int) -> None:
+    """Stamps in ns have more digits than a float."""
+    column = GrowingColumn(np.int64, limit=limit)
+    stamps = 1_700_000_000_000_000_001 + np.arange(1000)
+    for block in np.split(stamps, 4):
+        column.append(block)
+    npt.assert_array_equal(column.take(), stamps)
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_columns_are_cut_ordered_and_joined(limit: int) -> None:
+    """In place, every row alike."""
+    columns = Columns(100, (Sensor.GYROSCOPE,), temperature=True, limit=limit)
+    columns.stamps[:], columns.log[:] = np.arange(100), np.arange(100)
+    for row in columns.rows[2:]:
+        row[:] = np.arange(100)
+    columns.keep_spans([(5, 10), (20, 60)])
+    expected = np.r_[5:10, 20:60]
+    columns.reorder(np.arange(columns.n)[::-1])
+    columns.release()
+    both = columns.joined(columns)
+    for one, times in ((columns, 1), (both, 2)):
+        npt.assert_array_equal(one.stamps, np.tile(expected[::-1], times))
+        npt.assert_array_equal(one.vectors[Sensor.GYROSCOPE], np.tile(expected[::-1], (3, times)))
+        npt.assert_array_equal(one.temperature, np.tile(expected[::-1], times))
+
+
+def test_a_recording_keeps_order_scale_and_each_finding_once() -> None:
+    """Samples are chosen, then scaled; of two temperatures the first is kept."""
+    builder = RecordingBuilder(path="log", format="csv", decisions=[("time", "stamps")])
+    clock, order = Clock.even(3, 100.0), np.array([2, 0, 1])
+    samples = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]])
+    samples.flags.writeable = False
+    builder.add_sensor(Sensor.ACCELEROMETER, samples, clock, order=order, scale=2.0)
+    builder.add_sensor(Sensor.GYROSCOPE, samples, clock, scale=0.5)
+    builder.add_temperature(np.array([20.0, 21.0, 22.0]), clock, order=order)
+    builder.add_temperature(np.zeros(3), clock)
+    builder.findings += 2 * [Finding(level="info", code="gaps", text="One.")]
+    recording = builder.build(topics=["a"], message_types=["b"])
+    assert [series.name for series in recording.series][::3] == ["accel_x", "gyro_x"]
+    npt.assert_array_equal(recording.series[0].samples, [6.0, 2.0, 4.0])
+    npt.assert_array_equal(recording.series[5].samples, [3.5, 4.0, 4.5])
+    assert recording.temperature is not None
+    npt.assert_array_equal(recording.temperature.samples, [22.0, 20.0, 21.0])
+    assert len(recording.findings) == 1
+    assert recording.source.decisions == (("time", "stamps"),)
