@@ -41,6 +41,8 @@ class Estimate:
         The coefficient (sigma for GM) in SI, and its limits.
     correlation_time
         T of a Gauss-Markov term, in s; None for others.
+    alternatives
+        Symbols of terms that may stand in this one's place: to this record they are one thing.
     """
 
     key: str
@@ -50,6 +52,7 @@ class Estimate:
     low: float
     high: float
     correlation_time: Interval | None = None
+    alternatives: tuple[str, ...] = ()
 
     @classmethod
     def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":

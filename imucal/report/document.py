@@ -196,6 +196,7 @@ def _term(estimate: Estimate, sensor: Sensor) -> dict[str, object]:
         "high": plain(estimate.high),
         "unit": plain_si.unit,
         "datasheet": _quantity(sheet),
+        "alternatives": list(estimate.alternatives),
     }
 
 

@@ -224,7 +224,7 @@ def _estimate(node: Node, key: str) -> Estimate:
     value = node["value"].maybe(Node.number)
     if (value is None) != (status == "bounded"):
         node["value"].fail(f"found {json.dumps(node['value'].value)}", f"a value that fits {status!r}")
-    timed = "correlation_time" in node.table()
+    timed, known = "correlation_time" in node.table(), "alternatives" in node.table()
     return Estimate(
         key=key,
         symbol=node["symbol"].text(*TERMS),
@@ -233,6 +233,7 @@ def _estimate(node: Node, key: str) -> Estimate:
         low=node["low"].number(null=math.nan),
         high=node["high"].number(null=math.inf),
         correlation_time=node["correlation_time"].maybe(_interval) if timed else None,
+        alternatives=tuple(item.text(*TERMS) for item in node["alternatives"]) if known else (),
     )
 
 

@@ -104,6 +104,11 @@ def hours(seconds: float) -> str:
     return text if value >= 0.1 else f"{seconds:.3g} s ({text})"
 
 
+def alternatives(estimate: Estimate) -> str:
+    """Return ``or GM`` where another term may stand in this one's place; else nothing."""
+    return f"or {' or '.join(estimate.alternatives)}" if estimate.alternatives else ""
+
+
 def seconds(value: float) -> str:
     """Return a time with three digits and without an exponent, such as ``2620 s``."""
     return f"{float(f'{value:.3g}'):.10g} s"

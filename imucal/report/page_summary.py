@@ -113,7 +113,7 @@ def _term_rows(key: str, axes: list[AxisReport], sensor: Sensor) -> list[Markup]
     found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
     symbol = next(e.symbol for e in found if e)
     cells = [
-        None if e is None else ((numbers.si(e, sensor), numbers.datasheet(e, sensor)), "") for e in found
+        e and ((numbers.si(e, sensor), numbers.datasheet(e, sensor)), numbers.alternatives(e)) for e in found
     ]
     if symbol != "GM":
         return [_row(key, TERMS[symbol].name(sensor), cells)]

@@ -24,6 +24,8 @@ from imucal.noise.terms import ALWAYS, TERMS, in_order
 
 #: A model has its full say up to the first distance in the criterion from the best, none from the second on.
 _FULL_SAY, _NO_SAY = 6.0, 9.0
+#: Models whose likelihoods, at two a parameter, are within this tell their terms apart no more.
+_ALIKE = 4.0
 #: Most models that are looked at.
 _MOST = 16
 
@@ -46,9 +48,28 @@ def hull_estimates(
     if any(key not in own or own[key].value is None for key in shown):
         # The chosen model was too simple: its own values are those of terms that stand in for others.
         own |= {key: models[0][key] for key in shown}
-    found = {key: _hull(own.get(key), spans[key]) for key in spans}
+    others = _alternatives(choice)
+    found = [_hull(own.get(key), spans[key]) for key in spans]
+    found = [replace(e, alternatives=others.get(e.symbol, ())) for e in found]
     order = list(TERMS)
-    return tuple(sorted(found.values(), key=lambda e: (order.index(e.symbol), e.key)))
+    return tuple(sorted(found, key=lambda e: (order.index(e.symbol), e.key)))
+
+
+def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
+    """Return for each term those that may stand in its place: one of the two is there, but not told which.
+
+    Every model of about the best likelihood has one of them, and neither is in all of these models. Here
+    a parameter has the price of Akaike's criterion: what tells two things apart is the record, and not
+    that one of them is simpler to write down.
+    """
+    fit = 2 * (choice.maximum.objective + choice.candidates.parameters)
+    near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _ALIKE)]
+
+    def replaces(one: str, other: str) -> bool:
+        without_one, without_other = ([s for s in near if symbol not in s] for symbol in (one, other))
+        return bool(without_one and without_other) and all(one in s or other in s for s in near)
+
+    return {one: tuple(other for other in TERMS if replaces(one, other)) for one in TERMS}
 
 
 def _hull(own: Estimate | None, span: list[Estimate]) -> Estimate:
