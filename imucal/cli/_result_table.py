@@ -77,14 +77,8 @@ def _blocks(axes: list[AxisReport], *, datasheet: bool, plain: bool) -> Iterator
     for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
         found = [(axis, e) for axis in axes for e in axis.fit.estimates if e.key == key]
         name = TERMS[found[0][1].symbol].name(sensor).replace("acceleration", "accel.")
-        yield (
-            key,
-            _block(
-                f"{key}  {name}",
-                [(a, unit(e, sensor), numbers.alternatives(e)) for a, e in found],
-                plain=plain,
-            ),
-        )
+        rows = [(a, unit(e, sensor), numbers.alternatives(e)) for a, e in found]
+        yield key, _block(f"{key}  {name}", rows, plain=plain)
         timed = [(a, e.correlation_time) for a, e in found]
         times = [(a, numbers.correlation_time(time), "") for a, time in timed if time is not None]
         if times:

@@ -113,7 +113,8 @@ def _term_rows(key: str, axes: list[AxisReport], sensor: Sensor) -> list[Markup]
     found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
     symbol = next(e.symbol for e in found if e)
     cells = [
-        e and ((numbers.si(e, sensor), numbers.datasheet(e, sensor)), numbers.alternatives(e)) for e in found
+        ((numbers.si(e, sensor), numbers.datasheet(e, sensor)), numbers.alternatives(e)) if e else None
+        for e in found
     ]
     if symbol != "GM":
         return [_row(key, TERMS[symbol].name(sensor), cells)]

@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.testing as npt
 import pytest
-from imucal.allan.response import power_response
 
+from imucal.allan.confidence import power_response
 from imucal.allan.dct import dct_bins
 from imucal.allan.estimators import ESTIMATORS
 
