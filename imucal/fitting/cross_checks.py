@@ -67,7 +67,7 @@ def _in_its_model(fit: NoiseFit, estimate: Estimate) -> Estimate:
     The interval reaches over the models near it, and the value may be that of a richer one.
     """
     own = [term.coefficient for term in fit.model.terms if term.symbol == estimate.symbol]
-    if estimate.correlation_time is not None or len(own) != 1:
+    if fit.criterion == "given" or estimate.correlation_time is not None or len(own) != 1:
         return estimate
     return replace(estimate, value=abs(own[0]), status="estimated")
 

@@ -17,8 +17,8 @@ RICH = "Q=1e-5 + N=1e-3 + GM(sigma=2e-3, T=3) + K=3e-4"
 
 @pytest.mark.parametrize("text", [PLAIN, RICH])
 def test_finds_model_and_values(text: str) -> None:
-    """The structure is found, its values are inside four standard errors, every truth inside its interval."""
-    result = fitted(simulated(text, 200_000, 1, rate_hz=100.0), rate_hz=100.0)
+    """The structure is found, with every truth inside four standard errors and the interval of these."""
+    result = fitted(simulated(text, 200_000, 1, rate_hz=100.0), rate_hz=100.0, level=0.9999)
     truth = dict(part.split("=") for part in text.split(" + ") if "GM" not in part)
     assert str(result.model) == (" + ".join(p.split("=")[0].split("(")[0] for p in text.split(" + ")))
     deviation = dict(zip(result.parameters, np.sqrt(np.diag(result.covariance)), strict=True))
