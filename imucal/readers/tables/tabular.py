@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.clock import Clock
-from imucal.errors import DataError
+from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.columns_text import EXAMPLE
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.readers.tables.table_clock import SensorColumns, table_clock
 from imucal.recording import Recording
@@ -43,6 +45,22 @@ def assemble(work: Work, sensors: Sequence[SensorColumns], form: str, topics: Se
         builder.add_sensor(sensor, entry.axes, entry.clock, scale=scales[sensor])
     _add_temperature(builder, work, timed)
     return builder.build(topics=topics)
+
+
+def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
+    """Refuse topics: a table has columns.
+
+    Raises
+    ------
+    ChoiceError
+        If the user asked for any.
+    """
+    if options.topics:
+        msg = (
+            f"{path}: {what} has no topics, but {', '.join(options.topics)} was asked for; "
+            f"expected no topic, or a columns text such as {EXAMPLE}"
+        )
+        raise ChoiceError(msg)
 
 
 def contents_of(

@@ -19,7 +19,7 @@ from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import Numbers, parse_text_stamps
 from imucal.readers.tables.table_clock import SensorColumns
 from imucal.readers.tables.table_files import TableFile, TypedColumn, open_table
-from imucal.readers.tables.tabular import assemble, contents_of
+from imucal.readers.tables.tabular import assemble, contents_of, refuse_topics
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording, Sensor
 
@@ -47,12 +47,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
     DataError
         If it holds no samples.
     """
-    if options.topics:
-        msg = (
-            f"{path}: a table has no topics, but {', '.join(options.topics)} was asked for; "
-            "expected no topic, or a columns text such as t=0,g=1:4,a=4:7"
-        )
-        raise ChoiceError(msg)
+    refuse_topics(path, options, "a table")
     table = open_table(path)
     parts = _parts(path, table, options)
     sensors = [_columns(part, sensor) for part in parts for sensor in part.plan.sensors]
