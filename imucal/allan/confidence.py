@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.allan.covariance import GenericModel, model_edf
 from imucal.allan.dct import DctBins, bin_power, dct_bins, dct_ordinates, fast_length
@@ -23,7 +22,7 @@ from imucal.allan.estimators import Estimator
 from imucal.allan.gaps import GappyVariances
 from imucal.allan.generic import fit_curve, fit_spectrum
 from imucal.allan.variance import sum_of_squares
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 
@@ -166,7 +165,7 @@ def _transformed(samples: FloatArray) -> tuple[int, DctBins, FloatArray]:
     return used, dct_bins(used), dct_ordinates(samples[:used])
 
 
-def _of_model(model: GenericModel, question: _Question, chosen: NDArray[np.bool_]) -> FloatArray:
+def _of_model(model: GenericModel, question: _Question, chosen: BoolArray) -> FloatArray:
     pairs = zip(question.m[chosen].tolist(), question.terms[chosen].tolist(), strict=True)
     return np.array([model_edf(model, m, terms, question.estimator) for m, terms in pairs])
 
@@ -217,7 +216,7 @@ def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatAr
     return response, squared
 
 
-def excess_kurtosis(samples: FloatArray, neighbours: NDArray[np.bool_] | None = None) -> float:
+def excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None = None) -> float:
     """Return the excess kurtosis of the differences of neighbouring samples; 0 where they are constant.
 
     `neighbours`, shape (n-1,), says which samples are followed by their neighbour; None for all.
@@ -240,7 +239,7 @@ def excess_kurtosis(samples: FloatArray, neighbours: NDArray[np.bool_] | None = 
 
 
 def _less_for_heavy_tails(
-    edf: FloatArray, question: _Question, neighbours: NDArray[np.bool_] | None = None
+    edf: FloatArray, question: _Question, neighbours: BoolArray | None = None
 ) -> FloatArray:
     """Widen for tails heavier than a Gaussian's: Var gains kappa/n where windows are not too few."""
     kappa = max(_HALVED * excess_kurtosis(question.samples, neighbours), _UNIFORM)

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.allan.curve import AllanCurve
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
@@ -125,9 +124,7 @@ def read_curve(
     return tuple(curves)
 
 
-def _variances(
-    path: Path, heading: str, values: FloatArray, factor: float
-) -> tuple[NDArray[np.bool_], FloatArray]:
+def _variances(path: Path, heading: str, values: FloatArray, factor: float) -> tuple[BoolArray, FloatArray]:
     """Return which values of a column are positive numbers, and their Allan variances."""
     good = np.isfinite(values) & (values > 0)
     if not good.any():

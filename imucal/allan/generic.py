@@ -4,11 +4,10 @@ It need not be true: the intervals of a curve only need the local shape of the s
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.allan.covariance import GenericModel
 from imucal.allan.dct import DctBins
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray
 from imucal.powerlaw import PowerLaw
 
 #: A drift has zero mean beyond this ordinate, to 1e-6 of its squares.
@@ -152,7 +151,7 @@ def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> 
     return values / scale
 
 
-def _inside(gram: FloatArray, moment: FloatArray, values: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+def _inside(gram: FloatArray, moment: FloatArray, values: FloatArray, free: BoolArray) -> FloatArray:
     """Walk from `values` towards the free minimum, dropping each weight that reaches zero."""
     free = free.copy()
     while True:

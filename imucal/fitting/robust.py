@@ -8,9 +8,8 @@ against a baseline that follows the slow parts, and replaced by baseline plus no
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.noise.terms import AngleRandomWalk
 from imucal.recording import AxisSeries, Sensor
@@ -46,7 +45,7 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     return replace(series, samples=samples), (_finding(series, spike, baseline, deviation),)
 
 
-def find_spikes(samples: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, float]:
+def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
     """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it.
 
     Notes
@@ -154,7 +153,7 @@ def _baseline(samples: FloatArray) -> FloatArray:
     return baseline
 
 
-def _finding(series: AxisSeries, spike: NDArray[np.bool_], baseline: FloatArray, deviation: float) -> Finding:
+def _finding(series: AxisSeries, spike: BoolArray, baseline: FloatArray, deviation: float) -> Finding:
     count = int(spike.sum())
     share = count / series.n
     largest = float(np.abs(series.samples[spike] - baseline[spike]).max())

@@ -4,10 +4,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.allan.dct import DctBins, dct_bins, dct_ordinates
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Line
@@ -54,7 +53,7 @@ class Block:
     bins: DctBins
     ordinates: FloatArray
     variance: FloatArray | None = None
-    kept: NDArray[np.bool_] | None = None
+    kept: BoolArray | None = None
     loss: FloatArray | None = None
     temperature: FloatArray | None = None
 
@@ -72,16 +71,14 @@ class Block:
         bins = self.bins
         number = int(np.searchsorted(bins.first, count, side="right"))
         stop = int(bins.first[number - 1] + bins.count[number - 1] - 1)
+        stops = {"ordinates": stop, "variance": stop, "kept": stop, "loss": number, "temperature": stop}
+        given = {name: end for name, end in stops.items() if getattr(self, name) is not None}
         return replace(
             self,
             bins=replace(
                 bins, first=bins.first[:number], count=bins.count[:number], omega=bins.omega[:number]
             ),
-            ordinates=self.ordinates[:stop],
-            variance=None if self.variance is None else self.variance[:stop],
-            kept=None if self.kept is None else self.kept[:stop],
-            loss=None if self.loss is None else self.loss[:number],
-            temperature=None if self.temperature is None else self.temperature[:stop],
+            **{name: getattr(self, name)[:end] for name, end in given.items()},
         )
 
 

@@ -7,9 +7,8 @@ likelihoods multiply.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray
 from imucal.powerlaw import PowerLaw
 
 #: The power-law terms, in the order of a rising slope.
@@ -73,19 +72,10 @@ class Ordinates:
         """Frequency of each bin as a fraction of Nyquist, shape (b,)."""
         return 2 / np.pi * np.arcsin(np.sqrt(np.minimum(self.lam, 4.0)) / 2)
 
-    def take(self, select: NDArray[np.bool_]) -> "Ordinates":
+    def take(self, select: BoolArray) -> "Ordinates":
         """Return the bins where `select`, shape (b,), is true."""
-        return replace(
-            self,
-            size=self.size[select],
-            power=self.power[select],
-            lam=self.lam[select],
-            length=self.length[select],
-            sign=self.sign[select],
-            basis=self.basis[:, select],
-            cross=self.cross[:, select],
-            gram=self.gram[:, :, select],
-        )
+        binned = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
+        return replace(self, **{name: getattr(self, name)[..., select] for name in binned})
 
     def below(self, fraction: float) -> "Ordinates":
         """Return the bins up to a fraction of Nyquist that hold any ordinate."""

@@ -4,12 +4,11 @@ And what the maximum is worth: the covariance of its parameters, and how well it
 ordinates.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.likelihood import Candidates, Evaluation, evaluate
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 
@@ -48,18 +47,11 @@ class Maximum:
     information: FloatArray
     beta: FloatArray
     beta_covariance: FloatArray
-    converged: NDArray[np.bool_]
+    converged: BoolArray
 
-    def take(self, index: NDArray[np.int64]) -> "Maximum":
+    def take(self, index: IntArray) -> "Maximum":
         """Return some rows; an index may stand more than once."""
-        return Maximum(
-            theta=self.theta[index],
-            objective=self.objective[index],
-            information=self.information[index],
-            beta=self.beta[index],
-            beta_covariance=self.beta_covariance[index],
-            converged=self.converged[index],
-        )
+        return Maximum(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
 def bounds(
@@ -89,7 +81,7 @@ def maximize(
     candidates: Candidates,
     start: FloatArray,
     *,
-    free: NDArray[np.bool_] | None = None,
+    free: BoolArray | None = None,
     ramp: FloatArray | None = None,
     shortest: float = 2.0,
     iterations: int = 100,
@@ -143,7 +135,7 @@ def maximize(
     )
 
 
-def _accept(state: Evaluation, rows: NDArray[np.int64], found: Evaluation, better: NDArray[np.bool_]) -> None:
+def _accept(state: Evaluation, rows: IntArray, found: Evaluation, better: BoolArray) -> None:
     """Put what was found for the better rows in their place."""
     for name in ("objective", "score", "information", "beta", "beta_covariance"):
         getattr(state, name)[rows[better]] = getattr(found, name)[better]
@@ -152,8 +144,8 @@ def _accept(state: Evaluation, rows: NDArray[np.int64], found: Evaluation, bette
 def _step(
     state: Evaluation,
     at: FloatArray,
-    rows: NDArray[np.int64],
-    moving: NDArray[np.bool_],
+    rows: IntArray,
+    moving: BoolArray,
     damping: FloatArray,
     *,
     limits: tuple[FloatArray, FloatArray],
@@ -173,7 +165,7 @@ def _step(
     return np.clip(theta + np.clip(step, -longest, longest), low, high)
 
 
-def covariance(information: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
     """Return the covariance of the `free` parameters, shape (p,), as a matrix of shape (p, p).
 
     Parameters that the data do not tell (a term that is absent) have variance inf, and are held
