@@ -114,24 +114,14 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
     gyroscope, accelerometer = AngleRandomWalk.units
     unit = pretty(gyroscope if series.sensor is Sensor.GYROSCOPE else accelerometer)
     if ratio < 0.5 or share >= 1:
-        return (
-            Finding(
-                level="warning",
-                code="rounding",
-                axis=series.name,
-                text=f"{what}: N = {N:.4g} {unit} is mostly rounding, and the sensor's own can't be told.",
-                advice="Record with a smaller measuring range or more bits.",
-            ),
-        )
-    return (
-        Finding(
-            level="info",
-            code="rounding",
-            axis=series.name,
-            text=f"{what}: of N = {N:.4g}, rounding makes {100 * (1 - np.sqrt(1 - share)):.1f} %; "
-            f"without it N = {np.sqrt(N**2 - rounding):.4g} {unit}.",
-        ),
+        text = f"{what}: N = {N:.4g} {unit} is mostly rounding, and the sensor's own can't be told."
+        advice = "Record with a smaller measuring range or more bits."
+        return (Finding(level="warning", code="rounding", axis=series.name, text=text, advice=advice),)
+    text = (
+        f"{what}: of N = {N:.4g}, rounding makes {100 * (1 - np.sqrt(1 - share)):.1f} %; "
+        f"without it N = {np.sqrt(N**2 - rounding):.4g} {unit}."
     )
+    return (Finding(level="info", code="rounding", axis=series.name, text=text),)
 
 
 def _baseline(samples: FloatArray) -> FloatArray:
@@ -166,13 +156,8 @@ def _finding(series: AxisSeries, spike: BoolArray, baseline: FloatArray, deviati
     )
     if share <= _MANY:
         return Finding(level="info", code="spikes", axis=series.name, text=text)
-    return Finding(
-        level="warning",
-        code="spikes",
-        axis=series.name,
-        text=text,
-        advice="So many are no accident: look for loose wiring, a shared bus or a moving sensor.",
-    )
+    advice = "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
+    return Finding(level="warning", code="spikes", axis=series.name, text=text, advice=advice)
 
 
 def heavy_tails(samples: FloatArray) -> float:

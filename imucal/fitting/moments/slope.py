@@ -141,15 +141,9 @@ def _estimates(
             continue
         spread = quantile * reading.spread(curve)
         value = curve.points.coefficient(symbol, reading.variance)
+        low, high = value * float(np.sqrt(1 - share) * np.exp(-spread)), value * float(np.exp(spread))
         estimates.append(
-            Estimate(
-                key=symbol,
-                symbol=symbol,
-                status="estimated",
-                value=value,
-                low=value * float(np.sqrt(1 - share) * np.exp(-spread)),
-                high=value * float(np.exp(spread)),
-            )
+            Estimate(key=symbol, symbol=symbol, status="estimated", value=value, low=low, high=high)
         )
         shown.append(reading)
     return tuple(estimates), shown

@@ -5,14 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from imucal.allan.dct import DctBins, dct_bins, dct_ordinates
+from imucal.allan.dct import DctBins, dct_bins, dct_ordinates, ramp_ordinates
 from imucal.arrays import BoolArray, FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.lines import find_lines
 from imucal.fitting.spectral.missing import complete
-from imucal.fitting.spectral.ordinates import exponential_ordinates, ramp_ordinates
+from imucal.fitting.spectral.ordinates import exponential_ordinates
 from imucal.recording import AxisSeries
 
 #: Bends of a straight line, as a part of its steps: rounding, not noise.
@@ -207,28 +207,25 @@ def _transform(
     samples = series.samples[run.start : run.stop] / scale
     if temperature is not None:
         temperature = temperature[run.start : run.stop]
+    variance = loss = None
     if samples.size == run.size:
-        return Block(
-            offset=run.offset,
-            bins=bins,
-            ordinates=dct_ordinates(samples),
-            temperature=None if temperature is None else dct_ordinates(temperature),
-        )
-    grid = series.clock.grid()[run.start : run.stop] - run.offset
-    seen = np.zeros(run.size, dtype=bool)
-    seen[grid] = True
-    full = np.zeros(run.size)
-    full[grid] = samples
-    ordinates, variance, loss = complete(full, seen, bins)
-    if temperature is not None:
-        temperature = dct_ordinates(np.interp(np.arange(run.size), grid, temperature))
+        ordinates = dct_ordinates(samples)
+    else:
+        grid = series.clock.grid()[run.start : run.stop] - run.offset
+        seen = np.zeros(run.size, dtype=bool)
+        seen[grid] = True
+        full = np.zeros(run.size)
+        full[grid] = samples
+        ordinates, variance, loss = complete(full, seen, bins)
+        if temperature is not None:
+            temperature = np.interp(np.arange(run.size), grid, temperature)
     return Block(
         offset=run.offset,
         bins=bins,
         ordinates=ordinates,
         variance=variance,
         loss=loss,
-        temperature=temperature,
+        temperature=None if temperature is None else dct_ordinates(temperature),
     )
 
 

@@ -125,17 +125,6 @@ def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordin
     )
 
 
-def ramp_ordinates(n: int, count: int) -> FloatArray:
-    """Return the orthonormal DCT-II ordinates k = 1 … count of the ramp 0, 1, … n-1.
-
-    -sqrt(2/n) cos(theta/2) / (2 sin²(theta/2)) for odd k, 0 for even k.
-    """
-    half = np.pi / (2 * n) * np.arange(1, count + 1, 2, dtype=np.float64)
-    ramp = np.zeros(count)
-    ramp[::2] = -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2)
-    return ramp
-
-
 def exponential_ordinates(n: int, count: int, time: float, offset: int) -> FloatArray:
     """Return the ordinates k = 1 … count of exp(-(offset + t)/time), t = 0 … n-1.
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.fitting.noise_fit import Goodness
 from imucal.fitting.spectral.likelihood import Candidates, Evaluation, evaluate
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 
@@ -185,16 +186,7 @@ def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
     return result
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Misfit:
-    """A standard-normal score of the misfit, its p-value, and the mean squared residual."""
-
-    statistic: float
-    p_value: float
-    chi2_per_bin: float
-
-
-def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Misfit:
+def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Goodness:
     """Return how far one candidate at `theta`, shape (1, p), is from the ordinates.
 
     Each group's sum of X²/S is chi-squared with its n degrees of freedom: mean n, variance 2n, and
@@ -213,4 +205,4 @@ def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Mi
     residual = (np.add.reduceat(ratio, first) - size) / np.sqrt(2 * size)
     square = float(np.mean(residual**2))
     statistic = (square - 1) * size.size / float(np.sqrt(np.sum(2 + 12 / size)))
-    return Misfit(statistic=statistic, p_value=float(ndtr(-statistic)), chi2_per_bin=square)
+    return Goodness(statistic=statistic, p_value=float(ndtr(-statistic)), chi2_per_bin=square)
