@@ -66,46 +66,33 @@ __all__ = [
     "write_report",
 ]
 
-#: Public name -> module it is loaded from (PEP 562).
+#: Module -> the public names that are loaded from it (PEP 562).
 _HOMES = {
-    "AllanCurve": "imucal.allan",
-    "AxisReport": "imucal.report",
-    "AxisSeries": "imucal.recording",
-    "ChoiceError": "imucal.errors",
-    "Clock": "imucal.clock",
-    "DataError": "imucal.errors",
-    "Finding": "imucal.findings",
-    "ImucalError": "imucal.errors",
-    "NoiseFit": "imucal.fitting.noise_fit",
-    "NoiseModel": "imucal.noise",
-    "ReadError": "imucal.errors",
-    "Recording": "imucal.recording",
-    "Report": "imucal.report",
-    "Sensor": "imucal.recording",
-    "Settings": "imucal.pipeline",
-    "Spectrum": "imucal.allan",
-    "WriteError": "imucal.errors",
-    "allan_curve": "imucal.allan",
-    "characterize": "imucal.pipeline",
-    "compare": "imucal.comparison",
-    "export": "imucal.report.exports",
-    "fit": "imucal.fitting",
-    "load_report": "imucal.report",
-    "plan": "imucal.planning",
-    "read": "imucal.readers",
-    "screen": "imucal.screening",
-    "spectrum": "imucal.allan",
-    "write_report": "imucal.report",
+    "imucal.allan": ("AllanCurve", "Spectrum", "allan_curve", "spectrum"),
+    "imucal.clock": ("Clock",),
+    "imucal.comparison": ("compare",),
+    "imucal.errors": ("ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"),
+    "imucal.findings": ("Finding",),
+    "imucal.fitting": ("NoiseFit", "fit"),
+    "imucal.noise": ("NoiseModel",),
+    "imucal.pipeline": ("Settings", "characterize"),
+    "imucal.planning": ("plan",),
+    "imucal.readers": ("read",),
+    "imucal.recording": ("AxisSeries", "Recording", "Sensor"),
+    "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),
+    "imucal.report.exports": ("export",),
+    "imucal.screening": ("screen",),
 }
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOMES:
-        msg = f"module 'imucal' has no attribute {name!r}"
-        raise AttributeError(msg)
-    value: object = getattr(importlib.import_module(_HOMES[name]), name)
-    globals()[name] = value
-    return value
+    for module, names in _HOMES.items():
+        if name in names:
+            value: object = getattr(importlib.import_module(module), name)
+            globals()[name] = value
+            return value
+    msg = f"module 'imucal' has no attribute {name!r}"
+    raise AttributeError(msg)
 
 
 def __dir__() -> list[str]:

@@ -175,14 +175,13 @@ def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[
         z = None
         if a is not None and b is not None and first is not None and second is not None:
             z = _score(first, second, (a.fit.level, b.fit.level), tolerance)
-        unit = TERMS[symbol].unit(axis.sensor)
         differences.append(
             Difference(
                 axis=axis.name,
                 key=key,
                 symbol=symbol,
                 sensor=axis.sensor,
-                unit="s" if key.endswith(_TIME) else unit,
+                unit="s" if key.endswith(_TIME) else TERMS[symbol].unit(axis.sensor),
                 a=first,
                 b=second,
                 ratio=_ratio(first, second),

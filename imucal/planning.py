@@ -97,7 +97,7 @@ class _Ask:
     def by_default(self, rate_hz: float, duration_s: float | None) -> "_Ask":
         """Return the question with what was not given."""
         duration = duration_s if self.duration_s is None else self.duration_s
-        return _Ask(self.rate_hz or rate_hz, self.precision, self.level, duration)
+        return replace(self, rate_hz=self.rate_hz or rate_hz, duration_s=duration)
 
 
 def plan(
@@ -179,12 +179,11 @@ def _two_digits(value: float) -> str:
 
 
 def _finding(need: Need, name: str, precision: float, duration_s: float) -> Finding:
-    percent = f"±{100 * precision:.3g} %"
-    this = f"this is {describe_time(duration_s)}"
-    text = f"{name} needs {describe_time(need.needed_s)} for {percent}, {this}."
-    if need.bounded:
-        text = f"{name} was not seen; were it at its bound, it would need {describe_time(need.needed_s)} "
-        text += f"for {percent}, {this}."
+    seen = f"{name} was not seen; were it at its bound, it would need" if need.bounded else f"{name} needs"
+    text = (
+        f"{seen} {describe_time(need.needed_s)} for ±{100 * precision:.3g} %, "
+        f"this is {describe_time(duration_s)}."
+    )
     return Finding(level="info", code="record-length", text=text)
 
 
@@ -197,8 +196,7 @@ def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
         if e.value is None and not TERMS[e.symbol].repeatable and 0 < e.high < math.inf
     ]
     model = NoiseModel(terms=tuple(term for term, _ in seen))
-    found = _axis_plan(model, seen + unseen, ask)
-    return replace(found, sensor=fit.sensor)
+    return replace(_axis_plan(model, seen + unseen, ask), sensor=fit.sensor)
 
 
 def _term(estimate: Estimate, value: float) -> NoiseTerm:

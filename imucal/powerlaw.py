@@ -174,6 +174,18 @@ def _mean_quantization(n: int, first: FloatArray, count: FloatArray) -> FloatArr
     return mean * (1 - 1 / n) + 4 / n
 
 
+def _bin_ends(n: int, first: FloatArray, count: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return half the angle between ordinates, and half the angle at both ends of each bin."""
+    step = np.pi / (2 * n)
+    return step, step * (first - 0.5), step * (first + count - 0.5)
+
+
+def _rise_of_slope(step: float, low: FloatArray, high: FloatArray, power: int) -> FloatArray:
+    """Return how much -step cos / (2 sin^power), an ordinate's slope, rises over each bin."""
+    first, last = (-step * np.cos(u) / (2 * np.sin(u) ** power) for u in (low, high))
+    return np.asarray(last - first)
+
+
 def _walk_ordinate(n: int, k: FloatArray) -> FloatArray:
     squared: FloatArray = np.sin(np.pi * k / (2 * n)) ** 2
     return 0.25 / squared
@@ -181,15 +193,9 @@ def _walk_ordinate(n: int, k: FloatArray) -> FloatArray:
 
 def _walk_wide(n: int, first: FloatArray, count: FloatArray) -> FloatArray:
     """Mean of 1/(4 sin²) by its integral and the first Euler-Maclaurin (midpoint) correction."""
-    step = np.pi / (2 * n)
-    low, high = step * (first - 0.5), step * (first + count - 0.5)
+    step, low, high = _bin_ends(n, first, count)
     integral: FloatArray = np.sin(high - low) / (np.sin(low) * np.sin(high)) / (4 * step)
-
-    def slope(u: FloatArray) -> FloatArray:
-        value: FloatArray = -step * np.cos(u) / (2 * np.sin(u) ** 3)
-        return value
-
-    return (integral - (slope(high) - slope(low)) / 24) / count
+    return (integral - _rise_of_slope(step, low, high, 3) / 24) / count
 
 
 def _flicker_ordinate(n: int, k: FloatArray) -> FloatArray:
@@ -204,15 +210,9 @@ def _flicker_ordinate(n: int, k: FloatArray) -> FloatArray:
 
 def _flicker_wide(n: int, first: FloatArray, count: FloatArray) -> FloatArray:
     """Mean of 1/(2 sin) by its integral and first correction; the boundary's share at the middle."""
-    step = np.pi / (2 * n)
-    low, high = step * (first - 0.5), step * (first + count - 0.5)
+    step, low, high = _bin_ends(n, first, count)
     integral = np.log(np.tan(high / 2) / np.tan(low / 2)) / (2 * step)
-
-    def slope(u: FloatArray) -> FloatArray:
-        value: FloatArray = -step * np.cos(u) / (2 * np.sin(u) ** 2)
-        return value
-
-    mean: FloatArray = (integral - (slope(high) - slope(low)) / 24) / count
+    mean: FloatArray = (integral - _rise_of_slope(step, low, high, 2) / 24) / count
     return mean + _flicker_boundary(n, first + (count - 1) / 2)
 
 

@@ -128,14 +128,18 @@ def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, F
     """
     steps = last // stride
     lags = np.arange(steps + 1) if steps <= _ALL_LAGS else _graded(m // stride, steps, order)
-    lags = lags * stride
-    gaps = np.diff(lags) / stride - 1.0
-    weights = np.ones(lags.size)
-    weights[1:] += gaps / 2
-    weights[:-1] += gaps / 2
-    weights *= 2
+    weights = 2 * trapezoid_weights(lags)
     weights[0] -= 1
-    return lags.astype(np.float64), weights
+    return (lags * stride).astype(np.float64), weights
+
+
+def trapezoid_weights(lags: IntArray) -> FloatArray:
+    """Return the weights that turn values at rising `lags`, shape (l,), into a sum over all between."""
+    weight = np.ones(lags.size)
+    skipped = (np.diff(lags) - 1) / 2
+    weight[:-1] += skipped
+    weight[1:] += skipped
+    return weight
 
 
 def _graded(m: int, last: int, order: int) -> IntArray:

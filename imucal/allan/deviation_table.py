@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.allan.curve import AllanCurve
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
@@ -96,7 +95,7 @@ def read_curve(
     """
     path = Path(path)
     headings, rows = _parse(path)
-    first = _tau_column(headings)
+    first = next((i for i, heading in enumerate(headings) if _TAU.match(heading.strip())), 0)
     rows = rows[np.argsort(rows[:, first], kind="stable")]
     tau = rows[:, first]
     _require_times(path, tau)
@@ -113,21 +112,15 @@ def read_curve(
     for i, unit in zip(wanted, given or [_unit_of(headings[i]) for i in wanted], strict=True):
         sensor, factor = _meaning(path, headings[i], unit)
         good, avar = _variances(path, headings[i], rows[:, i], factor or 1.0)
+        curve = _curve(tau[good], m[good], avar, n=n, estimator=estimator)
+        si = sensor.unit if sensor and factor else ""
         curves.append(
-            NamedCurve(
-                name=_bare(headings[i]),
-                sensor=sensor,
-                unit=sensor.unit if sensor and factor else "",
-                curve=_curve(tau[good], m[good], avar, n=n, estimator=estimator),
-                findings=findings,
-            )
+            NamedCurve(name=_bare(headings[i]), sensor=sensor, unit=si, curve=curve, findings=findings)
         )
     return tuple(curves)
 
 
-def _variances(
-    path: Path, heading: str, values: FloatArray, factor: float
-) -> tuple[NDArray[np.bool_], FloatArray]:
+def _variances(path: Path, heading: str, values: FloatArray, factor: float) -> tuple[BoolArray, FloatArray]:
     """Return which values of a column are positive numbers, and their Allan variances."""
     good = np.isfinite(values) & (values > 0)
     if not good.any():
@@ -139,16 +132,15 @@ def _variances(
 
 def _curve(tau: FloatArray, m: IntArray, avar: FloatArray, *, n: int | None, estimator: str) -> AllanCurve:
     """Return the curve, with eta3 degrees of freedom where the number of samples is known."""
-    known = n is not None and n >= 2 * int(m[-1])
-    terms = (n or 0) - 2 * m + 1
+    known = n if n is not None and n >= 2 * int(m[-1]) else 0
     spacing = 2 * m if estimator == "overlapping" else m
-    edf = np.maximum(terms / spacing, 1.0) if known else np.full(tau.size, np.nan)
+    edf = np.maximum((known - 2 * m + 1) / spacing, 1.0) if known else np.full(tau.size, np.nan)
     return AllanCurve(
         tau=tau,
         m=m,
         avar=avar,
         edf=edf,
-        n=n if known and n else 0,
+        n=known,
         estimator=estimator,
         computed="given",
         edf_method="eta3" if known else "",
@@ -196,8 +188,8 @@ def _numbers(path: Path, headings: Sequence[str], fields: list[tuple[int, list[s
     width = len(fields[0][1])
     rows = np.empty((len(fields), width))
     for row, (line, cells) in zip(rows, fields, strict=True):
-        if len(cells) != width or len(headings) != width:
-            found = len(cells) if len(cells) != width else len(headings)
+        found = len(cells) if len(cells) != width else len(headings)
+        if found != width:
             msg = (
                 f"{path}:{line}: has {width} columns beside {found} elsewhere; expected as many in each line"
             )
@@ -223,11 +215,6 @@ def _number(text: str) -> float | None:
         return float(text)
     except ValueError:
         return None
-
-
-def _tau_column(headings: Sequence[str]) -> int:
-    """Return the index of the averaging times: the column named so, else the first."""
-    return next((i for i, heading in enumerate(headings) if _TAU.match(heading.strip())), 0)
 
 
 def _require_times(path: Path, tau: FloatArray) -> None:
@@ -271,12 +258,11 @@ def _meaning(path: Path, heading: str, unit: str) -> tuple[Sensor | None, float 
     named = next((s for s, pattern in _SENSORS if pattern.search(_bare(heading))), None)
     if not unit:
         return named, None
-    for sensor, factors in SAMPLE_UNITS.items():
-        for name, factor in factors.items():
-            if unit.replace(" ", "") in {name, pretty(name)}:
-                return sensor, factor
-    known = ", ".join(name for factors in SAMPLE_UNITS.values() for name in factors)
-    msg = f"{path}: column {heading!r} is in {unit!r}; expected one of {known}"
+    known = {name: (sensor, factor) for sensor, of in SAMPLE_UNITS.items() for name, factor in of.items()}
+    for name, meaning in known.items():
+        if unit.replace(" ", "") in {name, pretty(name)}:
+            return meaning
+    msg = f"{path}: column {heading!r} is in {unit!r}; expected one of {', '.join(known)}"
     raise ReadError(msg)
 
 

@@ -4,11 +4,10 @@ It need not be true: the intervals of a curve only need the local shape of the s
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.allan.covariance import GenericModel
-from imucal.allan.dct import DctBins
-from imucal.arrays import FloatArray
+from imucal.allan.dct import DctBins, ramp_ordinates
+from imucal.arrays import BoolArray, FloatArray
 from imucal.powerlaw import PowerLaw
 
 #: A drift has zero mean beyond this ordinate, to 1e-6 of its squares.
@@ -43,7 +42,7 @@ def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> Gen
     basis = np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in PowerLaw])
     plain, plain_score = _fit(basis, power, count)
     singles = min(_DRIFT_ORDINATES, ordinates.size, int(np.argmin(bins.count == 1)) or bins.size)
-    shape = _drift_shape(bins.n, singles)
+    shape = ramp_ordinates(bins.n, singles)
     low = ordinates[:singles]
     variances, score, drift = plain, plain_score, 0.0
     for _ in range(3):
@@ -73,14 +72,6 @@ def fit_curve(m: FloatArray, avar: FloatArray, weight: FloatArray) -> GenericMod
     basis = np.array([law.avar(m[good]) for law in PowerLaw])
     variances = _non_negative(basis / avar[good], np.ones(int(good.sum())), weight[good])
     return GenericModel(variances=tuple(variances.tolist()))
-
-
-def _drift_shape(n: int, count: int) -> FloatArray:
-    """Return the DCT-II ordinates 1 … count of t = 0 … n-1; the even ones are 0."""
-    half = np.pi * np.arange(1, count + 1) / (2 * n)
-    shape: FloatArray = -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2)
-    shape[1::2] = 0.0
-    return shape
 
 
 def _fit(
@@ -152,7 +143,7 @@ def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> 
     return values / scale
 
 
-def _inside(gram: FloatArray, moment: FloatArray, values: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+def _inside(gram: FloatArray, moment: FloatArray, values: FloatArray, free: BoolArray) -> FloatArray:
     """Walk from `values` towards the free minimum, dropping each weight that reaches zero."""
     free = free.copy()
     while True:

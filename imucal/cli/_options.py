@@ -31,6 +31,9 @@ class Number(click.FloatRange):
         return number
 
 
+#: An option whose default stands in its help.
+shown = functools.partial(click.option, show_default=True)
+
 #: Hz: no IMU is slower or faster, and no product of these overflows.
 RATE = Number(1e-6, 1e9)
 #: Written like this, averaging times are a set and not a list.

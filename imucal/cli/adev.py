@@ -9,7 +9,7 @@ from imucal._version import __version__
 from imucal.allan.confidence import EDF_METHODS
 from imucal.allan.estimators import ESTIMATORS
 from imucal.cli._finding_lines import has_warning, print_findings
-from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say
+from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say, shown
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
 
@@ -47,35 +47,21 @@ Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
 analysed (with --strict: or a warning was found)."""
 )
 @log_options
-@click.option(
+@shown(
     "--taus",
     type=Taus(),
     default="octave",
-    show_default=True,
     metavar="SET",
     help="octave, decade, decade:20, all, or times such as 0.1,1,10min.",
 )
-@click.option(
-    "--estimator",
-    type=click.Choice(list(ESTIMATORS)),
-    default="overlapping",
-    show_default=True,
-    help="Which deviation.",
-)
-@click.option(
+@shown("--estimator", type=click.Choice(list(ESTIMATORS)), default="overlapping", help="Which deviation.")
+@shown(
     "--edf",
     type=click.Choice(list(EDF_METHODS)),
     default="hybrid",
-    show_default=True,
     help="Degrees of freedom of the intervals.",
 )
-@click.option(
-    "--level",
-    type=LEVEL,
-    default=0.95,
-    show_default=True,
-    help="Confidence level of the intervals.",
-)
+@shown("--level", type=LEVEL, default=0.95, help="Confidence level of the intervals.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, with the spectrum of each axis, not CSV.")
 def command(
     *,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._options import Number, quiet_option, say
+from imucal.cli._options import Number, quiet_option, say, shown
 from imucal.cli._report_input import read_report
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
@@ -31,23 +31,21 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
 )
 @click.argument("a", type=_report, metavar="A")
 @click.argument("b", type=_report, metavar="B")
-@click.option(
+@shown(
     "--alpha",
     type=Number(0, 1, min_open=True, max_open=True),
     default=0.05,
-    show_default=True,
     help="Probability of calling any term different when none is.",
 )
-@click.option(
+@shown(
     "--tolerance",
     type=Number(min=0),
     default=0.0,
-    show_default=True,
     metavar="FRACTION",
     help="Relative difference that doesn't count, such as 0.05.",
 )
 @click.option("--no-fail", is_flag=True, help="End with exit code 0 even if a term differs.")
-@click.option("--datasheet/--si", default=True, show_default=True, help="Units of the table.")
+@shown("--datasheet/--si", default=True, help="Units of the table.")
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON (SI).")
 @quiet_option
 def command(

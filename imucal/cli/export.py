@@ -7,7 +7,7 @@ from typing import TypedDict, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from imucal.cli._options import LogRequest, say
+from imucal.cli._options import LogRequest, say, shown
 from imucal.cli._report_input import load_report, report_or_log
 from imucal.errors import WriteError
 from imucal.report.exports import INFLATABLE, TARGETS, AxisPolicy, Unidentified, export, find_target, render
@@ -116,11 +116,10 @@ that the format needs is missing, 5 the file can't be written."""
     help="File, or folder, or - for standard output. [default: the format's own name here; for several "
     f"the folder {_FOLDER}]",
 )
-@click.option(
+@shown(
     "--axis-policy",
     type=click.Choice(get_args(AxisPolicy)),
     default="worst",
-    show_default=True,
     help="For formats with one number a sensor: the largest of the axes, the root of their mean variance, "
     "or one axis.",
 )
@@ -131,11 +130,10 @@ that the format needs is missing, 5 the file can't be written."""
     metavar="FACTORS",
     help="Multiply white (N), walk (K), flicker (B, GM), such as white=2,walk=10; said in the file.",
 )
-@click.option(
+@shown(
     "--unidentified",
     type=click.Choice(get_args(Unidentified)),
     default="bound",
-    show_default=True,
     help="A term that the data don't show: write its upper bound, or refuse.",
 )
 @click.option("--rostopic", metavar="NAME", help="IMU topic to write. [default: the log's]")

@@ -1,18 +1,14 @@
 """``imucal fit``: the main job."""
 
-import functools
 from pathlib import Path
 
 import click
 
 from imucal.cli._finding_lines import has_warning, print_findings
-from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say
+from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
 from imucal.errors import DataError
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
-
-#: An option whose default stands in its help.
-shown = functools.partial(click.option, show_default=True)
 
 _FORMATS = ("png", "svg", "pdf")
 
@@ -76,23 +72,21 @@ written, 130 interrupted."""
 @shown("--ic", type=click.Choice(CRITERIA), default="bic", help="Criterion that chooses the model.")
 @shown("--weights", type=click.Choice(WEIGHTS), default="full", help="Weights of gmwm.")
 @shown("--taus", type=TauSet(), default="octave", metavar="SET", help="octave, decade, decade:20 or all.")
-@click.option(
+@shown(
     "--edf",
     type=click.Choice(["hybrid", "model", "greenhall"]),
     default="hybrid",
-    show_default=True,
     help="Degrees of freedom of the curve's intervals.",
 )
 @click.option("--no-clean", is_flag=True, help="Fit spikes too, instead of leaving them out.")
 @click.option("--verify", is_flag=True, help="Check the fit against the exact likelihood (slower).")
-@click.option("--datasheet/--si", default=True, show_default=True, help="Units of the table.")
-@click.option(
+@shown("--datasheet/--si", default=True, help="Units of the table.")
+@shown(
     "--format",
     "formats",
     type=click.Choice(_FORMATS),
     multiple=True,
     default=("png",),
-    show_default=True,
     help="Pictures; may be repeated.",
 )
 @click.option("--no-html", is_flag=True, help="Write no HTML page.")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say
+from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say, shown
 from imucal.cli._report_input import is_report, read_report
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
@@ -50,16 +50,12 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read."""
 )
 @click.argument("source", metavar="MODEL_OR_REPORT")
 @click.option(
-    "--rate",
-    type=RATE,
-    metavar="HZ",
-    help="Sampling rate; needed with a model, a report has its own.",
+    "--rate", type=RATE, metavar="HZ", help="Sampling rate; needed with a model, a report has its own."
 )
-@click.option(
+@shown(
     "--precision",
     type=Fraction(),
     default="10%",
-    show_default=True,
     metavar="FRACTION",
     help="Wanted half-width of each term's interval, of its value.",
 )
@@ -72,7 +68,7 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read."""
 @click.option(
     "--duration", type=Duration(), metavar="TIME", help="Also say what a record so long tells, such as 3h."
 )
-@click.option("--datasheet/--si", default=True, show_default=True, help="Units of a report's table.")
+@shown("--datasheet/--si", default=True, help="Units of a report's table.")
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON (SI).")
 @quiet_option
 def command(

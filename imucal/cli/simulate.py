@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._options import RATE, Duration, Number, quiet_option, say
+from imucal.cli._options import RATE, Duration, Number, quiet_option, say, shown
 from imucal.noise import NoiseModel
 from imucal.units import G0
 
@@ -61,22 +61,8 @@ Examples:
     metavar="FILE",
     help="Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
 )
-@click.option(
-    "--rate",
-    type=RATE,
-    default=200.0,
-    show_default=True,
-    metavar="HZ",
-    help="Sampling rate.",
-)
-@click.option(
-    "--duration",
-    type=Duration(),
-    default="10min",
-    show_default=True,
-    metavar="TIME",
-    help="Length of the log.",
-)
+@shown("--rate", type=RATE, default=200.0, metavar="HZ", help="Sampling rate.")
+@shown("--duration", type=Duration(), default="10min", metavar="TIME", help="Length of the log.")
 @click.option(
     "--gap",
     "gaps",
@@ -86,11 +72,7 @@ Examples:
     help="Lose samples there; may be repeated.",
 )
 @click.option(
-    "--gyro-lsb",
-    type=Number(min=0),
-    default=0.0,
-    metavar="X",
-    help="Resolution of the gyroscope, in rad/s.",
+    "--gyro-lsb", type=Number(min=0), default=0.0, metavar="X", help="Resolution of the gyroscope, in rad/s."
 )
 @click.option(
     "--accel-lsb",
@@ -99,14 +81,7 @@ Examples:
     metavar="X",
     help="Resolution of the accelerometer, in m/s^2.",
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    metavar="N",
-    help="The same seed gives the same log.",
-)
+@shown("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="The same seed gives the same log.")
 @click.option("--json", "as_json", is_flag=True, help="Print the truth as JSON.")
 @quiet_option
 def command(

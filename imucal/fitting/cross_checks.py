@@ -10,8 +10,11 @@ Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 
 """
 
 import math
+<<<<<<< HEAD
 from collections.abc import Iterator
 from dataclasses import replace
+=======
+>>>>>>> main
 
 import numpy as np
 
@@ -98,7 +101,7 @@ def _finding(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) -
     said = " and ".join(
         f"{_value(estimate)} by {fit.method}" for fit, estimate in ((mle, first), (gmwm, second))
     )
-    axis = next((f.axis for f in _all_findings(mle, gmwm) if f.axis), None)
+    axis = next((f.axis for f in (*mle.findings, *gmwm.findings) if f.axis), None)
     return Finding(
         level="warning",
         code="second-opinion",
@@ -112,11 +115,6 @@ def _value(estimate: Estimate) -> str:
     if estimate.value is None:
         return f"below {estimate.high:.3g}"
     return f"{estimate.value:.4g} ({estimate.low:.4g} to {estimate.high:.4g})"
-
-
-def _all_findings(*fits: NoiseFit) -> Iterator[Finding]:
-    for fit in fits:
-        yield from fit.findings
 
 
 def verify_findings(

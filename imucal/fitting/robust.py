@@ -8,9 +8,8 @@ against a baseline that follows the slow parts, and replaced by baseline plus no
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.noise.terms import AngleRandomWalk
 from imucal.recording import AxisSeries, Sensor
@@ -46,7 +45,7 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     return replace(series, samples=samples), (_finding(series, spike, baseline, deviation),)
 
 
-def find_spikes(samples: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, float]:
+def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
     """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it.
 
     Notes
@@ -115,24 +114,14 @@ def resolution_effect(series: AxisSeries, N: float) -> tuple[Finding, ...]:
     gyroscope, accelerometer = AngleRandomWalk.units
     unit = pretty(gyroscope if series.sensor is Sensor.GYROSCOPE else accelerometer)
     if ratio < 0.5 or share >= 1:
-        return (
-            Finding(
-                level="warning",
-                code="rounding",
-                axis=series.name,
-                text=f"{what}: N = {N:.4g} {unit} is mostly rounding, and the sensor's own can't be told.",
-                advice="Record with a smaller measuring range or more bits.",
-            ),
-        )
-    return (
-        Finding(
-            level="info",
-            code="rounding",
-            axis=series.name,
-            text=f"{what}: of N = {N:.4g}, rounding makes {100 * (1 - np.sqrt(1 - share)):.1f} %; "
-            f"without it N = {np.sqrt(N**2 - rounding):.4g} {unit}.",
-        ),
+        text = f"{what}: N = {N:.4g} {unit} is mostly rounding, and the sensor's own can't be told."
+        advice = "Record with a smaller measuring range or more bits."
+        return (Finding(level="warning", code="rounding", axis=series.name, text=text, advice=advice),)
+    text = (
+        f"{what}: of N = {N:.4g}, rounding makes {100 * (1 - np.sqrt(1 - share)):.1f} %; "
+        f"without it N = {np.sqrt(N**2 - rounding):.4g} {unit}."
     )
+    return (Finding(level="info", code="rounding", axis=series.name, text=text),)
 
 
 def _baseline(samples: FloatArray) -> FloatArray:
@@ -154,7 +143,7 @@ def _baseline(samples: FloatArray) -> FloatArray:
     return baseline
 
 
-def _finding(series: AxisSeries, spike: NDArray[np.bool_], baseline: FloatArray, deviation: float) -> Finding:
+def _finding(series: AxisSeries, spike: BoolArray, baseline: FloatArray, deviation: float) -> Finding:
     count = int(spike.sum())
     share = count / series.n
     largest = float(np.abs(series.samples[spike] - baseline[spike]).max())
@@ -167,13 +156,8 @@ def _finding(series: AxisSeries, spike: NDArray[np.bool_], baseline: FloatArray,
     )
     if share <= _MANY:
         return Finding(level="info", code="spikes", axis=series.name, text=text)
-    return Finding(
-        level="warning",
-        code="spikes",
-        axis=series.name,
-        text=text,
-        advice="So many are no accident: look for loose wiring, a shared bus or a moving sensor.",
-    )
+    advice = "So many are no accident: look for loose wiring, a shared bus or a moving sensor."
+    return Finding(level="warning", code="spikes", axis=series.name, text=text, advice=advice)
 
 
 def heavy_tails(samples: FloatArray) -> float:

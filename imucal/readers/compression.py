@@ -51,33 +51,42 @@ def decompress(kind: str, data: memoryview, size: int) -> memoryview:
     if unpack is None:
         msg = f"compression {kind!r} is unknown; expected one of zstd, lz4, bz2"
         raise DamagedError(msg, code="compression")
-    raw = unpack(data, size)
+    try:
+        raw = unpack(data, size)
+    except _damage() as error:
+        article = "an" if kind == "lz4" else "a"
+        msg = f"{article} {kind} chunk is damaged: {error}"
+        raise DamagedError(msg) from error
     if len(raw) != size:
         msg = f"a chunk holds {len(raw)} bytes instead of the {size} it claims"
         raise DamagedError(msg)
-    return raw
+    return memoryview(raw)
 
 
 def decompress_prefix(kind: str, data: memoryview, size: int) -> bytes:
     """Return as much as a cut chunk still gives: the bytes before the cut."""
     size = min(size, max(_SMALL, _MAX_RATIO * len(data)))
-    import zstandard
-
     try:
         if kind in {"", "none"}:
             return bytes(data[:size])
         if kind == "zstd":
-            parts = zstandard.ZstdDecompressor().read_to_iter(bytes(data))
-            return _gather(parts, size)
+            return _unpack_zstd_prefix(data, size)
         if kind == "lz4":
             import lz4.frame
 
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(bytes(data), max_length=size))
         if kind == "bz2":
             return bz2.BZ2Decompressor().decompress(data, max_length=size)
-    except (ValueError, OSError, EOFError, RuntimeError, zstandard.ZstdError):
-        return b""
+    except _damage():
+        pass
     return b""
+
+
+def _damage() -> tuple[type[Exception], ...]:
+    """Return the errors of data that can't be unpacked."""
+    import zstandard
+
+    return ValueError, OSError, EOFError, RuntimeError, MemoryError, zstandard.ZstdError
 
 
 def check_crc(raw: memoryview, expected: int) -> None:
@@ -107,13 +116,13 @@ def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]
             raise DamagedError(msg) from error
 
 
-def _gather(parts: object, size: int) -> bytes:
+def _unpack_zstd_prefix(data: memoryview, size: int) -> bytes:
     """Join blocks until the stream breaks off."""
     import zstandard
 
     joined = bytearray()
     try:
-        for part in parts:  # type: ignore[attr-defined]
+        for part in zstandard.ZstdDecompressor().read_to_iter(bytes(data)):
             joined += part
             if len(joined) >= size:
                 break
@@ -122,60 +131,47 @@ def _gather(parts: object, size: int) -> bytes:
     return bytes(joined[:size])
 
 
-def _unpack_zstd(data: memoryview, size: int) -> memoryview:
+def _unpack_zstd(data: memoryview, size: int) -> bytes:
     import zstandard
 
-    try:
-        stated = zstandard.frame_content_size(data)
-        if stated not in {-1, size}:
-            msg = f"a zstd frame states {stated} bytes, its chunk {size}"
-            raise DamagedError(msg)
-        raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
-    except (zstandard.ZstdError, MemoryError) as error:
-        msg = f"a zstd chunk is damaged: {error}"
-        raise DamagedError(msg) from error
-    return memoryview(raw)
+    stated = zstandard.frame_content_size(data)
+    if stated not in {-1, size}:
+        msg = f"a zstd frame states {stated} bytes, its chunk {size}"
+        raise DamagedError(msg)
+    return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
 
 
-def _unpack_lz4(data: memoryview, size: int) -> memoryview:
+def _unpack_lz4(data: memoryview, size: int) -> bytes:
     import lz4.frame
 
-    try:
-        stated = lz4.frame.get_frame_info(data[:32]).get("content_size", 0)
-        if stated > size:
-            msg = f"an lz4 frame states {stated} bytes, its chunk {size}"
-            raise DamagedError(msg)
-        raw, used = lz4.frame.decompress(data, return_bytes_read=True)
-        if used == len(data):
-            return memoryview(raw)
-        # ROS bags may hold several frames in a row.
-        parts, length = [raw], len(raw)
-        while used < len(data) and length < size:
-            raw, more = lz4.frame.decompress(data[used:], return_bytes_read=True)
-            used += more
-            length += len(raw)
-            parts.append(raw)
-    except (RuntimeError, ValueError, EOFError, MemoryError) as error:
-        msg = f"an lz4 chunk is damaged: {error}"
-        raise DamagedError(msg) from error
-    return memoryview(b"".join(parts))
+    stated = lz4.frame.get_frame_info(data[:32]).get("content_size", 0)
+    if stated > size:
+        msg = f"an lz4 frame states {stated} bytes, its chunk {size}"
+        raise DamagedError(msg)
+    raw, used = lz4.frame.decompress(data, return_bytes_read=True)
+    if used == len(data):
+        return bytes(raw)
+    # ROS bags may hold several frames in a row.
+    parts, length = [raw], len(raw)
+    while used < len(data) and length < size:
+        raw, more = lz4.frame.decompress(data[used:], return_bytes_read=True)
+        used += more
+        length += len(raw)
+        parts.append(raw)
+    return b"".join(parts)
 
 
-def _unpack_bz2(data: memoryview, size: int) -> memoryview:
-    try:
-        machine = bz2.BZ2Decompressor()
-        # One byte more than is wanted: the checksum is only looked at when the end is reached.
-        raw = machine.decompress(data, max_length=size + 1)
-        if not machine.eof:
-            msg = "a bz2 chunk is longer than it claims, or cut"
-            raise DamagedError(msg)
-    except (OSError, ValueError, EOFError) as error:
-        msg = f"a bz2 chunk is damaged: {error}"
-        raise DamagedError(msg) from error
-    return memoryview(raw)
+def _unpack_bz2(data: memoryview, size: int) -> bytes:
+    machine = bz2.BZ2Decompressor()
+    # One byte more than is wanted: the checksum is only looked at when the end is reached.
+    raw = machine.decompress(data, max_length=size + 1)
+    if not machine.eof:
+        msg = "a bz2 chunk is longer than it claims, or cut"
+        raise DamagedError(msg)
+    return raw
 
 
-_UNPACK: dict[str, Callable[[memoryview, int], memoryview]] = {
+_UNPACK: dict[str, Callable[[memoryview, int], bytes]] = {
     "zstd": _unpack_zstd,
     "lz4": _unpack_lz4,
     "bz2": _unpack_bz2,

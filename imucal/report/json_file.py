@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
-from imucal.allan.spectrum import Spectrum
+from imucal.allan.dct import Spectrum
 from imucal.clock import Gap
 from imucal.errors import ReadError
 from imucal.findings import Finding

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.allan.spectrum import Spectrum
+from imucal.allan.dct import Spectrum
 from imucal.arrays import FloatArray, read_only
 from imucal.clock import Gap
 from imucal.findings import Finding

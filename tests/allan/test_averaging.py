@@ -4,7 +4,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.allan.averaging import averaging_factors
+from imucal.allan.engine import averaging_factors
 from imucal.arrays import IntArray
 from imucal.errors import DataError
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
-from imucal.allan.spectrum import Spectrum
+from imucal.allan.dct import Spectrum
 from imucal.clock import Gap
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response

@@ -13,7 +13,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from PIL import Image
 
-from imucal.allan.spectrum import Spectrum
+from imucal.allan.dct import Spectrum
 from imucal.fitting.noise_fit import Line, Response
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import Stroke

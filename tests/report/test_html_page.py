@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from lxml import html
 
-from imucal.allan.spectrum import Spectrum
+from imucal.allan.dct import Spectrum
 from imucal.clock import Gap
 from imucal.report.html_page import render_page
 from imucal.report.markup import Markup, element

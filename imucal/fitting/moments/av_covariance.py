@@ -22,6 +22,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from imucal.allan.covariance import trapezoid_weights
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.powerlaw import PowerLaw
 
@@ -173,7 +174,7 @@ def _laws(
     low, high = max(1 - length_i, -reach), min(length_j - 1, reach)
     lags = step * _lag_grid(mi // step, mj // step, -(-low // step), high // step)
     places = np.minimum(length_i, length_j - lags) - np.maximum(0, -lags)
-    weight = _node_weights(lags // step) * np.maximum(places, 0) / math.lcm(stride_i, stride_j)
+    weight = trapezoid_weights(lags // step) * np.maximum(places, 0) / math.lcm(stride_i, stride_j)
     of_laws = np.stack([_lag_covariance(lags, mi, mj, law) for law in _LAWS])
     return lags, weight / (float(terms_i) * float(terms_j)), of_laws
 
@@ -200,15 +201,6 @@ def _lag_grid(mi: int, mj: int, low: int, high: int) -> IntArray:
     between = np.linspace(-2 * mj, 2 * mi, 129).astype(np.int64)
     lags = np.concatenate([np.add.outer(kinks, offsets).ravel(), between, [low, high]])
     return np.asarray(np.unique(lags[(lags >= low) & (lags <= high)]), dtype=np.int64)
-
-
-def _node_weights(lags: IntArray) -> FloatArray:
-    """Return the weights that turn values at `lags` into a sum over all lags between (trapezoids)."""
-    weight = np.ones(lags.size)
-    skipped = (np.diff(lags) - 1) / 2
-    weight[:-1] += skipped
-    weight[1:] += skipped
-    return weight
 
 
 def _lag_covariance(lags: IntArray, mi: int, mj: int, process: Process) -> FloatArray:

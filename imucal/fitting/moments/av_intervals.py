@@ -1,4 +1,4 @@
-"""Covariance, intervals and misfit of a model that was fitted to Allan variances.
+"""Estimates with intervals, covariance and misfit of a model that was fitted to Allan variances.
 
 With weight W and covariance V of the Allan variances y, the estimate is linear near its solution,
 theta = (G'WG)^-1 G'W y, and its covariance the sandwich of V. V itself depends on the variances:
@@ -12,14 +12,19 @@ of a logarithm; where other terms make the spread, it is Wald's; it always has a
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.fitting.moments.av_covariance import AvarCovariance, avar_covariance
 from imucal.fitting.moments.av_points import AvarPoints, columns, processes
-from imucal.fitting.moments.av_search import Solution, Weight
-from imucal.fitting.noise_fit import Goodness
+from imucal.fitting.moments.av_search import Solution, Weight, non_negative
+from imucal.fitting.noise_fit import Estimate, Goodness, Interval
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
+
+_ORDER = "QNBKR"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,41 +59,6 @@ class CurveSpread:
             white = float(variances[self.laws.index("N")]) / self.points.m
             covariance = covariance + self.points.excess * np.outer(white, white) / self.points.n
         return covariance
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Spread:
-    """How far the estimates of a solution scatter.
-
-    Attributes
-    ----------
-    curve
-        Covariance of the Allan variances.
-    weight
-        The weight the estimates were made with.
-    """
-
-    curve: CurveSpread
-    weight: Weight
-
-    def covariance(self, solution: Solution, at: FloatArray, free: np.ndarray) -> FloatArray:
-        """Return the covariance of the free variances and, after them, all log correlation times.
-
-        Parameters
-        ----------
-        solution
-            Whose correlation times and variances give the derivatives.
-        at
-            Variances that make the covariance of the curve, shape (p,).
-        free
-            Which variances are free, shape (p,); those at zero are held there.
-        """
-        design = self.weight.whiten @ derivatives(solution, self.curve.points, free)
-        length = np.sqrt(np.einsum("ij,ij->j", design, design))
-        length[length == 0] = 1.0
-        # Of minimal norm, so that terms the curve can't tell apart give a wide answer, not an error.
-        solve = np.linalg.pinv(design / length, rcond=1e-12) @ self.weight.whiten
-        return np.asarray(solve @ self.curve.at(at) @ solve.T / np.outer(length, length))
 
 
 def derivatives(solution: Solution, points: AvarPoints, free: np.ndarray) -> FloatArray:
@@ -163,3 +133,158 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
         float(-ndtri(p_value)) if p_value > 1e-15 else (np.cbrt(misfit / freedom) - 1 + spread) / spread**0.5
     )
     return Goodness(statistic=float(statistic), p_value=p_value, chi2_per_bin=misfit / freedom, tau_s=tau)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CurveEstimates:
+    """The estimates, the covariance of those that are not bounded, and that of the Allan variances."""
+
+    estimates: tuple[Estimate, ...]
+    parameters: tuple[str, ...]
+    covariance: FloatArray
+    curve_covariance: FloatArray
+
+
+def model_of(points: AvarPoints, solution: Solution) -> NoiseModel:
+    """Return the model of a solution, its terms in the usual order."""
+    count = len(solution.laws)
+    terms = [points.term(law, float(v)) for law, v in zip(solution.laws, solution.variances, strict=False)]
+    times = zip(solution.variances[count:], solution.times, strict=True)
+    terms += [points.term("GM", float(v), float(time)) for v, time in times]
+    return NoiseModel(terms=tuple(sorted(terms, key=lambda term: list(TERMS).index(term.symbol))))
+
+
+def curve_estimates(
+    points: AvarPoints, solution: Solution, weight: Weight, *, level: float
+) -> CurveEstimates:
+    """Return an estimate of every term of the model, and of N, B and K.
+
+    A term that is not in the model gets the upper bound that it has when it is added.
+    """
+    laws = "".join(law for law in _ORDER if law in solution.laws or law in ALWAYS)
+    spread = CurveSpread.of_terms(points, laws, solution.times)
+    reader = _Reader(spread, weight, _padded(solution, laws), solution.laws, level)
+    symbols = in_order([*laws, *["GM"] * solution.times.size])
+    gauss_markov = count(len(laws))
+    places = [next(gauss_markov) if s == "GM" else laws.index(s) for s in symbols]
+    entries = [
+        (reader.estimate(place, key, symbol), place)
+        for place, key, symbol in zip(places, term_keys(symbols), symbols, strict=True)
+    ]
+    names, covariance = reader.covariance([(e, place) for e, place in entries if e.value is not None])
+    return CurveEstimates(
+        estimates=tuple(estimate for estimate, _ in entries),
+        parameters=names,
+        covariance=covariance,
+        curve_covariance=spread.at(reader.solution.variances),
+    )
+
+
+def _padded(solution: Solution, laws: str) -> Solution:
+    """Return the solution with the laws it lacks, at variance 0."""
+    given = dict(zip(solution.laws, solution.variances, strict=False))
+    variances = [given.get(law, 0.0) for law in laws]
+    return replace(
+        solution, laws=laws, variances=np.append(variances, solution.variances[len(solution.laws) :])
+    )
+
+
+class _Reader:
+    """Reads estimates off a solution; `own` are the laws of the model itself."""
+
+    def __init__(
+        self, spread: CurveSpread, weight: Weight, solution: Solution, own: str, level: float
+    ) -> None:
+        from scipy.special import chdtri
+
+        self.points, self.spread, self.weight, self.solution = spread.points, spread, weight, solution
+        self.quantile = float(chdtri(1, 1 - level))
+        self.design = weight.whiten @ columns(self.points.m, solution.laws, solution.times)
+        self.target = weight.whiten @ self.points.avar
+        self.inside = np.array([law in own for law in solution.laws] + [True] * solution.times.size)
+        self.free = self.inside & (solution.variances > 0)
+        self.count = len(solution.laws)
+
+    def estimate(self, place: int, key: str, symbol: str) -> Estimate:
+        low, high = self._interval(place)
+        to_si = self.points.coefficient
+        if not (low > 0 and self.inside[place]):
+            return Estimate.bounded(key, symbol, to_si(symbol, high))
+        return Estimate(
+            key=key,
+            symbol=symbol,
+            status="estimated",
+            value=to_si(symbol, float(self.solution.variances[place])),
+            low=to_si(symbol, low),
+            high=to_si(symbol, high),
+            correlation_time=self._time(place - self.count) if symbol == "GM" else None,
+        )
+
+    def _scatter(self, at: FloatArray, free: np.ndarray) -> FloatArray:
+        """Return the covariance of the free variances and, after them, all log correlation times.
+
+        `at`, shape (p,), are the variances that make the covariance of the curve; those that are
+        not `free`, shape (p,), are held.
+        """
+        design = self.weight.whiten @ derivatives(self.solution, self.points, free)
+        length = np.sqrt(np.einsum("ij,ij->j", design, design))
+        length[length == 0] = 1.0
+        # Of minimal norm, so that terms the curve can't tell apart give a wide answer, not an error.
+        solve = np.linalg.pinv(design / length, rcond=1e-12) @ self.weight.whiten
+        return np.asarray(solve @ self.spread.at(at) @ solve.T / np.outer(length, length))
+
+    def _time(self, index: int) -> Interval:
+        """Return the correlation time in s; its logarithm is closer to normal than itself."""
+        covariance = self._scatter(self.solution.variances, self.free)
+        place = int(self.free.sum()) + int(self.free[self.count : self.count + index].sum())
+        deviation = np.sqrt(self.quantile * covariance[place, place])
+        value = float(self.solution.times[index]) * self.points.tau0
+        factor = float(np.exp(min(deviation, 50.0)))
+        return Interval(value=value, low=value / factor, high=value * factor)
+
+    def _interval(self, place: int) -> tuple[float, float]:
+        """Return the limits of one variance per sample."""
+        free = self.free.copy()
+        free[place] = True
+        if int(free.sum()) + int(free[self.count :].sum()) > self.points.size:
+            return 0.0, float("inf")
+        value = float(self.solution.variances[place])
+        if not self.inside[place]:
+            used = np.flatnonzero(self.inside | (np.arange(self.inside.size) == place))
+            value = float(non_negative(self.design[:, used], self.target)[0][used.tolist().index(place)])
+        row = int(free[:place].sum())
+
+        def spread_at(trial: float) -> float:
+            at = self._others(place, trial)
+            variance = self._scatter(at, free)[row, row]
+            return float(np.sqrt(variance))
+
+        return limits(value, spread_at, self.quantile)
+
+    def _others(self, place: int, trial: float) -> FloatArray:
+        """Return the best variances with the one at `place` held at `trial`, shape (p,)."""
+        others = np.flatnonzero(self.inside & (np.arange(self.inside.size) != place))
+        at = np.zeros(self.inside.size)
+        if others.size:
+            rest = self.target - trial * self.design[:, place]
+            at[others] = non_negative(self.design[:, others], rest)[0]
+        at[place] = trial
+        return at
+
+    def covariance(self, shown: list[tuple[Estimate, int]]) -> tuple[tuple[str, ...], FloatArray]:
+        """Return the parameters' names and the covariance of their coefficients in SI."""
+        raw = self._scatter(self.solution.variances, self.free)
+        names: list[str] = []
+        rows: list[int] = []
+        slopes: list[float] = []
+        for estimate, place in shown:
+            value, variance = estimate.value or 0.0, float(self.solution.variances[place])
+            names.append(TERMS[estimate.symbol].parameter_names(estimate.key)[0])
+            rows.append(int(self.free[:place].sum()))
+            slopes.append(value / (2 * variance))
+            if estimate.correlation_time is not None:
+                names.append(f"{estimate.key}.T")
+                rows.append(int(self.free.sum()) + int(self.free[self.count : place].sum()))
+                slopes.append(estimate.correlation_time.value)
+        covariance = raw[np.ix_(rows, rows)] * np.outer(slopes, slopes)
+        return tuple(names), np.asarray(covariance, dtype=np.float64)

@@ -4,7 +4,7 @@ Everything a fit of a curve computes is relative to a typical Allan variance of 
 sampling period, so that the unit of the samples changes nothing but the unit of the result.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,17 +64,7 @@ class AvarPoints:
 
     def within(self, first: int) -> "AvarPoints":
         """Return the points from index `first` on."""
-        return AvarPoints(
-            m=self.m[first:],
-            avar=self.avar[first:],
-            scale=self.scale,
-            n=self.n,
-            known_n=self.known_n,
-            tau0=self.tau0,
-            overlapping=self.overlapping,
-            used=self.used[first:],
-            excess=self.excess,
-        )
+        return replace(self, m=self.m[first:], avar=self.avar[first:], used=self.used[first:])
 
     def coefficient(self, symbol: str, variance: float) -> float:
         """Return a term's coefficient in SI, from its variance per sample over `scale`."""

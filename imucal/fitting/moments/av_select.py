@@ -17,7 +17,7 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.fitting.moments.av_intervals import CurveSpread, goodness
 from imucal.fitting.moments.av_points import AvarPoints, columns
-from imucal.fitting.moments.av_search import Solution, Weight, minimise, time_grid
+from imucal.fitting.moments.av_search import Solution, Weight, minimise, non_negative, time_grid
 from imucal.fitting.settings import CRITERIA, FitSettings
 
 _LAWS = "QNBKR"
@@ -42,17 +42,13 @@ def dictionary(points: AvarPoints, weight: Weight) -> Solution:
 
     It describes almost any curve; the terms left at zero are dropped.
     """
-    from scipy.optimize import nnls
-
     grid = time_grid(points.m, per_decade=3)
     matrix = weight.whiten @ columns(points.m, _LAWS, grid)
-    length = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
-    solution, residual = nnls(matrix / length, weight.whiten @ points.avar)
-    variances = solution / length
+    variances, objective = non_negative(matrix, weight.whiten @ points.avar)
     laws = "".join(law for law, value in zip(_LAWS, variances, strict=False) if value > 0)
     active = variances[len(_LAWS) :] > 0
     kept = np.concatenate([variances[: len(_LAWS)], variances[len(_LAWS) :][active]])
-    return Solution(laws=laws, times=grid[active], variances=kept[kept > 0], objective=float(residual) ** 2)
+    return Solution(laws=laws, times=grid[active], variances=kept[kept > 0], objective=objective)
 
 
 def choose(

@@ -18,8 +18,7 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.moments.av_estimates import curve_estimates, model_of
-from imucal.fitting.moments.av_intervals import CurveSpread, goodness
+from imucal.fitting.moments.av_intervals import CurveSpread, curve_estimates, goodness, model_of
 from imucal.fitting.moments.av_points import AvarPoints, avar_points
 from imucal.fitting.moments.av_search import Solution, Weight
 from imucal.fitting.moments.av_select import MISFIT, CurveFit, ModelSearch, best_band, dictionary, ranked

@@ -16,10 +16,10 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.fitting.moments.av_intervals import CurveSpread, goodness
-from imucal.fitting.moments.av_points import AvarPoints, avar_points, columns
+from imucal.fitting.moments.av_points import AvarPoints, avar_points
 from imucal.fitting.moments.av_search import Solution, Weight
 from imucal.fitting.moments.av_select import dictionary
-from imucal.fitting.moments.slope_lines import LEAST_POINTS, SLOPES, Reading, read_term
+from imucal.fitting.moments.slope_lines import LEAST_POINTS, SLOPES, LogCurve, Reading, read_term
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import NoiseModel
@@ -64,21 +64,21 @@ def fit_slope(
     """
     structure, level = settings.structure, settings.level
     points = avar_points(series, curve)
-    covariance = _log_covariance(points)
+    logs = _log_curve(points)
     wanted = [s for s in SLOPES if structure is None or s in structure]
-    found = [read_term(points, covariance, symbol, windows) for symbol in wanted]
-    readings = [reading for reading in found if reading is not None]
-    estimates, shown = _estimates(points, covariance, readings, structure, level)
+    found = [read_term(logs, symbol, windows) for symbol in wanted]
+    readings = {reading.symbol: reading for reading in found if reading is not None}
+    estimates, shown = _estimates(logs, readings, structure, level)
     return NoiseFit(
         method="slope",
         sensor=series.sensor if series is not None else None,
         rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
         level=level,
-        model=NoiseModel(terms=tuple(points.term(r.symbol, _variance(r)) for r in shown)),
+        model=NoiseModel(terms=tuple(points.term(r.symbol, r.variance) for r in shown)),
         estimates=estimates,
         parameters=tuple(r.symbol for r in shown),
-        covariance=_covariance(points, covariance, shown),
-        goodness=_goodness(points, covariance, shown),
+        covariance=_covariance(logs, shown),
+        goodness=_goodness(logs, shown),
         curve=curve,
         used=np.unique(np.concatenate([points.used[:0], *(points.used[r.places] for r in shown)])),
         settings={"windows": {r.symbol: _window(points, r) for r in shown}},
@@ -90,21 +90,16 @@ def _window(points: AvarPoints, reading: Reading) -> list[float]:
     return [float(points.m[reading.places[k]] * points.tau0) for k in (0, -1)]
 
 
-def _variance(reading: Reading) -> float:
-    """Return the square of the coefficient that was read."""
-    return float(np.exp(2 * reading.log_value))
-
-
-def _covariance(points: AvarPoints, covariance: FloatArray, shown: list[Reading]) -> FloatArray:
+def _covariance(curve: LogCurve, shown: list[Reading]) -> FloatArray:
     """Return the covariance of the coefficients in SI, from that of the points' logarithms."""
-    values = np.array([points.coefficient(r.symbol, _variance(r)) for r in shown])
-    design = np.zeros((len(shown), points.size))
+    values = np.array([curve.points.coefficient(r.symbol, r.variance) for r in shown])
+    design = np.zeros((len(shown), curve.points.size))
     for row, reading in zip(design, shown, strict=True):
         row[reading.places] = reading.weights
-    return read_only(design @ covariance @ design.T * np.outer(values, values))
+    return read_only(design @ curve.covariance @ design.T * np.outer(values, values))
 
 
-def _goodness(points: AvarPoints, covariance: FloatArray, shown: list[Reading]) -> Goodness:
+def _goodness(curve: LogCurve, shown: list[Reading]) -> Goodness:
     """Return how well the terms together describe all points."""
     if not shown:
         return Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
@@ -114,68 +109,48 @@ def _goodness(points: AvarPoints, covariance: FloatArray, shown: list[Reading]) 
         variances=np.exp(2 * np.array([r.log_value for r in shown])),
         objective=float("nan"),
     )
-    return goodness(points, solution, covariance * 4 * np.outer(points.avar, points.avar))
+    avar = curve.points.avar
+    return goodness(curve.points, solution, curve.covariance * 4 * np.outer(avar, avar))
 
 
-def _log_covariance(points: AvarPoints) -> FloatArray:
-    """Return the covariance of the logarithms of the deviations, of whatever noise fits the curve."""
+def _log_curve(points: AvarPoints) -> LogCurve:
+    """Return the points with the covariance that they have under whatever noise fits the curve."""
     rough = dictionary(points, Weight.of_deviations(points.avar))
     spread = CurveSpread.of_terms(points, rough.laws, rough.times).at(rough.variances)
     model = rough.avar(points.m)
-    return np.asarray(spread / (4 * np.outer(model, model)))
+    return LogCurve(points, np.asarray(spread / (4 * np.outer(model, model))))
 
 
 def _estimates(
-    points: AvarPoints,
-    covariance: FloatArray,
-    readings: list[Reading],
-    structure: tuple[str, ...] | None,
-    level: float,
+    curve: LogCurve, found: Mapping[str, Reading], structure: tuple[str, ...] | None, level: float
 ) -> tuple[tuple[Estimate, ...], list[Reading]]:
     """Return the estimates and the readings that are not explained by the others."""
     from scipy.special import ndtri
 
     quantile = float(ndtri((1 + level) / 2))
-    found = {reading.symbol: reading for reading in readings}
     # A term that was not read may still be as large as the curve lets it.
-    tops = {symbol: _ceiling(points, covariance, symbol, level) for symbol in SLOPES}
+    tops = {symbol: _ceiling(curve, symbol, level) for symbol in SLOPES}
     names = [s for s in SLOPES if s in found or s in ALWAYS or (structure is not None and s in structure)]
     estimates, shown = [], []
     for symbol in names:
         reading = found.get(symbol)
-        share = 0.0 if reading is None else _share_of_others(points, covariance, reading, found, tops)
+        share = 0.0 if reading is None else _share_of_others(curve, reading, found, tops)
         if reading is None or share >= 1:
-            high = points.coefficient(symbol, float(np.exp(2 * tops[symbol])))
+            high = curve.points.coefficient(symbol, float(np.exp(2 * tops[symbol])))
             estimates.append(Estimate.bounded(symbol, symbol, high))
             continue
-        spread = quantile * _spread(covariance, reading)
-        value = points.coefficient(symbol, _variance(reading))
+        spread = quantile * reading.spread(curve)
+        value = curve.points.coefficient(symbol, reading.variance)
+        low, high = value * float(np.sqrt(1 - share) * np.exp(-spread)), value * float(np.exp(spread))
         estimates.append(
-            Estimate(
-                key=symbol,
-                symbol=symbol,
-                status="estimated",
-                value=value,
-                low=value * float(np.sqrt(1 - share) * np.exp(-spread)),
-                high=value * float(np.exp(spread)),
-            )
+            Estimate(key=symbol, symbol=symbol, status="estimated", value=value, low=low, high=high)
         )
         shown.append(reading)
     return tuple(estimates), shown
 
 
-def _spread(covariance: FloatArray, reading: Reading) -> float:
-    """Return the standard error of the logarithm of a reading."""
-    places = reading.places
-    return float(np.sqrt(reading.weights @ covariance[np.ix_(places, places)] @ reading.weights))
-
-
 def _share_of_others(
-    points: AvarPoints,
-    covariance: FloatArray,
-    reading: Reading,
-    found: Mapping[str, Reading],
-    tops: Mapping[str, float],
+    curve: LogCurve, reading: Reading, found: Mapping[str, Reading], tops: Mapping[str, float]
 ) -> float:
     """Return how much of the Allan variance on a term's line the others may explain.
 
@@ -186,16 +161,16 @@ def _share_of_others(
     for symbol in SLOPES:
         if symbol == reading.symbol:
             continue
-        alone = columns(points.m[places], symbol, np.zeros(0))[:, 0]
+        alone = curve.shape(symbol)[places]
         if symbol in found:
-            variance = np.exp(2 * (found[symbol].log_value + 2 * _spread(covariance, found[symbol])))
+            variance = np.exp(2 * (found[symbol].log_value + 2 * found[symbol].spread(curve)))
         else:
-            variance = min(np.exp(2 * tops[symbol]), _beside(points, covariance, reading, alone))
-        share += variance * alone / points.avar[places]
+            variance = min(np.exp(2 * tops[symbol]), _beside(curve, reading, alone))
+        share += variance * alone / curve.points.avar[places]
     return float(reading.weights @ share)
 
 
-def _beside(points: AvarPoints, covariance: FloatArray, reading: Reading, alone: FloatArray) -> float:
+def _beside(curve: LogCurve, reading: Reading, alone: FloatArray) -> float:
     """Return how large a second term may be beside a reading: the points of the line limit its bend.
 
     Two standard errors above its estimate from those points; infinite for fewer than three.
@@ -203,24 +178,22 @@ def _beside(points: AvarPoints, covariance: FloatArray, reading: Reading, alone:
     places = reading.places
     if places.size < LEAST_POINTS:
         return float("inf")
-    avar = points.avar[places]
-    own = columns(points.m[places], reading.symbol, np.zeros(0))[:, 0]
-    design = np.stack([own, alone], axis=1) / avar[:, np.newaxis]
-    inverse = np.linalg.inv(4 * covariance[np.ix_(places, places)])
+    both = np.stack([curve.shape(reading.symbol)[places], alone], axis=1)
+    design = both / curve.points.avar[places, np.newaxis]
+    inverse = np.linalg.inv(4 * curve.among(places))
     spread = np.linalg.inv(design.T @ inverse @ design)
     estimate = float((spread @ design.T @ inverse @ np.ones(places.size))[1])
     return max(estimate, 0.0) + 2 * float(np.sqrt(spread[1, 1]))
 
 
-def _ceiling(points: AvarPoints, covariance: FloatArray, symbol: str, level: float) -> float:
+def _ceiling(curve: LogCurve, symbol: str, level: float) -> float:
     """Return the logarithm of the largest coefficient whose term alone stays below the curve's limits.
 
     The limits are of a chi-squared law and hold for all points together (Bonferroni).
     """
     from scipy.special import chdtri
 
-    edf = 1 / (2 * np.diag(covariance))
-    tail = (1 - level) / (2 * points.size)
-    shape = columns(points.m, symbol, np.zeros(0))[:, 0]
-    high = np.log(points.avar / shape * edf / chdtri(edf, 1 - tail)) / 2
+    edf = 1 / (2 * curve.variance)
+    tail = (1 - level) / (2 * curve.points.size)
+    high = np.log(curve.points.avar / curve.shape(symbol) * edf / chdtri(edf, 1 - tail)) / 2
     return float(high.min())

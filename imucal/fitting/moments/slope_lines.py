@@ -23,6 +23,32 @@ _LEAST_EDF = 3.0
 _FLOOR = 1.05
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LogCurve:
+    """Points, and the covariance of the logarithms of their deviations, shape (k, k)."""
+
+    points: AvarPoints
+    covariance: FloatArray
+
+    @property
+    def variance(self) -> FloatArray:
+        """Variance of each logarithm, shape (k,)."""
+        return np.diag(self.covariance)
+
+    @property
+    def sure(self) -> int:
+        """How many of the points have enough degrees of freedom to show a slope."""
+        return int(np.sum(self.variance < 1 / (2 * _LEAST_EDF)))
+
+    def among(self, places: IntArray) -> FloatArray:
+        """Return the covariance of some of the logarithms, shape (j, j)."""
+        return self.covariance[np.ix_(places, places)]
+
+    def shape(self, symbol: str) -> FloatArray:
+        """Return the Allan variance of a term of unit variance at the points, shape (k,)."""
+        return np.asarray(columns(self.points.m, symbol, np.zeros(0))[:, 0])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reading:
     """One term's line: the logarithm of its coefficient, as weights on the points' logarithms."""
@@ -32,30 +58,30 @@ class Reading:
     weights: FloatArray
     log_value: float
 
+    def spread(self, curve: LogCurve) -> float:
+        """Return the standard error of `log_value`."""
+        return float(np.sqrt(self.weights @ curve.among(self.places) @ self.weights))
+
+    @property
+    def variance(self) -> float:
+        """Square of the coefficient, as a variance per sample."""
+        return float(np.exp(2 * self.log_value))
+
 
 def read_term(
-    points: AvarPoints,
-    covariance: FloatArray,
-    symbol: str,
-    windows: Mapping[str, tuple[float, float]] | None,
+    curve: LogCurve, symbol: str, windows: Mapping[str, tuple[float, float]] | None
 ) -> Reading | None:
     """Return the reading of one term, or None where the curve has no such slope."""
-    shape = np.sqrt(columns(points.m, symbol, np.zeros(0))[:, 0])
     if windows is not None and symbol in windows:
-        places = _given(points, symbol, windows[symbol])
+        places = _given(curve.points, symbol, windows[symbol])
     else:
-        places = _floor(points, covariance) if symbol == "B" else _line(points, covariance, SLOPES[symbol])
+        places = _floor(curve) if symbol == "B" else _line(curve, SLOPES[symbol])
     if not places.size:
         return None
-    weights = 1 / np.diag(covariance)[places]
+    weights = 1 / curve.variance[places]
     weights = weights / weights.sum()
-    logs = np.log(np.sqrt(points.avar[places]) / shape[places])
-    return Reading(
-        symbol=symbol,
-        places=places,
-        weights=weights,
-        log_value=float(weights @ logs),
-    )
+    logs = np.log(np.sqrt(curve.points.avar[places]) / np.sqrt(curve.shape(symbol))[places])
+    return Reading(symbol=symbol, places=places, weights=weights, log_value=float(weights @ logs))
 
 
 def _given(points: AvarPoints, symbol: str, window: tuple[float, float]) -> IntArray:
@@ -70,20 +96,20 @@ def _given(points: AvarPoints, symbol: str, window: tuple[float, float]) -> IntA
     return np.asarray(places, dtype=np.int64)
 
 
-def _line(points: AvarPoints, covariance: FloatArray, slope: float) -> IntArray:
+def _line(curve: LogCurve, slope: float) -> IntArray:
     """Return the longest run of points on a line of that slope; of equals, the surest."""
-    x, y = np.log(points.m.astype(np.float64)), np.log(points.avar) / 2
-    sure = int(np.sum(np.diag(covariance) < 1 / (2 * _LEAST_EDF)))
+    x, y = np.log(curve.points.m.astype(np.float64)), np.log(curve.points.avar) / 2
+    sure = curve.sure
     best: tuple[float, float, IntArray] = (0.0, 0.0, np.zeros(0, dtype=np.int64))
     for first in range(sure):
         for last in range(first + LEAST_POINTS, sure + 1):
             places = np.arange(first, last)
-            found, spread = _slope(x[places], y[places], covariance[np.ix_(places, places)])
+            found, spread = _slope(x[places], y[places], curve.among(places))
             steps = np.diff(y[places]) / np.diff(x[places])
-            loose = _TOLERANCE + 3 * np.sqrt(_step_variance(x, covariance, places))
+            loose = _TOLERANCE + 3 * np.sqrt(_step_variance(x, curve.covariance, places))
             if spread > _SHARP or abs(found - slope) > _TOLERANCE or np.any(np.abs(steps - slope) > loose):
                 continue
-            sharpness = -float(np.mean(np.diag(covariance)[places]))
+            sharpness = -float(np.mean(curve.variance[places]))
             if (last - first, sharpness) > best[:2]:
                 best = (last - first, sharpness, places)
     return best[2]
@@ -104,12 +130,12 @@ def _step_variance(x: FloatArray, covariance: FloatArray, places: IntArray) -> F
     return np.asarray(np.maximum(variance, 0.0) / np.square(x[b] - x[a]))
 
 
-def _floor(points: AvarPoints, covariance: FloatArray) -> IntArray:
+def _floor(curve: LogCurve) -> IntArray:
     """Return the points about the lowest, if the curve rises on both sides of it."""
-    sure = int(np.sum(np.diag(covariance) < 1 / (2 * _LEAST_EDF)))
+    sure = curve.sure
     if sure < LEAST_POINTS:
         return np.zeros(0, dtype=np.int64)
-    adev = np.sqrt(points.avar[:sure])
+    adev = np.sqrt(curve.points.avar[:sure])
     lowest = int(np.argmin(adev))
     if lowest in {0, sure - 1}:
         return np.zeros(0, dtype=np.int64)

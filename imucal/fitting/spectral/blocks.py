@@ -4,16 +4,15 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.allan.dct import DctBins, dct_bins, dct_ordinates
-from imucal.arrays import FloatArray
+from imucal.allan.dct import DctBins, dct_bins, dct_ordinates, ramp_ordinates
+from imucal.arrays import BoolArray, FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.lines import find_lines
 from imucal.fitting.spectral.missing import complete
-from imucal.fitting.spectral.ordinates import exponential_ordinates, ramp_ordinates
+from imucal.fitting.spectral.ordinates import exponential_ordinates
 from imucal.recording import AxisSeries
 
 #: Bends of a straight line, as a part of its steps: rounding, not noise.
@@ -54,7 +53,7 @@ class Block:
     bins: DctBins
     ordinates: FloatArray
     variance: FloatArray | None = None
-    kept: NDArray[np.bool_] | None = None
+    kept: BoolArray | None = None
     loss: FloatArray | None = None
     temperature: FloatArray | None = None
 
@@ -72,16 +71,14 @@ class Block:
         bins = self.bins
         number = int(np.searchsorted(bins.first, count, side="right"))
         stop = int(bins.first[number - 1] + bins.count[number - 1] - 1)
+        stops = {"ordinates": stop, "variance": stop, "kept": stop, "loss": number, "temperature": stop}
+        given = {name: end for name, end in stops.items() if getattr(self, name) is not None}
         return replace(
             self,
             bins=replace(
                 bins, first=bins.first[:number], count=bins.count[:number], omega=bins.omega[:number]
             ),
-            ordinates=self.ordinates[:stop],
-            variance=None if self.variance is None else self.variance[:stop],
-            kept=None if self.kept is None else self.kept[:stop],
-            loss=None if self.loss is None else self.loss[:number],
-            temperature=None if self.temperature is None else self.temperature[:stop],
+            **{name: getattr(self, name)[:end] for name, end in given.items()},
         )
 
 
@@ -210,28 +207,25 @@ def _transform(
     samples = series.samples[run.start : run.stop] / scale
     if temperature is not None:
         temperature = temperature[run.start : run.stop]
+    variance = loss = None
     if samples.size == run.size:
-        return Block(
-            offset=run.offset,
-            bins=bins,
-            ordinates=dct_ordinates(samples),
-            temperature=None if temperature is None else dct_ordinates(temperature),
-        )
-    grid = series.clock.grid()[run.start : run.stop] - run.offset
-    seen = np.zeros(run.size, dtype=bool)
-    seen[grid] = True
-    full = np.zeros(run.size)
-    full[grid] = samples
-    ordinates, variance, loss = complete(full, seen, bins)
-    if temperature is not None:
-        temperature = dct_ordinates(np.interp(np.arange(run.size), grid, temperature))
+        ordinates = dct_ordinates(samples)
+    else:
+        grid = series.clock.grid()[run.start : run.stop] - run.offset
+        seen = np.zeros(run.size, dtype=bool)
+        seen[grid] = True
+        full = np.zeros(run.size)
+        full[grid] = samples
+        ordinates, variance, loss = complete(full, seen, bins)
+        if temperature is not None:
+            temperature = np.interp(np.arange(run.size), grid, temperature)
     return Block(
         offset=run.offset,
         bins=bins,
         ordinates=ordinates,
         variance=variance,
         loss=loss,
-        temperature=temperature,
+        temperature=None if temperature is None else dct_ordinates(temperature),
     )
 
 

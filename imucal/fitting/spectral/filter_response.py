@@ -5,9 +5,8 @@ from math import comb
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.estimates import Fitted
@@ -150,7 +149,7 @@ def start_response(seen: Ordinates, low: FloatArray, order: Order, *, width: int
     return theta
 
 
-def _flattest(seen: Ordinates, high: NDArray[np.bool_], numerator: FloatArray, order: Order) -> FloatArray:
+def _flattest(seen: Ordinates, high: BoolArray, numerator: FloatArray, order: Order) -> FloatArray:
     """Return the best of a row of Butterworth responses, as coefficients of numerator / S."""
     poles, zeros = order
     x, best, solution = seen.lam / seen.top, np.inf, np.zeros(poles + 1)

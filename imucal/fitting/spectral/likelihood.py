@@ -16,17 +16,14 @@ Parameters of a candidate stand in one row, the same place for every candidate:
 with the response of the output filter |H|² = (1 - lam/4)^zeros / (1 + sum a_i (lam/top)^i).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 from imucal.noise.formulas import gauss_markov_dct
-
-BoolArray = NDArray[np.bool_]
 
 #: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10
@@ -86,15 +83,8 @@ class Candidates:
 
     def take(self, index: IntArray | BoolArray) -> "Candidates":
         """Return some of the candidates; an index may stand more than once."""
-        return Candidates(
-            laws=self.laws[index],
-            markov=self.markov[index],
-            poles=self.poles[index],
-            zeros=self.zeros[index],
-            regressors=self.regressors[index],
-            room_markov=self.room_markov,
-            room_poles=self.room_poles,
-        )
+        rows = ("laws", "markov", "poles", "zeros", "regressors")
+        return replace(self, **{name: getattr(self, name)[index] for name in rows})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,10 +6,9 @@ The lowest ordinates are never left out: they carry the random walk and the drif
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.allan.dct import DctBins
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Line
 
 #: Chance that a record without lines has one found.
@@ -26,7 +25,7 @@ _LEAST, _MOST = 3, 0.02
 
 def find_lines(
     ordinates: FloatArray, bins: DctBins, *, scale: float, rate_hz: float
-) -> tuple[NDArray[np.bool_] | None, tuple[Line, ...]]:
+) -> tuple[BoolArray | None, tuple[Line, ...]]:
     """Return which ordinates to keep, shape (n-1,), or None for all; and the lines, strongest first.
 
     Parameters
@@ -40,7 +39,7 @@ def find_lines(
     square = ordinates * ordinates
     starts = bins.first - 1
     peaks = np.maximum.reduceat(square, starts)
-    kept: NDArray[np.bool_] | None = None
+    kept: BoolArray | None = None
     for _ in range(2):
         level, sureness = _level(square, kept, bins)
         limit = level * _limit(sureness, _CHANCE / max(size, 1))
@@ -71,9 +70,7 @@ def _limit(sureness: FloatArray, chance: float) -> FloatArray:
     return limit
 
 
-def _level(
-    square: FloatArray, kept: NDArray[np.bool_] | None, bins: DctBins
-) -> tuple[FloatArray, FloatArray]:
+def _level(square: FloatArray, kept: BoolArray | None, bins: DctBins) -> tuple[FloatArray, FloatArray]:
     """Return the local level of the squares for each bin and its degrees of freedom.
 
     The level is a median of the neighbouring bins' means.
@@ -108,18 +105,18 @@ def _beyond(square: FloatArray, bins: DctBins, suspects: IntArray, limit: FloatA
     return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
 
 
-def _without(found: IntArray, reach: IntArray, size: int) -> NDArray[np.bool_]:
+def _without(found: IntArray, reach: IntArray, size: int) -> BoolArray:
     """Return a mask without the found ordinates and so many neighbours on each side."""
     steps = np.zeros(size + 1, dtype=np.int64)
     np.add.at(steps, np.maximum(found - reach, _LOWEST), 1)
     np.add.at(steps, np.minimum(found + reach + 1, size), -1)
-    free: NDArray[np.bool_] = np.cumsum(steps[:size]) == 0
+    free: BoolArray = np.cumsum(steps[:size]) == 0
     return free
 
 
 def _describe(
     square: FloatArray,
-    kept: NDArray[np.bool_],
+    kept: BoolArray,
     level: FloatArray,
     bins: DctBins,
     *,

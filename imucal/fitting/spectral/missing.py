@@ -15,10 +15,9 @@ lost information: Louis (1982), JRSS B 44.
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.allan.dct import DctBins
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 
 _ROUNDS = 3
 _STEPS = 40
@@ -28,7 +27,7 @@ _SEED = 20_24
 
 
 def complete(
-    samples: FloatArray, seen: NDArray[np.bool_], bins: DctBins
+    samples: FloatArray, seen: BoolArray, bins: DctBins
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return expected ordinates, the variance of each, and the share of each bin's information lost.
 
@@ -83,7 +82,7 @@ def complete(
     return ordinates, variance, np.clip(loss, 0.0, 0.99)
 
 
-def _groups(bins: DctBins) -> NDArray[np.int64]:
+def _groups(bins: DctBins) -> IntArray:
     """Return the first index of each group of neighbouring bins of 16 ordinates or more."""
     starts = bins.first - 1
     chosen = [0]
@@ -93,7 +92,7 @@ def _groups(bins: DctBins) -> NDArray[np.int64]:
     return np.array(chosen, dtype=np.int64)
 
 
-def _smooth(square: FloatArray, groups: NDArray[np.int64]) -> FloatArray:
+def _smooth(square: FloatArray, groups: IntArray) -> FloatArray:
     """Return the mean of the squares in each group, spread over its ordinates."""
     count = np.diff(groups, append=square.size)
     return np.repeat(np.maximum(np.add.reduceat(square, groups) / count, 1e-300), count)

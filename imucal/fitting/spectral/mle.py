@@ -18,7 +18,7 @@ from imucal.fitting.spectral.estimates import Problem, covariance_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.hull import hull_estimates
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.scoring import Misfit, misfit
+from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.structures import Structure, all_structures
 from imucal.fitting.spectral.transform import bin_blocks, choose_regressors
@@ -209,7 +209,7 @@ def _line_findings(lines: tuple[Line, ...], series: AxisSeries) -> tuple[Finding
     )
 
 
-def _misfit_findings(found: Misfit, model: str, axis: str) -> tuple[Finding, ...]:
+def _misfit_findings(found: Goodness, model: str, axis: str) -> tuple[Finding, ...]:
     if found.statistic < _MISFIT:
         return ()
     return (

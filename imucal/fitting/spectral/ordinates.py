@@ -7,9 +7,8 @@ likelihoods multiply.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray
 from imucal.powerlaw import PowerLaw
 
 #: The power-law terms, in the order of a rising slope.
@@ -73,19 +72,10 @@ class Ordinates:
         """Frequency of each bin as a fraction of Nyquist, shape (b,)."""
         return 2 / np.pi * np.arcsin(np.sqrt(np.minimum(self.lam, 4.0)) / 2)
 
-    def take(self, select: NDArray[np.bool_]) -> "Ordinates":
+    def take(self, select: BoolArray) -> "Ordinates":
         """Return the bins where `select`, shape (b,), is true."""
-        return replace(
-            self,
-            size=self.size[select],
-            power=self.power[select],
-            lam=self.lam[select],
-            length=self.length[select],
-            sign=self.sign[select],
-            basis=self.basis[:, select],
-            cross=self.cross[:, select],
-            gram=self.gram[:, :, select],
-        )
+        binned = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
+        return replace(self, **{name: getattr(self, name)[..., select] for name in binned})
 
     def below(self, fraction: float) -> "Ordinates":
         """Return the bins up to a fraction of Nyquist that hold any ordinate."""
@@ -133,17 +123,6 @@ def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordin
         cross=np.add.reduceat(ordinates.cross, first, axis=-1),
         gram=np.add.reduceat(ordinates.gram, first, axis=-1),
     )
-
-
-def ramp_ordinates(n: int, count: int) -> FloatArray:
-    """Return the orthonormal DCT-II ordinates k = 1 … count of the ramp 0, 1, … n-1.
-
-    -sqrt(2/n) cos(theta/2) / (2 sin²(theta/2)) for odd k, 0 for even k.
-    """
-    half = np.pi / (2 * n) * np.arange(1, count + 1, 2, dtype=np.float64)
-    ramp = np.zeros(count)
-    ramp[::2] = -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2)
-    return ramp
 
 
 def exponential_ordinates(n: int, count: int, time: float, offset: int) -> FloatArray:

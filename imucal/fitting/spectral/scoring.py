@@ -4,12 +4,12 @@ And what the maximum is worth: the covariance of its parameters, and how well it
 ordinates.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.fitting.noise_fit import Goodness
 from imucal.fitting.spectral.likelihood import Candidates, Evaluation, evaluate
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 
@@ -48,18 +48,11 @@ class Maximum:
     information: FloatArray
     beta: FloatArray
     beta_covariance: FloatArray
-    converged: NDArray[np.bool_]
+    converged: BoolArray
 
-    def take(self, index: NDArray[np.int64]) -> "Maximum":
+    def take(self, index: IntArray) -> "Maximum":
         """Return some rows; an index may stand more than once."""
-        return Maximum(
-            theta=self.theta[index],
-            objective=self.objective[index],
-            information=self.information[index],
-            beta=self.beta[index],
-            beta_covariance=self.beta_covariance[index],
-            converged=self.converged[index],
-        )
+        return Maximum(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
 def bounds(
@@ -89,7 +82,7 @@ def maximize(
     candidates: Candidates,
     start: FloatArray,
     *,
-    free: NDArray[np.bool_] | None = None,
+    free: BoolArray | None = None,
     ramp: FloatArray | None = None,
     shortest: float = 2.0,
     iterations: int = 100,
@@ -143,7 +136,7 @@ def maximize(
     )
 
 
-def _accept(state: Evaluation, rows: NDArray[np.int64], found: Evaluation, better: NDArray[np.bool_]) -> None:
+def _accept(state: Evaluation, rows: IntArray, found: Evaluation, better: BoolArray) -> None:
     """Put what was found for the better rows in their place."""
     for name in ("objective", "score", "information", "beta", "beta_covariance"):
         getattr(state, name)[rows[better]] = getattr(found, name)[better]
@@ -152,8 +145,8 @@ def _accept(state: Evaluation, rows: NDArray[np.int64], found: Evaluation, bette
 def _step(
     state: Evaluation,
     at: FloatArray,
-    rows: NDArray[np.int64],
-    moving: NDArray[np.bool_],
+    rows: IntArray,
+    moving: BoolArray,
     damping: FloatArray,
     *,
     limits: tuple[FloatArray, FloatArray],
@@ -173,7 +166,7 @@ def _step(
     return np.clip(theta + np.clip(step, -longest, longest), low, high)
 
 
-def covariance(information: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
     """Return the covariance of the `free` parameters, shape (p,), as a matrix of shape (p, p).
 
     Parameters that the data do not tell (a term that is absent) have variance inf, and are held
@@ -193,16 +186,7 @@ def covariance(information: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
     return result
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Misfit:
-    """A standard-normal score of the misfit, its p-value, and the mean squared residual."""
-
-    statistic: float
-    p_value: float
-    chi2_per_bin: float
-
-
-def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Misfit:
+def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Goodness:
     """Return how far one candidate at `theta`, shape (1, p), is from the ordinates.
 
     Each group's sum of X²/S is chi-squared with its n degrees of freedom: mean n, variance 2n, and
@@ -221,4 +205,4 @@ def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Mi
     residual = (np.add.reduceat(ratio, first) - size) / np.sqrt(2 * size)
     square = float(np.mean(residual**2))
     statistic = (square - 1) * size.size / float(np.sqrt(np.sum(2 + 12 / size)))
-    return Misfit(statistic=statistic, p_value=float(ndtr(-statistic)), chi2_per_bin=square)
+    return Goodness(statistic=statistic, p_value=float(ndtr(-statistic)), chi2_per_bin=square)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates, coarser
 from imucal.noise.formulas import gauss_markov_dct
@@ -67,7 +66,7 @@ def find_starts(
     owner = np.repeat(np.arange(candidates.count), [len(plan) for plan in plans])
     theta = np.empty((owner.size, candidates.width))
     score = np.empty(owner.size)
-    ramped: NDArray[np.bool_] = np.any(candidates.regressors, axis=1)[owner]
+    ramped: BoolArray = np.any(candidates.regressors, axis=1)[owner]
     for rows, seen in ((~ramped, ordinates), (ramped, ordinates.detrended())):
         if rows.any():
             chosen = [combo for plan in plans for combo in plan]
@@ -92,7 +91,7 @@ def _combinations(count: int) -> list[tuple[int, ...]]:
 
 def _mixtures(
     ordinates: Ordinates,
-    laws: NDArray[np.bool_],
+    laws: BoolArray,
     combos: list[tuple[int, ...]],
     times: FloatArray,
     candidates: Candidates,

@@ -20,6 +20,7 @@ from imucal.readers.tables.columns import (
 from imucal.readers.tables.columns_text import ColumnSpec, parse_columns_text
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.names import Role, parse_column
+from imucal.readers.tables.scales import given_unit
 from imucal.readers.tables.timing import TimeChoice, choose_times, named_time, time_of_columns
 from imucal.recording import Sensor
 
@@ -59,6 +60,11 @@ class TablePlan:
     temperature: int | None
     dialect: Dialect | None
     decisions: tuple[tuple[str, str], ...]
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the sensors' columns."""
+        return tuple(header for sensor in self.sensors for header in sensor.triad.headers)
 
 
 def make_plan(
@@ -138,11 +144,7 @@ def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> Tab
 
 def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Triad | None, Triad | None, str]:
     """Return gyroscope and accelerometer, and how they were found."""
-    given = []
-    if options.gyro_unit is not None or options.gyro_scale is not None:
-        given.append(Sensor.GYROSCOPE)
-    if options.accel_unit is not None or options.accel_scale is not None:
-        given.append(Sensor.ACCELEROMETER)
+    given = [sensor for sensor in Sensor if given_unit(options, sensor) != (None, None)]
     triads = find_triads(table, units_given=given)
     if not triads:
         return find_bare_triads(table, name)

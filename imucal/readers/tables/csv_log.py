@@ -14,7 +14,7 @@ from imucal.errors import ChoiceError, DataError
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.file_sets import is_set, read_set
-from imucal.readers.tables.tabular import contents_of
+from imucal.readers.tables.tabular import contents_of, refuse_topics
 from imucal.readers.tables.text import STANDARD_INPUT, TextSource, open_text
 from imucal.readers.tables.text_table import read_table
 from imucal.recording import Recording
@@ -35,12 +35,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
     DataError
         If it holds no samples.
     """
-    if options.topics:
-        msg = (
-            f"{path}: a table of text has no topics, but {', '.join(options.topics)} was asked for; "
-            "expected no topic, or a columns text such as t=0,g=1:4,a=4:7"
-        )
-        raise ChoiceError(msg)
+    refuse_topics(path, options, "a table of text")
     if is_set(path):
         return read_set(path, options)
     with open_text(path, progress=options.progress) as source:

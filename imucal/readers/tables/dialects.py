@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from imucal.readers.tables.layout import BLANKS, TextLayout, is_number, rows_of_tag, split_line
+from imucal.recording import Sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +58,10 @@ class Dialect:
         if self.preamble and not re.search(self.preamble, preamble, re.IGNORECASE | re.MULTILINE):
             return False
         return all(any(re.fullmatch(pattern, name) for name in headers) for pattern in self.headers)
+
+    def unit_of(self, sensor: Sensor) -> str | None:
+        """Return the unit of a sensor's samples; None where it differs from file to file."""
+        return self.gyro_unit if sensor is Sensor.GYROSCOPE else self.accel_unit
 
 
 def find_dialect(headers: Sequence[str], preamble: Sequence[str] = ()) -> Dialect | None:

@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path, PurePath
 from typing import BinaryIO, NamedTuple, cast
 
@@ -22,7 +23,7 @@ from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.text import TextSource, open_text
 from imucal.readers.tables.text_table import EXTERNAL, ExternalTime, plan_of_head, read_table
 from imucal.readers.tables.timing import TimeChoice
-from imucal.recording import Recording, Sensor
+from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
 _ZIP = b"PK\x03\x04"
@@ -173,20 +174,25 @@ def _merged(parts: Sequence[Recording], names: Sequence[str], path: str) -> Reco
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)
-    every = [series for part in parts for series in part.series]
+    topics = chain.from_iterable(part.source.topics for part in parts)
+    decisions = chain([("files", ", ".join(names))], *(part.source.decisions for part in parts))
+    findings = chain.from_iterable(part.findings for part in parts)
+    return replace(
+        parts[0],
+        source=replace(source, topics=tuple(topics), decisions=tuple(dict.fromkeys(decisions))),
+        series=_all_series(parts),
+        temperature=next((part.temperature for part in parts if part.temperature is not None), None),
+        findings=tuple(dict.fromkeys(findings)),
+    )
+
+
+def _all_series(parts: Sequence[Recording]) -> tuple[AxisSeries, ...]:
+    """Return the axes of all parts, the gyroscope's first; clocks that are equal become one."""
+    every = chain.from_iterable(part.series for part in parts)
     series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
     if all(one.clock == series[0].clock for one in series):
         series = [replace(one, clock=series[0].clock) for one in series]
-    decisions = [decision for part in parts for decision in part.source.decisions]
-    topics = [topic for part in parts for topic in part.source.topics]
-    found = [("files", ", ".join(names)), *decisions]
-    return replace(
-        parts[0],
-        source=replace(source, topics=tuple(topics), decisions=tuple(dict.fromkeys(found))),
-        series=tuple(series),
-        temperature=next((part.temperature for part in parts if part.temperature is not None), None),
-        findings=tuple(dict.fromkeys(finding for part in parts for finding in part.findings)),
-    )
+    return tuple(series)
 
 
 def _is_time_file(path: Path) -> bool:

@@ -47,8 +47,6 @@ class BlockReader:
         Bytes of a column to hold in memory.
     expected
         Rows to make room for.
-    prepare
-        Turns a block of lines into lines of plain cells, where the format needs it.
     """
 
     layout: TextLayout
@@ -57,7 +55,6 @@ class BlockReader:
     rows: Rows = None
     limit: int = 1 << 62
     expected: int = 0
-    prepare: Callable[[bytes], bytes] | None = None
     counts: RowCounts = field(default_factory=RowCounts)
     columns: dict[int, GrowingColumn] = field(init=False)
     _pattern: re.Pattern[bytes] | None = field(init=False)
@@ -75,8 +72,8 @@ class BlockReader:
 
     def add(self, block: bytes) -> None:
         """Read a block of whole lines."""
-        if self.prepare is not None:
-            block = self.prepare(block)
+        if self.layout.prepare is not None:
+            block = self.layout.prepare(block)
         if self._pattern is not None:
             block = b"\n".join(self._pattern.findall(block)) + b"\n"
         plain = self._plain(block)

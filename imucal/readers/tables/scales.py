@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.clock import Clock
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
@@ -66,11 +67,12 @@ class Work:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unscaled:
-    """A sensor's samples in the unit of the log: x, y and z, shape (n,) each."""
+    """A sensor's samples with their clock, still in the unit of the log: x, y and z, shape (n,) each."""
 
     triad: Triad
     axes: Sequence[FloatArray]
-    rate_hz: float
+    temperature: FloatArray | None
+    clock: Clock
 
 
 def find_scales(work: Work, timed: Sequence[Unscaled]) -> dict[Sensor, float]:
@@ -79,7 +81,7 @@ def find_scales(work: Work, timed: Sequence[Unscaled]) -> dict[Sensor, float]:
     accel_unit: str | None = None
     for entry in sorted(timed, key=lambda entry: entry.triad.sensor is Sensor.GYROSCOPE):
         sensor = entry.triad.sensor
-        stated = _stated_scale(work, entry)
+        stated = _stated_scale(work, entry.triad)
         unit, scales[sensor], reason = stated or _inferred_scale(work, entry, accel_unit)
         if sensor is Sensor.ACCELEROMETER:
             accel_unit = unit
@@ -87,10 +89,10 @@ def find_scales(work: Work, timed: Sequence[Unscaled]) -> dict[Sensor, float]:
     return scales
 
 
-def _stated_scale(work: Work, entry: Unscaled) -> tuple[str, float, str] | None:
+def _stated_scale(work: Work, triad: Triad) -> tuple[str, float, str] | None:
     """Return unit, scale and reason where the user, the header or the format states the unit."""
-    sensor = entry.triad.sensor
-    unit, scale, usual = _given(work, sensor)
+    sensor, known = triad.sensor, SAMPLE_UNITS[triad.sensor]
+    unit, scale = given_unit(work.options, sensor)
     if unit is not None and scale is not None:
         msg = (
             f"{work.path}: both a unit ({unit}) and a scale ({scale:g}) are given for the {sensor}; "
@@ -102,23 +104,22 @@ def _stated_scale(work: Work, entry: Unscaled) -> tuple[str, float, str] | None:
     if unit is not None:
         parsed = parse_sample_unit(unit)
         if parsed is None or parsed[0] is not sensor:
-            known = ", ".join(SAMPLE_UNITS[sensor])
-            msg = f"{work.path}: {unit!r} is no unit of the {sensor}; expected one of {known}"
+            msg = f"{work.path}: {unit!r} is no unit of the {sensor}; expected one of {', '.join(known)}"
             raise ChoiceError(msg)
-        return parsed[1], SAMPLE_UNITS[sensor][parsed[1]], "as given"
-    if entry.triad.unit is not None:
-        return entry.triad.unit, SAMPLE_UNITS[sensor][entry.triad.unit], "from the column header"
+        return parsed[1], known[parsed[1]], "as given"
+    if triad.unit is not None:
+        return triad.unit, known[triad.unit], "from the column header"
+    usual = work.dialect.unit_of(sensor) if work.dialect else None
     if usual is not None and work.dialect is not None:
-        return usual, SAMPLE_UNITS[sensor][usual], f"as {work.dialect.name} logs it"
+        return usual, known[usual], f"as {work.dialect.name} logs it"
     return None
 
 
-def _given(work: Work, sensor: Sensor) -> tuple[str | None, float | None, str | None]:
-    """Return the unit and the scale that the user gave for a sensor, and the unit of the dialect."""
-    options, dialect = work.options, work.dialect
+def given_unit(options: ReadOptions, sensor: Sensor) -> tuple[str | None, float | None]:
+    """Return the unit and the scale that the user gave for a sensor."""
     if sensor is Sensor.GYROSCOPE:
-        return options.gyro_unit, options.gyro_scale, dialect.gyro_unit if dialect else None
-    return options.accel_unit, options.accel_scale, dialect.accel_unit if dialect else None
+        return options.gyro_unit, options.gyro_scale
+    return options.accel_unit, options.accel_scale
 
 
 def _inferred_scale(work: Work, entry: Unscaled, accel_unit: str | None) -> tuple[str, float, str]:
@@ -127,7 +128,7 @@ def _inferred_scale(work: Work, entry: Unscaled, accel_unit: str | None) -> tupl
     if sensor is Sensor.ACCELEROMETER:
         found = infer_accel_unit(rows)
     else:
-        found = infer_gyro_unit(rows, rate_hz=entry.rate_hz, accel_unit=accel_unit)
+        found = infer_gyro_unit(rows, rate_hz=entry.clock.rate_hz, accel_unit=accel_unit)
     if found.unit is None:
         msg = (
             f"{work.path}: the unit of the {sensor} is open: no header says it, and {found.reason}; "

@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +15,11 @@ from imucal.units import TIME_UNITS_NS
 NO_STAMP = int(np.iinfo(np.int64).min)
 
 _SECOND = 10**9
-_DAY = 86_400 * _SECOND
-_WEEK = 7 * _DAY
+DAY = 86_400 * _SECOND
+WEEK = 7 * DAY
+
+#: A column of counts or values.
+Numbers: TypeAlias = NDArray[np.int64] | FloatArray
 
 #: Date, time of day, fraction; the separators differ from logger to logger.
 _DATE_TIME = re.compile(
@@ -38,22 +43,16 @@ def parse_text_stamps(cells: Sequence[str]) -> IntArray:
     A text that is no time becomes the smallest int64.
     """
     result = np.empty(len(cells), dtype=np.int64)
-    days: dict[tuple[str, str, str], int] = {}
     for i, cell in enumerate(cells):
         match = _DATE_TIME.fullmatch(cell.strip("\"'"))
-        result[i] = NO_STAMP if match is None else _ns_of(match, days)
+        result[i] = NO_STAMP if match is None else _ns_of(match)
     return result
 
 
-def _ns_of(match: re.Match[str], days: dict[tuple[str, str, str], int]) -> int:
-    day = 0
-    if match["year"]:
-        key = (match["year"], match["month"], match["day"])
-        if key not in days:
-            days[key] = _days_since_1970(*key)
-        if days[key] == NO_STAMP:
-            return NO_STAMP
-        day = days[key]
+def _ns_of(match: re.Match[str]) -> int:
+    day = _days_since_1970(match["year"], match["month"], match["day"]) if match["year"] else 0
+    if day == NO_STAMP:
+        return NO_STAMP
     fraction = int(((match["fraction"] or "") + "0" * 9)[:9])
     seconds = int(match["hour"]) * 3600 + int(match["minute"]) * 60 + int(match["second"])
     if match["zone"]:
@@ -63,6 +62,7 @@ def _ns_of(match: re.Match[str], days: dict[tuple[str, str, str], int]) -> int:
     return (day * 86_400 + seconds) * _SECOND + fraction
 
 
+@lru_cache
 def _days_since_1970(year: str, month: str, day: str) -> int:
     try:
         return int(np.datetime64(f"{year}-{int(month):02d}-{int(day):02d}", "D").astype(np.int64))
@@ -70,7 +70,7 @@ def _days_since_1970(year: str, month: str, day: str) -> int:
         return NO_STAMP
 
 
-def date_stamps(parts: Sequence[NDArray[np.int64] | FloatArray]) -> IntArray:
+def date_stamps(parts: Sequence[Numbers]) -> IntArray:
     """Return times as ns since 1970 from year, month, day, hour, minute, second and perhaps nanosecond."""
     year, month, day, hour, minute = (np.asarray(part, dtype=np.int64) for part in parts[:5])
     months = ((year - 1970) * 12 + month - 1).astype("datetime64[M]")
@@ -79,17 +79,8 @@ def date_stamps(parts: Sequence[NDArray[np.int64] | FloatArray]) -> IntArray:
     return np.asarray(whole + (to_ns(parts[6], 1) if len(parts) > 6 else 0), dtype=np.int64)
 
 
-def midnight_rolled(stamps_ns: IntArray) -> IntArray:
-    """Return times of day with a day added at every midnight."""
-    return _rolled(stamps_ns, _DAY)
-
-
-def week_rolled(stamps_ns: IntArray) -> IntArray:
-    """Return times of week with a week added at every turn of the week."""
-    return _rolled(stamps_ns, _WEEK)
-
-
-def _rolled(stamps_ns: IntArray, period: int) -> IntArray:
+def rolled(stamps_ns: IntArray, period: int) -> IntArray:
+    """Return times of day or of week in ns with a period added wherever they start again."""
     if not stamps_ns.size or stamps_ns.min() < 0 or stamps_ns.max() >= period:
         return stamps_ns
     steps = np.diff(stamps_ns)
@@ -126,7 +117,7 @@ def unwrapped(counts: IntArray) -> tuple[IntArray, int]:
     return counts, 0
 
 
-def to_ns(values: NDArray[np.int64] | FloatArray, ns: int) -> IntArray:
+def to_ns(values: Numbers, ns: int) -> IntArray:
     """Return times counted in units of `ns` ns as int64 ns, shape (n,).
 
     Integers stay exact. Floats are split first, so that nothing is lost beyond their own resolution.
@@ -141,7 +132,7 @@ def to_ns(values: NDArray[np.int64] | FloatArray, ns: int) -> IntArray:
     return whole.astype(np.int64) * ns + np.round((values - np.floor(values)) * ns).astype(np.int64)
 
 
-def infer_time_unit(values: NDArray[np.int64] | FloatArray) -> tuple[str | None, tuple[str, ...]]:
+def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
     """Return the unit of times that make sense for an IMU, and all units that fit.
 
     The rate must lie between 1 Hz and 20 kHz. Where several units fit, the size of a time since 1970
@@ -159,7 +150,7 @@ def infer_time_unit(values: NDArray[np.int64] | FloatArray) -> tuple[str | None,
     return (fits[0] if len(fits) == 1 else None), fits
 
 
-def _typical_step(values: NDArray[np.int64] | FloatArray) -> float:
+def _typical_step(values: Numbers) -> float:
     """Return the usual step between times: the median, or the mean where stamps repeat."""
     head = values[:20_000]
     steps = np.diff(head)

@@ -1,8 +1,8 @@
 """The clock of a table's samples: from its time columns, or from a counter and a rate."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TypeAlias, cast
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,27 +15,50 @@ from imucal.readers.clocks import ClockReading, clock_from_stamps
 from imucal.readers.tables.column_plan import SensorPlan
 from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import (
+    DAY,
+    WEEK,
+    Numbers,
     date_stamps,
     infer_time_unit,
-    midnight_rolled,
+    rolled,
     to_ns,
     unwrapped,
-    week_rolled,
 )
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS
 
-#: A column of counts or values.
-Numbers: TypeAlias = NDArray[np.int64] | FloatArray
-
 #: Share of repeated rows up to which they are samples sent twice; beyond, the sensor is slower than the log.
 _SENT_TWICE = 0.1
 
 
-def table_clock(
-    work: Work, plan: SensorPlan, axes: Sequence[FloatArray], time: Sequence[Numbers], log: Sequence[Numbers]
-) -> ClockReading:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SensorColumns:
+    """The columns of one sensor, as read, shape (n,) each.
+
+    The axes are in the unit of the log; `time` and `log_time` are the columns of the plan's times, empty
+    where there are none. Of a `sparse` sensor the rows without any value belong to other sensors.
+    """
+
+    plan: SensorPlan
+    axes: Sequence[FloatArray]
+    time: Sequence[Numbers] = ()
+    log_time: Sequence[Numbers] = ()
+    temperature: FloatArray | None = None
+    sparse: bool = False
+
+    def rows(self, chosen: NDArray[np.bool_] | IntArray) -> "SensorColumns":
+        """Return some rows of the columns."""
+        return replace(
+            self,
+            axes=[axis[chosen] for axis in self.axes],
+            time=[column[chosen] for column in self.time],
+            log_time=[column[chosen] for column in self.log_time],
+            temperature=self.temperature[chosen] if self.temperature is not None else None,
+        )
+
+
+def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
     """Return the clock of a sensor's samples from the columns of its times, or from a counter and a rate.
 
     Raises
@@ -45,24 +68,24 @@ def table_clock(
     DataError
         If no rate can be measured.
     """
-    n = axes[0].size
+    plan, sensor = columns.plan, columns.plan.triad.sensor
     if plan.time is None or plan.time.kind == "counter":
-        return _counted_clock(work, plan, n, time)
+        return _counted_clock(work, columns)
     source = f"column {plan.time.name}"
-    stamps = _stamps(work, plan.time, time, plan.triad.sensor)
-    log_ns = _stamps(work, plan.log_time, log, plan.triad.sensor) if plan.log_time and log else None
+    stamps = _stamps(work, plan.time, columns.time, sensor)
+    log = columns.log_time
+    log_ns = _stamps(work, plan.log_time, log, sensor) if plan.log_time and log else None
     # A device's clock may start at zero, which is a stamp like any other.
     shift = 1_000_000_000 if stamps.min() == 0 and stamps[0] == 0 and stamps.any() and log_ns is None else 0
     if shift:
         stamps = stamps + shift
-    same = _sent_twice(work, stamps, axes, plan.triad.sensor)
     reading = clock_from_stamps(
         stamps,
         source=source,
         where=work.path,
         log_ns=log_ns,
         rate_hz=work.options.rate_hz,
-        repeated=same,
+        repeated=_sent_twice(work, stamps, columns),
     )
     if shift and reading.clock.start_ns is not None:
         reading = replace(reading, clock=replace(reading.clock, start_ns=reading.clock.start_ns - shift))
@@ -71,18 +94,17 @@ def table_clock(
     return reading
 
 
-def _sent_twice(
-    work: Work, stamps: IntArray, axes: Sequence[FloatArray], sensor: Sensor
-) -> NDArray[np.bool_] | None:
+def _sent_twice(work: Work, stamps: IntArray, columns: SensorColumns) -> NDArray[np.bool_] | None:
     """Return which samples are the one before, sent again; None where there are none."""
     still = stamps[1:] == stamps[:-1]
     if not still.any():
         return None
     same = np.zeros(stamps.size, dtype=np.bool_)
-    same[1:] = still & _repeats(axes)
+    same[1:] = still & _repeats(columns.axes)
     share = float(np.mean(same))
     if share <= _SENT_TWICE:
         return same if share else None
+    sensor = columns.plan.triad.sensor
     text = (
         f"{share:.0%} of the rows of the {sensor} repeat the stamp and the values of the row before: "
         "the log was written faster than the sensor was read."
@@ -127,7 +149,7 @@ def _compare_rates(work: Work, measured: float) -> None:
 def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor) -> IntArray:
     """Return the stamps of a time in ns."""
     if time.kind == "text":
-        return midnight_rolled(cast("IntArray", columns[0]))
+        return rolled(cast("IntArray", columns[0]), DAY)
     if time.kind == "pair":
         return to_ns(columns[0], TIME_UNITS_NS["s"]) + to_ns(columns[1], 1)
     if time.kind == "date":
@@ -135,9 +157,9 @@ def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Se
     if time.kind == "week":
         ns = _ns_per_count(work, time, columns[1], sensor)
         tow = to_ns(columns[1], ns)
-        weeks = to_ns(columns[0], 604_800 * TIME_UNITS_NS["s"])
+        weeks = to_ns(columns[0], WEEK)
         # A receiver without a fix leaves the week at zero or at its last value.
-        return week_rolled(tow) if bool((weeks == weeks[0]).all()) else weeks + tow
+        return rolled(tow, WEEK) if bool((weeks == weeks[0]).all()) else weeks + tow
     values = columns[0]
     if values.dtype.kind == "i":
         values, wraps = unwrapped(cast("IntArray", values))
@@ -174,8 +196,9 @@ def _ns_per_count(work: Work, time: TimeChoice, values: Numbers, sensor: Sensor)
     raise ChoiceError(msg)
 
 
-def _counted_clock(work: Work, plan: SensorPlan, n: int, time: Sequence[Numbers]) -> ClockReading:
+def _counted_clock(work: Work, columns: SensorColumns) -> ClockReading:
     """Return the clock of samples that have no stamps: by their counter and a rate, or by a rate alone."""
+    plan, time = columns.plan, columns.time
     rate, source = work.options.rate_hz, "given rate"
     if rate is None:
         rate, source = work.rate_hz, "rate that the log states"
@@ -202,4 +225,4 @@ def _counted_clock(work: Work, plan: SensorPlan, n: int, time: Sequence[Numbers]
             "the rate alone is used."
         )
         work.findings.append(Finding(level="info", code="counter-unused", text=text))
-    return ClockReading(clock=Clock.even(n, rate, source=source), order=None, findings=())
+    return ClockReading(clock=Clock.even(columns.axes[0].size, rate, source=source), order=None, findings=())

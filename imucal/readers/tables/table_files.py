@@ -2,10 +2,10 @@
 
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,11 @@ class TableFile:
     rate_hz: float | None = None
 
 
+#: The columns of a file, and the sampling rate where it states one.
+_Content: TypeAlias = tuple[list[TypedColumn], float | None]
+_Reader: TypeAlias = Callable[[Path], _Content]
+
+
 def open_table(path: Path) -> TableFile:
     """Return the columns of a file.
 
@@ -100,29 +105,23 @@ def open_table(path: Path) -> TableFile:
     return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate)
 
 
-_Reader = Callable[[Path], tuple[list[TypedColumn], float | None]]
-
-
 def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
-    if head.startswith(b"PAR1"):
-        return "Parquet", _parquet
-    if head.startswith(b"\x93NUMPY"):
-        return "NPY", _npy
-    if head.startswith(b"PK"):
-        return "NPZ", _npz
+    for magic, kind, reader in _FORMATS:
+        if head.startswith(magic):
+            return kind, reader
     if head.startswith(b"\x89HDF\r\n\x1a\n") or head[:10] == b"MATLAB 7.3":
         msg = (
             f"{path}: a MATLAB 7.3 or HDF5 file; expected MAT up to version 7; "
             "save it in MATLAB with save(..., '-v7'), or export a CSV"
         )
         raise ReadError(msg)
-    if head.startswith(b"MATLAB 5.0") or path.suffix.lower() == ".mat":
+    if path.suffix.lower() == ".mat":
         return "MAT", _mat
     msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, NPZ, NPY or MAT"
     raise ReadError(msg)
 
 
-def _parquet(path: Path) -> tuple[list[TypedColumn], float | None]:
+def _parquet(path: Path) -> _Content:
     import polars as pl
 
     # Only the columns that are read are decoded, so that one in an unknown encoding does no harm.
@@ -157,17 +156,17 @@ def _parquet(path: Path) -> tuple[list[TypedColumn], float | None]:
     return columns, None
 
 
-def _npy(path: Path) -> tuple[list[TypedColumn], float | None]:
+def _npy(path: Path) -> _Content:
     array = np.load(path, mmap_mode="r", allow_pickle=False)
-    return list(_of_array("", array)), None
+    return _of_array("", array), None
 
 
-def _npz(path: Path) -> tuple[list[TypedColumn], float | None]:
+def _npz(path: Path) -> _Content:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         return _of_arrays({name: archive[name] for name in archive.files})
 
 
-def _mat(path: Path) -> tuple[list[TypedColumn], float | None]:
+def _mat(path: Path) -> _Content:
     import scipy.io
 
     content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
@@ -184,17 +183,13 @@ def _flatten(name: str, value: Any, arrays: dict[str, NDArray[Any]], depth: int 
     if array.dtype.names is not None and depth < 8:
         for part in array.dtype.names:
             inner = array[part]
-            _flatten(
-                f"{name}.{part}",
-                inner.item() if inner.dtype == object and inner.size == 1 else inner,
-                arrays,
-                depth + 1,
-            )
+            inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
+            _flatten(f"{name}.{part}", inner, arrays, depth + 1)
     elif array.dtype.kind in "biufM" and array.ndim <= 2:
         arrays[name] = array
 
 
-def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> tuple[list[TypedColumn], float | None]:
+def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> _Content:
     rate = None
     columns: list[TypedColumn] = []
     for name, array in arrays.items():
@@ -204,15 +199,12 @@ def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> tuple[list[TypedColumn], f
             if last in _RATES and np.isfinite(value) and value > 0:
                 rate = value
             continue
-        if last in _NAVEGO:
-            label, unit = _NAVEGO[last]
-            columns.extend(_of_array(f"{name}.{label}", array, unit=unit))
-        else:
-            columns.extend(_of_array(name, array))
+        label, unit = _NAVEGO.get(last, ("", None))
+        columns += _of_array(f"{name}.{label}" if label else name, array, unit)
     return columns, rate
 
 
-def _of_array(name: str, array: NDArray[Any], *, unit: str | None = None) -> Iterable[TypedColumn]:
+def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:
     """Return the columns of an array: of a record, of a matrix, or itself."""
     if array.dtype.names is not None:
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
@@ -237,3 +229,12 @@ def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColu
     return TypedColumn(
         name=name, size=array.size, values=lambda: array, head=array[:400], unit=unit, has_gaps=gaps
     )
+
+
+#: First bytes, name and reader of each format.
+_FORMATS: tuple[tuple[bytes, str, _Reader], ...] = (
+    (b"PAR1", "Parquet", _parquet),
+    (b"\x93NUMPY", "NPY", _npy),
+    (b"PK", "NPZ", _npz),
+    (b"MATLAB 5.0", "MAT", _mat),
+)

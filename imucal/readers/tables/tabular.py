@@ -1,25 +1,23 @@
 """Columns of numbers -> Recording: units, stamps, clocks, temperature, and how each was decided."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import IntArray
 from imucal.clock import Clock
-from imucal.errors import DataError
+from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.column_plan import SensorPlan
-from imucal.readers.tables.dialects import Dialect
+from imucal.readers.tables.columns_text import EXAMPLE
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
-from imucal.readers.tables.table_clock import Numbers, table_clock
-from imucal.recording import Recording, Source
+from imucal.readers.tables.table_clock import SensorColumns, table_clock
+from imucal.recording import Recording
 
 #: Time and rows of a sensor -> its clock and the samples to keep: two sensors of one table share them.
 _Clocks: TypeAlias = dict[tuple[Any, ...], tuple[Clock, IntArray | None]]
@@ -28,65 +26,8 @@ _Clocks: TypeAlias = dict[tuple[Any, ...], tuple[Clock, IntArray | None]]
 _TEMPERATURES = (-80.0, 200.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SensorColumns:
-    """The columns of one sensor, as read.
-
-    Attributes
-    ----------
-    plan
-        Which columns they are.
-    axes
-        x, y and z, in the unit of the log; shape (n,) each.
-    time, log_time
-        The columns of the plan's times; empty where there are none.
-    temperature
-        The temperature of the same rows, or None.
-    sparse
-        Whether rows with no value of the sensor belong to other sensors.
-    """
-
-    plan: SensorPlan
-    axes: tuple[FloatArray, FloatArray, FloatArray]
-    time: tuple[Numbers, ...] = ()
-    log_time: tuple[Numbers, ...] = ()
-    temperature: FloatArray | None = None
-    sparse: bool = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Timed:
-    """A sensor's samples with their clock, still in the unit of the log."""
-
-    columns: SensorColumns
-    clock: Clock
-
-
-def assemble(
-    source: Source,
-    sensors: Sequence[SensorColumns],
-    options: ReadOptions,
-    *,
-    dialect: Dialect | None = None,
-    rate_hz: float | None = None,
-    findings: Sequence[Finding] = (),
-) -> Recording:
-    """Put a recording together.
-
-    Parameters
-    ----------
-    source
-        Path, format and the decisions so far.
-    sensors
-        Columns of the gyroscope, the accelerometer, or both.
-    options
-        What the user said.
-    dialect
-        The one that the column names show.
-    rate_hz
-        Sampling rate that the log itself states.
-    findings
-        What reading has shown so far.
+def assemble(work: Work, sensors: Sequence[SensorColumns], form: str, topics: Sequence[str]) -> Recording:
+    """Put the recording of a gyroscope, an accelerometer, or both together; `form` is what the log is.
 
     Raises
     ------
@@ -96,19 +37,30 @@ def assemble(
         If there are no samples, or no rate.
     """
     clocks: _Clocks = {}
-    work = Work(path=source.path, options=options, dialect=dialect, rate_hz=rate_hz)
-    work.decisions.extend(source.decisions)
-    work.findings.extend(findings)
     timed = [_timed(work, columns, clocks) for columns in sensors]
-    scales = find_scales(work, [_unscaled(entry) for entry in timed])
-    builder = RecordingBuilder(
-        path=source.path, format=source.format, decisions=work.decisions, findings=work.findings
-    )
+    scales = find_scales(work, timed)
+    builder = RecordingBuilder(path=work.path, format=form, decisions=work.decisions, findings=work.findings)
     for entry in timed:
-        sensor = entry.columns.plan.triad.sensor
-        builder.add_sensor(sensor, entry.columns.axes, entry.clock, scale=scales[sensor])
+        sensor = entry.triad.sensor
+        builder.add_sensor(sensor, entry.axes, entry.clock, scale=scales[sensor])
     _add_temperature(builder, work, timed)
-    return builder.build(topics=source.topics)
+    return builder.build(topics=topics)
+
+
+def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
+    """Refuse topics: a table has columns.
+
+    Raises
+    ------
+    ChoiceError
+        If the user asked for any.
+    """
+    if options.topics:
+        msg = (
+            f"{path}: {what} has no topics, but {', '.join(options.topics)} was asked for; "
+            f"expected no topic, or a columns text such as {EXAMPLE}"
+        )
+        raise ChoiceError(msg)
 
 
 def contents_of(
@@ -137,16 +89,12 @@ def contents_of(
     )
 
 
-def _unscaled(entry: _Timed) -> Unscaled:
-    return Unscaled(triad=entry.columns.plan.triad, axes=entry.columns.axes, rate_hz=entry.clock.rate_hz)
-
-
-def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> _Timed:
+def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> Unscaled:
     """Drop rows that are none of the sensor's, and read its clock."""
     triad = columns.plan.triad
     keep = _rows_of_sensor(work, columns)
     if keep is not None:
-        columns = _rows(columns, keep)
+        columns = columns.rows(keep)
     n = columns.axes[0].size
     if not n:
         names = ", ".join(triad.headers)
@@ -157,25 +105,13 @@ def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> _Timed:
         raise DataError(msg)
     key = (columns.plan.time, triad.rows, None if keep is None else keep.tobytes(), n)
     if key not in clocks:
-        reading = table_clock(work, columns.plan, columns.axes, columns.time, columns.log_time)
+        reading = table_clock(work, columns)
         work.findings.extend(reading.findings)
         clocks[key] = (reading.clock, reading.order)
     clock, order = clocks[key]
     if order is not None:
-        columns = _rows(columns, order)
-    return _Timed(columns=columns, clock=clock)
-
-
-def _rows(columns: SensorColumns, chosen: NDArray[np.bool_] | IntArray) -> SensorColumns:
-    """Return some rows of the columns."""
-    x, y, z = (axis[chosen] for axis in columns.axes)
-    return replace(
-        columns,
-        axes=(x, y, z),
-        time=tuple(column[chosen] for column in columns.time),
-        log_time=tuple(column[chosen] for column in columns.log_time),
-        temperature=columns.temperature[chosen] if columns.temperature is not None else None,
-    )
+        columns = columns.rows(order)
+    return Unscaled(triad=triad, axes=columns.axes, temperature=columns.temperature, clock=clock)
 
 
 def _rows_of_sensor(work: Work, columns: SensorColumns) -> NDArray[np.bool_] | None:
@@ -195,12 +131,12 @@ def _rows_of_sensor(work: Work, columns: SensorColumns) -> NDArray[np.bool_] | N
     return None if keep is None or bool(keep.all()) else keep
 
 
-def _add_temperature(builder: RecordingBuilder, work: Work, timed: Sequence[_Timed]) -> None:
+def _add_temperature(builder: RecordingBuilder, work: Work, timed: Sequence[Unscaled]) -> None:
     """Add the temperature, where its column holds degrees."""
-    found = next((entry for entry in timed if entry.columns.temperature is not None), None)
+    found = next((entry for entry in timed if entry.temperature is not None), None)
     if found is None:
         return
-    values = np.asarray(found.columns.temperature, dtype=np.float64)
+    values = np.asarray(found.temperature, dtype=np.float64)
     finite = values[np.isfinite(values)]
     if not finite.size:
         return

@@ -238,7 +238,11 @@ def open_text(path: Path, *, progress: Progress | None = None) -> TextSource:
         except OSError as error:
             msg = f"{path}: can't be opened: {error.strerror or error}"
             raise ReadError(msg) from error
-        source = _opened(str(path), raw, size, progress)
+        try:
+            source = TextSource(str(path), raw, size=size, progress=progress)
+        except BaseException:
+            raw.close()
+            raise
     if not any(line.strip() for line in source.head):
         found = "is empty" if source.whole else "has no line end in its first 256 KiB"
         found = f"{found} ({source.findings[0].text})" if source.findings else found
@@ -246,11 +250,3 @@ def open_text(path: Path, *, progress: Progress | None = None) -> TextSource:
         msg = f"{source.name}: the text {found}; expected a table of numbers"
         raise ReadError(msg)
     return source
-
-
-def _opened(name: str, raw: BinaryIO, size: int, progress: Progress | None) -> TextSource:
-    try:
-        return TextSource(name, raw, size=size, progress=progress)
-    except BaseException:
-        raw.close()
-        raise

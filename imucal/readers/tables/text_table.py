@@ -15,11 +15,13 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.layout import Rows, TextLayout, rows_of_tag, split_line
 from imucal.readers.tables.row_blocks import BlockReader, Kind, RowCounts, without_start
-from imucal.readers.tables.tabular import SensorColumns, assemble
+from imucal.readers.tables.scales import Work
+from imucal.readers.tables.table_clock import SensorColumns
+from imucal.readers.tables.tabular import assemble
 from imucal.readers.tables.text import TextSource
 from imucal.readers.tables.text_layout import lay_out
 from imucal.readers.tables.timing import TimeChoice
-from imucal.recording import Recording, Source
+from imucal.recording import Recording
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
@@ -85,7 +87,7 @@ def read_table(
     if options.strict and source.findings:
         msg = f"{source.name}: {source.findings[0].text} Expected an undamaged log"
         raise ReadError(msg)
-    findings = [*source.findings, *_row_findings(source.name, cut, layout, readers, options)]
+    findings = _row_findings(source.name, cut, layout, readers, options)
     sensors = []
     for reader, group in zip(readers, groups, strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
@@ -96,19 +98,15 @@ def read_table(
     if not sensors:
         msg = f"{source.name}: the table has no rows of its sensors; expected a row per sample"
         raise DataError(msg)
-    return assemble(
-        Source(
-            path=source.name,
-            format="csv",
-            topics=tuple(plan.headers[index] for s in plan.sensors for index in s.triad.indices),
-            decisions=plan.decisions,
-        ),
-        sensors,
-        options,
+    work = Work(
+        path=source.name,
+        options=options,
         dialect=plan.dialect,
         rate_hz=layout.rate_hz,
-        findings=findings,
+        decisions=[*plan.decisions],
+        findings=[*source.findings, *findings],
     )
+    return assemble(work, sensors, "csv", plan.topics)
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
@@ -175,7 +173,6 @@ def _reader(
         rows=rows,
         limit=limit,
         expected=source.expected_rows,
-        prepare=layout.prepare,
     )
 
 
@@ -252,10 +249,9 @@ def _row_findings(
 def _columns(
     reader: BlockReader, sensor: SensorPlan, values: dict[int, Any], temperature: int | None
 ) -> SensorColumns:
-    x, y, z = (values[index] for index in sensor.triad.indices)
     return SensorColumns(
         plan=sensor,
-        axes=(x, y, z),
+        axes=[values[index] for index in sensor.triad.indices],
         time=tuple(values[index] for index in sensor.time.indices) if sensor.time else (),
         log_time=tuple(values[index] for index in sensor.log_time.indices) if sensor.log_time else (),
         temperature=values.get(temperature) if temperature is not None else None,

@@ -125,14 +125,19 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
         problem = f"column {column.index} ({column.header}) is no time: it holds {found!r}"
         raise table.ask(problem)
     if column.role is Role.COUNTER:
-        return TimeChoice(kind="counter", indices=(column.index,), name=column.header)
+        return _joined("counter", column)
     return choice
 
 
+def _joined(kind: TimeKind, *columns: NamedColumn, ns: int | None = None, source: str = "") -> TimeChoice:
+    """Return the time that some columns give together."""
+    name = "+".join(column.header or str(column.index) for column in columns)
+    indices = tuple(column.index for column in columns)
+    return TimeChoice(kind=kind, indices=indices, name=name, ns=ns, ns_source=source)
+
+
 def _pair(second: NamedColumn, fraction: NamedColumn) -> TimeChoice:
-    name = "+".join(column.header or str(column.index) for column in (second, fraction))
-    indices = (second.index, fraction.index)
-    return TimeChoice(kind="pair", indices=indices, name=name, ns=1, ns_source="seconds + nanoseconds")
+    return _joined("pair", second, fraction, ns=1, source="seconds + nanoseconds")
 
 
 def named_time(table: NamedTable, name: str) -> TimeChoice:
@@ -156,13 +161,12 @@ def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
     filled = [cell.strip("\"'") for cell in table.cells(column.index) if cell]
     if not filled:
         return None
-    name = column.header or str(column.index)
     if sum(map(is_number, filled)) < 0.5 * len(filled):
         if sum(map(is_text_stamp, filled)) < 0.5 * len(filled):
             return None
-        return TimeChoice(kind="text", indices=(column.index,), name=name, ns=1, ns_source="text")
+        return _joined("text", column, ns=1, source="text")
     ns, source = _unit(column, table.dialect)
-    return TimeChoice(kind="stamp", indices=(column.index,), name=name, ns=ns, ns_source=source)
+    return _joined("stamp", column, ns=ns, source=source)
 
 
 def _unit(column: NamedColumn, dialect: Dialect | None) -> tuple[int | None, str]:
@@ -244,9 +248,8 @@ def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
     if week is None or tow is None:
         return []
     ns = TIME_UNITS_NS.get(parse_time_unit(tow.unit) or "") if tow.unit else None
-    name, indices = f"{week.header}+{tow.header}", (week.index, tow.index)
     source = "from the column header" if ns else ""
-    return [(60.0, TimeChoice(kind="week", indices=indices, name=name, ns=ns, ns_source=source))]
+    return [(60.0, _joined("week", week, tow, ns=ns, source=source))]
 
 
 def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
@@ -259,9 +262,7 @@ def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
         parts.append(column)
     if len(parts) < _DATE_NEEDED:
         return []
-    name = "+".join(part.header for part in parts)
-    indices = tuple(part.index for part in parts)
-    return [(58.0, TimeChoice(kind="date", indices=indices, name=name, ns=1, ns_source="date and time"))]
+    return [(58.0, _joined("date", *parts, ns=1, source="date and time"))]
 
 
 def _counters(table: NamedTable) -> list[TimeChoice]:
@@ -269,7 +270,7 @@ def _counters(table: NamedTable) -> list[TimeChoice]:
     for column in table.columns:
         counts = _counts(table.cells(column.index)) if column.role is Role.COUNTER else []
         if len(counts) > 1 and sum(b > a for a, b in pairwise(counts)) > 0.5 * len(counts):
-            found.append(TimeChoice(kind="counter", indices=(column.index,), name=column.header))
+            found.append(_joined("counter", column))
     return found
 
 

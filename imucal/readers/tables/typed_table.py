@@ -15,12 +15,13 @@ from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
-from imucal.readers.tables.stamps import parse_text_stamps
-from imucal.readers.tables.table_clock import Numbers
+from imucal.readers.tables.scales import Work
+from imucal.readers.tables.stamps import Numbers, parse_text_stamps
+from imucal.readers.tables.table_clock import SensorColumns
 from imucal.readers.tables.table_files import TableFile, TypedColumn, open_table
-from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of
+from imucal.readers.tables.tabular import assemble, contents_of, refuse_topics
 from imucal.readers.tables.timing import TimeChoice
-from imucal.recording import Recording, Sensor, Source
+from imucal.recording import Recording, Sensor
 
 #: Rows shown to the rules that choose columns.
 _HEAD = 400
@@ -46,20 +47,17 @@ def read(path: Path, options: ReadOptions) -> Recording:
     DataError
         If it holds no samples.
     """
-    if options.topics:
-        msg = (
-            f"{path}: a table has no topics, but {', '.join(options.topics)} was asked for; "
-            "expected no topic, or a columns text such as t=0,g=1:4,a=4:7"
-        )
-        raise ChoiceError(msg)
+    refuse_topics(path, options, "a table")
     table = open_table(path)
     parts = _parts(path, table, options)
     sensors = [_columns(part, sensor) for part in parts for sensor in part.plan.sensors]
     decisions = dict.fromkeys(decision for part in parts for decision in part.plan.decisions)
-    names = (part.plan.headers[p] for part in parts for s in part.plan.sensors for p in s.triad.indices)
-    source = Source(path=str(path), format=table.format, topics=tuple(names), decisions=tuple(decisions))
+    topics = [topic for part in parts for topic in part.plan.topics]
     dialect = next((part.plan.dialect for part in parts if part.plan.dialect), None)
-    return assemble(source, sensors, options, dialect=dialect, rate_hz=table.rate_hz)
+    work = Work(
+        path=str(path), options=options, dialect=dialect, rate_hz=table.rate_hz, decisions=[*decisions]
+    )
+    return assemble(work, sensors, table.format, topics)
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
@@ -126,21 +124,19 @@ def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions) -> _
 
 
 def _columns(part: _Part, sensor: SensorPlan) -> SensorColumns:
-    x, y, z = (_floats(part.columns[index]) for index in sensor.triad.indices)
-    axes = (x, y, z)
-    time, log = _times(part, sensor.time), _times(part, sensor.log_time)
-    at = part.plan.temperature
-    temperature = _floats(part.columns[at]) if at is not None else None
-    if sensor.triad.rows is not None:
-        index, tag = sensor.triad.rows
-        keep = part.columns[index].is_text(tag)
-        axes = (x[keep], y[keep], z[keep])
-        time, log = tuple(column[keep] for column in time), tuple(column[keep] for column in log)
-        temperature = temperature[keep] if temperature is not None else None
-    sparse = any(part.columns[index].has_gaps for index in sensor.triad.indices)
-    return SensorColumns(
-        plan=sensor, axes=axes, time=time, log_time=log, temperature=temperature, sparse=sparse
+    indices, at = sensor.triad.indices, part.plan.temperature
+    columns = SensorColumns(
+        plan=sensor,
+        axes=[_floats(part.columns[index]) for index in indices],
+        time=_times(part, sensor.time),
+        log_time=_times(part, sensor.log_time),
+        temperature=_floats(part.columns[at]) if at is not None else None,
+        sparse=any(part.columns[index].has_gaps for index in indices),
     )
+    if sensor.triad.rows is None:
+        return columns
+    index, tag = sensor.triad.rows
+    return columns.rows(part.columns[index].is_text(tag))
 
 
 def _times(part: _Part, time: TimeChoice | None) -> tuple[Numbers, ...]:

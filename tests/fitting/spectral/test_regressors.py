@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from imucal.allan.dct import dct_ordinates
-from imucal.fitting.spectral.ordinates import exponential_ordinates, ramp_ordinates
+from imucal.allan.dct import dct_ordinates, ramp_ordinates
+from imucal.fitting.spectral.ordinates import exponential_ordinates
 from tests.fitting.fits import fitted, simulated
 
 N = 40_000
