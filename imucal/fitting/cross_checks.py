@@ -10,11 +10,7 @@ Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 
 """
 
 import math
-<<<<<<< HEAD
-from collections.abc import Iterator
 from dataclasses import replace
-=======
->>>>>>> main
 
 import numpy as np
 
