@@ -39,20 +39,9 @@ class SensorPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TablePlan:
-    """What to read from a table.
+    """What to read from a table, gyroscope first, and how each choice was made.
 
-    Attributes
-    ----------
-    headers
-        Names of all columns.
-    sensors
-        Gyroscope first.
-    temperature
-        Index of its column, or None.
-    dialect
-        The one the names show, or None.
-    decisions
-        How each choice was made.
+    `headers` are the names of all columns, `temperature` is the index of its column.
     """
 
     headers: tuple[str, ...]
