@@ -116,9 +116,7 @@ def _plan(
 
 def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> TablePlan:
     """Return the plan of a columns text."""
-    time = None
-    if asked.time:
-        time = time_of_columns(table, asked.time)
+    time = time_of_columns(table, asked.time) if asked.time else None
     sensors = []
     for sensor, indices, rows in (
         (Sensor.GYROSCOPE, asked.gyro, asked.gyro_rows),
