@@ -169,7 +169,7 @@ def _axis(a: AxisReport | None, b: AxisReport | None, tolerance: float) -> list[
     assert axis is not None  # noqa: S101 - the name came from one of them
     in_a, in_b = _estimates(a), _estimates(b)
     differences = []
-    for key in sorted(in_a.keys() | in_b.keys(), key=_order):
+    for key in sorted(in_a.keys() | in_b.keys(), key=lambda key: (list(TERMS).index(_symbol(key)), key)):
         first, second = in_a.get(key), in_b.get(key)
         symbol = _symbol(key)
         z = None
@@ -210,10 +210,6 @@ def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:
 def _symbol(key: str) -> str:
     """Return ``GM`` for ``GM2.T``."""
     return key.removesuffix(_TIME).rstrip("0123456789")
-
-
-def _order(key: str) -> tuple[int, str]:
-    return list(TERMS).index(_symbol(key)), key
 
 
 def _ratio(a: Estimate | None, b: Estimate | None) -> float | None:

@@ -225,14 +225,13 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
                     reached=reached,
                 )
             )
-    order = list(TERMS)
     return AxisPlan(
         axis="",
         sensor=None,
         model=str(model),
         rate_hz=rate_hz,
         duration_s=ask.duration_s,
-        needs=tuple(sorted(needs, key=lambda need: order.index(need.symbol))),
+        needs=tuple(sorted(needs, key=lambda need: list(TERMS).index(need.symbol))),
     )
 
 

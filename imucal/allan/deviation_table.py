@@ -101,7 +101,7 @@ def read_curve(
     _require_times(path, tau)
     m, findings = _factors(tau, rate_hz)
     wanted = [i for i, name in enumerate(headings) if i != first and not _OTHER.fullmatch(_bare(name))]
-    given = list(units) * len(wanted) if len(units) == 1 else [*units]
+    given: list[str | None] = [*units] * (len(wanted) if len(units) == 1 else 1)
     if given and len(given) != len(wanted):
         msg = f"{path}: {len(given)} units for {len(wanted)} columns of deviations; give one, or one each"
         raise ReadError(msg)
@@ -109,14 +109,13 @@ def read_curve(
         msg = f"{path}: no column of deviations beside {headings[first]!r}; found {', '.join(headings)}"
         raise ReadError(msg)
     curves = []
-    for i, unit in zip(wanted, given or [_unit_of(headings[i]) for i in wanted], strict=True):
+    for i, unit in zip(wanted, given or [None] * len(wanted), strict=True):
         sensor, factor = _meaning(path, headings[i], unit)
         good, avar = _variances(path, headings[i], rows[:, i], factor or 1.0)
         curve = _curve(tau[good], m[good], avar, n=n, estimator=estimator)
         si = sensor.unit if sensor and factor else ""
-        curves.append(
-            NamedCurve(name=_bare(headings[i]), sensor=sensor, unit=si, curve=curve, findings=findings)
-        )
+        name = _bare(headings[i])
+        curves.append(NamedCurve(name=name, sensor=sensor, unit=si, curve=curve, findings=findings))
     return tuple(curves)
 
 
@@ -248,14 +247,11 @@ def _bare(heading: str) -> str:
     return _UNIT.sub("", heading).strip()
 
 
-def _unit_of(heading: str) -> str:
-    match = _UNIT.search(heading)
-    return match[1].strip() if match else ""
-
-
-def _meaning(path: Path, heading: str, unit: str) -> tuple[Sensor | None, float | None]:
+def _meaning(path: Path, heading: str, unit: str | None) -> tuple[Sensor | None, float | None]:
     """Return the sensor and the factor that makes the unit SI; None where they are not known."""
     named = next((s for s, pattern in _SENSORS if pattern.search(_bare(heading))), None)
+    if unit is None and (match := _UNIT.search(heading)):
+        unit = match[1].strip()
     if not unit:
         return named, None
     known = {name: (sensor, factor) for sensor, of in SAMPLE_UNITS.items() for name, factor in of.items()}

@@ -180,10 +180,7 @@ def _laws(
 
 
 def _reach(longest: int, times: Sequence[float]) -> int:
-    """Return how far from nought lags are worth summing, for the longer averaging factor.
-
-    In powers of two beyond what flicker needs, so that few different grids are ever made.
-    """
+    """Return how far from 0 lags are summed: by powers of two, so that few different grids are made."""
     reach = _FLICKER_REACH * longest
     for time in times:
         while reach < 2 * longest + _GAUSS_MARKOV_REACH * time:

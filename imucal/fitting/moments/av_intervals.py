@@ -64,15 +64,14 @@ class CurveSpread:
 def derivatives(solution: Solution, points: AvarPoints, free: np.ndarray) -> FloatArray:
     """Return the derivatives of the model by its free variances and log correlation times."""
     step = 1e-4
-    plain = columns(points.m, solution.laws, solution.times)
-    later = columns(points.m, "", solution.times * np.exp(step))
-    sooner = columns(points.m, "", solution.times * np.exp(-step))
+    plain = columns(points.m, solution.laws, solution.times)[:, free]
     count = solution.times.size
     if count == 0:
-        return plain[:, free]
+        return plain
+    later = columns(points.m, "", solution.times * np.exp(step))
+    sooner = columns(points.m, "", solution.times * np.exp(-step))
     slopes = (later - sooner) / (2 * step) * solution.variances[-count:]
-    shown = free[-count:]
-    return np.hstack([plain[:, free], slopes[:, shown]])
+    return np.hstack([plain, slopes[:, free[-count:]]])
 
 
 def limits(value: float, spread_at: Callable[[float], float], quantile: float) -> tuple[float, float]:
@@ -221,11 +220,7 @@ class _Reader:
         )
 
     def _scatter(self, at: FloatArray, free: np.ndarray) -> FloatArray:
-        """Return the covariance of the free variances and, after them, all log correlation times.
-
-        `at`, shape (p,), are the variances that make the covariance of the curve; those that are
-        not `free`, shape (p,), are held.
-        """
+        """Return the covariance of the free variances, then log times, where the curve's is that of `at`."""
         design = self.weight.whiten @ derivatives(self.solution, self.points, free)
         length = np.sqrt(np.einsum("ij,ij->j", design, design))
         length[length == 0] = 1.0

@@ -72,6 +72,7 @@ def fit_gmwm(
         spread = CurveSpread.of_terms(points, rough.laws, rough.times)
         kept, fitted = best_band(points, ModelSearch(spread, rough, settings))
     solution = fitted.solution
+    near = [(delta, other) for delta, other in fitted.ranking if delta <= _REPORTED]
     found = curve_estimates(kept, solution, fitted.weight, level=settings.level)
     fit = goodness(kept, solution, found.curve_covariance)
     return NoiseFit(
@@ -86,7 +87,7 @@ def fit_gmwm(
         goodness=fit,
         curve=_with_edf(curve, kept, solution, found.curve_covariance),
         used=kept.used,
-        candidates=_candidates(fitted.ranking),
+        candidates=tuple(Candidate(structure=_text(s), delta=d) for d, s in near),
         criterion=settings.chosen_by,
         findings=_findings(series, kept, fit, points.size - kept.size, _text(solution)),
         settings={"weights": settings.weights},
@@ -126,11 +127,6 @@ def _with_edf(
     edf = 2 * solution.avar(points.m) ** 2 / np.diag(covariance)
     every = np.interp(np.log(curve.m), np.log(points.m), np.log(edf))
     return replace(curve, edf=np.maximum(np.exp(every), 1.0), edf_method="model")
-
-
-def _candidates(ranking: list[tuple[float, Solution]]) -> tuple[Candidate, ...]:
-    reported = [(delta, s) for delta, s in ranking if delta <= _REPORTED]
-    return tuple(Candidate(structure=_text(solution), delta=delta) for delta, solution in reported)
 
 
 def _text(solution: Solution) -> str:

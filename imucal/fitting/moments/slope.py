@@ -152,10 +152,7 @@ def _estimates(
 def _share_of_others(
     curve: LogCurve, reading: Reading, found: Mapping[str, Reading], tops: Mapping[str, float]
 ) -> float:
-    """Return how much of the Allan variance on a term's line the others may explain.
-
-    A term that was read counts two standard errors above its reading.
-    """
+    """Return how much of a line's Allan variance the others, at two standard errors more, may explain."""
     places = reading.places
     share = np.zeros(places.size)
     for symbol in SLOPES:
@@ -171,10 +168,7 @@ def _share_of_others(
 
 
 def _beside(curve: LogCurve, reading: Reading, alone: FloatArray) -> float:
-    """Return how large a second term may be beside a reading: the points of the line limit its bend.
-
-    Two standard errors above its estimate from those points; infinite for fewer than three.
-    """
+    """Return two standard errors more than the second term that the bend of a line shows, or infinity."""
     places = reading.places
     if places.size < LEAST_POINTS:
         return float("inf")
@@ -187,12 +181,10 @@ def _beside(curve: LogCurve, reading: Reading, alone: FloatArray) -> float:
 
 
 def _ceiling(curve: LogCurve, symbol: str, level: float) -> float:
-    """Return the logarithm of the largest coefficient whose term alone stays below the curve's limits.
-
-    The limits are of a chi-squared law and hold for all points together (Bonferroni).
-    """
+    """Return the logarithm of the largest coefficient whose term alone stays below the curve's limits."""
     from scipy.special import chdtri
 
+    # Chi-squared limits that hold for all points together (Bonferroni).
     edf = 1 / (2 * curve.variance)
     tail = (1 - level) / (2 * curve.points.size)
     high = np.log(curve.points.avar / curve.shape(symbol) * edf / chdtri(edf, 1 - tail)) / 2

@@ -122,9 +122,8 @@ class _BandSearch:
     def blind(self, seen: Ordinates) -> FloatArray:
         """Return parameters of the best blind fit without a response, shape (1, p)."""
         candidate = self.candidates([(0, 0)])
-        starts = find_starts(seen, candidate, shortest=self.shortest, keep=(1, 2, 4))
-        rows = np.zeros(starts.candidate.size, dtype=np.int64)
-        found = maximize(seen, candidate.take(rows), starts.theta, shortest=self.shortest, tolerance=1e-3)
+        owner, theta = find_starts(seen, candidate, shortest=self.shortest, keep=(1, 2, 4))
+        found = maximize(seen, candidate.take(owner), theta, shortest=self.shortest, tolerance=1e-3)
         return found.theta[[int(np.argmin(found.objective))]]
 
     def fit(self, seen: Ordinates, fraction: float, orders: list[Order], starts: FloatArray) -> list[_Trial]:

@@ -59,22 +59,16 @@ def find_lines(
 
 
 def _limit(sureness: FloatArray, chance: float) -> FloatArray:
-    """Return how far above the local level a square lies with a probability of `chance`.
-
-    The level is itself estimated: the ratio follows F(1, dof of the level), whose tail is far
-    heavier than chi-squared's where few ordinates make the level.
-    """
+    """Return how far above the local level a square lies with a probability of `chance`."""
     from scipy.special import fdtri
 
+    # The level is estimated too: F has a far heavier tail than chi-squared where few ordinates make it.
     limit: FloatArray = fdtri(1.0, sureness, 1.0 - chance)
     return limit
 
 
 def _level(square: FloatArray, kept: BoolArray | None, bins: DctBins) -> tuple[FloatArray, FloatArray]:
-    """Return the local level of the squares for each bin and its degrees of freedom.
-
-    The level is a median of the neighbouring bins' means.
-    """
+    """Return the median of the neighbouring bins' mean squares and its degrees of freedom, for each bin."""
     starts = bins.first - 1
     if kept is None:
         count = bins.count.astype(np.float64)

@@ -73,10 +73,9 @@ def choose(
     poles, zeros = (band.poles, band.zeros) if band else (0, 0)
     candidates = candidates_of(structures, ordinates.names, poles=poles, zeros=zeros, common=common)
     coarse = coarser(ordinates, singles=48, merge=3)
-    starts = find_starts(coarse, candidates, shortest=shortest, keep=(1, 2, 3))
+    owner, theta = find_starts(coarse, candidates, shortest=shortest, keep=(1, 2, 3))
     if band:
-        starts.theta[:, candidates.width - poles :] = _positive(band.response, ordinates)
-    owner = starts.candidate
+        theta[:, candidates.width - poles :] = _positive(band.response, ordinates)
     # The response was found with the richest model: it stays as it is in the first round.
     free = candidates.free[owner]
     if band:
@@ -84,7 +83,7 @@ def choose(
     rough = maximize(
         coarse,
         candidates.take(owner),
-        starts.theta,
+        theta,
         free=free,
         shortest=shortest,
         tolerance=1e-3,
@@ -109,10 +108,7 @@ def choose(
 
 
 def _positive(response: FloatArray, ordinates: Ordinates) -> FloatArray:
-    """Return the response, made smaller until it is positive in every bin.
-
-    It was found on wider bins; next to a zero at the end of the band it may fall below zero between.
-    """
+    """Return the response, found on wider bins, made smaller until it is positive in every bin."""
     powers = (ordinates.lam[:, None] / ordinates.top) ** np.arange(1, response.size + 1)
     for _ in range(60):
         if not response.size or np.min(1 + powers @ response) > 0:

@@ -8,7 +8,6 @@ Source: Févotte & Idier (2011), Neural Computation 23, "Algorithms for NMF with
 beta-divergence" (the majorisation-minimisation update, exponent 1/2).
 """
 
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -26,22 +25,6 @@ _ROWS = 96
 _TINY = 1e-140
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Starts:
-    """Starting values, some for each candidate.
-
-    Attributes
-    ----------
-    candidate
-        Which candidate each start belongs to, shape (s,).
-    theta
-        Parameters, shape (s, p).
-    """
-
-    candidate: IntArray
-    theta: FloatArray
-
-
 def time_grid(ordinates: Ordinates, shortest: float) -> FloatArray:
     """Return correlation times in samples, log-spaced over what the record can show."""
     highest = float(ordinates.fraction.max())
@@ -56,10 +39,11 @@ def find_starts(
     *,
     shortest: float = 2.0,
     keep: tuple[int, int, int] = (1, 2, 4),
-) -> Starts:
+) -> tuple[IntArray, FloatArray]:
     """Return the best starts of each candidate: `keep` of them for 0, 1, 2 Gauss-Markov terms.
 
-    A candidate with more than two has a single start, its times spread evenly.
+    That is which candidate each start belongs to, shape (s,), and its parameters, shape (s, p). A
+    candidate with more than two has a single start, its times spread evenly.
     """
     times = time_grid(ordinates, shortest)
     plans = [_combinations(int(count)) for count in candidates.markov]
@@ -80,7 +64,7 @@ def find_starts(
         )
     ]
     index = np.concatenate(best)
-    return Starts(candidate=owner[index], theta=theta[index])
+    return owner[index], theta[index]
 
 
 def _combinations(count: int) -> list[tuple[int, ...]]:

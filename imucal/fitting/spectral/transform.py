@@ -103,9 +103,8 @@ def _objectives(ordinates: Ordinates, sets: list[tuple[str, ...]]) -> list[float
     """Return the least -log L of a rich structure with each set of regressors beside the ramp."""
     shown = [(*_STRUCTURE, *names) for names in sets]
     candidates = candidates_of(shown, ordinates.names)
-    starts = find_starts(ordinates, candidates, keep=(1, 2, 2))
-    owner = starts.candidate
-    found = maximize(ordinates, candidates.take(owner), starts.theta, tolerance=1e-2, iterations=40)
+    owner, theta = find_starts(ordinates, candidates, keep=(1, 2, 2))
+    found = maximize(ordinates, candidates.take(owner), theta, tolerance=1e-2, iterations=40)
     best = np.full(len(sets), np.inf)
     np.minimum.at(best, owner, found.objective)
     return best.tolist()

@@ -39,20 +39,9 @@ class SensorPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TablePlan:
-    """What to read from a table.
+    """What to read from a table, gyroscope first, and how each choice was made.
 
-    Attributes
-    ----------
-    headers
-        Names of all columns.
-    sensors
-        Gyroscope first.
-    temperature
-        Index of its column, or None.
-    dialect
-        The one the names show, or None.
-    decisions
-        How each choice was made.
+    `headers` are the names of all columns, `temperature` is the index of its column.
     """
 
     headers: tuple[str, ...]
@@ -127,9 +116,7 @@ def _plan(
 
 def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> TablePlan:
     """Return the plan of a columns text."""
-    time = None
-    if asked.time:
-        time = time_of_columns(table, asked.time)
+    time = time_of_columns(table, asked.time) if asked.time else None
     sensors = []
     for sensor, indices, rows in (
         (Sensor.GYROSCOPE, asked.gyro, asked.gyro_rows),

@@ -27,19 +27,7 @@ _PARTNERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NamedTable:
-    """A table before its columns are chosen.
-
-    Attributes
-    ----------
-    path
-        For messages.
-    columns
-        What their names say.
-    cells
-        Gives the first cells of a column.
-    dialect
-        The one the names show, or None.
-    """
+    """A table before its columns are chosen: what their names say, and `cells` for the first of each."""
 
     path: str
     columns: tuple[NamedColumn, ...]
@@ -63,20 +51,9 @@ class NamedTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Triad:
-    """The x, y and z columns of one sensor.
+    """The x, y and z columns of one sensor, and the rows that belong to it.
 
-    Attributes
-    ----------
-    sensor
-        What they measure.
-    indices
-        Of the columns x, y, z.
-    headers
-        Their names.
-    unit
-        Their unit, a key of `imucal.units.SAMPLE_UNITS`; None where the names don't say.
-    rows
-        The rows that belong to it.
+    The unit is a key of `imucal.units.SAMPLE_UNITS`; None where the names don't say.
     """
 
     sensor: Sensor
@@ -115,13 +92,8 @@ def _unit_of(sensor: Sensor, column: NamedColumn) -> str | None:
 def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> list[Triad]:
     """Return every complete x, y, z of a sensor, in the order of the table; second choices last.
 
-    A vector without a sensor (bare x, y, z) is not among them.
-
-    Raises
-    ------
-    ChoiceError
-        If the columns of one triad carry different units and the caller gave none, or two columns
-        have the same name.
+    A vector without a sensor (bare x, y, z) is not among them. Two columns of the same name are a
+    ChoiceError, and so are different units in one triad of which the caller gave none.
     """
     triads = []
     for axes in _complete(table, {Role.GYROSCOPE, Role.ACCELEROMETER}):
@@ -183,12 +155,8 @@ def _is_linear(triad: Triad) -> bool:
 def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad | None, str]:
     """Return the sensors of bare columns x, y, z: by a column of tags, or by the name of the file.
 
-    Gyroscope, accelerometer, and how they were found; None twice where there are no such columns.
-
-    Raises
-    ------
-    ChoiceError
-        If nothing says which sensor they are.
+    Gyroscope, accelerometer, and how they were found; None twice where there are no such columns. A
+    ChoiceError where nothing says which sensor they are.
     """
     axes = next(_complete(table, {Role.VECTOR}), None)
     if axes is None:
@@ -238,13 +206,7 @@ def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()
 
 
 def pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad | None:
-    """Return the only triad of a sensor, or None.
-
-    Raises
-    ------
-    ChoiceError
-        If there are several: which one is for the user to say.
-    """
+    """Return the only triad of a sensor, or None; a ChoiceError where there are several."""
     found = [triad for triad in triads if triad.sensor is sensor]
     if len(found) <= 1:
         return found[0] if found else None

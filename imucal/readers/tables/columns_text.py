@@ -23,14 +23,10 @@ class ColumnSpec:
 
 
 _KEYS = {
-    "t": "t",
-    "g": "g",
-    "a": "a",
-    "temp": "temp",
-    "time": "t",
-    "gyro": "g",
-    "accel": "a",
-    "temperature": "temp",
+    **dict.fromkeys(("t", "time"), "t"),
+    **dict.fromkeys(("g", "gyro"), "g"),
+    **dict.fromkeys(("a", "accel"), "a"),
+    **dict.fromkeys(("temp", "temperature"), "temp"),
 }
 
 
@@ -117,13 +113,7 @@ def _indices(value: str, headers: Sequence[str], path: str, text: str) -> tuple[
 
 
 def index_of(name: str, headers: Sequence[str], path: str, text: str) -> int:
-    """Return the index of a column given by name or index.
-
-    Raises
-    ------
-    ChoiceError
-        If there is no such column, or several.
-    """
+    """Return the index of a column given by name or index; a ChoiceError if there is none, or several."""
     name = name.strip()
     matches = [index for index, header in enumerate(headers) if _plain(header) == _plain(name)]
     if len(matches) == 1:

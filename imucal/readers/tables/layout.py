@@ -49,22 +49,16 @@ class TextLayout:
         Cells of a row.
     rows
         The first rows of data, as cells without blanks around them.
-    headers
-        Names of the columns; empty where there is no header.
-    units
-        From a row of units; empty where there is none.
+    headers, units
+        Names of the columns, and a row of units; each empty where there is none.
     preamble
         Lines before the header.
     start
         Lines before the first row of data.
     delimiter
         ``,`` ``;`` tab ``|``, or `BLANKS` for runs of blanks and tabs.
-    decimal
-        ``.`` or ``,``.
     rate_hz
         Sampling rate from the preamble.
-    quoted
-        Whether cells stand in quotation marks.
     mismatch
         Cells of the header line where they don't fit the rows: names can't be told apart then.
     tag

@@ -24,22 +24,8 @@ class Role(StrEnum):
 class NamedColumn:
     """A column and what its name says.
 
-    Attributes
-    ----------
-    index
-        From 0.
-    header
-        The name as it stands in the log.
-    words
-        The name in small letters, cut into words, without axis and unit.
-    role
-        What it holds.
-    axis
-        0, 1, 2 for x, y, z; for a numbered axis its number; None where the name has no axis.
-    numbered
-        Whether `axis` is a number in the name, which may count from 1.
-    unit
-        The unit in the name, as written; None where there is none.
+    `words` are the name in small letters, without axis and unit. `axis` is 0, 1, 2 for x, y, z, or the
+    number in a name; that may count from 1, which `numbered` tells. The unit stands as it is written.
     """
 
     index: int

@@ -33,20 +33,8 @@ class RowCounts:
 class BlockReader:
     """Reads the wanted columns of a text table, block by block.
 
-    Parameters
-    ----------
-    layout
-        Of the table.
-    kinds
-        Index of each wanted column -> what its cells are.
-    needed
-        Columns whose cells must not be empty; a row that lacks one is bad.
-    rows
-        The rows to read.
-    limit
-        Bytes of a column to hold in memory.
-    expected
-        Rows to make room for.
+    `kinds` says by index what the cells of each wanted column are. A row that lacks a cell of a `needed`
+    column is bad. `limit` is the bytes of a column to hold in memory, `expected` the rows to make room for.
     """
 
     layout: TextLayout

@@ -152,14 +152,8 @@ def _inferred_scale(work: Work, entry: Unscaled, accel_unit: str | None) -> tupl
 class UnitGuess:
     """What samples say of their unit, and the reason in words.
 
-    Attributes
-    ----------
-    unit
-        A key of `imucal.units.SAMPLE_UNITS`, or ``count``; None where it is open.
-    scale
-        SI per count, where the unit is ``count``.
-    assumed
-        Whether it is taken for want of anything better.
+    `unit` is a key of `imucal.units.SAMPLE_UNITS`, or ``count`` with `scale` as SI per count; None where it
+    is open. It is `assumed` where it is taken for want of anything better.
     """
 
     unit: str | None = None

@@ -50,7 +50,7 @@ def parse_text_stamps(cells: Sequence[str]) -> IntArray:
 
 
 def _ns_of(match: re.Match[str]) -> int:
-    day = _days_since_1970(match["year"], match["month"], match["day"]) if match["year"] else 0
+    day = _days_since_1970(*match.group("year", "month", "day")) if match["year"] else 0
     if day == NO_STAMP:
         return NO_STAMP
     fraction = int(((match["fraction"] or "") + "0" * 9)[:9])

@@ -136,12 +136,8 @@ def _compare_rates(work: Work, measured: float) -> None:
     stated = work.rate_hz
     if stated is not None and work.options.rate_hz is None and abs(measured / stated - 1) > 0.02:
         text = f"The log states {stated:g} Hz, its stamps give {measured:.6g} Hz; the stamps are used."
-        finding = Finding(
-            level="warning",
-            code="rate-differs",
-            text=text,
-            advice="Give the sampling rate if the stamps are wrong.",
-        )
+        advice = "Give the sampling rate if the stamps are wrong."
+        finding = Finding(level="warning", code="rate-differs", text=text, advice=advice)
         if finding not in work.findings:
             work.findings.append(finding)
 

@@ -29,20 +29,9 @@ _NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TypedColumn:
-    """A named column.
+    """A column under the name and unit that the rules for names take; some cells are empty if it `has_gaps`.
 
-    Attributes
-    ----------
-    name, unit
-        As the rules for names take them.
-    size
-        Rows.
-    values
-        Reads them, shape (size,).
-    head
-        The first values.
-    has_gaps
-        Whether some cells are empty.
+    `values` reads all of it, shape (size,); `head` are the first ones.
     """
 
     name: str

@@ -48,13 +48,7 @@ def assemble(work: Work, sensors: Sequence[SensorColumns], form: str, topics: Se
 
 
 def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
-    """Refuse topics: a table has columns.
-
-    Raises
-    ------
-    ChoiceError
-        If the user asked for any.
-    """
+    """Refuse topics, as a table has columns, with a ChoiceError."""
     if options.topics:
         msg = (
             f"{path}: {what} has no topics, but {', '.join(options.topics)} was asked for; "

@@ -27,12 +27,7 @@ _INERTIAL = re.compile(
 def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout:
     """Find the layout of a text: messages of a known dialect, or a table.
 
-    Raises
-    ------
-    ReadError
-        If it holds no rows of numbers.
-    ChoiceError
-        If its header doesn't fit its rows.
+    A ReadError where it holds no rows of numbers, a ChoiceError where its header doesn't fit them.
     """
     messages = find_messages(lines)
     if messages is not None:

@@ -93,13 +93,7 @@ class _Zstd:
         self._held = b""
 
     def read1(self, size: int) -> bytes:
-        """Return up to `size` bytes, at least one before the end.
-
-        Raises
-        ------
-        EOFError
-            If the last frame is cut.
-        """
+        """Return up to `size` bytes, at least one before the end; an EOFError if the last frame is cut."""
         while not self._held:
             # Small pieces: a few bytes may unpack to a whole block.
             packed = self._packed or self._raw.read(_PIECE)
@@ -136,13 +130,7 @@ _OPENERS: dict[str, Callable[[BinaryIO], object]] = {
 
 
 def find_encoding(head: bytes, name: str) -> str:
-    """Return the encoding of a text from its first bytes.
-
-    Raises
-    ------
-    ReadError
-        If they are no text.
-    """
+    """Return the encoding of a text from its first bytes; a ReadError if they are no text."""
     for mark, encoding in _MARKS:
         if head.startswith(mark):
             return encoding

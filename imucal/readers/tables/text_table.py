@@ -43,13 +43,7 @@ class ExternalTime:
         return replace(plan, sensors=sensors)
 
     def of_rows(self, counts: RowCounts, path: str) -> FloatArray:
-        """Return the times, if there is one for each row.
-
-        Raises
-        ------
-        ReadError
-            If the numbers differ.
-        """
+        """Return the times; a ReadError unless there is one for each row."""
         if counts.bad or counts.good != self.values.size:
             msg = (
                 f"{self.path}: {self.values.size} times for the {counts.good} good and {counts.bad} bad rows "
@@ -112,12 +106,7 @@ def read_table(
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
     """Return the layout and the columns of a text from its first lines; its name may name the sensor.
 
-    Raises
-    ------
-    ChoiceError
-        If columns are not clear.
-    ReadError
-        If it is no table.
+    A ChoiceError where columns are not clear, a ReadError where it is no table.
     """
     layout = lay_out(source.name, source.head, options)
     plan = make_plan(

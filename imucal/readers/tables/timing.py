@@ -65,22 +65,11 @@ _BONUS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeChoice:
-    """The time of a sensor's samples.
+    """The time of a sensor's samples: the columns it is in, by index, and the name that the log gives it.
 
-    Attributes
-    ----------
-    kind
-        ``stamp`` one column; ``pair`` seconds and nanoseconds; ``week`` GPS week and time of week;
-        ``date`` year, month, day, hour, minute, second and perhaps nanosecond;
-        ``text`` dates or times of day; ``counter`` a sample counter.
-    indices
-        Of its columns.
-    name
-        As the log calls it.
-    ns
-        ns per count; None where the data must tell.
-    ns_source
-        Where `ns` comes from, in words.
+    ``pair`` is seconds and nanoseconds; ``week`` GPS week and time of week; ``date`` year, month, day,
+    hour, minute, second and perhaps nanosecond; ``text`` dates or times of day; ``counter`` a count of
+    samples. `ns` per count is None where the data must tell; `ns_source` says in words where it is from.
     """
 
     kind: TimeKind
@@ -108,13 +97,7 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
 
 
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
-    """Return the time in one column, or in two that hold seconds and nanoseconds.
-
-    Raises
-    ------
-    ChoiceError
-        If the cells of the one column are no times.
-    """
+    """Return the time in one column, or in two of seconds and nanoseconds; a ChoiceError if it is none."""
     columns = [table.columns[index] for index in indices]
     if len(columns) > 1:
         return _pair(*columns)
@@ -141,13 +124,7 @@ def _pair(second: NamedColumn, fraction: NamedColumn) -> TimeChoice:
 
 
 def named_time(table: NamedTable, name: str) -> TimeChoice:
-    """Return the time in the column a user named.
-
-    Raises
-    ------
-    ChoiceError
-        If there is no such column, or it is no time.
-    """
+    """Return the time in the column a user named; a ChoiceError if there is none, or it is no time."""
     try:
         indices = [index_of(part, table.headers, table.path, name) for part in name.split("+")]
     except ChoiceError as error:
