@@ -44,12 +44,12 @@ def hull_estimates(
     ]
     own = {e.key: e for e in estimates}
     spans = {key: [model[key] for model in models if key in model] for key in (*own, *ALWAYS)}
-    shown = {key for key in ALWAYS if all(e.low > 0 for e in spans[key])}
-    if any(key not in own or own[key].value is None for key in shown):
-        # The chosen model was too simple: its own values are those of terms that stand in for others.
-        own |= {key: models[0][key] for key in shown}
     others = _alternatives(choice)
-    found = [_hull(own.get(key), spans[key]) for key in spans]
+    # A term that the chosen model lacks has the value of its completion.
+    values = (
+        models[0] | own | {key: e for key, e in models[0].items() if key in own and own[key].value is None}
+    )
+    found = [_hull(values[key], spans[key]) for key in spans]
     found = [replace(e, alternatives=others.get(e.symbol, ())) for e in found]
     order = list(TERMS)
     return tuple(sorted(found, key=lambda e: (order.index(e.symbol), e.key)))
@@ -72,10 +72,10 @@ def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
     return {one: tuple(other for other in TERMS if replaces(one, other)) for one in TERMS}
 
 
-def _hull(own: Estimate | None, span: list[Estimate]) -> Estimate:
+def _hull(own: Estimate, span: list[Estimate]) -> Estimate:
     """Return an estimate with the limits of all models; itself where no near model has its term."""
-    if own is None or not span:
-        return own or max(span, key=lambda e: e.high)
+    if not span:
+        return own
     high = max(e.high for e in span)
     if own.value is None or any(e.low <= 0 for e in span):
         return Estimate.bounded(own.key, own.symbol, high)
