@@ -13,6 +13,7 @@ from imucal.readers.tables.layout import (
     split_line,
 )
 
+TEN = "one,two,three,four,five,six,seven,eight,nine,ten"
 ROWS = ("1,2,3", "4,5,6", "7,8,9")
 
 
@@ -165,6 +166,15 @@ def test_the_decimal_sign(row: list[str], decimal: str) -> None:
         # Two rows of names.
         (("g,,", "x,y,z", *ROWS), ("g x", "g y", "g z"), (), ("g,,",), 2),
         (("x,y,z", *ROWS), ("x", "y", "z"), (), (), 1),
+        (("g,", "x,y,z", *ROWS), ("g x", "g y", "g z"), (), ("g,",), 2),
+        (("g,,,,", "x,y,z", *ROWS), ("x", "y", "z"), (), ("g,,,,",), 2),
+        (
+            (TEN, f"s,g,g{',note' * 7}", *("1,2,3,4,5,6,7,8,9,10",) * 3),
+            tuple(TEN.split(",")),
+            ("s", "g", "g", *(None,) * 7),
+            (),
+            2,
+        ),
         # Names that stand for three columns.
         (
             ("t,gyro,x,y,z,acc,x,y,z", *("1,2,3,4,5,6,7,8,9",) * 3),
@@ -234,4 +244,5 @@ def test_quotation_marks_and_decimal_commas() -> None:
     layout = found("1,5;2;3", "2,5;3")
     assert (layout.decimal, layout.cells(0), layout.cells(2)) == (",", ["1.5"], ["3"])
     assert found(*ROWS).cells(1) == ["2", "5", "8"]
+    assert found(*ROWS).cells(3) == []
     assert TextLayout(width=1, rows=()).quoted is False
