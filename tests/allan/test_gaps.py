@@ -7,7 +7,7 @@ import numpy.testing as npt
 import pytest
 from numpy.typing import NDArray
 
-from imucal.allan import allan_curve
+from imucal.allan import allan_curve, gaps
 from imucal.allan.estimators import ESTIMATORS
 from imucal.allan.gaps import _positive, longest_run, run_variances, window_variances
 from imucal.allan.variance import variances
@@ -232,9 +232,9 @@ def test_a_factor_beyond_every_run_is_left_out() -> None:
 
 
 def _naive_added(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> float:
-    """Return what losses add to the half mean square of `_naive_windows`, from loops over windows and lags."""
+    """Return what losses add to the half mean square of `_naive_windows`: loops over windows and lags."""
     n = samples.size
-    fewest = max(min(0.5, keep.mean() / 2) * m, 1.0)
+    fewest = max(keep.mean() / 2 * m, 1.0)
     centred = np.where(keep, samples - samples[keep].mean(), 0.0)
     lost, count, scatter, freedom = 0.0, 0, 0.0, 0
     for start in range(n - 2 * m + 1):
@@ -250,9 +250,9 @@ def _naive_added(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> float:
             count += 1
     inside = scatter / freedom if freedom else 0.0
     edges = np.flatnonzero(np.diff(keep.astype(int)))
-    gaps = (edges[1::2] - edges[::2]).tolist()
+    lengths = (edges[1::2] - edges[::2]).tolist()
     total = 0.0
-    for k in range(min(m, 4 * int(np.ceil(np.mean(gaps))))):
+    for k in range(min(m, 4 * int(np.ceil(np.mean(lengths))))):
         both = keep[k:] & keep[: n - k]
         share = (both.sum() / (n - k) - keep.mean() ** 2) / (keep.mean() - keep.mean() ** 2)
         apart = np.mean(np.square((samples[k:] - samples[: n - k])[both]))
@@ -290,3 +290,36 @@ def test_values_below_zero_and_without_differences_are_left_out() -> None:
     npt.assert_array_equal(found.avar, [2.0, 0.0, 3.0])
     npt.assert_array_equal(found.terms, [1.0, 9.0, 9.0])
     npt.assert_array_equal(found.inflation, [1.5, 1.0, 1.0])
+
+
+def test_the_pattern_of_losses_is_followed_chunk_by_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs inside chunks of 64 places, the last of them shorter: loops over chunks and lags."""
+    monkeypatch.setattr(gaps, "_CHUNK", 64)
+    rng, n = np.random.default_rng(22), 150
+    samples, keep = rng.standard_normal(n).cumsum(), np.repeat(rng.random(n // 3) < 0.6, 3)
+    keep[0] = keep[-1] = True
+    found = gaps._pattern(_series(samples, keep))
+    share, correlation, structure = keep.mean(), [], []
+    for k in range(found.correlation.size):
+        pairs, possible, squares = 0, 0, 0.0
+        for start in range(0, n, 64):
+            seen, values = keep[start : start + 64], samples[start : start + 64]
+            both = seen[k:] & seen[: seen.size - k]
+            pairs, possible = pairs + int(both.sum()), possible + both.size
+            squares += float(np.sum(np.square((values[k:] - values[: seen.size - k])[both])))
+        correlation.append(pairs / possible - share**2)
+        structure.append(squares / pairs)
+    npt.assert_allclose(found.correlation, np.array(correlation) / correlation[0], rtol=1e-9)
+    npt.assert_allclose(found.structure, structure, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("length", "count", "lags"), [(0, 0, 1), (1, 30, 4), (3, 20, 12), (70, 2, 256), (300, 2, 256)]
+)
+def test_the_pattern_is_followed_for_four_mean_gaps(length: int, count: int, lags: int) -> None:
+    """At least one lag, at most 256 and the length of the record."""
+    keep = np.ones(1000, dtype=bool)
+    for start in range(10, 10 + count * (length + 2), length + 2):
+        keep[start : start + length] = False
+    found = gaps._pattern(_series(np.random.default_rng(23).standard_normal(1000), keep))
+    assert found.correlation.size == found.structure.size == lags

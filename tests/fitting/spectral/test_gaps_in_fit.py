@@ -166,13 +166,17 @@ def test_at_most_48_blocks_and_the_longest_gaps_part_them() -> None:
         (np.arange(63.0), "gyro_x: 63 samples, expected at least 64 for a noise model; record for longer"),
         (
             np.ones(64),
-            "gyro_x: all 64 samples are equal, expected noise; "
-            "check that the sensor was on and that its resolution shows its noise",
+            (
+                "gyro_x: all 64 samples are equal, expected noise; "
+                "check that the sensor was on and that its resolution shows its noise"
+            ),
         ),
         (
             3 * np.arange(64.0),
-            "gyro_x: all 64 samples lie on one straight line, expected noise; "
-            "check that the column holds a measurement and not a counter",
+            (
+                "gyro_x: all 64 samples lie on one straight line, expected noise; "
+                "check that the column holds a measurement and not a counter"
+            ),
         ),
     ],
 )
@@ -186,7 +190,7 @@ def test_refuses_what_holds_no_noise(samples: FloatArray, text: str) -> None:
 @pytest.mark.parametrize(("size", "scale"), [(1.0, 1.0), (1.4, 1.0), (1.5, 2.0), (3e-5, 2.0**-15)])
 def test_the_scale_is_the_power_of_two_nearest_to_the_steps(size: float, scale: float) -> None:
     """Steps of that size up and down."""
-    assert scale_of(series_of(size * (np.arange(100) % 2))) == scale
+    assert scale_of(series_of(size * (np.arange(100.0) % 2))) == scale
 
 
 def test_a_bend_of_a_hundred_millionth_is_noise_and_one_of_a_hundredth_of_that_is_rounding() -> None:
