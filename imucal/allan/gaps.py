@@ -4,8 +4,8 @@ windows
     For ``overlapping``: the means of two neighbouring windows of what is there, each at least half
     as filled as the whole series, less what the losses add. A mean of C of m samples scatters more
     than one of all m, by (1/C - 1/m) S² for losses at random, S² the variance inside windows: with
-    10 % lost, white noise would read 11 % too high. Where losses come in bursts, S² weighs the covariance inside windows
-    with the correlation of the pattern of losses.
+    10 % lost, white noise would read 11 % too high. Where losses come in bursts, S² weighs the
+    covariance inside windows with the correlation of the pattern of losses.
 runs
     For the other estimators: complete differences inside unbroken runs.
 

@@ -7,7 +7,7 @@ import pytest
 from imucal.allan.dct import dct_bins
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
-from imucal.fitting.spectral.blocks import _bins, _runs, make_blocks, scale_of
+from imucal.fitting.spectral.blocks import Block, _bins, _runs, make_blocks, scale_of
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, simulated
 
@@ -74,6 +74,15 @@ def test_the_lowest_bins_hold_their_ordinates_and_no_more(count: int) -> None:
         if whole is not None:
             npt.assert_array_equal(found, whole[:size])
     assert part.bins.n == block.bins.n
+
+
+def test_the_lowest_ordinates_end_where_a_bin_does() -> None:
+    """Whatever count is asked for: the first whole bins that hold it, also where a bin is wider."""
+    bins = dct_bins(3000)
+    block = Block(offset=0, bins=bins, ordinates=np.arange(2999.0))
+    ends = bins.first + bins.count - 1
+    for count in range(1, 2999, 7):
+        assert block.lowest(count).ordinates.size == ends[ends >= count][0]
 
 
 def test_runs_that_are_too_short_are_left_out_and_counted() -> None:
