@@ -186,3 +186,21 @@ def test_rounding_is_said_from_two_per_cent_and_hides_the_noise_below_half_a_ste
     """Steps of 1 at 100 Hz: 1/1200 is 2.08 % of 0.2², 1.89 % of 0.21²; N = 0.05 is half a step."""
     samples = np.round(3 * np.random.default_rng(15).standard_normal(1000))
     assert [f.level for f in resolution_effect(_series(samples), white)] == ([level] if level else [])
+
+
+@pytest.mark.parametrize(("off", "step"), [(0.0, 1e-3), (1e-10, 1e-3), (1e-5, None)])
+def test_a_grid_holds_to_a_millionth_of_its_step_or_to_single_precision(
+    off: float, step: float | None
+) -> None:
+    """Values up to 0.05: their rounding in single precision is 2.4e-8."""
+    samples = 1e-3 * np.repeat(np.arange(50.0), 4)
+    samples[-4:] += off
+    found = step_size(samples)
+    assert found == (None if step is None else pytest.approx(step))
+
+
+@pytest.mark.parametrize(("copies", "found"), [(3, False), (4, True)])
+def test_a_grid_has_values_that_stand_four_times_on_average(copies: int, *, found: bool) -> None:
+    """And at least three of them."""
+    assert (step_size(np.repeat(np.arange(3.0), copies)) is not None) == found
+    assert step_size(np.repeat(np.arange(2.0), copies)) is None

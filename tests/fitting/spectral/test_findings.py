@@ -57,7 +57,8 @@ def _band(fraction: float, order: Order, response: FloatArray) -> Band:
             6,
             (
                 "Lines at 1 Hz (amplitude 0.5 rad/s), 2 Hz (amplitude 0.25 rad/s), "
-                "3 Hz (amplitude 0.167 rad/s), 4 Hz (amplitude 0.125 rad/s) and 2 weaker ones; left out of the fit."
+                "3 Hz (amplitude 0.167 rad/s), 4 Hz (amplitude 0.125 rad/s) and 2 weaker ones; "
+                "left out of the fit."
             ),
         ),
     ],
