@@ -139,7 +139,7 @@ def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
     """Return the fit with a power-law term added, started from almost none of it."""
     structure = in_order((*fitted.structure, symbol))
     candidate = _like(problem, fitted, structure, fitted.candidate.room_markov)
-    low, _ = bounds(problem.ordinates, candidate)
+    low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
     column = _COLUMN[symbol]
     starts = np.repeat(fitted.maximum.theta, 2, axis=0)
     starts[:, column] = low[column] + np.array([8.0, 16.0])

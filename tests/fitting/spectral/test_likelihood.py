@@ -7,6 +7,7 @@ import pytest
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.likelihood import Candidates, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.starts import _mix, time_grid
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
 from tests.fitting.fits import ordinates_of
@@ -131,3 +132,40 @@ def test_a_response_that_is_not_positive_has_no_likelihood() -> None:
     candidate = candidates_of([("N",)], data.names, poles=1)
     theta = np.array([[0.0, 0.0, 0.0, 0.0, -1.5]])
     assert evaluate(data, candidate, theta).objective[0] == np.inf
+
+
+def test_columns_that_a_candidate_does_not_use_change_nothing() -> None:
+    """One pole and one Gauss-Markov term in wider rooms, whatever stands in the others' columns."""
+    data = ordinates()
+    own = candidates_of([("N", "GM")], data.names, poles=1)
+    roomy = candidates_of([("N", "GM")], data.names, poles=1, room_markov=2, room_poles=3)
+    narrow = np.array([[0.0, 0.3, 0.0, 0.0, -1.0, 2.0, 0.7]])
+    wide = np.array([[5.0, 0.3, 5.0, 5.0, -1.0, 9.0, 2.0, 4.0, 0.7, 3.0, 2.0]])
+    one, other = evaluate(data, own, narrow), evaluate(data, roomy, wide)
+    assert other.objective[0] == pytest.approx(one.objective[0], rel=1e-12)
+    npt.assert_allclose(other.score[0, [1, 4, 6, 8]], one.score[0, [1, 4, 5, 6]], rtol=1e-9)
+
+
+def test_a_mixture_of_one_spectrum_ends_at_its_mean_ratio() -> None:
+    """Multiplicative updates of a single weight: sum of P/S over all ordinates, by their number."""
+    data = ordinates(text="N=2")
+    for law in range(4):
+        weights, objective = _mix(data, data.basis[[law]], np.ones((1, 1)))
+        expected = (data.power / data.basis[law]).sum() / data.size.sum()
+        assert weights[0, 0] == pytest.approx(expected, rel=1e-6)
+        spectrum = expected * data.basis[law]
+        assert objective[0] == pytest.approx(
+            0.5 * (np.log(spectrum) * data.size + data.power / spectrum).sum()
+        )
+
+
+def test_correlation_times_begin_at_the_shortest_and_end_at_a_sixth_of_the_record() -> None:
+    """Never below 2 samples; sixteen of them, evenly in log; a narrow band sees no short ones."""
+    data = ordinates()
+    highest = float(data.fraction.max())
+    times = time_grid(data, 10.0)
+    assert (times.size, times[-1]) == (16, pytest.approx(100.0))
+    assert times[0] == pytest.approx(10 / highest**0.5)
+    assert time_grid(data, 0.5)[0] == pytest.approx(2 / highest**0.5)
+    assert time_grid(data, 80.0)[-1] == pytest.approx(160 / highest**0.5)
+    npt.assert_allclose(np.diff(np.log(times)), np.log(times[1] / times[0]))
