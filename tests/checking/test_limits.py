@@ -80,6 +80,11 @@ def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, qua
             "[gyroscope]\nW = { max = 1 }",
             "l.toml: gyroscope: unknown key 'W', expected Q, N, B, GM, K, R, minimum,",
         ),
+        ("[gyroscope]\naxis = ['x']", "l.toml: gyroscope: unknown key 'axis'; did you mean 'axes'?"),
+        ("[gyro_x]\naxis = 1", "l.toml: gyro_x: unknown key 'axis'; did you mean 'gaps'?"),
+        ("'' = 1", "l.toml: unknown key '', expected log, gyroscope, accelerometer, gyro_x,"),
+        ("[gyroscope]\n'' = 1", "l.toml: gyroscope: unknown key '', expected Q, N, B, GM, K, R, minimum,"),
+        ("[baseline]\nmax_decrease = -0.1", "l.toml: baseline.max_decrease: -0.1, expected 0 or more"),
         ("[gyroscope]\nminimun = { max = 1 }", "gyroscope: unknown key 'minimun'; did you mean 'minimum'?"),
         (
             "[gyroscope]\nN = { maximum = 1 }",
