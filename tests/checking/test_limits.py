@@ -8,7 +8,13 @@ from pathlib import Path
 import pytest
 
 from imucal.checking import Baseline, Limits, parse_limits, read_limits
-from imucal.checking.limit_units import SAMPLE_QUANTITIES, TERM_QUANTITIES, plain_unit, quantity_units
+from imucal.checking.limit_units import (
+    LOG_QUANTITIES,
+    SAMPLE_QUANTITIES,
+    TERM_QUANTITIES,
+    plain_unit,
+    quantity_units,
+)
 from imucal.checking.limits import FINDING_CODES
 from imucal.errors import LimitsError
 from imucal.noise import TERMS
@@ -56,6 +62,19 @@ def test_a_limit_is_held_in_its_own_unit_and_in_si() -> None:
 def test_units_of_coefficients(sensor: Sensor, quantity: str, unit: str, si: float) -> None:
     """Each unit that data sheets and configs print, by its definition."""
     assert quantity_units(quantity, sensor)[plain_unit(unit)] == pytest.approx(si, rel=1e-12)
+
+
+def test_units_of_a_recording() -> None:
+    """Rate, length, number of gaps, share of missing samples; the first is that of a limit without a unit."""
+    found = {
+        quantity: list(quantity_units(quantity, Sensor.GYROSCOPE).items()) for quantity in LOG_QUANTITIES
+    }
+    assert found == {
+        "rate": [("Hz", 1), ("kHz", 1000)],
+        "duration": [("s", 1), ("min", 60), ("h", 3600), ("d", 86_400)],
+        "gaps": [("", 1)],
+        "missing": [("", 1), ("%", 0.01), ("ppm", 1e-6)],
+    }
 
 
 @pytest.mark.parametrize("sensor", Sensor)

@@ -301,3 +301,15 @@ def test_every_value_is_looked_at(place: str, value: object, said: str) -> None:
         from_document(document)
     assert f"{said}; write the report again" in str(caught.value)
     assert str(caught.value).startswith(f"report: axes[0].{place.partition('.')[0]}")
+
+
+def test_the_text_of_a_document_is_made_for_people() -> None:
+    """One key a line, plain values of a list on one line, signs as they are; no NaN ever."""
+    document = {"a": {"b": [1, 2.5, None], "c": {}}, "d": [], "e": [{"f": "°"}, {"g": [[1], [2]]}], "h": True}
+    assert dumps(document) == (
+        '{\n  "a": {\n    "b": [1, 2.5, null],\n    "c": {}\n  },\n  "d": [],\n'
+        '  "e": [\n    {\n      "f": "°"\n    },\n'
+        '    {\n      "g": [\n        [1],\n        [2]\n      ]\n    }\n  ],\n  "h": true\n}\n'
+    )
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        dumps({"a": math.nan})

@@ -87,8 +87,8 @@ def test_minor_ticks_stand_at_their_values_on_both_axes() -> None:
     axes = Figure().add_subplot()
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xlim(1, 1000)
-    axes.set_ylim(1, 1000)
+    axes.set_xlim(0.1, 100)
+    axes.set_ylim(0.1, 100)
     draw_ticks(axes)
     (marks,) = (artist for artist in axes.collections if isinstance(artist, LineCollection))
     feet = {tuple(np.asarray(path.vertices)[0].round(6).tolist()) for path in marks.get_paths()}

@@ -32,3 +32,10 @@ def test_an_overview_is_the_extremes_of_equal_stretches(
     npt.assert_allclose(overview.time_s, np.array(time) / 10)
     npt.assert_array_equal(overview.low, low)
     npt.assert_array_equal(overview.high, low if high is None else high)
+
+
+def test_an_overview_of_nothing_is_empty() -> None:
+    """No sample, no stretch."""
+    clock = Clock(source="stamps", rate_hz=10.0, segments=())
+    overview = Overview.of(AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=np.zeros(0), clock=clock))
+    assert overview.time_s.size == overview.low.size == overview.high.size == 0
