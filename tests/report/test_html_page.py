@@ -160,6 +160,52 @@ def test_data_is_json_without_the_end_of_a_script() -> None:
     assert json.loads(text)["axes"]["gyro_x"]["raw"]["gaps"] == [[100.0, 101.05], [9000.0, 9000.05]]
 
 
+@pytest.mark.parametrize(
+    ("std", "number"),
+    [
+        (0.02, 1.2346),
+        (1.0, 1.23),
+        (9.9, 1.23),
+        (10.0, 1.2),
+        (5e4, 1.0),
+        (0.0, 1.23456789),
+        (np.nan, 1.23456789),
+    ],
+)
+def test_the_raw_signal_is_as_fine_as_its_noise(std: float, number: float) -> None:
+    """A hundredth of the standard deviation; nine places where it is not known or nought."""
+    axis = consumer_report().axes[0]
+    values = np.array([1.23456789012, np.nan])
+    overview = Overview(time_s=np.array([0.5, 1234.5678]), low=values, high=values)
+    report = replace(consumer_report(), axes=(replace(axis, overview=overview, std=std),))
+    raw = json.loads(page_data(report))["axes"]["gyro_x"]["raw"]
+    assert (raw["low"], raw["t"]) == ([number, None], [0.5, 1234.57])
+
+
+@pytest.mark.parametrize(("apart", "count"), [(19.9, 1), (20.1, 2)])
+def test_gaps_nearer_than_a_five_hundredth_are_one(apart: float, count: int) -> None:
+    """Of a recording of 10 000 s: 20 s from the end of one to the start of the next."""
+    axis = consumer_report().axes[0]
+    gaps = tuple(Gap(start_s=s, missing=10, duration_s=5.0) for s in (100.0, 105.0 + apart))
+    report = replace(consumer_report(), axes=(replace(axis, gaps=gaps, duration_s=10_000.0),))
+    assert len(json.loads(page_data(report))["axes"]["gyro_x"]["raw"]["gaps"]) == count
+
+
+@pytest.mark.parametrize(("height", "count"), [(7.9, 0), (8.1, 1)])
+def test_a_spike_stands_out_from_eight_deviations_on(height: float, count: int) -> None:
+    """Robust ones: an eighth of std here, where the neighbours are all alike; 25 stretches are enough."""
+    values = np.zeros(25)
+    values[3] = height / 8
+    overview = Overview(time_s=np.arange(25.0), low=np.zeros(25), high=values)
+    assert standing_out(overview, 1.0).size == count
+    assert standing_out(Overview(time_s=np.arange(24.0), low=np.zeros(24), high=values[:24]), 1.0).size == 0
+    # -1, 0, 1 over and over: the median is 0, and that of the distances from it 1.
+    restless = np.arange(200.0) % 3 - 1
+    restless[100] = 1.4826 * height
+    overview = Overview(time_s=np.arange(200.0), low=-np.ones(200), high=restless)
+    assert standing_out(overview, 0.1).size == count
+
+
 def test_spikes_stand_out_and_drift_does_not() -> None:
     """A stretch whose extreme is far from its neighbours' is marked; a slow drift is not."""
     rng = np.random.default_rng(5)
