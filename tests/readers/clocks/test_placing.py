@@ -100,6 +100,7 @@ def test_breaks(
 ) -> None:
     """More than half a period for good is a sample more or less, wherever blocks of work end."""
     monkeypatch.setattr(placing, "_BLOCK", block)
+    monkeypatch.setattr(placing, "_REACH", min(block, 1 << 13))
     found = find_breaks(stamps, PERIOD)
     assert [found.at.tolist(), found.missing.tolist(), found.doubled.tolist()] == expected
 

@@ -63,6 +63,8 @@ def test_a_header_settles_which_delimiter_is_meant() -> None:
     """Blanks in dates make more cells than there are names; a delimiter of half the cells is looked at."""
     rows = ("2024 01 01;1;2;3", "2024 01 01;4;5;6")
     assert (found(*rows).delimiter, found("t;x;y;z", *rows).delimiter) == (";", ";")
+    rows = ("2024 01 01 00 00;1;2;3", "2024 01 01 00 01;4;5;6")
+    assert (found(*rows).delimiter, found("t;x;y;z", *rows).delimiter) == (BLANKS, ";")
     layout = found("t;x;y;z", *("1 2 3 4 5;1 2;1 2;7",) * 2)
     assert layout.delimiter == BLANKS
     assert layout.headers == ()
