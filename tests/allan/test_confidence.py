@@ -198,14 +198,14 @@ def test_thirty_averages_name_a_law_and_fewer_do_not() -> None:
 
 @pytest.mark.parametrize("m", [1, 24, 25, 26, 40])
 def test_tails_count_while_windows_are_not_too_few(m: int) -> None:
-    """Of n = 100 as long as n - 2m + 1 >= 2m, that is to m = 25: then Var gains kappa/n of the square."""
-    samples = np.random.default_rng(13).laplace(size=100)
+    """Of n = 99 as long as n - 2m + 1 >= 2m, that is to m = 25: then Var gains kappa/n of the square."""
+    samples = np.random.default_rng(13).laplace(size=99)
     question = _Question(samples=samples, m=np.array([m]), terms=np.ones(1), estimator=OVERLAPPING)
     steps = np.diff(samples)
     steps -= steps.mean()
     kappa = 2 * (np.mean(steps**4) / np.mean(steps**2) ** 2 - 3)
     assert kappa > 0.5
-    expected = 10 / (1 + kappa * 10 / (2 * (101 - 2 * m))) if m <= 25 else 10.0
+    expected = 10 / (1 + kappa * 10 / (2 * (100 - 2 * m))) if m <= 25 else 10.0
     assert _less_for_heavy_tails(np.array([10.0]), question)[0] == pytest.approx(expected)
 
 

@@ -9,14 +9,17 @@ import pytest
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
+from imucal.fitting import FitSettings
+from imucal.fitting.moments import fit_slope
 from imucal.fitting.moments.av_intervals import goodness, limits
-from imucal.fitting.moments.av_points import AvarPoints, avar_points
+from imucal.fitting.moments.av_points import AvarPoints, avar_points, columns
 from imucal.fitting.moments.av_search import Solution, Weight, time_grid
-from imucal.fitting.moments.av_select import _least_cost
+from imucal.fitting.moments.av_select import _least_cost, _screen
 from imucal.fitting.moments.gmwm import _eta3_widths, _findings, _with_edf
 from imucal.fitting.moments.slope_lines import LogCurve, _floor, _line, read_term
 from imucal.fitting.noise_fit import Goodness
 from imucal.recording import AxisSeries
+from tests.fitting.moments.curves import simulated_curve
 
 
 def _curve(avar: FloatArray, m: list[int], *, n: int = 10_000, tau0: float = 1.0) -> AllanCurve:
@@ -237,3 +240,30 @@ def test_a_diagonal_weight_divides_by_the_deviations() -> None:
     npt.assert_allclose(Weight.of_deviations(np.array([2.0, 4.0])).whiten, np.diag([0.5, 0.25]))
     whiten = Weight.of_covariance(np.diag([4.0, 16.0])).whiten
     npt.assert_allclose(whiten, np.diag([0.5, 0.25]), rtol=1e-5)
+
+
+def test_every_set_of_laws_is_screened() -> None:
+    """Of a curve that is exactly the sum of all five, each set of up to all of them; no more than points."""
+    m = 2 ** np.arange(14)
+    variances = {"Q": 1e4, "N": 1.0, "B": 1e-2, "K": 1e-4, "R": 1e-8}
+    avar = columns(m, "QNBKR", np.zeros(0)) @ np.array(list(variances.values()))
+    points = _points(avar, n=40_000)
+    weight = Weight.of_deviations(1e-3 * points.avar)
+    found = {laws: cost for cost, laws, _ in _screen(points, weight, 0, price=2.0)}
+    assert min(found, key=lambda laws: found[laws]) == "QNBKR"
+    assert found["QNBKR"] == pytest.approx(10.0, abs=1.0)
+    few = points.within(10)
+    sets = {laws for _, laws, _ in _screen(few, Weight.of_deviations(few.avar), 0, price=2.0)}
+    assert max(map(len, sets)) <= 3
+
+
+def test_an_interval_of_a_line_is_the_quantile_of_its_spread() -> None:
+    """Of white noise read on a given window, one and two standard errors at 68.27 and 95.45 %."""
+    curve = simulated_curve("N=1", 4000, np.random.default_rng(3))
+    highs = []
+    for level in (0.6826894921, 0.9544997361):
+        estimate = fit_slope(None, curve, FitSettings(model="N", level=level), windows={"N": (1, 8)})["N"]
+        assert estimate.value is not None
+        assert estimate.low < estimate.value < estimate.high
+        highs.append(np.log(estimate.high / estimate.value))
+    assert highs[1] == pytest.approx(2 * highs[0], rel=1e-6)

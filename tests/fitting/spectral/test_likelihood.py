@@ -1,12 +1,15 @@
 """The likelihood of many candidates, its score and its information."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.likelihood import Candidates, evaluate
-from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.ordinates import Ordinates, coarser
 from imucal.fitting.spectral.starts import _mix, time_grid
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
@@ -154,9 +157,8 @@ def test_a_mixture_of_one_spectrum_ends_at_its_mean_ratio() -> None:
         expected = (data.power / data.basis[law]).sum() / data.size.sum()
         assert weights[0, 0] == pytest.approx(expected, rel=1e-6)
         spectrum = expected * data.basis[law]
-        assert objective[0] == pytest.approx(
-            0.5 * (np.log(spectrum) * data.size + data.power / spectrum).sum()
-        )
+        terms = np.log(spectrum) * data.size + data.power / spectrum
+        assert objective[0] == pytest.approx(terms.sum() / 2)
 
 
 def test_correlation_times_begin_at_the_shortest_and_end_at_a_sixth_of_the_record() -> None:
@@ -169,3 +171,52 @@ def test_correlation_times_begin_at_the_shortest_and_end_at_a_sixth_of_the_recor
     assert time_grid(data, 0.5)[0] == pytest.approx(2 / highest**0.5)
     assert time_grid(data, 80.0)[-1] == pytest.approx(160 / highest**0.5)
     npt.assert_allclose(np.diff(np.log(times)), np.log(times[1] / times[0]))
+
+
+def test_coarser_bins_are_sums_and_weighted_means_of_the_finer() -> None:
+    """Of each of two blocks the first twelve as they are, then six into one; a sign is of single bins."""
+    parts = [ordinates(600), ordinates(400, seed=2)]
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        for name in ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
+    }
+    data = replace(parts[0], **joined)
+    found = coarser(data)
+    groups, start = [], 0
+    for part in parts:
+        stop = start + part.size.size
+        groups += [[i] for i in range(start, start + 12)]
+        groups += [list(range(i, min(i + 6, stop))) for i in range(start + 12, stop, 6)]
+        start = stop
+    for place, group in enumerate(groups):
+        size = data.size[group]
+        assert found.size[place] == size.sum()
+        assert found.power[place] == pytest.approx(data.power[group].sum())
+        assert found.lam[place] == pytest.approx(data.lam[group] @ size / size.sum())
+        npt.assert_allclose(found.basis[:, place], data.basis[:, group] @ size / size.sum())
+        assert found.cross[0, place] == pytest.approx(data.cross[0, group].sum())
+        assert found.sign[place] == (data.sign[group[0]] if len(group) == 1 else 0.0)
+    assert found.size.size == len(groups)
+    npt.assert_array_equal(np.unique(found.length), [400.0, 600.0])
+
+
+def test_a_narrower_band_holds_the_bins_up_to_its_end() -> None:
+    """The end counts; empty bins don't; `top` is where the band ends."""
+    data = ordinates()
+    fraction = float(data.fraction[40])
+    size = data.size.copy()
+    size[3] = 0.0
+    found = replace(data, size=size).below(fraction)
+    npt.assert_array_equal(found.lam, np.delete(data.lam[:41], 3))
+    assert found.top == pytest.approx(4 * np.sin(np.pi * fraction / 2) ** 2)
+    assert found.top == pytest.approx(data.lam[40], rel=1e-6)
+
+
+def test_a_rough_ramp_is_taken_out_of_the_power() -> None:
+    """The slope by least squares with weights lam; no bin is left without power."""
+    data = ordinates(text="N=1 + R=0.1")
+    slope = (data.cross[0] @ data.lam) / (data.gram[0, 0] @ data.lam)
+    rest = data.power - 2 * slope * data.cross[0] + slope**2 * data.gram[0, 0]
+    found = data.detrended()
+    npt.assert_allclose(found.power, np.maximum(rest, 1e-9 * data.power))
+    assert replace(data, names=("exp:5",)).detrended().power is data.power
