@@ -167,6 +167,20 @@ def test_in_a_crowd_any_free_place_will_do(free: tuple[float, float]) -> None:
     assert box.within(room.frame)
 
 
+def test_places_anywhere_fill_the_frame_and_cost_their_distance() -> None:
+    """From corner to corner; a place belongs to the nearest point and costs a thirtieth of a point's way."""
+    room = _Room(frame=_Box(10, 20, 210, 120), scale=2.0, points=[])
+    anchors = _points((10, 20), (210, 120))
+    places = list(room._anywhere(anchors, _SIZE))
+    assert places[0][2] == _Box(10, 20, 30, 30)
+    assert places[-1][2] == _Box(190, 110, 210, 120)
+    assert len(places) == 12 * 24
+    for cost, at, box in places:
+        away = np.hypot(*(anchors - _middle(box)).T)
+        assert cost == pytest.approx(away.min() / 60)
+        assert at.tolist() == anchors[away.argmin()].tolist()
+
+
 def test_freedom_is_the_way_to_the_nearer_side() -> None:
     """Of the point that has least."""
     room = _Room(frame=_Box(10, 0, 110, 50), scale=1.0, points=[])
