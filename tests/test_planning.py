@@ -180,3 +180,19 @@ def test_refuses_what_can_t_be_planned() -> None:
         plan(model)
     with pytest.raises(ValueError, match="precision must be positive and level between 0 and 1, got 0 and"):
         plan(model, rate_hz=100, precision=0)
+
+
+def test_the_deviation_of_a_ramp_is_that_of_a_straight_line() -> None:
+    """In white noise of variance N² rate, sqrt(12 / (n³ - n)) a sample; of N itself sqrt(1 / 2n)."""
+    n, rate = 5000, 20.0
+    found = relative_deviations(NoiseModel.parse("N=0.3 + R=0.02"), rate_hz=rate, duration_s=n / rate)
+    expected = 0.3 * rate**0.5 * np.sqrt(12 / (n**3 - n)) * rate / 0.02
+    assert found["R"] == pytest.approx(expected, rel=0.01)
+    assert found["N"] == pytest.approx((2 * n) ** -0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize(("n", "told"), [(3, False), (4, True)])
+def test_a_record_has_more_samples_than_parameters(n: int, *, told: bool) -> None:
+    """Two parameters and the mean need four; with fewer nothing is told."""
+    found = relative_deviations(NoiseModel.parse("N=1 + K=1"), rate_hz=1.0, duration_s=float(n))
+    assert all(np.isfinite(d) for d in found.values()) == told

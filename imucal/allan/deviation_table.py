@@ -184,13 +184,13 @@ def _fields(path: Path) -> list[tuple[int, list[str]]]:
 
 def _numbers(path: Path, headings: Sequence[str], fields: list[tuple[int, list[str]]]) -> FloatArray:
     """Return the numbers of the rows, shape (rows, columns)."""
-    width = len(fields[0][1])
+    width = len(headings)
     rows = np.empty((len(fields), width))
     for row, (line, cells) in zip(rows, fields, strict=True):
-        found = len(cells) if len(cells) != width else len(headings)
-        if found != width:
+        if len(cells) != width:
             msg = (
-                f"{path}:{line}: has {width} columns beside {found} elsewhere; expected as many in each line"
+                f"{path}:{line}: has {len(cells)} columns beside {width} elsewhere; "
+                "expected as many in each line"
             )
             raise ReadError(msg)
         for i, cell in enumerate(cells):

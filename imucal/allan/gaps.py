@@ -2,10 +2,10 @@
 
 windows
     For ``overlapping``: the means of two neighbouring windows of what is there, each at least half
-    filled, less what the losses add. A mean of C of m samples scatters more than one of all m, by
-    (1/C - 1/m) S² for losses at random, S² the variance inside windows: with 10 % lost, white noise
-    would read 11 % too high. Where losses come in bursts, S² weighs the covariance inside windows
-    with the correlation of the pattern of losses.
+    as filled as the whole series, less what the losses add. A mean of C of m samples scatters more
+    than one of all m, by (1/C - 1/m) S² for losses at random, S² the variance inside windows: with
+    10 % lost, white noise would read 11 % too high. Where losses come in bursts, S² weighs the
+    covariance inside windows with the correlation of the pattern of losses.
 runs
     For the other estimators: complete differences inside unbroken runs.
 
@@ -62,15 +62,14 @@ def longest_run(clock: Clock) -> int:
 
 
 def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
-    """Return overlapping variances from windows that are half filled.
+    """Return overlapping variances from windows that are at least half as filled as the whole series.
 
-    Where less than half of all samples are there, half of their share is asked of a window. A value
-    that is not positive after the losses' part is taken out is left out. Cost some 4 ns per place of
-    the grid and factor; memory three full-length arrays.
+    A value that is not positive after the losses' part is taken out is left out. Cost some 4 ns per
+    place of the grid and factor; memory three full-length arrays.
     """
     integrals = _integrals(series)
     pattern = _pattern(series)
-    share = min(0.5, series.n / series.clock.grid_size / 2)
+    share = series.n / series.clock.grid_size / 2
     raw, added, counts = np.zeros((3, m.size))
     for i, factor in enumerate(m.tolist()):
         found = _windows(integrals, factor, max(share * factor, 1.0))

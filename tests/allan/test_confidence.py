@@ -1,14 +1,25 @@
 """Intervals: coverage, the methods, heavy tails."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.testing as npt
 import pytest
 
 from imucal.allan import allan_curve
-from imucal.allan.confidence import degrees_of_freedom, excess_kurtosis, named_laws, spectral_edf
+from imucal.allan.confidence import (
+    _less_for_heavy_tails,
+    _Question,
+    degrees_of_freedom,
+    excess_kurtosis,
+    gappy_degrees_of_freedom,
+    named_laws,
+    spectral_edf,
+)
 from imucal.allan.covariance import GenericModel, model_edf
-from imucal.allan.dct import bin_power, dct_bins, dct_ordinates
+from imucal.allan.dct import bin_power, dct_bins, dct_ordinates, ramp_ordinates
 from imucal.allan.estimators import ESTIMATORS
+from imucal.allan.gaps import GappyVariances
 from imucal.allan.generic import fit_curve, fit_spectrum
 from imucal.noise import NoiseModel
 from imucal.powerlaw import PowerLaw
@@ -175,3 +186,79 @@ def test_lag_one_identification_names_the_law() -> None:
         samples = NoiseModel.parse(text).simulate(50_000, rate_hz=1.0, rng=rng)
         assert named_laws(samples, np.array([1, 8]))[0] is law
     assert named_laws(np.ones(10), np.array([1])) == [PowerLaw.WHITE]
+
+
+def test_thirty_averages_name_a_law_and_fewer_do_not() -> None:
+    """An alternating series is quantization noise; before any is named it is white."""
+    samples = np.resize([1.0, -1.0], 300)
+    assert named_laws(samples[:29], np.array([1])) == [PowerLaw.WHITE]
+    assert named_laws(samples[:30], np.array([1])) == [PowerLaw.QUANTIZATION]
+    assert named_laws(samples, np.array([1, 100])) == [PowerLaw.QUANTIZATION] * 2
+
+
+@pytest.mark.parametrize("m", [1, 24, 25, 26, 40])
+def test_tails_count_while_windows_are_not_too_few(m: int) -> None:
+    """Of n = 99 as long as n - 2m + 1 >= 2m, that is to m = 25: then Var gains kappa/n of the square."""
+    samples = np.random.default_rng(13).laplace(size=99)
+    question = _Question(samples=samples, m=np.array([m]), terms=np.ones(1), estimator=OVERLAPPING)
+    steps = np.diff(samples)
+    steps -= steps.mean()
+    kappa = 2 * (np.mean(steps**4) / np.mean(steps**2) ** 2 - 3)
+    assert kappa > 0.5
+    expected = 10 / (1 + kappa * 10 / (2 * (100 - 2 * m))) if m <= 25 else 10.0
+    assert _less_for_heavy_tails(np.array([10.0]), question)[0] == pytest.approx(expected)
+
+
+def test_the_lightest_tails_that_are_believed_are_uniform() -> None:
+    """Two values in turn have an excess of -2; -1.2 is what counts."""
+    samples = np.cumsum(np.resize([1.0, -1.0], 400))
+    question = _Question(samples=samples, m=np.array([1]), terms=np.ones(1), estimator=OVERLAPPING)
+    found = _less_for_heavy_tails(np.array([10.0]), question)[0]
+    assert found == pytest.approx(10 / (1 - 1.2 * 10 / (2 * 399)))
+
+
+def test_only_differences_of_neighbours_tell_the_tails_of_a_record_with_gaps() -> None:
+    """Normal samples on two levels with a gap at each step: as many degrees of freedom as on one."""
+    rng = np.random.default_rng(14)
+    keep = np.ones(2000, dtype=bool)
+    keep[100::100] = False
+    levels = np.where(np.arange(2000) // 100 % 2 == 0, 0.0, 20.0)
+    noise = {"normal": rng.standard_normal(2000), "laplace": rng.laplace(size=2000)}
+    values = GappyVariances(m=np.array([1]), avar=np.ones(1), terms=np.full(1, 1900.0), inflation=np.ones(1))
+    edf = {}
+    for name, samples in noise.items():
+        for kind, extra in (("flat", 0.0), ("stepped", levels)):
+            series = AxisSeries.from_samples(samples + extra, rate_hz=1.0).keeping(keep)
+            edf[name, kind] = gappy_degrees_of_freedom(series, values, OVERLAPPING, "model")[0]
+    for name in noise:
+        assert edf[name, "stepped"] == pytest.approx(edf[name, "flat"], rel=1e-3)
+    assert edf["laplace", "flat"] < 0.6 * edf["normal", "flat"]
+
+
+def test_what_was_taken_out_of_a_mean_square_costs_its_square() -> None:
+    """An inflation of 2 leaves a quarter of the degrees of freedom, of samples with normal tails."""
+    samples = np.random.default_rng(16).standard_normal(500)
+    keep = np.ones(500, dtype=bool)
+    keep[250] = False
+    series = AxisSeries.from_samples(samples, rate_hz=1.0).keeping(keep)
+    one = GappyVariances(
+        m=np.array([200]), avar=np.ones(1), terms=np.full(1, 9000.0), inflation=np.array([1.0])
+    )
+    plain, inflated = (
+        gappy_degrees_of_freedom(series, replace(one, inflation=np.array([by])), OVERLAPPING, "hybrid")[0]
+        for by in (1.0, 2.0)
+    )
+    assert inflated == pytest.approx(plain / 4)
+
+
+def test_a_drift_in_coloured_noise_is_the_generalised_least_squares_one() -> None:
+    """Its ordinates weigh by the spectrum that the fit itself found."""
+    n = 5000
+    samples = NoiseModel.parse("N=1 + K=1e-2").simulate(n, rate_hz=1.0, rng=np.random.default_rng(17))
+    bins, ordinates = dct_bins(n), dct_ordinates(samples + 0.02 * np.arange(n))
+    model = fit_spectrum(ordinates, bin_power(ordinates, bins), bins)
+    basis = np.array([law.dct_spectrum(n, bins.first, bins.count) for law in PowerLaw])[:, :20]
+    assert np.all(bins.count[:20] == 1)
+    spectrum, shape = model.variances @ basis, ramp_ordinates(n, 20)
+    expected = np.sum(ordinates[:20] * shape / spectrum) / np.sum(shape**2 / spectrum)
+    assert model.drift == pytest.approx(expected, rel=1e-3)

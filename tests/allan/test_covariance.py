@@ -5,6 +5,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
+from imucal.allan import covariance
 from imucal.allan.covariance import GenericModel, model_edf
 from imucal.allan.estimators import ESTIMATORS, Estimator
 from imucal.allan.variance import variances
@@ -135,3 +136,15 @@ def test_the_generic_model_sums_its_variances() -> None:
     expected = sum(v * law.avar(m) for v, law in zip(MIXED.variances, PowerLaw, strict=True))
     npt.assert_allclose(MIXED.avar(m), expected)
     npt.assert_allclose(GenericModel(variances=(0.0,) * 4, drift=0.1).avar(m), 0.005 * m**2)
+
+
+@pytest.mark.parametrize("model", [*SINGLES, MIXED], ids=lambda model: str(model.variances))
+def test_beyond_32_the_modified_variance_has_the_shape_it_has_there(
+    model: GenericModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At m = 64 within 2 % of what the sum at m = 64 itself gives, of each law and of all together."""
+    modified = ESTIMATORS["modified"]
+    terms = modified.terms(4000, 64)
+    quick = model_edf(model, 64, terms, modified)
+    monkeypatch.setattr(covariance, "_MODIFIED_LIMIT", 64)
+    assert quick == pytest.approx(model_edf(model, 64, terms, modified), rel=0.02)

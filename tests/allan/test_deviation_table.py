@@ -7,6 +7,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
+from imucal.allan import deviation_table
 from imucal.allan.curve import AllanCurve
 from imucal.allan.deviation_table import read_curve
 from imucal.errors import ReadError
@@ -75,6 +76,32 @@ def test_times_that_are_no_multiples_make_a_fine_grid(tmp_path: Path) -> None:
     assert curve.findings[0].advice == "Give the sampling rate."
 
 
+def test_times_within_a_part_in_fifty_of_a_multiple_are_multiples(tmp_path: Path) -> None:
+    """Printed with few digits they are; the tolerance is of the multiple."""
+    limit = deviation_table._MULTIPLE
+    (near,) = read_curve(_write(tmp_path, f"1,3\n{3 * (1 + 0.99 * limit)!r},2\n"))
+    (far,) = read_curve(_write(tmp_path, f"1,3\n{3 * (1 + 1.01 * limit)!r},2\n"))
+    assert near.curve.m.tolist() == [1, 3]
+    assert far.curve.m[0] == 1000
+
+
+@pytest.mark.parametrize(
+    ("estimator", "n", "edf"),
+    [
+        ("overlapping", 1000, [499.5, 124.125, 1.0]),
+        ("standard", 1000, [999.0, 248.25, 1.0]),
+        ("overlapping", 999, [np.nan] * 3),
+    ],
+)
+def test_degrees_of_freedom_are_those_of_eta3(
+    tmp_path: Path, estimator: str, n: int, edf: list[float]
+) -> None:
+    """(n - 2m + 1) / 2m of overlapping differences, / m of others; none where n is too few for the times."""
+    (found,) = read_curve(_write(tmp_path, "1,3\n4,2\n500,1\n"), n=n, estimator=estimator)
+    npt.assert_allclose(found.curve.edf, edf)
+    assert found.curve.edf_method == ("" if np.isnan(edf[0]) else "eta3")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -84,7 +111,8 @@ def test_times_that_are_no_multiples_make_a_fine_grid(tmp_path: Path) -> None:
             "{path}: has 0 rows of 0 columns; expected at least 2 rows of tau and one or more deviations",
         ),
         ("1,2\n2,x\n", "{path}:2: column 'column 2' is 'x', expected a number"),
-        ("1,2\n2,1,3\n", "{path}:2: has 2 columns beside 3 elsewhere; expected as many in each line"),
+        ("1,2\n2,1,3\n", "{path}:2: has 3 columns beside 2 elsewhere; expected as many in each line"),
+        ("tau,a,b\n1,2\n2,1\n", "{path}:2: has 2 columns beside 3 elsewhere; expected as many in each line"),
         ("1,2\n1,1\n", "{path}: averaging time 1 s stands twice; expected each once"),
         ("0,2\n1,1\n", "{path}: averaging times must be positive numbers in s, got 0 to 1"),
         ("tau,n\n1,2\n2,1\n", "{path}: no column of deviations beside 'tau'; found tau, n"),

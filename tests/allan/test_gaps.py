@@ -7,9 +7,9 @@ import numpy.testing as npt
 import pytest
 from numpy.typing import NDArray
 
-from imucal.allan import allan_curve
+from imucal.allan import allan_curve, gaps
 from imucal.allan.estimators import ESTIMATORS
-from imucal.allan.gaps import longest_run, run_variances, window_variances
+from imucal.allan.gaps import _positive, longest_run, run_variances, window_variances
 from imucal.allan.variance import variances
 from imucal.arrays import FloatArray
 from imucal.clock import Clock, Segment
@@ -229,3 +229,97 @@ def test_a_factor_beyond_every_run_is_left_out() -> None:
         ESTIMATORS["hadamard"],
     )
     npt.assert_array_equal(values.m, [1, 13])
+
+
+def _naive_added(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> float:
+    """Return what losses add to the half mean square of `_naive_windows`: loops over windows and lags."""
+    n = samples.size
+    fewest = max(keep.mean() / 2 * m, 1.0)
+    centred = np.where(keep, samples - samples[keep].mean(), 0.0)
+    lost, count, scatter, freedom = 0.0, 0, 0.0, 0
+    for start in range(n - 2 * m + 1):
+        parts = [slice(start, start + m), slice(start + m, start + 2 * m)]
+        for part in parts:
+            scatter += float(np.sum(np.square(centred[part][keep[part]])))
+            filled = int(keep[part].sum())
+            scatter -= float(centred[part].sum()) ** 2 / max(filled, 1)
+            freedom += max(filled - 1, 0)
+        sizes = [int(keep[part].sum()) for part in parts]
+        if min(sizes) >= fewest:
+            lost += 1 / sizes[0] + 1 / sizes[1] - 2 / m
+            count += 1
+    inside = scatter / freedom if freedom else 0.0
+    edges = np.flatnonzero(np.diff(keep.astype(int)))
+    lengths = (edges[1::2] - edges[::2]).tolist()
+    total = 0.0
+    for k in range(min(m, 4 * int(np.ceil(np.mean(lengths))))):
+        both = keep[k:] & keep[: n - k]
+        share = (both.sum() / (n - k) - keep.mean() ** 2) / (keep.mean() - keep.mean() ** 2)
+        apart = np.mean(np.square((samples[k:] - samples[: n - k])[both]))
+        total += (2 if k else 1) * (1 - k / m) * share * (inside - apart / 2)
+    return lost / count / 2 * total
+
+
+@pytest.mark.parametrize("share", [0.3, 0.75])
+def test_what_losses_add_is_its_definition(share: float) -> None:
+    """Of bursts of some three samples and slow noise: loops over windows and over lags, to rounding.
+
+    Where less than half is there, a window needs half of that share only.
+    """
+    rng, n = np.random.default_rng(21), 400
+    samples = MODEL.simulate(n, rate_hz=1.0, rng=rng).cumsum()
+    keep = np.repeat(rng.random(n // 2) < share, 2)
+    keep[0] = keep[-1] = True
+    m = np.array([2, 3, 10, 40])
+    found = window_variances(_series(samples, keep), m)
+    added = [_naive_added(samples, keep, k) for k in m.tolist()]
+    npt.assert_array_equal(found.m, m)
+    npt.assert_allclose(found.avar * (found.inflation - 1), added, rtol=1e-8)
+    assert np.all(np.abs(found.inflation - 1) > 1e-3)
+
+
+def test_values_below_zero_and_without_differences_are_left_out() -> None:
+    """A constant's zeros stay; an inflation is never below 1, and 1 where nothing was taken out."""
+    found = _positive(
+        np.array([1, 2, 3, 4, 5]),
+        np.array([2.0, -1.0, 0.0, 1.0, 3.0]),
+        np.array([1.0, 9.0, 9.0, 0.0, 9.0]),
+        np.array([3.0, 1.0, 0.0, 1.0, 2.7]),
+    )
+    npt.assert_array_equal(found.m, [1, 3, 5])
+    npt.assert_array_equal(found.avar, [2.0, 0.0, 3.0])
+    npt.assert_array_equal(found.terms, [1.0, 9.0, 9.0])
+    npt.assert_array_equal(found.inflation, [1.5, 1.0, 1.0])
+
+
+def test_the_pattern_of_losses_is_followed_chunk_by_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs inside chunks of 64 places, the last of them shorter: loops over chunks and lags."""
+    monkeypatch.setattr(gaps, "_CHUNK", 64)
+    rng, n = np.random.default_rng(22), 150
+    samples, keep = rng.standard_normal(n).cumsum(), np.repeat(rng.random(n // 3) < 0.6, 3)
+    keep[0] = keep[-1] = True
+    found = gaps._pattern(_series(samples, keep))
+    share, correlation, structure = keep.mean(), [], []
+    for k in range(found.correlation.size):
+        pairs, possible, squares = 0, 0, 0.0
+        for start in range(0, n, 64):
+            seen, values = keep[start : start + 64], samples[start : start + 64]
+            both = seen[k:] & seen[: seen.size - k]
+            pairs, possible = pairs + int(both.sum()), possible + both.size
+            squares += float(np.sum(np.square((values[k:] - values[: seen.size - k])[both])))
+        correlation.append(pairs / possible - share**2)
+        structure.append(squares / pairs)
+    npt.assert_allclose(found.correlation, np.array(correlation) / correlation[0], rtol=1e-9)
+    npt.assert_allclose(found.structure, structure, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("length", "count", "lags"), [(0, 0, 1), (1, 30, 4), (3, 20, 12), (70, 2, 256), (300, 2, 256)]
+)
+def test_the_pattern_is_followed_for_four_mean_gaps(length: int, count: int, lags: int) -> None:
+    """At least one lag, at most 256 and the length of the record."""
+    keep = np.ones(1000, dtype=bool)
+    for start in range(10, 10 + count * (length + 2), length + 2):
+        keep[start : start + length] = False
+    found = gaps._pattern(_series(np.random.default_rng(23).standard_normal(1000), keep))
+    assert found.correlation.size == found.structure.size == lags

@@ -185,6 +185,7 @@ def _maximum(samples: FloatArray, model: str, key: str) -> float:
         view.ordinates,
         [structure],
         criterion="bic",
+        shortest=2.0,
         band=view.band,
         common=view.common,
     )

@@ -139,7 +139,7 @@ def _chosen(rooms: Iterable[str], n: int, seed: int) -> list[tuple[str, Mutation
         for file in sorted((ROOT / "imucal" / room).rglob("*.py")):
             path = file.relative_to(ROOT).as_posix()
             sources[path] = file.read_bytes()
-            for mutation in mutations(sources[path]):
+            for mutation in mutations(sources[path], file.stem):
                 places.setdefault((path, mutation.line), []).append(mutation)
     rng = random.Random(seed)  # noqa: S311 - a draw, no secret
     chosen: list[tuple[str, Mutation]] = []

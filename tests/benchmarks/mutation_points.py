@@ -5,8 +5,11 @@ Left alone, because no test could or should notice:
 - annotations, decorators, type aliases, ``__all__`` and what stands under ``if TYPE_CHECKING``;
 - error texts: what stands in a ``raise``, an ``assert``, an f-string, or is assigned to ``msg``;
 - numbers that tune speed: constants of a module named ``_BLOCK``, ``_PIECE``, ``_CHUNK`` and the like,
-  and the arguments in `_TUNING`;
-- how thick or large a picture draws something: the arguments in `_LOOKS`;
+  the arguments in `_TUNING`, and the constants in `_PATH`, each with its reason;
+- how thick or large a picture draws something: the arguments in `_LOOKS` and the constants in
+  `_LAYOUT`, for pictures are looked at, not pinned;
+- on which side of a limit such as 0.3 the limit itself falls: binary floats do not hold such a number,
+  so that chance alone reaches it. Whole numbers, halves and quarters are broken: counts do reach them;
 - guards against a division by zero: numbers below 1e-100 or above 1e100;
 - what compiles to the same bytecode.
 """
@@ -46,22 +49,53 @@ _COMPUTED: dict[type[ast.operator], tuple[str, str]] = {
 _TUNING = frozenset(
     {"maxsize", "copy", "strict", "stacklevel", "timeout", "flush", "buffering", "maxiter", "xtol", "ftol"}
     | {"gtol", "xatol", "fatol", "compression_level", "pickle", "check_finite", "overwrite_x"}
+    # How long and how closely a search goes on.
+    | {"iterations", "tolerance"}
 )
 #: Arguments of the drawing that a reader may notice and no test could judge.
 _LOOKS = frozenset(
-    {
-        "linewidth",
-        "linewidths",
-        "markersize",
-        "zorder",
-        "alpha",
-        "dashes",
-        "fontsize",
-        "labelpad",
-        "pad",
-        "dpi",
-    }
+    {"linewidth", "linewidths", "markersize", "zorder", "alpha", "dashes", "fontsize", "labelpad", "pad"}
+    | {"dpi", "figsize", "columnspacing", "handlelength", "labelsize", "shrinkA", "shrinkB"}
 )
+_UNSEEN = _TUNING | _LOOKS
+#: Constants of the drawing that set sizes and places alone: module -> names.
+_LAYOUT = {
+    "figure": {"_WIDTH", "_PLOT_HEIGHT", "_HEAD", "_AXIS_ROOM", "_ROW", "_DPI", "_LEFT", "_RIGHT"},
+    "figure_parts": {"TITLE_SIZE", "LABEL_SIZE", "LEGEND_SIZE", "SMALL_SIZE"},
+    "figure_allan": {"_DEEPEST"},
+    "labels": {"_DISTANCES", "_ANGLES", "_PAD"},
+    "log_ticks": {"_SIZE", "_MINOR"},
+}
+#: Constants that tune the way to a result, its time or its memory, not the result itself.
+_PATH = {
+    "scoring._STEP": "bounds a step of the search; its end is where the gradient vanishes",
+    "starts._GRID": "places from which a search starts that is refined later",
+    "starts._ROUNDS": "most rounds of a start that is refined later",
+    "starts._ROWS": "rows at a time: cache and threads",
+    "missing._STEPS": "most steps of a solver that ends when it is close enough",
+    "missing._CLOSE": "how close is close enough for that solver",
+    "missing._SEED": "one seed is as good as another",
+    "intervals._ROUNDS": "most rounds of a search for a limit that ends when it is close enough",
+    "intervals._CLOSE": "how close is close enough for that search",
+    "av_search._PER_DECADE": "how fine a grid is from which a search is refined",
+    "av_search._STARTS": "places of that grid that are refined",
+    "av_select._STEPS": "most rounds of a weight that settles after three",
+    "generic._ROUNDS": "most rounds of a solver that ends when it is close enough",
+    "variance._SMALL": "which of two ways sums a factor, both exact",
+    "variance._ROW": "keeps a sum of squares out of the threads of the linear algebra library",
+    "cascade._REFERENCE": "samples whose mean is taken out, so that sums round less",
+    "text._TAIL": "bytes in which the last line is looked for before the whole block is",
+    "sqlite_file._RANGE": "rows of one task",
+    "sqlite_file._FETCH": "rows fetched at once",
+    "sqlite_pages._GROUP": "pages of one task",
+    "mcap_scan._PART": "bytes of messages loaded at once",
+    "mcap_scan._WINDOW": "bytes read at once",
+    "ros1_file._WINDOW": "bytes read at once",
+    "column_store._FLUSH": "bytes written before pages are given back",
+    "column_store._FIRST": "first size of a column that grows",
+    "loader._MAX_THREADS": "threads: the messages come out in the same order",
+    "loader._LARGE": "messages that are worth preparing the allocator",
+}
 _SPEED = re.compile(r"^_?(\w+_)?(BLOCK|PIECE|CHUNK|CACHE|BUFFER)(_\w+)?$")
 _TEXTS = frozenset({"msg", "message", "__all__"})
 _SKIPPED = (ast.Raise, ast.Assert, ast.Import, ast.ImportFrom, ast.JoinedStr, ast.pattern)
@@ -97,44 +131,56 @@ def _meaning(code: CodeType) -> tuple[object, ...]:
     return (code.co_code, code.co_names, *constants)
 
 
-def mutations(source: bytes) -> list[Mutation]:
-    """Return every change of a module, in the order of their places."""
-    found = _Points(source).inside(ast.parse(source), first=1)
+def mutations(source: bytes, module: str = "") -> list[Mutation]:
+    """Return every change of a module, in the order of their places; `module` is its last name."""
+    found = _Points(source, module).inside(ast.parse(source), first=1)
     return sorted(found, key=lambda mutation: (mutation.start, mutation.new))
 
 
 class _Points:
     """The changes of one file."""
 
-    def __init__(self, source: bytes) -> None:
+    def __init__(self, source: bytes, module: str) -> None:
         self._source = source
+        self._fixed = _LAYOUT.get(module, set()) | {
+            name.partition(".")[2] for name in _PATH if name.startswith(f"{module}.")
+        }
+        self._inexact = {
+            target.id
+            for statement in ast.parse(source).body
+            if isinstance(statement, ast.Assign) and _is_inexact(statement.value)
+            for target in statement.targets
+            if isinstance(target, ast.Name)
+        }
         self._starts = [0]
         for line in source.splitlines(keepends=True):
             self._starts.append(self._starts[-1] + len(line))
 
     def inside(self, node: ast.AST, *, first: int) -> Iterator[Mutation]:
         """Go through a node and what it holds; `first` is the line its statement begins at."""
-        if isinstance(node, _SKIPPED) or _is_left_alone(node):
+        if isinstance(node, _SKIPPED) or _is_left_alone(node) or self._is_fixed(node):
             return
         if isinstance(node, ast.stmt):
             first = node.lineno
         for start, stop, new in self._changes(node):
             line = self._source[:start].count(b"\n") + 1
             yield Mutation(start=start, stop=stop, new=new, first=first, line=line)
-        for name, value in ast.iter_fields(node):
-            if name not in {"annotation", "returns", "decorator_list", "type_comment"}:
-                for child in value if isinstance(value, list) else [value]:
-                    if isinstance(child, ast.AST):
-                        yield from self.inside(child, first=first)
+        for child in _children(node):
+            yield from self.inside(child, first=first)
+
+    def _is_fixed(self, node: ast.AST) -> bool:
+        """Whether a statement gives a value to constants that are left alone."""
+        if not (self._fixed and isinstance(node, ast.Assign)):
+            return False
+        names = {
+            part.id for target in node.targets for part in ast.walk(target) if isinstance(part, ast.Name)
+        }
+        return names <= self._fixed
 
     def _changes(self, node: ast.AST) -> Iterator[tuple[int, int, str]]:
         match node:
             case ast.Compare():
-                sides = [node.left, *node.comparators]
-                for left, operator, right in zip(sides, node.ops, sides[1:], strict=False):
-                    text, others = _COMPARED[type(operator)]
-                    for new in others:
-                        yield from self._between(left, right, text, new)
+                yield from self._comparisons(node)
             case ast.BinOp() if type(node.op) in _COMPUTED:
                 text, new = _COMPUTED[type(node.op)]
                 yield from self._between(node.left, node.right, re.escape(text), new)
@@ -150,6 +196,26 @@ class _Points:
                 yield start, stop, f"(not ({self._source[start:stop].decode()}))"
             case ast.Constant(value=bool() | int() | float() as value):
                 yield self._start(node), self._stop(node), _other(value)
+
+    def _comparisons(self, node: ast.Compare) -> Iterator[tuple[int, int, str]]:
+        sides = [node.left, *node.comparators]
+        for left, operator, right in zip(sides, node.ops, sides[1:], strict=False):
+            text, others = _COMPARED[type(operator)]
+            by_chance = self._is_real(left) or self._is_real(right)
+            for new in others:
+                if not (by_chance and new in {f"{text}=", text.removesuffix("=")}):
+                    yield from self._between(left, right, text, new)
+
+    def _is_real(self, node: ast.expr) -> bool:
+        """Whether a side of a comparison is a number that binary does not hold, or computed with one."""
+        match node:
+            case ast.Name(id=name):
+                return name in self._inexact
+            case ast.BinOp():
+                return self._is_real(node.left) or self._is_real(node.right)
+            case ast.UnaryOp():
+                return self._is_real(node.operand)
+        return _is_inexact(node)
 
     def _between(
         self, left: ast.expr, right: ast.expr, text: str, new: str
@@ -168,6 +234,34 @@ class _Points:
         return self._starts[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
 
 
+def _is_inexact(node: ast.expr) -> bool:
+    """Whether it is a fraction that a few binary digits do not hold: 0.3, and not 0.5 or 1.25."""
+    return (
+        isinstance(node, ast.Constant)
+        and isinstance(node.value, float)
+        and not (node.value * 64).is_integer()
+    )
+
+
+def _children(node: ast.AST) -> Iterator[ast.AST]:
+    """Return what a node holds, without types, and without values that only tune or adorn."""
+    match node:
+        case ast.Dict():
+            keys = [getattr(key, "value", None) for key in node.keys]
+            yield from (value for key, value in zip(keys, node.values, strict=True) if key not in _UNSEEN)
+        case ast.arguments():
+            names = [argument.arg for argument in (*node.posonlyargs, *node.args, *node.kwonlyargs)]
+            values = [*node.defaults, *node.kw_defaults]
+            for name, default in zip(names[len(names) - len(values) :], values, strict=True):
+                if default is not None and name not in _UNSEEN:
+                    yield default
+        case _:
+            for name, value in ast.iter_fields(node):
+                if name not in {"annotation", "returns", "decorator_list", "type_comment"}:
+                    held = value if isinstance(value, list) else [value]
+                    yield from (child for child in held if isinstance(child, ast.AST))
+
+
 def _is_left_alone(node: ast.AST) -> bool:
     match node:
         case ast.If(test=ast.Name(id="TYPE_CHECKING") | ast.Attribute(attr="TYPE_CHECKING")):
@@ -175,7 +269,7 @@ def _is_left_alone(node: ast.AST) -> bool:
         case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
             return name in _TEXTS or _SPEED.match(name) is not None or _is_type_alias(node)
         case ast.keyword(arg=str(name)):
-            return name in _TUNING | _LOOKS
+            return name in _UNSEEN
         case ast.Constant(value=float() as value):
             return value != 0 and not 1e-100 < abs(value) < 1e100
     return False

@@ -249,3 +249,122 @@ def test_a_baseline_that_the_report_does_not_match() -> None:
     assert [row.subject for row in rows if "baseline" in row.subject] == ["GM1 / baseline", "GM2 / baseline"]
     with pytest.raises(LimitsError, match="no older report was given"):
         _check("[baseline]")
+
+
+def test_the_level_is_that_of_the_fit() -> None:
+    """And the usual one where no axis could be fitted."""
+    report = small_report()
+    axis = replace(report.axes[0], fit=replace(report.axes[0].fit, level=0.9))
+    assert _check("[gyro_x]\nN = { max = 1 }", replace(report, axes=(axis,))).level == 0.9
+    assert _check("[gyro_x]\nN = { max = 1 }", replace(report, axes=())).level == 0.95
+
+
+def test_a_minimum_whose_interval_is_endless_has_none() -> None:
+    """So few degrees of freedom that its upper limit is infinite, or none known."""
+    axis = consumer_report().axes[0]
+    for edf in (1e-3, math.nan):
+        curve = replace(axis.fit.curve, edf=np.full(axis.fit.curve.tau.size, edf))
+        with np.errstate(divide="ignore"):
+            ((_, minimum),) = measure(replace(axis, fit=replace(axis.fit, curve=curve)), "minimum")
+        assert minimum == Measured.exactly(curve.minimum[0])
+
+
+def test_the_ratio_of_two_intervals() -> None:
+    """Distances to the limits add in quadrature on the logarithmic scale, above and below by themselves."""
+    now = Measured(value=8.0, low=8.0 / math.exp(0.3), high=8.0 * math.exp(0.5))
+    before = Measured(value=2.0, low=2.0 / math.exp(1.2), high=2.0 * math.exp(0.4))
+    ratio = relative(now, before)
+    assert ratio.value == 4
+    assert ratio.low == pytest.approx(4 * math.exp(-0.5))
+    assert ratio.high == pytest.approx(4 * math.exp(1.3))
+    assert relative(Measured.exactly(1.0), Measured.exactly(0.0)).value == math.inf
+    wide = Measured(value=1.0, low=1e-200, high=1e200)
+    assert relative(wide, Measured(value=1.0, low=1e-250, high=1.0)).high == math.inf
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "text"),
+    [
+        (0.123456789, 0.123456789, 0.123456789, "0.123457"),
+        (0.41234, 0.40001, 0.42, "0.4123 [0.4, 0.42]"),
+        (None, 0.0, 0.2, "<= 0.2"),
+        (None, 0.1, 0.2, "[0.1, 0.2]"),
+        (None, 0.2, 0.2, "[0.2, 0.2]"),
+        (None, 0.0, math.inf, "unknown"),
+        (None, 0.1, math.inf, ">= 0.1"),
+    ],
+)
+def test_what_was_measured_in_words(value: float | None, low: float, high: float, text: str) -> None:
+    """A number, a number and its interval, or what is known of a bound."""
+    assert Measured(value=value, low=low, high=high).text() == text
+
+
+def test_an_error_about_a_sensor_without_limits_asks_for_no_axis() -> None:
+    """A failed accelerometer is no matter of a file that only limits the gyroscope; nor is a warning."""
+    for level, axis in (("error", "accel_y"), ("warning", "gyro_y"), ("error", "gyro"), ("error", None)):
+        found = Finding(level=level, code="stuck", text="all samples are equal", axis=axis)  # type: ignore[arg-type]
+        report = replace(small_report(), findings=(found,))
+        result = _check("[gyroscope]\nN = { max = 1 }\n[findings]\nlevel = 'none'", report)
+        assert _verdicts(result) == {"gyro_x N <= 1 rad/s/sqrt(Hz)": "pass"}
+
+
+def test_a_clock_of_its_own_is_judged_by_itself() -> None:
+    """Axes that disagree have a row each; the others one for the sensor."""
+    report = consumer_report()
+    axes = (replace(report.axes[0], rate_hz=100.0), *report.axes[1:])
+    rows = _check("[log]\nrate = { min = 150 }\ngaps = { max = 1 }", replace(report, axes=axes)).rows
+    assert [(row.where, row.subject, row.verdict) for row in rows[:-1]] == [
+        ("gyro_x", "rate", "fail"),
+        ("gyro_y", "rate", "pass"),
+        ("gyro_z", "rate", "pass"),
+        ("accel", "rate", "pass"),
+        ("gyro", "gaps", "pass"),
+        ("accel", "gaps", "pass"),
+    ]
+    ((_, missing),) = measure(report.axes[0], "missing")
+    assert missing.value == pytest.approx(24_000 / (2_160_000 + 24_000))
+
+
+def test_every_sentence_of_a_check() -> None:
+    """Limits of all kinds on one axis, and a baseline that is a third lower."""
+    text = """
+        [log]
+        duration = { min = 4, unit = "h" }
+        [gyroscope]
+        axes = ["x"]
+        N = { min = 0.3, max = 0.4, unit = "deg/sqrt(h)" }
+        GM = { max = 1 }
+        [gyro_x]
+        mean = { max = 2e-3 }
+        [findings]
+        level = "info"
+        allow = ["gaps"]
+        [baseline]
+        terms = ["N", "K"]
+        max_increase = 0.2
+        max_decrease = 0
+    """
+    report = consumer_report()
+    now = replace(report, axes=report.axes[:1])
+    before = axis_report(Sensor.GYROSCOPE, "x", "N=0.9e-4 + B=2.4e-5", n=1000)
+    result = _check(text, now, replace(report, axes=(before,)))
+    long, without = "; record for longer to decide", "fit a model with it, or remove the limit"
+    assert [f"{row.verdict}: {row.text}" for row in result.rows] == [
+        "pass: gyroscope: gyro_x are there",
+        "fail: gyro_x: duration is 3.03333 h; below the smallest allowed, 4",
+        "pass: gyro_x: N is 0.4125 [0.4109, 0.4141] deg/sqrt(h); not below the smallest allowed, 0.3",
+        "fail: gyro_x: N is 0.4125 [0.4109, 0.4141] deg/sqrt(h); above the largest allowed, 0.4",
+        f"undecided: gyro_x: the model has no GM, and no bound on it; {without}",
+        "fail: gyro_x: mean is 0.0021 rad/s; above the largest allowed, 0.002",
+        f"fail: gyro_x: forbidden warning [tone]: {now.axes[0].findings[0].text}",
+        "fail: gyro_x: N / baseline is 1.333 [1.326, 1.341]; above the largest allowed, 1.2",
+        "pass: gyro_x: N / baseline is 1.333 [1.326, 1.341]; not below the smallest allowed, 1",
+        "undecided: gyro_x: K is not in the baseline's model",
+    ]
+    assert (result.count("pass"), result.count("fail"), result.count("undecided")) == (3, 5, 2)
+    bounds = [row.text for row in _check("[gyro_y]\nK = { min = 1e-7, max = 1e-7 }").rows[:2]]
+    found = "K is not identified, but <= 4.1e-07 rad/s/sqrt(s)"
+    assert bounds == [
+        f"gyro_y: {found}; the interval holds the {side} allowed, 1e-07{long}"
+        for side in ("smallest", "largest")
+    ]

@@ -8,7 +8,13 @@ from pathlib import Path
 import pytest
 
 from imucal.checking import Baseline, Limits, parse_limits, read_limits
-from imucal.checking.limit_units import SAMPLE_QUANTITIES, TERM_QUANTITIES, plain_unit, quantity_units
+from imucal.checking.limit_units import (
+    LOG_QUANTITIES,
+    SAMPLE_QUANTITIES,
+    TERM_QUANTITIES,
+    plain_unit,
+    quantity_units,
+)
 from imucal.checking.limits import FINDING_CODES
 from imucal.errors import LimitsError
 from imucal.noise import TERMS
@@ -58,6 +64,19 @@ def test_units_of_coefficients(sensor: Sensor, quantity: str, unit: str, si: flo
     assert quantity_units(quantity, sensor)[plain_unit(unit)] == pytest.approx(si, rel=1e-12)
 
 
+def test_units_of_a_recording() -> None:
+    """Rate, length, number of gaps, share of missing samples; the first is that of a limit without a unit."""
+    found = {
+        quantity: list(quantity_units(quantity, Sensor.GYROSCOPE).items()) for quantity in LOG_QUANTITIES
+    }
+    assert found == {
+        "rate": [("Hz", 1), ("kHz", 1000)],
+        "duration": [("s", 1), ("min", 60), ("h", 3600), ("d", 86_400)],
+        "gaps": [("", 1)],
+        "missing": [("", 1), ("%", 0.01), ("ppm", 1e-6)],
+    }
+
+
 @pytest.mark.parametrize("sensor", Sensor)
 @pytest.mark.parametrize("quantity", [*TERM_QUANTITIES, *SAMPLE_QUANTITIES])
 def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, quantity: str) -> None:
@@ -80,6 +99,11 @@ def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, qua
             "[gyroscope]\nW = { max = 1 }",
             "l.toml: gyroscope: unknown key 'W', expected Q, N, B, GM, K, R, minimum,",
         ),
+        ("[gyroscope]\naxis = ['x']", "l.toml: gyroscope: unknown key 'axis'; did you mean 'axes'?"),
+        ("[gyro_x]\naxis = 1", "l.toml: gyro_x: unknown key 'axis'; did you mean 'gaps'?"),
+        ("'' = 1", "l.toml: unknown key '', expected log, gyroscope, accelerometer, gyro_x,"),
+        ("[gyroscope]\n'' = 1", "l.toml: gyroscope: unknown key '', expected Q, N, B, GM, K, R, minimum,"),
+        ("[baseline]\nmax_decrease = -0.1", "l.toml: baseline.max_decrease: -0.1, expected 0 or more"),
         ("[gyroscope]\nminimun = { max = 1 }", "gyroscope: unknown key 'minimun'; did you mean 'minimum'?"),
         (
             "[gyroscope]\nN = { maximum = 1 }",

@@ -62,6 +62,6 @@ def ordinates_of(samples: FloatArray) -> Ordinates:
 def estimated(samples: FloatArray, model: str, *, level: float = 0.95) -> dict[str, Estimate]:
     """Return the estimates of a given model on the whole band, without looking for a filter."""
     data = ordinates_of(samples)
-    choice = choose(data, [parse_structure(model)], criterion="bic")
+    choice = choose(data, [parse_structure(model)], criterion="bic", shortest=2.0)
     problem = Problem(ordinates=data, level=level, shortest=2.0, common=(), unit=1.0, tau0=1.0, widening={})
     return {e.key: e for e in estimate_or_bound(problem, choice)[1]}

@@ -7,8 +7,8 @@ import pytest
 
 from imucal.allan import allan_curve
 from imucal.findings import Finding
-from imucal.fitting import FitSettings
-from imucal.fitting.cross_checks import second_opinion
+from imucal.fitting import FitSettings, cross_checks
+from imucal.fitting.cross_checks import _distance, second_opinion
 from imucal.fitting.moments import fit_gmwm
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.spectral import fit_mle
@@ -90,3 +90,45 @@ def test_behind_a_filter_the_terms_of_short_times_are_not_compared(fit: NoiseFit
     assert second_opinion(moved, fit) == ()
     (finding,) = second_opinion(replace(_with(fit, _moved(fit["K"], 4.0), 0.9), findings=(seen,)), fit)
     assert finding.text.startswith("K is ")
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "variance"), [(0.01, 0.05, 0.04), (0.04, 0.05, 0.0125), (1e-7, 1e-6, 1 / 90_000)]
+)
+def test_a_distance_is_in_units_of_the_difference_of_variances(
+    fit: NoiseFit, own: float, other: float, variance: float
+) -> None:
+    """At least a quarter of the second's, and never below (1/300)²; 0 where one is not known."""
+    value = fit["N"].value
+    assert value is not None
+    moved = _moved(fit["N"], 1.5)
+    first = replace(_with(fit, moved), parameters=("N",), covariance=np.array([[own * (1.5 * value) ** 2]]))
+    second = replace(fit, parameters=("N",), covariance=np.array([[other * value**2]]))
+    expected = np.log(1.5) / np.sqrt(variance)
+    assert _distance(first, second, moved, fit["N"]) == pytest.approx(expected)
+    assert _distance(replace(first, parameters=("K",)), second, moved, fit["N"]) == 0.0
+    unsure = replace(second, covariance=np.array([[np.inf]]))
+    assert _distance(first, unsure, moved, fit["N"]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("distance", "level"), [({}, None), ({"N": 0.1, "K": 0.5}, "info"), ({"N": 0.51, "K": 0.1}, "warning")]
+)
+def test_a_maximum_half_a_standard_error_away_is_near(
+    distance: dict[str, float], level: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The farthest parameter is named; a warning has advice; without parameters nothing is said."""
+    monkeypatch.setattr(cross_checks, "distances", lambda *_: distance)
+    series = AxisSeries.from_samples(np.arange(3.0), rate_hz=1.0)
+    found = cross_checks.verify_findings(series, NoiseModel.parse("N=1"), (), np.zeros((0, 0)))
+    if level is None:
+        assert found == ()
+        return
+    (finding,) = found
+    worst = "K" if level == "info" else "N"
+    assert finding.level == level
+    assert bool(finding.advice) == (level == "warning")
+    assert finding.text == (
+        "The exact state-space likelihood has its maximum "
+        f"{distance[worst]:.2g} standard errors away at most ({worst})."
+    )

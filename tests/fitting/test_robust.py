@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
-from imucal.fitting.robust import clean, find_spikes, resolution_effect, step_size
+from imucal.fitting.robust import _baseline, clean, find_spikes, resolution_effect, step_size
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 
@@ -144,3 +144,63 @@ def test_an_accelerometer_has_its_own_unit() -> None:
         "Samples come in steps of 1 m/s², 0.96 times their noise: of N = 0.1041, rounding makes "
         "3.9 %; without it N = 0.1 m/s²/√Hz."
     )
+
+
+def test_the_baseline_runs_straight_between_medians_and_level_at_the_ends() -> None:
+    """Of blocks of 100 at 0, 10 and 30, the last with 50 more: half a block on each side stays level."""
+    samples = np.repeat([0.0, 10.0, 30.0, 99.0], [100, 100, 100, 50])
+    baseline = _baseline(samples)
+    expected = np.interp(np.arange(350), [49.5, 149.5, 249.5], [0.0, 10.0, 30.0])
+    npt.assert_allclose(baseline, expected, atol=1e-12)
+    npt.assert_array_equal(_baseline(np.array([1.0, 5.0, 2.0])), 2.0)
+
+
+@pytest.mark.parametrize(("size", "found"), [(19, 0), (20, 1)])
+def test_twenty_samples_may_hold_a_spike(size: int, found: int) -> None:
+    """Fewer hold none, however far one lies."""
+    samples = np.random.default_rng(13).standard_normal(size)
+    samples[7] = 1e3
+    assert spikes(samples).sum() == found
+
+
+def test_one_spike_in_a_hundred_samples_is_the_most_that_is_no_warning() -> None:
+    """The text says by how many standard deviations, to four digits."""
+    samples = np.random.default_rng(14).standard_normal(10_000)
+    samples[::100] = 1e3
+    _, (finding,) = clean(_series(samples))
+    assert finding.level == "info"
+    samples[50] = 1e3
+    _, (finding,) = clean(_series(samples))
+    assert finding.level == "warning"
+    samples[50] = 1e6
+    _, (finding,) = clean(_series(samples))
+    assert finding.text.endswith(", the largest 1e+06 rad/s, over 10000 standard deviations.")
+
+
+@pytest.mark.parametrize(
+    ("white", "level"), [(0.21, None), (0.2, "info"), (0.0501, "info"), (0.0499, "warning"), (0.0, None)]
+)
+def test_rounding_is_said_from_two_per_cent_and_hides_the_noise_below_half_a_step(
+    white: float, level: str | None
+) -> None:
+    """Steps of 1 at 100 Hz: 1/1200 is 2.08 % of 0.2², 1.89 % of 0.21²; N = 0.05 is half a step."""
+    samples = np.round(3 * np.random.default_rng(15).standard_normal(1000))
+    assert [f.level for f in resolution_effect(_series(samples), white)] == ([level] if level else [])
+
+
+@pytest.mark.parametrize(("off", "step"), [(0.0, 1e-3), (1e-10, 1e-3), (1e-5, None)])
+def test_a_grid_holds_to_a_millionth_of_its_step_or_to_single_precision(
+    off: float, step: float | None
+) -> None:
+    """Values up to 0.05: their rounding in single precision is 2.4e-8."""
+    samples = 1e-3 * np.repeat(np.arange(50.0), 4)
+    samples[-4:] += off
+    found = step_size(samples)
+    assert found == (None if step is None else pytest.approx(step))
+
+
+@pytest.mark.parametrize(("copies", "found"), [(3, False), (4, True)])
+def test_a_grid_has_values_that_stand_four_times_on_average(copies: int, *, found: bool) -> None:
+    """And at least three of them."""
+    assert (step_size(np.repeat(np.arange(3.0), copies)) is not None) == found
+    assert step_size(np.repeat(np.arange(2.0), copies)) is None

@@ -164,3 +164,15 @@ def test_refuses_a_start_of_other_terms() -> None:
     series = AxisSeries.from_samples(np.arange(10.0), rate_hz=1.0)
     with pytest.raises(ValueError, match=r"start must have the terms \('N', 'K'\), got N"):
         fit_exact(series, ("N", "K"), NoiseModel.parse("N=1"))
+
+
+def test_a_ramp_is_taken_out_at_the_rate_of_the_samples() -> None:
+    """At 50 Hz a ramp of 3 a second more in samples and model alike changes nothing."""
+    samples = np.random.default_rng(19).standard_normal(N)
+    plain, steep = (
+        log_likelihood(
+            NoiseModel.parse(text), AxisSeries.from_samples(samples + slope * np.arange(N) / 50, rate_hz=50.0)
+        )
+        for text, slope in (("N=0.1", 0.0), ("N=0.1 + R=3", 3.0))
+    )
+    assert steep == pytest.approx(plain, rel=1e-9)

@@ -258,6 +258,15 @@ def test_sensors_of_two_rates_keep_their_own() -> None:
     assert "the rates differ" not in render(_plain_report(), "kalibr")
 
 
+def test_one_axis_a_sensor_is_enough_where_one_is_asked_for() -> None:
+    """And where the axes' rates differ, the first one's is written."""
+    axes = _plain_report().axes
+    alone = replace(_plain_report(), axes=(axes[0], axes[3]))
+    assert yaml.safe_load(render(alone, "kalibr", axis_policy="x"))["update_rate"] == 200
+    odd = replace(_plain_report(), axes=(replace(axes[0], rate_hz=200.02), *axes[1:]))
+    assert yaml.safe_load(render(odd, "kalibr"))["update_rate"] == 200.02
+
+
 def test_a_rate_the_user_gave_is_not_called_measured() -> None:
     """The finding of the reader decides."""
     finding = Finding(level="warning", code="rate-given", text="the rate is the one given")

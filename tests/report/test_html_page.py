@@ -14,10 +14,13 @@ from lxml import html
 
 from imucal.allan.dct import Spectrum
 from imucal.clock import Gap
-from imucal.report.html_page import render_page
+from imucal.fitting.noise_fit import Candidate, Line
+from imucal.report.html_page import _axis_section, render_page
 from imucal.report.markup import Markup, element
 from imucal.report.page_data import page_data, standing_out
-from imucal.report.result import Overview, Report
+from imucal.report.page_summary import summary_section
+from imucal.report.page_words import method_section
+from imucal.report.result import AxisReport, Overview, Report
 from tests.report.browser import Browser
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 
@@ -158,6 +161,114 @@ def test_data_is_json_without_the_end_of_a_script() -> None:
     text = page_data(report)
     assert "<" not in text
     assert json.loads(text)["axes"]["gyro_x"]["raw"]["gaps"] == [[100.0, 101.05], [9000.0, 9000.05]]
+
+
+@pytest.mark.parametrize(
+    ("std", "number"),
+    [
+        (0.02, 1.2346),
+        (1.0, 1.23),
+        (9.9, 1.23),
+        (10.0, 1.2),
+        (5e4, 1.0),
+        (0.0, 1.23456789),
+        (np.nan, 1.23456789),
+    ],
+)
+def test_the_raw_signal_is_as_fine_as_its_noise(std: float, number: float) -> None:
+    """A hundredth of the standard deviation; nine places where it is not known or nought."""
+    axis = consumer_report().axes[0]
+    values = np.array([1.23456789012, np.nan])
+    overview = Overview(time_s=np.array([0.5, 1234.5678]), low=values, high=values)
+    report = replace(consumer_report(), axes=(replace(axis, overview=overview, std=std),))
+    raw = json.loads(page_data(report))["axes"]["gyro_x"]["raw"]
+    assert (raw["low"], raw["t"]) == ([number, None], [0.5, 1234.57])
+
+
+@pytest.mark.parametrize(("apart", "count"), [(19.9, 1), (20.1, 2)])
+def test_gaps_nearer_than_a_five_hundredth_are_one(apart: float, count: int) -> None:
+    """Of a recording of 10 000 s: 20 s from the end of one to the start of the next."""
+    axis = consumer_report().axes[0]
+    gaps = tuple(Gap(start_s=s, missing=10, duration_s=5.0) for s in (100.0, 105.0 + apart))
+    report = replace(consumer_report(), axes=(replace(axis, gaps=gaps, duration_s=10_000.0),))
+    assert len(json.loads(page_data(report))["axes"]["gyro_x"]["raw"]["gaps"]) == count
+
+
+@pytest.mark.parametrize(("height", "count"), [(7.9, 0), (8.1, 1)])
+def test_a_spike_stands_out_from_eight_deviations_on(height: float, count: int) -> None:
+    """Robust ones: an eighth of std here, where the neighbours are all alike; 25 stretches are enough."""
+    values = np.zeros(25)
+    values[3] = height / 8
+    overview = Overview(time_s=np.arange(25.0), low=np.zeros(25), high=values)
+    assert standing_out(overview, 1.0).size == count
+    assert standing_out(Overview(time_s=np.arange(24.0), low=np.zeros(24), high=values[:24]), 1.0).size == 0
+    # -1, 0, 1 over and over: the median is 0, and that of the distances from it 1.
+    restless = np.arange(200.0) % 3 - 1
+    restless[100] = 1.4826 * height
+    overview = Overview(time_s=np.arange(200.0), low=-np.ones(200), high=restless)
+    assert standing_out(overview, 0.1).size == count
+
+
+@pytest.mark.parametrize(
+    ("count", "named", "counted"),
+    [
+        (0, "", "none"),
+        (6, "1 Hz, 2 Hz, 3 Hz, 4 Hz, 5 Hz, 6 Hz", ""),
+        (8, "1 Hz, 2 Hz", "5 Hz, 6 Hz and 2 more"),
+    ],
+)
+def test_six_lines_are_named_and_the_rest_is_counted(count: int, named: str, counted: str) -> None:
+    """In the table of the fits; the caption of the plot names six."""
+    axis = consumer_report().axes[0]
+    lines = tuple(Line(frequency_hz=float(k + 1), amplitude=1e-5) for k in range(count))
+    fit = replace(
+        axis.fit,
+        goodness=replace(axis.fit.goodness, lines=lines, band_hz=None),
+        candidates=tuple(Candidate(structure=f"M{k}", delta=float(k)) for k in range(6)),
+    )
+    page = _page(replace(axis, fit=fit, gaps=axis.gaps * 2))
+    cells = page.xpath("//table[caption='The fits']/tbody/tr/td/text()")
+    assert cells[1] == "2, 240 s"
+    assert cells[3] == "all"
+    assert cells[4].startswith(named)
+    assert cells[4].endswith(counted)
+    assert len(cells[4]) == len(named) or counted
+    assert cells[-1] == "M1 (+1.0), M2 (+2.0), M3 (+3.0)"
+    captions = " ".join(node.text_content() for node in page.xpath("//figcaption"))
+    assert ("Lines left out at" in captions) is bool(count)
+    assert ("6 Hz." in captions) is bool(count)
+
+
+@pytest.mark.parametrize(
+    ("score", "text"),
+    [
+        (-0.04, "0.0 (the model fits)"),
+        (-1.26, "−1.3 (the model fits)"),
+        (3.0, "3.0 (the model fits)"),
+        (3.14, "3.1 (the model does not fit)"),
+    ],
+)
+def test_the_misfit_score_is_said_in_words(score: float, text: str) -> None:
+    """Above 3 something else is in the data."""
+    axis = consumer_report().axes[0]
+    fit = replace(axis.fit, goodness=replace(axis.fit.goodness, statistic=score))
+    page = _page(replace(axis, fit=fit))
+    assert page.xpath("//table[@class='summary']//tr[th='misfit score']/td/text()") == [text]
+
+
+@pytest.mark.parametrize(("count", "text"), [(0, "no gaps."), (1, "1 gap."), (2, "2 gaps.")])
+def test_the_caption_of_the_raw_signal_counts_the_gaps(count: int, text: str) -> None:
+    """As one says it."""
+    axis = consumer_report().axes[0]
+    page = _page(replace(axis, gaps=axis.gaps * count))
+    assert page.xpath("//figcaption")[2].text_content().endswith(text)
+
+
+def _page(axis: AxisReport) -> html.HtmlElement:
+    """Return the sections of one axis, without the megabytes of the script."""
+    report = replace(consumer_report(), axes=(axis,))
+    sections = (summary_section(report), _axis_section(axis), method_section(report))
+    return html.document_fromstring("".join(sections))
 
 
 def test_spikes_stand_out_and_drift_does_not() -> None:

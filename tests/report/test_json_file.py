@@ -261,3 +261,55 @@ def _numbers(value: object) -> list[float]:
     if isinstance(value, list):
         return [number for item in value for number in _numbers(item)]
     return [value] if isinstance(value, float) else []
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        ("fit.level", 1, "found 1.0, expected a number between 0 and 1"),
+        ("fit.level", 0, "found 0.0, expected a number between 0 and 1"),
+        ("samples", -1, "found -1, expected a whole number from 0"),
+        ("samples", True, "found true, expected a whole number from 0"),
+        ("samples", 2.0, "found 2.0, expected a whole number from 0"),
+        ("duration_s", True, "found true, expected a number"),
+        ("duration_s", None, "found null, expected a number"),
+        ("duration_s", math.inf, "found Infinity, expected a finite number"),
+        ("gaps", {}, "found {}, expected a list"),
+        ("fit", "a" * 38, f'found "{"a" * 38}", expected an object'),
+        ("fit", "a" * 39, f'found "{"a" * 39}…, expected an object'),
+        ("fit", {}, "found no keys, expected the key 'parameters'"),
+        ("curve.used", [0, 10], "found the index 10, expected less than 10"),
+        ("curve.m", [1, 2], "found a list of 2, expected 10 items as beside it"),
+        ("curve.tau_s", [1.0, 1.0], "found averaging times that do not rise, expected rising ones"),
+        ("fit.goodness.band_hz", [1, 2, 3], "found [1, 2, 3], expected a list of two numbers"),
+        ("fit.covariance", [], "found [], expected 1 rows"),
+        ("fit.terms.N.status", "bounded", "a value that fits 'bounded'"),
+        ("axis", "w", 'found "w", expected "x" or "y" or "z"'),
+        (
+            "fit.goodness.lines",
+            [{"frequency_hz": "a"}],
+            'lines[0].frequency_hz: found "a", expected a number',
+        ),
+        ("findings", [3], "findings[0]: found 3, expected an object"),
+    ],
+)
+def test_every_value_is_looked_at(place: str, value: object, said: str) -> None:
+    """What a hand or another tool may have written there."""
+    document: Any = to_document(small_report())
+    _set(document, ("axes", 0, *place.split(".")), value)
+    with pytest.raises(ReadError) as caught:
+        from_document(document)
+    assert f"{said}; write the report again" in str(caught.value)
+    assert str(caught.value).startswith(f"report: axes[0].{place.partition('.')[0]}")
+
+
+def test_the_text_of_a_document_is_made_for_people() -> None:
+    """One key a line, plain values of a list on one line, signs as they are; no NaN ever."""
+    document = {"a": {"b": [1, 2.5, None], "c": {}}, "d": [], "e": [{"f": "°"}, {"g": [[1], [2]]}], "h": True}
+    assert dumps(document) == (
+        '{\n  "a": {\n    "b": [1, 2.5, null],\n    "c": {}\n  },\n  "d": [],\n'
+        '  "e": [\n    {\n      "f": "°"\n    },\n'
+        '    {\n      "g": [\n        [1],\n        [2]\n      ]\n    }\n  ],\n  "h": true\n}\n'
+    )
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        dumps({"a": math.nan})

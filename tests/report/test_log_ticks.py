@@ -21,6 +21,11 @@ from imucal.report.log_ticks import draw_ticks, tick_label, tick_places
         (2e-5, "2×10⁻⁵"),
         (0.5, "0.5"),
         (1e-12, "10⁻¹²"),
+        (9000.0, "9000"),
+        (0.009, "9×10⁻³"),
+        # What binary makes of a power of ten.
+        (0.01 * (1 - 1e-12), "0.01"),
+        (1e5 * (1 - 1e-12), "10⁵"),
     ],
 )
 def test_labels_read_as_people_write_them(value: float, label: str) -> None:
@@ -35,12 +40,31 @@ def test_labels_read_as_people_write_them(value: float, label: str) -> None:
         (0.8, 30, [1, 2, 5, 10, 20]),
         (2.1, 4.9, [3, 4]),
         (0.31, 0.36, [0.31, 0.36]),
+        (1, 100, [1, 10, 100]),
+        (1, 99, [1, 2, 5, 10, 20, 50]),
+        (1.6, 2.9, [1.6, 2.9]),
+        (1e-3, 1e4, [1e-3, 1e-2, 0.1, 1, 10, 100, 1e3, 1e4]),
+        (1e-3, 1e5, [1e-2, 1, 100, 1e4]),
         (1e-9, 1e9, [1e-9, 1e-6, 1e-3, 1, 1e3, 1e6, 1e9]),
     ],
 )
 def test_ticks_are_few_and_round(low: float, high: float, major: list[float]) -> None:
     """Decades, every third of them where there are many; 1, 2, 5 where there are few."""
     assert tick_places(low, high)[0] == pytest.approx(major)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "minor"),
+    [
+        (0.8, 30, [0.8, 0.9, *range(1, 10), 10, 20, 30]),
+        (2.1, 4.9, []),
+        (1, 100, [*range(1, 10), *range(10, 100, 10), 100]),
+        (1e-3, 1e5, [10.0**e for e in range(-3, 6)]),
+    ],
+)
+def test_minor_ticks_fill_the_space(low: float, high: float, minor: list[float]) -> None:
+    """Every digit of a decade; the decades where not all have a label; none where every digit has one."""
+    assert tick_places(low, high)[1] == pytest.approx(minor)
 
 
 @given(low=st.floats(1e-15, 1e12), factor=st.floats(1.05, 1e20))
@@ -63,8 +87,8 @@ def test_minor_ticks_stand_at_their_values_on_both_axes() -> None:
     axes = Figure().add_subplot()
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xlim(1, 1000)
-    axes.set_ylim(1, 1000)
+    axes.set_xlim(0.1, 100)
+    axes.set_ylim(0.1, 100)
     draw_ticks(axes)
     (marks,) = (artist for artist in axes.collections if isinstance(artist, LineCollection))
     feet = {tuple(np.asarray(path.vertices)[0].round(6).tolist()) for path in marks.get_paths()}

@@ -1,7 +1,9 @@
 """Values are rounded as their interval allows, and a bound never falls below itself."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -156,3 +158,87 @@ def test_durations_are_in_hours(seconds: float, text: str) -> None:
 def test_times_have_three_digits_and_no_exponent(value: float, text: str) -> None:
     """2.62e+03 s is not how people say it."""
     assert numbers.seconds(value) == text
+
+
+@pytest.mark.parametrize(
+    ("size", "power", "shared"),
+    [
+        (0.00999, -3, -3),
+        (0.01, 0, 0),
+        (99_999.0, 0, 0),
+        (1e5, 5, 3),
+        (5.4e-4, -4, -3),
+        (1.2e-4, -4, -6),
+        (3.2e-4, -4, -3),
+        (3.1e8, 8, 6),
+        (3.2e8, 8, 9),
+        (0.0, 0, 0),
+        (math.inf, 0, 0),
+    ],
+)
+def test_powers_of_ten_begin_where_people_stop_reading(size: float, power: int, shared: int) -> None:
+    """Below 0.01 and from 100 000 on; a shared one changes at half a decade, as 0.54e-3 and 120e-6 do."""
+    assert numbers.power_of_ten(_quantity(-size, -size, -size)) == power
+    assert numbers.engineering_exponent([_quantity(None, 0, size), _quantity(None, 0, size / 3)]) == shared
+
+
+@pytest.mark.parametrize(
+    ("quantity", "places"),
+    [
+        (_quantity(0.0, 0.0, 0.0), 0),
+        (_quantity(None, 0.0, math.inf), 0),
+        (_quantity(3.2, -math.inf, math.inf), 1),
+        (_quantity(2.0, 2.0, 2.0), 3),
+        # Half of the interval is less than 1e-4 of the value: five digits; a little more: what it tells.
+        (_quantity(2.0, 2.0 - 1.9e-4, 2.0 + 1.9e-4), 4),
+        (_quantity(2.0, 2.0 - 2.1e-4, 2.0 + 2.1e-4), 5),
+        (_quantity(2.0, 2.0 - 3.6e-4, 2.0 + 3.6e-4), 4),
+        # At least two digits of the value, however wide its interval.
+        (_quantity(0.031, -4.0, 4.0), 3),
+    ],
+)
+def test_places_are_those_of_the_interval(quantity: Quantity, places: int) -> None:
+    """And where there is none, or one of no width, those of the value."""
+    assert decimals(quantity) == places
+
+
+@pytest.mark.parametrize(
+    ("quantity", "texts"),
+    [
+        (_quantity(1_234_567_890.0, 1_234_567_890.0, 1_234_567_890.0), ("1235000000", "")),
+        (_quantity(12_345_678_901.0, 12_345_678_901.0, 12_345_678_901.0), ("1.2e10", "")),
+        (_quantity(None, 0.0, 0.0), ("0", "")),
+        # A limit that rounds to nothing has no sign.
+        (_quantity(0.5, -0.001, 1.001), ("0.50", "[0.00, 1.00]")),
+        (_quantity(-0.5, -1.5, 0.5), ("-0.50", "[-1.50, 0.50]")),
+    ],
+)
+def test_ten_characters_are_not_too_many(quantity: Quantity, texts: tuple[str, str]) -> None:
+    """Eleven are written with an exponent."""
+    assert compact(quantity) == texts
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (6.0, 15.0, "10 [6, 15] deg/h"),
+        (5.0, 14.0, "10 [5, 14] deg/h"),
+        (6.0, 14.9, "10 ± 4 deg/h"),
+        (5.1, 14.0, "10 ± 4 deg/h"),
+        (10.0, 12.0, "10.0 [10.0, 12.0] deg/h"),
+    ],
+)
+def test_sides_that_differ_by_a_quarter_are_both_printed(low: float, high: float, text: str) -> None:
+    """4 below and 5 above is lopsided, 4 and 4.9 is not."""
+    assert with_uncertainty(_quantity(10.0, low, high)) == text
+
+
+def test_a_minimum_of_which_nothing_is_known_has_no_interval() -> None:
+    """So few degrees of freedom that the upper limit is infinite, or none known."""
+    axis = consumer_report().axes[0]
+    for edf in (1e-3, math.nan):
+        curve = replace(axis.fit.curve, edf=np.full(axis.fit.curve.tau.size, edf))
+        with np.errstate(divide="ignore"):
+            plain, _ = numbers.minimum(replace(axis, fit=replace(axis.fit, curve=curve)))
+        assert plain.low == plain.value == plain.high
+    assert numbers.hours(359) == "359 s (0.0997 h)"

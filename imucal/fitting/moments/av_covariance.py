@@ -77,7 +77,7 @@ class AvarCovariance:
 
 
 def avar_covariance(
-    m: IntArray, n: int, processes: Sequence[Process], *, overlapping: bool = True
+    m: IntArray, n: int, processes: Sequence[Process], *, overlapping: bool
 ) -> AvarCovariance:
     """Return the covariance of the Allan variances of `n` samples at averaging factors `m`.
 

@@ -35,7 +35,7 @@ def profile_limits(
     columns: IntArray,
     *,
     level: float,
-    shortest: float = 2.0,
+    shortest: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of parameter `columns[i]` of candidate i, shape (k,) each.
 

@@ -55,9 +55,7 @@ class Maximum:
         return Maximum(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
-def bounds(
-    ordinates: Ordinates, candidates: Candidates, *, shortest: float = 2.0
-) -> tuple[FloatArray, FloatArray]:
+def bounds(ordinates: Ordinates, candidates: Candidates, *, shortest: float) -> tuple[FloatArray, FloatArray]:
     """Return the lowest and highest values of each parameter, each of shape (p,).
 
     A variance may fall until its term is invisible in every bin; a correlation time lies between
@@ -82,9 +80,9 @@ def maximize(
     candidates: Candidates,
     start: FloatArray,
     *,
+    shortest: float,
     free: BoolArray | None = None,
     ramp: FloatArray | None = None,
-    shortest: float = 2.0,
     iterations: int = 100,
     tolerance: float = 1e-7,
 ) -> Maximum:
@@ -92,12 +90,12 @@ def maximize(
 
     Parameters
     ----------
+    shortest
+        Shortest correlation time, in samples.
     free
         Parameters to move, shape (c, p); all that a candidate has by default.
     ramp
         Ramps to hold, see `evaluate`.
-    shortest
-        Shortest correlation time, in samples.
     iterations
         Most steps.
     tolerance

@@ -55,20 +55,20 @@ def choose(
     structures: list[Structure],
     *,
     criterion: str,
+    shortest: float,
     band: Band | None = None,
     common: tuple[str, ...] = (),
-    shortest: float = 2.0,
 ) -> RankedModels:
     """Fit every structure and return them by rising criterion.
 
     Parameters
     ----------
+    shortest
+        Shortest correlation time of a Gauss-Markov term, in samples.
     band
         The output filter's response: its order, and coefficients to start from.
     common
         Regressors that every candidate has.
-    shortest
-        Shortest correlation time of a Gauss-Markov term, in samples.
     """
     poles, zeros = (band.poles, band.zeros) if band else (0, 0)
     candidates = candidates_of(structures, ordinates.names, poles=poles, zeros=zeros, common=common)

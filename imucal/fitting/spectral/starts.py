@@ -37,8 +37,8 @@ def find_starts(
     ordinates: Ordinates,
     candidates: Candidates,
     *,
-    shortest: float = 2.0,
-    keep: tuple[int, int, int] = (1, 2, 4),
+    shortest: float,
+    keep: tuple[int, int, int],
 ) -> tuple[IntArray, FloatArray]:
     """Return the best starts of each candidate: `keep` of them for 0, 1, 2 Gauss-Markov terms.
 

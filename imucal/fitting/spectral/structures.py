@@ -15,7 +15,7 @@ Structure = tuple[str, ...]
 _SYMBOLS = tuple(law.value for law in LAWS)
 
 
-def all_structures(max_gm: int, *, ramp: bool = True, quantization: bool = True) -> list[Structure]:
+def all_structures(max_gm: int, *, quantization: bool = True) -> list[Structure]:
     """Return every sum of Q, N, B, K, R and up to `max_gm` GM that has noise in it."""
     found = []
     for q, n, b, k, gm, r in product(
@@ -24,7 +24,7 @@ def all_structures(max_gm: int, *, ramp: bool = True, quantization: bool = True)
         (True, False),
         (True, False),
         range(max_gm + 1),
-        (True, False) if ramp else (False,),
+        (True, False),
     ):
         structure = ("Q",) * q + ("N",) * n + ("B",) * b + ("GM",) * gm + ("K",) * k + ("R",) * r
         if structure not in {(), ("R",)}:

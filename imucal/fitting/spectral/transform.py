@@ -20,6 +20,8 @@ from imucal.fitting.spectral.structures import candidates_of
 
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
+#: Shortest correlation time beside a regressor, in samples.
+_SHORTEST = 2.0
 #: Ordinates that such slow shapes live in.
 _LOWEST = 4000
 #: Time constants of a warm-up, as parts of the record.
@@ -103,8 +105,10 @@ def _objectives(ordinates: Ordinates, sets: list[tuple[str, ...]]) -> list[float
     """Return the least -log L of a rich structure with each set of regressors beside the ramp."""
     shown = [(*_STRUCTURE, *names) for names in sets]
     candidates = candidates_of(shown, ordinates.names)
-    owner, theta = find_starts(ordinates, candidates, keep=(1, 2, 2))
-    found = maximize(ordinates, candidates.take(owner), theta, tolerance=1e-2, iterations=40)
+    owner, theta = find_starts(ordinates, candidates, shortest=_SHORTEST, keep=(1, 2, 2))
+    found = maximize(
+        ordinates, candidates.take(owner), theta, shortest=_SHORTEST, tolerance=1e-2, iterations=40
+    )
     best = np.full(len(sets), np.inf)
     np.minimum.at(best, owner, found.objective)
     return best.tolist()

@@ -123,7 +123,7 @@ class _Stamps:
         if period is not None:
             clock = self._clock(period, rate_hz)
         elif rate_hz is not None:
-            clock = Clock.even(n, float(rate_hz or 1.0))
+            clock = Clock.even(n, float(rate_hz))
         else:
             less = "one sample" if n == 1 else f"{n} samples whose stamps do not advance"
             msg = f"{less} ({self.source}); expected stamps that give a rate, or the rate itself"

@@ -22,11 +22,11 @@ def _correlation(covariance: FloatArray) -> FloatArray:
 def test_the_grid_of_lags_stands_for_all_lags(monkeypatch: pytest.MonkeyPatch) -> None:
     """The sum on graded lags is that over every lag, to 1e-3 of the standard deviations."""
     m = 2 ** np.arange(11)
-    quick = avar_covariance(m, 5_000, PROCESSES)
+    quick = avar_covariance(m, 5_000, PROCESSES, overlapping=True)
     monkeypatch.setattr(module, "_ALL_LAGS", 10**9)
     module._computed.cache_clear()
     module._laws.cache_clear()
-    every = avar_covariance(m, 5_000, PROCESSES)
+    every = avar_covariance(m, 5_000, PROCESSES, overlapping=True)
     module._computed.cache_clear()
     module._laws.cache_clear()
     for p in range(len(PROCESSES)):
@@ -38,7 +38,7 @@ def test_the_grid_of_lags_stands_for_all_lags(monkeypatch: pytest.MonkeyPatch) -
 def test_white_noise_at_the_shortest_time_has_a_closed_form() -> None:
     """At m = 1, d_t is a difference over √2: Var = 2/M (1 + 2 (1 - 1/M) / 4)."""
     n = 1000
-    covariance = avar_covariance(np.array([1]), n, [PowerLaw.WHITE]).at(np.array([3.0]))
+    covariance = avar_covariance(np.array([1]), n, [PowerLaw.WHITE], overlapping=True).at(np.array([3.0]))
     terms = n - 1
     npt.assert_allclose(covariance, 9 * 2 / terms * (1 + (1 - 1 / terms) / 2), rtol=1e-12)
 
@@ -95,17 +95,51 @@ def test_a_gauss_markov_sum_has_the_variance_of_its_autocovariances(time: float)
 
 def test_the_covariance_is_quadratic_in_the_variances() -> None:
     """A noise twice as loud has variances four times as large, and covariances sixteen."""
-    found = avar_covariance(2 ** np.arange(8), 2000, [PowerLaw.WHITE, PowerLaw.WALK])
+    found = avar_covariance(2 ** np.arange(8), 2000, [PowerLaw.WHITE, PowerLaw.WALK], overlapping=True)
     npt.assert_allclose(found.at(np.array([4.0, 4e-3]), 4e-6), 16 * found.at(np.array([1.0, 1e-3]), 1e-6))
 
 
 def test_the_last_points_alone_have_the_same_covariance() -> None:
     """Leaving out the shortest times leaves the others as they were."""
-    found = avar_covariance(2 ** np.arange(8), 2000, [PowerLaw.WHITE])
+    found = avar_covariance(2 ** np.arange(8), 2000, [PowerLaw.WHITE], overlapping=True)
     npt.assert_array_equal(found.within(3).at(np.ones(1)), found.at(np.ones(1))[3:, 3:])
 
 
 def test_refuses_an_averaging_factor_beyond_half_the_record() -> None:
     """The range is in the message."""
     with pytest.raises(ValueError, match=r"averaging factors must be in 1\.\.50 for 100 samples"):
-        avar_covariance(np.array([51]), 100, [PowerLaw.WHITE])
+        avar_covariance(np.array([51]), 100, [PowerLaw.WHITE], overlapping=True)
+
+
+@pytest.mark.parametrize(
+    ("longest", "times", "reach"), [(4, [], 96), (4, [4.4], 96), (4, [4.41], 192), (4, [100.0, 5.0], 3072)]
+)
+def test_lags_reach_by_powers_of_two(longest: int, times: list[float], reach: int) -> None:
+    """To 24 windows for flicker, doubled until 20 correlation times lie beyond both windows."""
+    assert module._reach(longest, times) == reach
+
+
+@pytest.mark.parametrize("overlapping", [True, False])
+@pytest.mark.parametrize("process", [*PowerLaw, 4.0])
+def test_two_averaging_times_covary_as_their_squares_summed_over_all_pairs(
+    process: Process, *, overlapping: bool
+) -> None:
+    """A double loop over the differences of both, each covariance from V(n) by its definition.
+
+    Adjacent windows of unequal length are paired at each lag to the nearest whole number only.
+    """
+    n, mi, mj = 24, 2, 3
+    starts = [range(0, n - 2 * m + 1, 1 if overlapping else m) for m in (mi, mj)]
+    total = 0.0
+    for t in starts[0]:
+        for u in starts[1]:
+            apart = 0.0
+            for a, first in enumerate((1, -2, 1)):
+                for b, second in enumerate((1, -2, 1)):
+                    place = np.array([abs(float(u + b * mj - t - a * mi))])
+                    apart += first * second * float(sum_variance(process, place)[0])
+            total += 2 * (apart / (-4 * mi * mj)) ** 2
+    expected = total / (len(starts[0]) * len(starts[1]))
+    found = avar_covariance(np.array([mi, mj]), n, [process], overlapping=overlapping).at(np.ones(1))
+    assert found[0, 1] == pytest.approx(expected, rel=1e-9 if overlapping else 0.1)
+    assert found[1, 0] == found[0, 1]

@@ -4,9 +4,10 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
+from imucal.allan.dct import dct_bins
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
-from imucal.fitting.spectral.blocks import make_blocks
+from imucal.fitting.spectral.blocks import Block, _bins, _runs, make_blocks, scale_of
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, simulated
 
@@ -75,6 +76,15 @@ def test_the_lowest_bins_hold_their_ordinates_and_no_more(count: int) -> None:
     assert part.bins.n == block.bins.n
 
 
+def test_the_lowest_ordinates_end_where_a_bin_does() -> None:
+    """Whatever count is asked for: the first whole bins that hold it, also where a bin is wider."""
+    bins = dct_bins(3000)
+    block = Block(offset=0, bins=bins, ordinates=np.arange(2999.0))
+    ends = bins.first + bins.count - 1
+    for count in range(1, 2999, 7):
+        assert block.lowest(count).ordinates.size == ends[ends >= count][0]
+
+
 def test_runs_that_are_too_short_are_left_out_and_counted() -> None:
     """Thirty samples between two long gaps are not used."""
     samples = simulated(TEXT, 5000, 2)
@@ -105,3 +115,96 @@ def test_many_long_gaps_are_no_hindrance() -> None:
         samples[start : start + 80] = np.nan
     result = fitted(series_of(samples), "N + K")
     assert result["N"].value == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_record_without_gaps_says_nothing() -> None:
+    """One block at place 0, and no finding."""
+    found = make_blocks(series_of(simulated(TEXT, 1000, 5)))
+    assert found.findings == ()
+    assert [block.offset for block in found.blocks] == [0]
+
+
+@pytest.mark.parametrize(("length", "offsets"), [(64, [0]), (65, [0, 565])])
+def test_a_gap_of_more_than_64_samples_parts_blocks(length: int, offsets: list[int]) -> None:
+    """64 are completed; a block's place counts what is missing before it."""
+    samples = simulated(TEXT, 2000, 6)
+    samples[500 : 500 + length] = np.nan
+    assert [block.offset for block in make_blocks(series_of(samples)).blocks] == offsets
+
+
+def test_one_missing_sample_is_spoken_of_as_one() -> None:
+    """And the runs are of 64 samples at least: exactly so many are used."""
+    samples = simulated(TEXT, 1064, 7)
+    samples[10] = np.nan
+    samples[500:1000] = np.nan
+    found = make_blocks(series_of(samples))
+    assert [block.bins.n for block in found.blocks] == [500, 64]
+    assert found.findings[0].text == (
+        "The fit allows for gaps: the likelihoods of 2 blocks between long gaps are multiplied; "
+        "one missing sample in short gaps is completed by its expectation."
+    )
+    assert (found.findings[0].level, found.findings[0].axis) == ("info", "gyro_x")
+
+
+@pytest.mark.parametrize(("blocks", "same"), [(4, True), (5, False), (48, False)])
+def test_many_blocks_have_wider_bins(blocks: int, *, same: bool) -> None:
+    """Up to four blocks those of a whole record; then 512 single ones and 192 an octave are shared."""
+    found, whole = _bins(20_000, blocks), dct_bins(20_000)
+    assert (found.size == whole.size) == same
+    if not same:
+        expected = dct_bins(20_000, singles=max(16, 512 // blocks), per_octave=max(10, 192 // blocks))
+        npt.assert_array_equal(found.first, expected.first)
+
+
+def test_at_most_48_blocks_and_the_longest_gaps_part_them() -> None:
+    """Of 60 gaps longer than 64 samples the 47 longest."""
+    lengths = np.random.default_rng(8).permutation(np.arange(65, 125))
+    places = np.arange(200, 200 * 61, 200)
+    samples = simulated(TEXT, 200 * 62, 8)
+    for place, length in zip(places.tolist(), lengths.tolist(), strict=True):
+        samples[place : place + length] = np.nan
+    runs, lost = _runs(series_of(samples))
+    longest = lengths > 125 - 48
+    npt.assert_array_equal([run.offset for run in runs[1:]], places[longest] + lengths[longest])
+    assert (len(runs), lost) == (48, 0)
+
+
+@pytest.mark.parametrize(
+    ("samples", "text"),
+    [
+        (np.arange(63.0), "gyro_x: 63 samples, expected at least 64 for a noise model; record for longer"),
+        (
+            np.ones(64),
+            (
+                "gyro_x: all 64 samples are equal, expected noise; "
+                "check that the sensor was on and that its resolution shows its noise"
+            ),
+        ),
+        (
+            3 * np.arange(64.0),
+            (
+                "gyro_x: all 64 samples lie on one straight line, expected noise; "
+                "check that the column holds a measurement and not a counter"
+            ),
+        ),
+    ],
+)
+def test_refuses_what_holds_no_noise(samples: FloatArray, text: str) -> None:
+    """Few samples, equal ones and a ramp, each by its name."""
+    with pytest.raises(DataError) as caught:
+        scale_of(series_of(samples))
+    assert str(caught.value) == text
+
+
+@pytest.mark.parametrize(("size", "scale"), [(1.0, 1.0), (1.4, 1.0), (1.5, 2.0), (3e-5, 2.0**-15)])
+def test_the_scale_is_the_power_of_two_nearest_to_the_steps(size: float, scale: float) -> None:
+    """Steps of that size up and down."""
+    assert scale_of(series_of(size * (np.arange(100.0) % 2))) == scale
+
+
+def test_a_bend_of_a_hundred_millionth_is_noise_and_one_of_a_hundredth_of_that_is_rounding() -> None:
+    """A ramp of steps of 1 with one sample off the line by so much."""
+    ramp = np.arange(100.0)
+    assert scale_of(series_of(ramp + 1e-8 * (ramp == 50))) == 1.0
+    with pytest.raises(DataError, match="lie on one straight line"):
+        scale_of(series_of(ramp + 1e-10 * (ramp == 50)))

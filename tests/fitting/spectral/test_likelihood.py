@@ -1,12 +1,16 @@
 """The likelihood of many candidates, its score and its information."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.likelihood import Candidates, evaluate
-from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.ordinates import Ordinates, coarser
+from imucal.fitting.spectral.starts import _mix, time_grid
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
 from tests.fitting.fits import ordinates_of
@@ -131,3 +135,88 @@ def test_a_response_that_is_not_positive_has_no_likelihood() -> None:
     candidate = candidates_of([("N",)], data.names, poles=1)
     theta = np.array([[0.0, 0.0, 0.0, 0.0, -1.5]])
     assert evaluate(data, candidate, theta).objective[0] == np.inf
+
+
+def test_columns_that_a_candidate_does_not_use_change_nothing() -> None:
+    """One pole and one Gauss-Markov term in wider rooms, whatever stands in the others' columns."""
+    data = ordinates()
+    own = candidates_of([("N", "GM")], data.names, poles=1)
+    roomy = candidates_of([("N", "GM")], data.names, poles=1, room_markov=2, room_poles=3)
+    narrow = np.array([[0.0, 0.3, 0.0, 0.0, -1.0, 2.0, 0.7]])
+    wide = np.array([[5.0, 0.3, 5.0, 5.0, -1.0, 9.0, 2.0, 4.0, 0.7, 3.0, 2.0]])
+    one, other = evaluate(data, own, narrow), evaluate(data, roomy, wide)
+    assert other.objective[0] == pytest.approx(one.objective[0], rel=1e-12)
+    npt.assert_allclose(other.score[0, [1, 4, 6, 8]], one.score[0, [1, 4, 5, 6]], rtol=1e-9)
+
+
+def test_a_mixture_of_one_spectrum_ends_at_its_mean_ratio() -> None:
+    """Multiplicative updates of a single weight: sum of P/S over all ordinates, by their number."""
+    data = ordinates(text="N=2")
+    for law in range(4):
+        weights, objective = _mix(data, data.basis[[law]], np.ones((1, 1)))
+        expected = (data.power / data.basis[law]).sum() / data.size.sum()
+        assert weights[0, 0] == pytest.approx(expected, rel=1e-6)
+        spectrum = expected * data.basis[law]
+        terms = np.log(spectrum) * data.size + data.power / spectrum
+        assert objective[0] == pytest.approx(terms.sum() / 2)
+
+
+def test_correlation_times_begin_at_the_shortest_and_end_at_a_sixth_of_the_record() -> None:
+    """Never below 2 samples; sixteen of them, evenly in log; a narrow band sees no short ones."""
+    data = ordinates()
+    highest = float(data.fraction.max())
+    times = time_grid(data, 10.0)
+    assert (times.size, times[-1]) == (16, pytest.approx(100.0))
+    assert times[0] == pytest.approx(10 / highest**0.5)
+    assert time_grid(data, 0.5)[0] == pytest.approx(2 / highest**0.5)
+    assert time_grid(data, 80.0)[-1] == pytest.approx(160 / highest**0.5)
+    npt.assert_allclose(np.diff(np.log(times)), np.log(times[1] / times[0]))
+
+
+def test_coarser_bins_are_sums_and_weighted_means_of_the_finer() -> None:
+    """Of each of two blocks the first twelve as they are, then six into one; a sign is of single bins."""
+    parts = [ordinates(600), ordinates(400, seed=2)]
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        for name in ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
+    }
+    data = replace(parts[0], **joined)
+    found = coarser(data)
+    groups, start = [], 0
+    for part in parts:
+        stop = start + part.size.size
+        groups += [[i] for i in range(start, start + 12)]
+        groups += [list(range(i, min(i + 6, stop))) for i in range(start + 12, stop, 6)]
+        start = stop
+    for place, group in enumerate(groups):
+        size = data.size[group]
+        assert found.size[place] == size.sum()
+        assert found.power[place] == pytest.approx(data.power[group].sum())
+        assert found.lam[place] == pytest.approx(data.lam[group] @ size / size.sum())
+        npt.assert_allclose(found.basis[:, place], data.basis[:, group] @ size / size.sum())
+        assert found.cross[0, place] == pytest.approx(data.cross[0, group].sum())
+        assert found.sign[place] == (data.sign[group[0]] if len(group) == 1 else 0.0)
+    assert found.size.size == len(groups)
+    npt.assert_array_equal(np.unique(found.length), [400.0, 600.0])
+
+
+def test_a_narrower_band_holds_the_bins_up_to_its_end() -> None:
+    """The end counts; empty bins don't; `top` is where the band ends."""
+    data = ordinates()
+    fraction = float(data.fraction[40])
+    size = data.size.copy()
+    size[3] = 0.0
+    found = replace(data, size=size).below(fraction)
+    npt.assert_array_equal(found.lam, np.delete(data.lam[:41], 3))
+    assert found.top == pytest.approx(4 * np.sin(np.pi * fraction / 2) ** 2)
+    assert found.top == pytest.approx(data.lam[40], rel=1e-6)
+
+
+def test_a_rough_ramp_is_taken_out_of_the_power() -> None:
+    """The slope by least squares with weights lam; no bin is left without power."""
+    data = ordinates(text="N=1 + R=0.1")
+    slope = (data.cross[0] @ data.lam) / (data.gram[0, 0] @ data.lam)
+    rest = data.power - 2 * slope * data.cross[0] + slope**2 * data.gram[0, 0]
+    found = data.detrended()
+    npt.assert_allclose(found.power, np.maximum(rest, 1e-9 * data.power))
+    assert replace(data, names=("exp:5",)).detrended().power is data.power

@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from imucal.allan.dct import dct_ordinates, ramp_ordinates
+from imucal.allan.dct import dct_bins, dct_ordinates, ramp_ordinates
+from imucal.arrays import FloatArray
+from imucal.fitting.spectral import transform
+from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import exponential_ordinates
+from imucal.fitting.spectral.transform import choose_regressors
 from tests.fitting.fits import fitted, simulated
 
 N = 40_000
@@ -52,3 +56,70 @@ def test_a_steady_temperature_changes_nothing(temperature: np.typing.NDArray[np.
     result = fitted(samples, "N", temperature=temperature)
     assert "temperature" not in codes(result.findings)
     assert result["N"].value == pytest.approx(fitted(samples, "N")["N"].value, rel=1e-6)
+
+
+def _block(temperature: FloatArray | None) -> Block:
+    samples = simulated("N=1", 500, 4)
+    heat = None if temperature is None else dct_ordinates(temperature)
+    return Block(offset=70, bins=dct_bins(500), ordinates=dct_ordinates(samples), temperature=heat)
+
+
+def test_a_block_has_its_regressors_by_name() -> None:
+    """The ramp, the temperature and a decay that began before the block."""
+    t = np.arange(500.0)
+    block = _block(np.sin(t))
+    np.testing.assert_allclose(block.regressor("R"), dct_ordinates(t), atol=1e-8)
+    np.testing.assert_allclose(block.regressor("temperature"), dct_ordinates(np.sin(t)), atol=1e-12)
+    decay = dct_ordinates(np.exp(-(t + 70) / 80))
+    np.testing.assert_allclose(block.regressor("exp:80.0"), decay, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("heated", "warm", "chosen"),
+    [
+        (0.0, 0.0, ()),
+        (-0.1, 0.0, ()),
+        (0.1, 0.0, ("temperature",)),
+        (-0.1, -0.1, ()),
+        (-0.1, 0.1, ("exp",)),
+        (0.1, 0.1, ("temperature", "exp")),
+    ],
+)
+def test_a_regressor_gains_its_price_and_ten_more(
+    heated: float, warm: float, chosen: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In twice the log-likelihood: log n for a temperature, twice that for a decay and its time; n = 570."""
+    prices = (np.log(570) + 10, 2 * np.log(570) + 10)
+
+    def objectives(_: object, sets: list[tuple[str, ...]]) -> list[float]:
+        if len(sets) == 2:
+            return [100.0, 100 - (prices[0] + heated) / 2]
+        gains = [0.0] * (len(sets) - 1)
+        gains[3] = (prices[1] + warm) / 2
+        return [100.0, *(100 - gain for gain in gains)]
+
+    monkeypatch.setattr(transform, "_objectives", objectives)
+    found, findings = choose_regressors([_block(np.sin(np.arange(500.0)))], axis="gyro_x", tau0=0.01)
+    assert tuple(name.partition(":")[0] for name in found) == chosen
+    codes = {"temperature": "temperature", "exp": "warm-up-fitted"}
+    assert [f.code for f in findings] == [codes[name] for name in chosen]
+    if "exp" in chosen:
+        seconds = float(np.geomspace(0.01, 0.3, 8)[3]) * 570 * 0.01
+        assert float(found[-1].partition(":")[2]) == pytest.approx(100 * seconds)
+        assert f"with a time constant of {seconds:.3g} s;" in findings[-1].text
+
+
+@pytest.mark.parametrize("temperature", [None, np.full(500, 20.0)])
+def test_without_a_temperature_that_varies_none_is_tried(
+    temperature: FloatArray | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the decays are."""
+    asked = []
+
+    def objectives(_: object, sets: list[tuple[str, ...]]) -> list[float]:
+        asked.append(len(sets))
+        return [0.0] * len(sets)
+
+    monkeypatch.setattr(transform, "_objectives", objectives)
+    assert choose_regressors([_block(temperature)], axis="gyro_x", tau0=1.0) == ((), ())
+    assert asked == [9]

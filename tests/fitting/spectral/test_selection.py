@@ -1,11 +1,21 @@
 """Choice of the model."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from imucal.fitting import CRITERIA, fit
-from imucal.fitting.spectral.selection import choose
-from imucal.fitting.spectral.structures import all_structures, candidates_of, parameter_columns
+from imucal.fitting.spectral.scoring import Maximum
+from imucal.fitting.spectral.selection import (
+    RankedModels,
+    _distinct,
+    _ranked,
+    choice_findings,
+    choose,
+    near_candidates,
+)
+from imucal.fitting.spectral.structures import Structure, all_structures, candidates_of, parameter_columns
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, ordinates_of, simulated
 
@@ -106,3 +116,104 @@ def test_a_curve_alone_is_not_enough_for_maximum_likelihood() -> None:
     curve = fit(series).curve
     with pytest.raises(ValueError, match="maximum likelihood needs the samples, got an Allan curve"):
         fit(curve)
+
+
+def _maximum(objective: Sequence[float]) -> Maximum:
+    """Return maxima of which only the objective means something; theta counts the rows."""
+    rows = len(objective)
+    return Maximum(
+        theta=np.arange(rows, dtype=np.float64)[:, None],
+        objective=np.array(objective, dtype=np.float64),
+        information=np.zeros((rows, 1, 1)),
+        beta=np.zeros((rows, 0)),
+        beta_covariance=np.zeros((rows, 0, 0)),
+        converged=np.ones(rows, dtype=bool),
+    )
+
+
+def _models(structures: list[Structure], criterion: list[float], second: float = np.inf) -> RankedModels:
+    """Return ranked models whose best has a second maximum `second` below the first."""
+    return RankedModels(
+        structures=structures,
+        candidates=candidates_of(structures, ()),
+        maximum=_maximum([0.0] * len(structures)),
+        criterion=np.array(criterion),
+        modes=np.array([second, *[np.inf] * (len(structures) - 1)]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("structures", "criterion", "text"),
+    [
+        ([("N",)], [3.0], None),
+        ([("N",), ("N", "K")], [3.0, 9.5], None),
+        ([("N",), ("N", "K")], [3.0, 9.0], "N from N + K (+6.0): K may or may not be there."),
+        (
+            [("N", "B"), ("N", "K"), ("N", "GM"), ("Q", "N")],
+            [3.0, 4.0, 8.5, 20.0],
+            "N + B from N + K (+1.0), N + GM (+5.5): B, GM and K may stand for one another.",
+        ),
+        (
+            [("N", "GM"), ("N", "GM", "GM")],
+            [0.0, 2.5],
+            "N + GM from N + 2*GM (+2.5): between 1 and 2 GM terms.",
+        ),
+    ],
+)
+def test_models_that_do_as_well_are_named_with_what_they_differ_in(
+    structures: list[Structure], criterion: list[float], text: str | None
+) -> None:
+    """Up to 6 from the best; where the choice is clear nothing is said."""
+    findings = choice_findings(_models(structures, criterion), "gyro_x")
+    if text is None:
+        assert findings == ()
+        return
+    (finding,) = findings
+    assert (finding.level, finding.code, finding.axis) == ("info", "model-choice", "gyro_x")
+    assert finding.text == f"The record does not tell {text}"
+
+
+@pytest.mark.parametrize(("second", "said"), [(1.9, True), (2.0, False), (np.inf, False)])
+def test_a_second_maximum_is_said_where_it_is_about_as_good(second: float, *, said: bool) -> None:
+    """Twice the log-likelihood within 4 of the best one's."""
+    findings = choice_findings(_models([("N", "GM")], [1.0], second), "gyro_x")
+    assert [(f.level, f.code) for f in findings] == ([("warning", "two-maxima")] if said else [])
+
+
+def test_near_models_are_listed_with_their_distance() -> None:
+    """The best at 0, those beyond 6 not at all."""
+    near = near_candidates(_models([("N",), ("N", "K"), ("B",)], [10.0, 16.0, 16.1]))
+    assert [(c.structure, c.delta) for c in near] == [("N", 0.0), ("N + K", 6.0)]
+
+
+@pytest.mark.parametrize(
+    ("objective", "kept"),
+    [
+        ([5.0, 3.0], [1, 0]),
+        ([3.0, 3.015, 3.1, 3.2], [0, 2]),
+        ([3.0, 13.0], [0]),
+        ([3.0, 12.9], [0, 1]),
+        ([4.0], [0]),
+    ],
+)
+def test_a_second_maximum_goes_on_where_it_is_another_one(objective: list[float], kept: list[int]) -> None:
+    """The best, and the next that is more than 0.02 and less than 10 worse."""
+    assert _distinct(np.arange(len(objective)), np.array(objective)) == kept
+
+
+def test_candidates_are_ranked_by_their_best_maximum_and_its_price() -> None:
+    """Of two candidates with two maxima each: the best of each, its price, and how far the second is."""
+    structures: list[Structure] = [("N",), ("B",), ("N", "K")]
+    ranked = _ranked(
+        structures,
+        candidates_of(structures, ()),
+        _maximum([7.0, 6.0, 5.0, 5.5, 5.01]),
+        owner=np.array([0, 0, 2, 2, 2]),
+        near=np.array([0, 2]),
+        cost=np.array([1.0, 0.0, 5.0]),
+    )
+    assert ranked.structures == [("N",), ("N", "K")]
+    assert ranked.criterion.tolist() == [13.0, 15.0]
+    assert ranked.maximum.theta[:, 0].tolist() == [1.0, 2.0]
+    assert ranked.modes.tolist() == [1.0, 0.5]
+    assert ranked.candidates.parameters.tolist() == [1, 2]

@@ -177,6 +177,26 @@ def test_some_zero_stamps_switch_to_log_time() -> None:
     assert read(stamps, EVEN).clock.source == "log time"
 
 
+def test_one_percent_of_zeros_is_filled() -> None:
+    """Only more than that makes the stamps useless."""
+    stamps = EVEN[:200].copy()
+    stamps[[5, 6]] = 0
+    assert codes(read(stamps, EVEN[:200])) == ["zero-stamps"]
+    stamps[7] = 0
+    assert codes(read(stamps, EVEN[:200])) == ["log-time-used"]
+
+
+def test_stamps_that_go_back_are_replaced_by_log_time() -> None:
+    """One sample can not tell."""
+    reading = read(EVEN[:9][::-1], EVEN[:9])
+    assert [note.text.partition(";")[0] for note in reading.findings] == [
+        "The stamps (header stamp) do not advance"
+    ]
+    assert reading.clock.rate_hz == pytest.approx(200)
+    with pytest.raises(DataError, match=r"^one sample \(header stamp\)"):
+        read(EVEN[:1], EVEN[:1])
+
+
 def test_a_single_zero_stamp_is_filled() -> None:
     """It loses nothing but its stamp."""
     stamps = EVEN.copy()

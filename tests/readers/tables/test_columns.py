@@ -1,11 +1,13 @@
 """Names of columns, units and columns texts: what they mean, and what is refused with which words."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.columns import NamedTable, find_bare_triads, find_temperature, find_triads
 from imucal.readers.tables.columns_text import parse_columns_text
 from imucal.readers.tables.csv_log import read
 from imucal.readers.tables.names import Role, parse_column
@@ -40,6 +42,15 @@ GYRO, ACCEL = Role.GYROSCOPE, Role.ACCELEROMETER
         ("gyroy", GYRO, 1, None),
         ("xgyro", GYRO, 0, None),
         ("roll_rate", GYRO, 0, None),
+        ("pitch_rate", GYRO, 1, None),
+        ("yaw_rate", GYRO, 2, None),
+        ("rollrate", GYRO, 0, None),
+        ("pitchrate", GYRO, 1, None),
+        ("yawrate", GYRO, 2, None),
+        ("gyro_yaw", GYRO, 2, None),
+        ("angular_pitch", GYRO, 1, None),
+        ("roll", Role.OTHER, None, None),
+        ("roll_acc", Role.OTHER, None, None),
         ("UnCompAccX", ACCEL, 0, None),
         ("accelerometerAccelerationX(G)", ACCEL, 0, "G"),
         ("Acc(x)", ACCEL, 0, None),
@@ -63,6 +74,30 @@ GYRO, ACCEL = Role.GYROSCOPE, Role.ACCELEROMETER
         ("TimeUS", Role.TIME, None, "us"),
         ("t", Role.TIME, None, None),
         ("T", Role.TEMPERATURE, None, None),
+        ("time_2", Role.TIME, None, None),
+        ("gyro_time_1", Role.TIME, None, None),
+        ("temp_c", Role.TEMPERATURE, None, "degC"),
+        ("temp [K]", Role.TEMPERATURE, None, "K"),
+        ("temp [g]", Role.OTHER, None, "g"),
+        ("T [°C]", Role.TEMPERATURE, None, "°C"),
+        ("gyro_1", GYRO, 1, None),
+        ("gyro_1_raw", Role.OTHER, None, None),
+        ("gyro_3", GYRO, 3, None),
+        ("gyro_4", Role.OTHER, None, None),
+        ("gyro[12]", Role.OTHER, None, None),
+        ("gyro_x_rad_per_sec", GYRO, 0, "rad/s"),
+        ("gyro_x_rad", GYRO, 0, "rad/s"),
+        ("acc_x_m_s_2", ACCEL, 0, "m/s^2"),
+        ("acc_x_m_per_s2", ACCEL, 0, "m/s^2"),
+        ("acc_x_mg", ACCEL, 0, "mg"),
+        ("time_sec", Role.TIME, None, "sec"),
+        ("time [g]", Role.OTHER, None, "g"),
+        ("gyro_x_ms", GYRO, 0, None),
+        ("data_x_s", Role.OTHER, 0, None),
+        ("tilt", Role.OTHER, None, None),
+        ("heading [°]", Role.OTHER, None, "°"),
+        ("gps_count", Role.OTHER, None, None),
+        ("packet_id", Role.OTHER, None, None),
         ("T(°)", Role.TEMPERATURE, None, "°"),
         ("imu_temp", Role.TEMPERATURE, None, None),
         ("PacketCounter", Role.COUNTER, None, None),
@@ -80,8 +115,78 @@ def test_names(header: str, role: Role, index: int | None, unit: str | None) -> 
 def test_alpha_is_an_acceleration_beside_an_omega_only() -> None:
     """Kalibr's names make sense together."""
     assert parse_column("alpha_x", 4, context=frozenset({"omega_x", "alpha_x"})).role is ACCEL
+    assert parse_column("alpha_x", 4, context=frozenset({"time", "alpha_x"})).role is Role.OTHER
     assert parse_column("p", 4, context=frozenset({"p", "q", "r"})).role is GYRO
     assert parse_column("p", 4, context=frozenset({"p", "q"})).role is Role.OTHER
+
+
+def named(*headers: str, rows: Sequence[Sequence[str]] = ()) -> NamedTable:
+    """Return a table of columns by name."""
+    columns = tuple(parse_column(header, index) for index, header in enumerate(headers))
+    return NamedTable(
+        path="log.csv", columns=columns, cells=lambda index: [row[index] for row in rows], dialect=None
+    )
+
+
+@pytest.mark.parametrize(
+    ("headers", "places"),
+    [
+        (("gyro_1", "gyro_2", "gyro_3"), ["0:3"]),
+        (("gyro_0", "gyro_1", "gyro_2"), ["0:3"]),
+        (("gyro_3", "gyro_2", "gyro_1"), ["2+1+0"]),
+        (("gyro_0", "gyro_1", "gyro_3"), []),
+        (("gyro_x", "t", "gyro_y", "gyro_z"), ["0+2+3"]),
+        (("acc_x", "acc_y", "acc_z", "gyro_x", "gyro_y", "gyro_z"), ["3:6", "0:3"]),
+        (("lin_acc_x", "lin_acc_y", "lin_acc_z"), ["0:3"]),
+        (("lin_acc_x", "lin_acc_y", "lin_acc_z", "gyro_x", "gyro_y", "gyro_z"), ["3:6", "0:3"]),
+        (("lin_acc_x", "lin_acc_y", "lin_acc_z", "acc_x", "acc_y", "acc_z"), ["3:6"]),
+    ],
+)
+def test_sets_of_three(headers: tuple[str, ...], places: list[str]) -> None:
+    """Axes by letter, or by number from 0 or 1; the gyroscope first, of two with and without gravity one."""
+    assert [triad.text for triad in find_triads(named(*headers))] == places
+
+
+@pytest.mark.parametrize(
+    ("tags", "gyro", "accel"),
+    [
+        (("gyro", "accel"), "gyro", "accel"),
+        (("gyro", "7"), "gyro", "accel"),
+        (("ACC", "7"), "GYR", "ACC"),
+        (("Gyroscope", ""), "Gyroscope", "Accelerometer"),
+        (("GyrX", "7"), "GyrX", None),
+        (("accX", "7"), None, "accX"),
+        (("gyro2", "gyro1"), "gyro1", None),
+    ],
+)
+def test_tags_of_rows(tags: tuple[str, str], gyro: str | None, accel: str | None) -> None:
+    """One of a usual pair tells the other, as it is written."""
+    table = named("tag", "x", "y", "z", rows=[(f"'{tag}'", "1", "2", "3") for tag in tags])
+    first, second, how = find_bare_triads(table, "log.csv")
+    assert (first and first.rows, second and second.rows) == (gyro and (0, gyro), accel and (0, accel))
+    assert how == "by the tags of column tag"
+
+
+def test_the_name_of_a_file_tells() -> None:
+    """Where it names one sensor only."""
+    assert find_bare_triads(named("t", "x", "y"), "gyro.csv") == (None, None, "")
+    for name, place in (("MyGyro.csv", 0), ("rotation_rate.csv", 0), ("angular.csv", 0), ("Acc.csv", 1)):
+        found = find_bare_triads(named("x", "y", "z"), name)
+        assert (found[place] is not None, found[1 - place], found[2]) == (
+            True,
+            None,
+            "by the name of the file",
+        )
+    for name in ("accuracy.csv", "gyro_acc.csv"):
+        with pytest.raises(ChoiceError, match="but not of which sensor"):
+            find_bare_triads(named("x", "y", "z"), name)
+
+
+def test_the_nearest_temperature() -> None:
+    """Of several, the one beside the sensor; the first where nothing tells."""
+    columns = named("temp1", "gx", "gy", "gz", "t", "temp2").columns
+    assert [find_temperature(columns, near=near) for near in ((1, 2, 3), (3,), ())] == [0, 5, 0]
+    assert find_temperature(columns[1:5]) is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,269 @@
+"""The parts of a fit of the curve: which points, limits, lines and floors, and what is said."""
+
+from dataclasses import replace
+from statistics import NormalDist
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray
+from imucal.fitting import FitSettings
+from imucal.fitting.moments import fit_slope
+from imucal.fitting.moments.av_intervals import goodness, limits
+from imucal.fitting.moments.av_points import AvarPoints, avar_points, columns
+from imucal.fitting.moments.av_search import Solution, Weight, time_grid
+from imucal.fitting.moments.av_select import _least_cost, _screen
+from imucal.fitting.moments.gmwm import _eta3_widths, _findings, _with_edf
+from imucal.fitting.moments.slope_lines import LogCurve, _floor, _line, read_term
+from imucal.fitting.noise_fit import Goodness
+from imucal.recording import AxisSeries
+from tests.fitting.moments.curves import simulated_curve
+
+
+def _curve(avar: FloatArray, m: list[int], *, n: int = 10_000, tau0: float = 1.0) -> AllanCurve:
+    factors = np.array(m)
+    return AllanCurve(tau=factors * tau0, m=factors, avar=avar, edf=np.full(factors.size, np.nan), n=n)
+
+
+def _points(avar: FloatArray, *, n: int = 10_000) -> AvarPoints:
+    return avar_points(None, _curve(avar, (2 ** np.arange(avar.size)).tolist(), n=n))
+
+
+def test_points_lie_a_factor_of_1_9_apart_and_have_a_positive_variance() -> None:
+    """At tau0 = 0.5 s; in units of their geometric mean."""
+    curve = _curve(np.array([4.0, 3.0, 2.0, np.nan, 0.0, 8.0]), [10, 18, 19, 40, 50, 60], tau0=0.5)
+    points = avar_points(None, curve)
+    npt.assert_array_equal(points.used, [0, 2, 5])
+    npt.assert_array_equal(points.m, [10, 19, 60])
+    assert points.scale == pytest.approx(4.0)
+    npt.assert_allclose(points.avar, [1.0, 0.5, 2.0])
+    assert points.tau0 == pytest.approx(0.5)
+    assert points.overlapping
+    npt.assert_array_equal(points.within(1).used, [2, 5])
+
+
+@pytest.mark.parametrize(("n", "known"), [(0, False), (119, False), (120, True)])
+def test_a_record_too_short_for_its_curve_is_of_unknown_length(n: int, *, known: bool) -> None:
+    """Twice the longest averaging time is the least."""
+    points = avar_points(None, _curve(np.ones(2), [10, 60], n=n))
+    assert points.known_n == known
+    assert points.n == 120
+
+
+@pytest.mark.parametrize(("size", "heavy"), [(100, False), (101, True)])
+def test_tails_are_told_by_a_hundred_differences(size: int, *, heavy: bool) -> None:
+    """Half the steps' excess is the samples'; two steps of a hundred are all there is of them."""
+    samples = np.zeros(size)
+    samples[50] = 1.0
+    steps = np.diff(samples)
+    excess = np.mean(np.square(steps**2 / np.mean(steps**2))) - 3
+    points = avar_points(AxisSeries.from_samples(samples, rate_hz=1.0), _curve(np.ones(2), [1, 2]))
+    assert points.excess == pytest.approx(2 * excess if heavy else 0.0)
+
+
+def test_tails_within_chance_are_none() -> None:
+    """Four standard errors of the steps' excess, sqrt(36/n) each."""
+    normal = np.random.default_rng(1).standard_normal(5000)
+    points = avar_points(AxisSeries.from_samples(normal, rate_hz=1.0), _curve(np.ones(2), [1, 2]))
+    assert points.excess == 0.0
+
+
+@pytest.mark.parametrize(("value", "low", "high"), [(5.0, 3.0, 7.0), (2.0, 0.0, 4.0), (0.0, 0.0, 2.0)])
+def test_limits_of_a_steady_spread_are_walds(value: float, low: float, high: float) -> None:
+    """The estimate ± two standard errors; zero where it is inside."""
+    assert limits(value, lambda _: 1.0, 4.0) == pytest.approx((low, high), rel=1e-5)
+
+
+def test_limits_of_a_spread_that_grows_with_the_variance_are_those_of_a_logarithm() -> None:
+    """(1 - v)² = q s² v has two roots whose product is 1; without end where the spread grows faster."""
+    low, high = limits(1.0, lambda v: 0.5 * v, 4.0)
+    assert low * high == pytest.approx(1.0, rel=1e-4)
+    assert (high - 1) ** 2 == pytest.approx(high, rel=1e-4)
+    assert limits(1.0, lambda v: 0.5 + v**3, 4.0)[1] == np.inf
+
+
+def test_the_misfit_of_a_curve_is_wilson_and_hilfertys() -> None:
+    """Of independent values, cube roots of ratios, standardised; NaN where nothing is left to judge by."""
+    points = _points(np.array([1.3, 0.5, 0.2, 0.14]))
+    solution = Solution(laws="N", times=np.zeros(0), variances=np.ones(1), objective=0.0)
+    model = 1 / points.m
+    edf = np.array([100.0, 40.0, 20.0, 8.0])
+    third = 2 / (9 * edf)
+    score = (np.cbrt(points.avar / model) - (1 - third)) / np.sqrt(third)
+    found = goodness(points, solution, np.diag(2 * model**2 / edf))
+    assert found.chi2_per_bin == pytest.approx(score @ score / 3)
+    assert found.tau_s == (1.0, 8.0)
+    full = Solution(laws="QNBK", times=np.zeros(0), variances=np.ones(4), objective=0.0)
+    assert np.isnan(goodness(points, full, np.eye(4)).statistic)
+    none = replace(solution, variances=np.zeros(1))
+    assert np.isnan(goodness(points, none, np.eye(4)).statistic)
+
+
+def test_a_score_goes_on_where_the_probability_ends() -> None:
+    """The normal quantile to 1e-15; beyond, Wilson and Hilferty's own, less than one higher."""
+    points = _points(np.ones(4))
+    solution = Solution(laws="N", times=np.zeros(0), variances=np.ones(1), objective=0.0)
+    scores, beyond = [], 0
+    for factor in np.geomspace(0.1, 0.4, 60).tolist():
+        found = goodness(points, solution, factor * np.diag(1.0 / points.m**2))
+        expected = -NormalDist().inv_cdf(found.p_value)
+        if found.p_value < 1e-15:
+            beyond += 1
+            expected = (np.cbrt(found.chi2_per_bin) - 1 + 2 / 27) / np.sqrt(2 / 27)
+        assert found.statistic == pytest.approx(expected, rel=1e-6)
+        scores.append(found.statistic)
+    assert 10 < beyond < 50
+    assert np.diff(scores).max() < 1
+
+
+def test_eta3_widths_are_of_at_least_one_degree_of_freedom() -> None:
+    """(n - 2m + 1) / 2m of them: 99.5 and 1 instead of 0.57 of n = 200 at m = 1 and 64."""
+    from scipy.special import chdtri
+
+    points = avar_points(None, _curve(np.ones(2), [1, 64], n=200))
+    expected = [edf * (1 / chdtri(edf, 0.975) - 1 / chdtri(edf, 0.025)) for edf in (99.5, 1.0)]
+    npt.assert_allclose(_eta3_widths(points), expected)
+
+
+def test_a_curve_without_degrees_of_freedom_gets_those_of_the_model() -> None:
+    """2 avar² over its variance, at least 1; a curve that has any keeps them."""
+    curve = _curve(np.array([1.0, 0.5, 0.25]), [1, 2, 4])
+    points = replace(avar_points(None, curve), scale=1.0, avar=curve.avar)
+    solution = Solution(laws="N", times=np.zeros(0), variances=np.ones(1), objective=0.0)
+    model = 1 / curve.m
+    covariance = np.diag(2 * model**2 / np.array([50.0, 20.0, 0.5]))
+    found = _with_edf(curve, points, solution, covariance)
+    npt.assert_allclose(found.edf, [50.0, 20.0, 1.0])
+    assert found.edf_method == "model"
+    given = replace(curve, edf=np.array([np.nan, 3.0, np.nan]))
+    assert _with_edf(given, points, solution, covariance) is given
+
+
+def _said(*, known: bool = True, dropped: int = 0, statistic: float = 0.0) -> list[str]:
+    points = replace(_points(np.ones(3)), known_n=known)
+    fit = Goodness(statistic=statistic, p_value=0.5, chi2_per_bin=7.25, tau_s=(2.0, 4.0))
+    return [finding.text for finding in _findings(None, points, fit, dropped, "N + K")]
+
+
+def test_each_finding_of_a_curve_stands_alone() -> None:
+    """Nothing of a curve of known length that the model describes."""
+    assert _said(statistic=2.99) == []
+    assert _said(known=False) == [
+        (
+            "How long the record was is not known; intervals take it to be 8 s, the least that gives the "
+            "longest averaging time."
+        )
+    ]
+    assert _said(dropped=1) == [
+        (
+            "No model describes averaging times below 2 s, as behind an output filter; the curve was fitted "
+            "from there."
+        )
+    ]
+    assert _said(statistic=3.0) == [
+        "N + K does not describe the curve: its misfit is 7.2 times what noise gives."
+    ]
+
+
+def test_correlation_times_of_a_grid_span_the_curve() -> None:
+    """From 0.7 of the shortest averaging time to 1.5 of the longest, five a decade, two at least."""
+    grid = time_grid(np.array([1, 1000]))
+    assert (grid[0], grid[-1], grid.size) == (pytest.approx(0.7), pytest.approx(1500), 17)
+    assert time_grid(np.array([1, 1]), per_decade=3).size == 2
+
+
+def test_a_screened_model_with_a_negative_variance_is_none() -> None:
+    """Of two sets of columns the better has a negative weight; the other's sum of squares counts."""
+    matrix = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    target = np.array([2.0, -1.0, 0.5])
+    gram, moment = matrix.T @ matrix, matrix.T @ target
+    total = float(target @ target)
+    assert _least_cost(gram, moment, total, np.array([[0, 1], [0, 2]])) == pytest.approx(1.0)
+    assert _least_cost(gram, moment, total, np.array([[0, 1]])) == np.inf
+
+
+def _logs(avar: FloatArray, variance: float | FloatArray = 1e-4) -> LogCurve:
+    return LogCurve(_points(avar), np.diag(np.broadcast_to(variance, avar.size)))
+
+
+def test_the_longest_run_on_a_slope_is_the_line_and_of_equals_the_surest() -> None:
+    """Three points at least; a run of slope -1/2, a floor, and a longer run of it."""
+    avar = 2.0 ** np.array([0.0, -1.0, -2.0, -3.0, -3.0, -3.0, -4.0, -5.0, -6.0, -7.0])
+    surer = np.where(np.arange(10) < 4, 1e-5, 1e-4)
+    npt.assert_array_equal(_line(_logs(avar, surer), -0.5), [5, 6, 7, 8, 9])
+    npt.assert_array_equal(_line(_logs(avar[:9], surer[:9]), -0.5), [0, 1, 2, 3])
+    npt.assert_array_equal(_line(_logs(avar[:9], surer[8::-1]), -0.5), [5, 6, 7, 8])
+    assert not _line(_logs(avar), 0.5).size
+    assert not _line(_logs(avar[:2]), -0.5).size
+
+
+def test_a_reading_is_the_weighted_mean_of_its_points() -> None:
+    """N² = avar m of each, by the inverse of its variance; its spread from the same weights."""
+    variance = np.array([1e-4, 4e-4, 2e-4, 1e-4])
+    curve = _logs(np.array([1.0, 0.52, 0.26, 0.12]), variance)
+    reading = read_term(curve, "N", {"N": (2.0, 8.0)})
+    assert reading is not None
+    npt.assert_array_equal(reading.places, [1, 2, 3])
+    weights = 1 / variance[1:] / np.sum(1 / variance[1:])
+    logs = np.log(curve.points.avar[1:] * curve.points.m[1:]) / 2
+    assert reading.log_value == pytest.approx(weights @ logs)
+    assert reading.variance == pytest.approx(np.exp(2 * weights @ logs))
+    assert reading.spread(curve) == pytest.approx(np.sum(1 / variance[1:]) ** -0.5)
+
+
+@pytest.mark.parametrize(
+    ("adev", "places"),
+    [
+        ([3.0, 1.04, 1.0, 1.06, 3.0], [1, 2]),
+        ([3.0, 1.06, 1.0, 1.04, 3.0], [2, 3]),
+        ([1.0, 1.04, 1.2, 1.3], []),
+        ([3.0, 2.0, 1.5, 1.0], []),
+        ([3.0, 1.0], []),
+        ([3.0, 1.0, 2.0], [1]),
+        ([1.04, 1.0, 1.03], [0, 1, 2]),
+    ],
+)
+def test_a_floor_has_a_rise_on_both_sides(adev: list[float], places: list[int]) -> None:
+    """Its points lie within a factor of 1.05 of the lowest."""
+    npt.assert_array_equal(_floor(_logs(np.square(adev))), places)
+
+
+def test_points_with_fewer_than_three_degrees_of_freedom_show_no_slope() -> None:
+    """Their logarithm's variance is 1/6 or more."""
+    assert _logs(np.ones(4), np.array([0.1, 1 / 6 - 1e-9, 1 / 6, 0.5])).sure == 2
+
+
+def test_a_diagonal_weight_divides_by_the_deviations() -> None:
+    """And the inverse covariance is one of independent values."""
+    npt.assert_allclose(Weight.of_deviations(np.array([2.0, 4.0])).whiten, np.diag([0.5, 0.25]))
+    whiten = Weight.of_covariance(np.diag([4.0, 16.0])).whiten
+    npt.assert_allclose(whiten, np.diag([0.5, 0.25]), rtol=1e-5)
+
+
+def test_every_set_of_laws_is_screened() -> None:
+    """Of a curve that is exactly the sum of all five, each set of up to all of them; no more than points."""
+    m = 2 ** np.arange(14)
+    variances = {"Q": 1e4, "N": 1.0, "B": 1e-2, "K": 1e-4, "R": 1e-8}
+    avar = columns(m, "QNBKR", np.zeros(0)) @ np.array(list(variances.values()))
+    points = _points(avar, n=40_000)
+    weight = Weight.of_deviations(1e-3 * points.avar)
+    found = {laws: cost for cost, laws, _ in _screen(points, weight, 0, price=2.0)}
+    assert min(found, key=lambda laws: found[laws]) == "QNBKR"
+    assert found["QNBKR"] == pytest.approx(10.0, abs=1.0)
+    few = points.within(10)
+    sets = {laws for _, laws, _ in _screen(few, Weight.of_deviations(few.avar), 0, price=2.0)}
+    assert max(map(len, sets)) <= 3
+
+
+def test_an_interval_of_a_line_is_the_quantile_of_its_spread() -> None:
+    """Of white noise read on a given window, one and two standard errors at 68.27 and 95.45 %."""
+    curve = simulated_curve("N=1", 4000, np.random.default_rng(3))
+    highs = []
+    for level in (0.6826894921, 0.9544997361):
+        estimate = fit_slope(None, curve, FitSettings(model="N", level=level), windows={"N": (1, 8)})["N"]
+        assert estimate.value is not None
+        assert estimate.low < estimate.value < estimate.high
+        highs.append(np.log(estimate.high / estimate.value))
+    assert highs[1] == pytest.approx(2 * highs[0], rel=1e-6)

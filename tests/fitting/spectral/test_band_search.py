@@ -1,0 +1,142 @@
+"""The search for a band: which description is enough, and where a response starts."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.fitting.spectral import band
+from imucal.fitting.spectral.band import _BandSearch, _deviation_of_white, _enough, _simplest, _Trial
+from imucal.fitting.spectral.filter_response import Order, start_response
+from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
+from imucal.fitting.spectral.scoring import Maximum
+from imucal.fitting.spectral.structures import candidates_of
+from tests.fitting.fits import ordinates_of, simulated
+
+
+def _maximum(objective: float, information: FloatArray) -> Maximum:
+    return Maximum(
+        theta=np.zeros((1, MARKOV)),
+        objective=np.array([objective]),
+        information=information[None],
+        beta=np.zeros((1, 0)),
+        beta_covariance=np.zeros((1, 0, 0)),
+        converged=np.ones(1, dtype=bool),
+    )
+
+
+def _trial(order: Order, objective: float, statistic: float = 0.0) -> _Trial:
+    maximum = _maximum(objective, np.zeros((MARKOV, MARKOV)))
+    return _Trial(fraction=1.0, order=order, maximum=maximum, statistic=statistic, deviation=0.1)
+
+
+@pytest.mark.parametrize(
+    ("statistic", "gains", "enough"),
+    [
+        (2.99, (8.9, 11.9), True),
+        (3.0, (0.0, 0.0), False),
+        (0.0, (9.0, 0.0), False),
+        (0.0, (0.0, 12.0), False),
+        (0.0, (8.9,), True),
+        (-9.0, (), True),
+    ],
+)
+def test_a_sound_description_gains_no_more_than_chance(
+    statistic: float, gains: tuple[float, ...], *, enough: bool
+) -> None:
+    """A score below 3; the next order gains less than 9 in twice the log-likelihood, the one after 12."""
+    more = [_trial((k + 1, 0), 100 - gain / 2) for k, gain in enumerate(gains)]
+    assert _enough([_trial((0, 0), 100.0, statistic), *more]) == enough
+
+
+def test_the_flat_band_has_the_benefit_of_the_doubt() -> None:
+    """A score below 4, and gains of 12 and 15; of 30 and 33 where quantization may bend the spectrum."""
+    assert (band._SOUND_FLAT, band._GAIN_FLAT) == (4.0, (12.0, 15.0))
+    assert (band._GAIN_QUANTIZED, band._QUANTIZED) == ((30.0, 33.0), 0.2)
+    trials = [_trial((0, 0), 100.0, 3.9), _trial((1, 0), 100 - 5.9), _trial((2, 0), 100 - 7.4)]
+    assert _enough(trials, band._GAIN_FLAT, band._SOUND_FLAT)
+    assert not _enough(trials)
+
+
+def test_the_simplest_sound_order_comes_with_the_next() -> None:
+    """By the number of poles and zeros; an order without its next one is none."""
+    trials = [
+        _trial((0, 0), 100.0),
+        _trial((1, 0), 50.0),
+        _trial((1, 1), 40.0),
+        _trial((2, 0), 49.0),
+        _trial((2, 1), 39.0),
+        _trial((3, 0), 48.0),
+    ]
+    found = _simplest(trials)
+    assert found is not None
+    assert [t.order for t in found] == [(1, 0), (2, 0)]
+    assert _simplest(trials[:1]) is None
+    without = _simplest([t for t in trials if t.order not in {(1, 0), (2, 0)}])
+    assert without is not None
+    assert [t.order for t in without] == [(1, 1), (2, 1)]
+
+
+def test_orders_that_are_tried() -> None:
+    """Up to five poles; with as many zeros, one and two poles more."""
+    assert band._ALL_POLES == [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (5, 0)]
+    assert set(band._WITH_ZEROS) - set(band._ALL_POLES) == {
+        *((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (4, 2)),
+        *((3, 3), (4, 3), (5, 3), (4, 4), (5, 4)),
+    }
+
+
+def test_the_deviation_of_white_noise_is_half_that_of_its_logarithm() -> None:
+    """Infinite where the model has none."""
+    information = np.diag([1.0, 25.0, 1.0, 1.0])
+    assert _deviation_of_white(candidates_of([("N",)], ()), _maximum(0.0, information)) == pytest.approx(0.1)
+    assert _deviation_of_white(candidates_of([("B",)], ()), _maximum(0.0, information)) == np.inf
+
+
+def test_the_level_at_the_top_is_that_of_the_last_eight_bins() -> None:
+    """Their power over their ordinates."""
+    data = ordinates_of(simulated("N=1", 2000, 1))
+    search = _BandSearch(data, ("N",), 10.0, ())
+    assert search.level_at_the_top() == pytest.approx(data.power[-8:].sum() / data.size[-8:].sum())
+
+
+def test_white_noise_at_the_top_makes_most_of_the_power_there() -> None:
+    """Of white noise it does, of a walk it does not."""
+    for text, white in (("N=1", True), ("K=1", False)):
+        data = ordinates_of(simulated(text, 2000, 2))
+        assert _BandSearch(data, ("N", "K"), 10.0, ()).white_at_the_top() == white
+
+
+def _shaped(data: Ordinates, order: Order, response: FloatArray, white: float) -> Ordinates:
+    """Return ordinates whose power is exactly that of white noise behind a response."""
+    x = data.lam / data.top
+    shape = (1 - data.lam / 4) ** order[1] / (1 + x[:, None] ** np.arange(1, order[0] + 1) @ response)
+    return replace(data, power=data.size * white * shape)
+
+
+@pytest.mark.parametrize(
+    ("order", "response"),
+    [((1, 0), [2.0]), ((2, 0), [-0.5, 6.0]), ((2, 2), [-1.5, 3.0]), ((3, 1), [0.5, 0.1, 9.0])],
+)
+def test_a_response_starts_at_the_one_that_is_there(order: Order, response: list[float]) -> None:
+    """Of white noise without scatter the regression returns variance and coefficients to rounding."""
+    data = _shaped(ordinates_of(simulated("N=1", 2000, 1)).below(0.9), order, np.array(response), 7.0)
+    low = np.array([[1.0, 2.0, 3.0, 4.0]])
+    theta = start_response(data, low, order, width=4, room=5)
+    npt.assert_allclose(theta[0, [0, 2, 3]], [1.0, 3.0, 4.0])
+    assert np.exp(theta[0, 1]) == pytest.approx(7.0, rel=1e-6)
+    npt.assert_allclose(theta[0, 4 : 4 + order[0]], response, rtol=1e-5)
+    npt.assert_array_equal(theta[0, 4 + order[0] :], 0.0)
+    assert theta.shape == (1, 9)
+
+
+def test_a_resonance_so_sharp_that_no_regression_is_positive_starts_flat() -> None:
+    """Then it is the best of a row of Butterworth responses, with a likelihood."""
+    data = ordinates_of(simulated("N=1", 2000, 1)).below(1.0)
+    wild = _shaped(data, (1, 0), np.array([-0.9999]), 1.0)
+    theta = start_response(wild, np.zeros((1, 4)), (2, 0), width=4, room=2)
+    candidate = candidates_of([("N",)], data.names, poles=2)
+    assert np.isfinite(evaluate(wild, candidate, theta).objective[0])

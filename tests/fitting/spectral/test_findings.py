@@ -1,0 +1,225 @@
+"""What a fit of the spectrum says, and when it says nothing."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray
+from imucal.fitting.noise_fit import Goodness, Line, Response
+from imucal.fitting.spectral.estimates import Fitted
+from imucal.fitting.spectral.filter_response import Band, Order, filter_finding, response_of
+from imucal.fitting.spectral.mle import (
+    _line_findings,
+    _misfit_findings,
+    _richest,
+    _structures,
+    _used,
+)
+from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.scoring import Maximum
+from imucal.fitting.spectral.structures import candidates_of
+from imucal.recording import AxisSeries
+from tests.fitting.fits import ordinates_of
+
+if TYPE_CHECKING:
+    from imucal.fitting.spectral.likelihood import Candidates
+
+SERIES = AxisSeries.from_samples(np.arange(3.0), rate_hz=100.0)
+RATE = 100.0
+
+
+def _band(fraction: float, order: Order, response: FloatArray) -> Band:
+    return Band(
+        fraction=fraction,
+        order=order,
+        poles=response.size,
+        zeros=order[1] if order[0] else 0,
+        response=response,
+    )
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [
+        (0, None),
+        (1, "Line at 1 Hz (amplitude 0.5 rad/s); left out of the fit."),
+        (
+            4,
+            (
+                "Lines at 1 Hz (amplitude 0.5 rad/s), 2 Hz (amplitude 0.25 rad/s), "
+                "3 Hz (amplitude 0.167 rad/s), 4 Hz (amplitude 0.125 rad/s); left out of the fit."
+            ),
+        ),
+        (
+            6,
+            (
+                "Lines at 1 Hz (amplitude 0.5 rad/s), 2 Hz (amplitude 0.25 rad/s), "
+                "3 Hz (amplitude 0.167 rad/s), 4 Hz (amplitude 0.125 rad/s) and 2 weaker ones; "
+                "left out of the fit."
+            ),
+        ),
+    ],
+)
+def test_at_most_four_lines_are_named(count: int, text: str | None) -> None:
+    """The others are counted; without a line nothing is said."""
+    lines = tuple(Line(frequency_hz=float(k), amplitude=0.5 / k) for k in range(1, count + 1))
+    assert [f.text for f in _line_findings(lines, SERIES)] == ([] if text is None else [text])
+
+
+@pytest.mark.parametrize(("statistic", "said"), [(2.99, False), (3.0, True)])
+def test_a_misfit_from_a_score_of_three_is_said(statistic: float, *, said: bool) -> None:
+    """With its mean squared residual and its score."""
+    found = _misfit_findings(
+        Goodness(statistic=statistic, p_value=0.1, chi2_per_bin=1.234), "N=1 + K=2", "gyro_x"
+    )
+    assert [f.text for f in found] == (
+        [
+            (
+                "N=1 + K=2 does not describe this axis: the squared residuals of its spectrum are 1.23 on "
+                "average where 1 is expected (score 3.0)."
+            )
+        ]
+        if said
+        else []
+    )
+
+
+def test_points_beyond_the_band_and_the_filter_are_used() -> None:
+    """Averages over at least one period of what the fit saw; the edge counts."""
+    m = np.array([1, 2, 4, 8])
+    ones = np.ones(4)
+    curve = AllanCurve(tau=m.astype(np.float64), m=m, avar=ones, edf=ones, n=100)
+    flat = _band(1.0, (0, 0), np.zeros(0))
+    npt.assert_array_equal(_used(curve, flat, 1.0), [0, 1, 2, 3])
+    npt.assert_array_equal(_used(curve, flat, 0.25), [2, 3])
+    npt.assert_array_equal(_used(curve, _band(0.5, (0, 0), np.zeros(0)), 1.0), [1, 2, 3])
+
+
+def test_behind_a_filter_every_candidate_has_white_noise_and_none_quantization() -> None:
+    """A given model is the only candidate, whatever the filter."""
+    assert _structures(("B",), 1, filtered=True) == [("B",)]
+    plain, filtered = (_structures(None, 1, filtered=f) for f in (False, True))
+    assert any("Q" in s for s in plain)
+    assert any("N" not in s for s in plain)
+    assert {s for s in plain if "N" in s and "Q" not in s} == set(filtered)
+
+
+def test_the_richest_model_holds_every_candidate() -> None:
+    """And one Gauss-Markov term even where none is a candidate, for the band's sake."""
+    assert _richest(None, 0) == ("Q", "N", "B", "GM", "K", "R")
+    assert _richest(None, 2) == ("Q", "N", "B", "GM", "GM", "K", "R")
+    assert _richest(("N", "K"), 2) == ("N", "B", "GM", "K")
+    assert set(_richest(("Q", "GM", "GM"), 1)) == {"Q", "N", "B", "GM", "K"}
+
+
+def _behind(poles: FloatArray, zeros: int) -> tuple[Ordinates, Fitted]:
+    """Return ordinates and a model of white noise behind the response of these coefficients."""
+    data = ordinates_of(np.random.default_rng(1).standard_normal(300))
+    candidate: Candidates = candidates_of([("N",)], ("R",), poles=poles.size, zeros=zeros)
+    maximum = Maximum(
+        theta=np.concatenate([np.zeros(4), poles])[None, :],
+        objective=np.zeros(1),
+        information=np.zeros((1, candidate.width, candidate.width)),
+        beta=np.zeros((1, 1)),
+        beta_covariance=np.zeros((1, 1, 1)),
+        converged=np.ones(1, dtype=bool),
+    )
+    return data, Fitted(structure=("N",), candidate=candidate, maximum=maximum)
+
+
+@pytest.mark.parametrize(
+    ("poles", "order", "kind", "fraction"),
+    [
+        # 1 + a lam/4 = 2 where sin² = 1/a.
+        ([4.0], (1, 0), "one-pole", 2 / np.pi * np.arcsin(0.5)),
+        ([0.0, 16.0], (2, 0), "two-pole", 2 / np.pi * np.arcsin(0.5)),
+        # tan² = 1 at half of Nyquist: (1 - x) / (1 - x + x) is Butterworth's of order 1.
+        ([0.0], (1, 1), "butterworth-1", 0.5),
+        ([-2.0, 2.0], (2, 2), "butterworth-2", 0.5),
+        ([3.0, 0.0], (2, 1), "two-pole one-zero", None),
+    ],
+)
+def test_a_response_is_named_and_its_corner_found(
+    poles: list[float], order: Order, kind: str, fraction: float | None
+) -> None:
+    """To the step of 1/2000 of the band; the family by its shape."""
+    response = np.array(poles)
+    data, fitted = _behind(response, order[1])
+    found = response_of(data, fitted, _band(1.0, order, response), RATE)
+    assert found is not None
+    assert found.kind == kind
+    if fraction is not None:
+        assert found.cutoff_hz == pytest.approx(fraction * RATE / 2, abs=1.01 * RATE / 2 / 2000)
+
+
+def test_a_response_without_a_corner_has_no_name() -> None:
+    """One of order 0, and one that never falls to a half."""
+    response = np.array([0.9])
+    data, fitted = _behind(response, 0)
+    assert response_of(data, fitted, _band(1.0, (1, 0), response), RATE) is None
+    assert response_of(data, fitted, _band(1.0, (0, 0), response), RATE) is None
+
+
+@pytest.mark.parametrize(
+    ("pole", "fraction", "order", "named", "text"),
+    [
+        (None, 1.0, (0, 0), False, None),
+        (
+            None,
+            0.5,
+            (0, 0),
+            False,
+            "Above 25 Hz an output filter, or a vibration, shapes the spectrum; the fit uses what is below.",
+        ),
+        (
+            3.0,
+            1.0,
+            (1, 0),
+            True,
+            (
+                "An output filter (one-pole, -3 dB at 12.5 Hz) shapes the spectrum; its response is fitted "
+                "with the noise up to 50 Hz."
+            ),
+        ),
+        (
+            -0.5,
+            1.0,
+            (1, 0),
+            False,
+            (
+                "The spectrum is not flat where its noise is white (+3.0 dB at 50 Hz: a resonance or a "
+                "vibration); a response is fitted with the noise up to 50 Hz."
+            ),
+        ),
+        (
+            0.5,
+            1.0,
+            (1, 0),
+            False,
+            (
+                "The spectrum is not flat where its noise is white (-1.8 dB at 50 Hz: an output filter); "
+                "a response is fitted with the noise up to 50 Hz."
+            ),
+        ),
+        (
+            0.5,
+            1.0,
+            (0, 0),
+            False,
+            "Above 50 Hz an output filter, or a vibration, shapes the spectrum; the fit uses what is below.",
+        ),
+    ],
+)
+def test_what_is_said_about_a_filter(
+    pole: float | None, fraction: float, order: Order, text: str | None, *, named: bool
+) -> None:
+    """Nothing of a flat whole band; else its name, or what bends the spectrum, or where the fit ends."""
+    response = np.array([] if pole is None else [pole])
+    data, fitted = _behind(response, 0)
+    given = Response(kind="one-pole", cutoff_hz=12.5) if named else None
+    found = filter_finding(data, fitted, _band(fraction, order, response), given, rate_hz=RATE, axis="gyro_x")
+    assert [f.text for f in found] == ([] if text is None else [text])
+    assert all((f.level, f.code, f.axis) == ("info", "output-filter", "gyro_x") for f in found)

@@ -1,0 +1,95 @@
+"""The search for a maximum: its bounds, its steps, and what the maximum is worth."""
+
+from statistics import NormalDist
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.scoring import _step, bounds, covariance, maximize, misfit
+from imucal.fitting.spectral.structures import candidates_of
+from tests.fitting.fits import ordinates_of, simulated
+
+
+def test_bounds_of_a_time_and_of_a_variance() -> None:
+    """From the shortest to twice the record; a variance to exp(-18) of the lowest bin it could show in."""
+    data = ordinates_of(simulated("N=1 + K=0.05", 500, 1))
+    candidates = candidates_of([("N", "GM")], data.names, poles=1)
+    low, high = bounds(data, candidates, shortest=7.0)
+    assert np.exp(low[5]) == pytest.approx(7.0)
+    assert np.exp(high[5]) == pytest.approx(1000.0)
+    assert np.isposinf(high[[0, 1, 2, 3, 4, 6]]).all()
+    assert np.isneginf(low[6])
+    groups = [slice(at, at + 8) for at in range(0, data.size.size, 8)]
+    level = np.array([data.power[g].sum() / data.size[g].sum() for g in groups])
+    visible = (level / data.basis[:, ::8]).min(axis=1)
+    npt.assert_allclose(low[:4], np.log(visible) - 18, rtol=1e-12)
+    assert low[4] == pytest.approx(np.log(level.min() / 500) - 18)
+
+
+def test_a_step_is_no_longer_than_one_and_a_half() -> None:
+    """In log units; of a response, relative to 1 + its size. A parameter at its bound stays there."""
+    data = ordinates_of(simulated("N=1 + K=0.05", 500, 1))
+    candidates = candidates_of([("N", "K")], data.names, poles=1)
+    low, high = bounds(data, candidates, shortest=2.0)
+    theta = np.array([[0.0, -12.0, 0.0, -14.0, 0.0]])
+    state = evaluate(data, candidates, theta)
+    rows, damping = np.array([0]), np.array([1e-9])
+    score = np.array([[0.0, -1e9, 0.0, 1e9, -1e9]])
+    state.score[:] = score
+    moved = _step(state, theta, rows, candidates.free, damping, limits=(low, high)) - theta
+    assert np.abs(moved).max() == pytest.approx(1.5)
+    assert moved[0, 0] == moved[0, 2] == 0.0
+    theta[0, 4] = 3.0
+    state.information[:] = np.eye(5)
+    moved = _step(state, theta, rows, candidates.free, damping, limits=(low, high)) - theta
+    npt.assert_allclose(moved, [[0.0, 1.5, 0.0, -1.5, 6.0]])
+    at_bound = np.where(np.isfinite(low), low, theta)
+    moved = _step(state, at_bound, rows, candidates.free, damping, limits=(low, high)) - at_bound
+    npt.assert_allclose(moved, [[0.0, 1.5, 0.0, 0.0, 6.0]])
+
+
+def test_a_search_ends_at_rest_or_says_that_it_did_not() -> None:
+    """One step is too few from far away; a parameter that is held does not move."""
+    data = ordinates_of(simulated("N=1 + K=0.05", 500, 1))
+    candidates = candidates_of([("N", "K")], data.names)
+    start = np.array([[0.0, -9.0, 0.0, 3.0]])
+    assert not maximize(data, candidates, start, shortest=2.0, iterations=1).converged[0]
+    found = maximize(data, candidates, start, shortest=2.0)
+    assert found.converged[0]
+    assert np.abs(evaluate(data, candidates, found.theta).score).max() < 1e-3
+    held = np.array([[False, True, False, False]])
+    partly = maximize(data, candidates, start, shortest=2.0, free=held)
+    assert partly.theta[0, 3] == 3.0
+    assert partly.objective[0] > found.objective[0]
+
+
+def test_the_covariance_holds_what_the_data_do_not_tell() -> None:
+    """Parameters of no information, or held, have variance inf; the others that of theirs alone."""
+    information = np.array([[4.0, 1.0, 0.0, 1.0], [1.0, 2.0, 0.0, 0.5], [0.0] * 4, [1.0, 0.5, 0.0, 3.0]])
+    found = covariance(information, np.array([True, True, True, False]))
+    npt.assert_allclose(found[:2, :2], np.linalg.inv(information[:2, :2]), rtol=1e-12)
+    npt.assert_array_equal(np.diag(found)[2:], np.inf)
+    npt.assert_array_equal(found[2:, :2], 0.0)
+
+
+def test_the_misfit_is_its_definition() -> None:
+    """Groups of eight degrees of freedom; a loop over them gives the same score."""
+    data = ordinates_of(simulated("N=1 + K=0.05", 400, 2) + 0.01 * np.arange(400))
+    candidate = candidates_of([("N", "R")], data.names)
+    theta = np.zeros((1, 4))
+    beta = evaluate(data, candidate, theta).beta[0, 0]
+    ratio = data.power - 2 * beta * data.cross[0] + beta**2 * data.gram[0, 0]
+    groups: dict[int, list[float]] = {}
+    before = 0.0
+    for size, value in zip(data.size.tolist(), ratio.tolist(), strict=True):
+        group = groups.setdefault(int((before + size / 2) // 8), [0.0, 0.0])
+        group[0], group[1] = group[0] + size, group[1] + value
+        before += size
+    squares = [(value - size) ** 2 / (2 * size) for size, value in groups.values()]
+    spread = np.sqrt(sum(2 + 12 / size for size, _ in groups.values()))
+    found = misfit(data, candidate, theta)
+    assert found.chi2_per_bin == pytest.approx(np.mean(squares), rel=1e-12)
+    assert found.statistic == pytest.approx((sum(squares) - len(squares)) / spread, rel=1e-9)
+    assert found.p_value == pytest.approx(NormalDist().cdf(-found.statistic), rel=1e-9)

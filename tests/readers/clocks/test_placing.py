@@ -1,0 +1,254 @@
+"""Each sample's place: the edges of what counts as missing, doubled, set back or wrong."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.arrays import IntArray
+from imucal.clock import Segment
+from imucal.readers.clocks import placing
+from imucal.readers.clocks.from_stamps import _believable, _filled, _segments
+from imucal.readers.clocks.placing import (
+    NO_BREAKS,
+    Breaks,
+    _extreme,
+    _lowest_after,
+    find_breaks,
+    fit_period,
+    step_statistics,
+)
+from imucal.readers.clocks.rate import Period
+
+TAU = 1000
+EVEN = np.arange(200, dtype=np.int64) * TAU
+NONE = np.zeros(0, dtype=np.int64)
+PERIOD = Period(tau_ns=float(TAU), jitter=0.0, burst=1, resolution_ns=1)
+
+
+def late(at: int, by: int) -> IntArray:
+    """Return even stamps of which all from one on come later."""
+    return EVEN + (np.arange(EVEN.size) >= at) * by
+
+
+@pytest.mark.parametrize("block", [1 << 16, 64])
+@pytest.mark.parametrize(
+    ("stamps", "expected"),
+    [
+        (EVEN, (0, 0, [], True)),
+        (EVEN[:1], (0, 0, [], True)),
+        # Half a period less and half a period more are even, a nanosecond beyond is not.
+        (late(100, -500), (0, 0, [], True)),
+        (late(100, -501), (0, 0, [], False)),
+        (late(100, 500), (0, 0, [], True)),
+        (late(100, 501), (0, 0, [], False)),
+        (late(100, -1000), (1, 0, [], False)),
+        # Less than half a period back is jitter.
+        (late(100, -1001), (0, 1, [], False)),
+        (late(100, -1500), (0, 1, [], False)),
+        (late(100, -10_000), (0, 1, [100], False)),
+        (late(2, -10_000), (0, 1, [2], False)),
+        (late(198, -10_000), (0, 1, [198], False)),
+        (late(199, -10_000), (0, 1, [199], False)),
+        (late(100, -10_000) - (np.arange(200) > 100) * 600, (0, 1, [100], False)),
+        # A clock set back by few samples has caught up after five.
+        (late(100, -5_000), (0, 1, [], False)),
+        (late(100, -5_001), (0, 1, [100], False)),
+        # One stamp that is wrong is no reset.
+        (late(100, 50_000) - (np.arange(200) > 100) * 50_000, (0, 1, [], False)),
+        (late(64, -10_000) + (np.arange(200) >= 128) * -10_000, (0, 2, [64, 128], False)),
+    ],
+)
+def test_steps(
+    stamps: IntArray,
+    expected: tuple[int, int, list[int], bool],
+    block: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Equal stamps, stamps out of order, and where the clock went back for good; in blocks of any size."""
+    monkeypatch.setattr(placing, "_BLOCK", block)
+    found = step_statistics(stamps, float(TAU))
+    assert (found.same, found.back, found.resets.tolist(), found.even) == expected
+
+
+@pytest.mark.parametrize("block", [1 << 16, 32])
+@pytest.mark.parametrize(
+    ("stamps", "expected"),
+    [
+        (EVEN, [[], [], []]),
+        (late(100, 500), [[], [], []]),
+        (late(100, 501), [[100], [1], []]),
+        (late(100, 1499), [[100], [1], []]),
+        (late(100, 1501), [[100], [2], []]),
+        (late(1, 7000), [[1], [7], []]),
+        (late(199, 7000), [[199], [7], []]),
+        (late(50, 3000) + (np.arange(200) >= 150) * 2000, [[50, 150], [3, 2], []]),
+        (late(100, -500), [[], [], []]),
+        (late(100, -501), [[], [], [100]]),
+        (late(100, -1000), [[], [], [100]]),
+        (late(50, -1000) + (np.arange(200) >= 150) * -1000, [[], [], [50, 150]]),
+        (late(50, 1000) + (np.arange(200) >= 150) * -1000, [[50], [1], [150]]),
+        # Late once, and caught up at the next.
+        (EVEN + (np.arange(200) == 100) * 900, [[], [], []]),
+        (EVEN - (np.arange(200) == 100) * 900, [[], [], []]),
+    ],
+)
+def test_breaks(
+    stamps: IntArray,
+    expected: list[list[int]],
+    block: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """More than half a period for good is a sample more or less, wherever blocks of work end."""
+    monkeypatch.setattr(placing, "_BLOCK", block)
+    monkeypatch.setattr(placing, "_REACH", min(block, 1 << 13))
+    found = find_breaks(stamps, PERIOD)
+    assert [found.at.tolist(), found.missing.tolist(), found.doubled.tolist()] == expected
+
+
+@pytest.mark.parametrize(("lost", "missing"), [(2, []), (3, [3]), (5, [5]), (6, [6])])
+def test_breaks_between_bursts(lost: int, missing: list[int]) -> None:
+    """Samples that come three at a time: fewer than those of a burst are not seen to be missing."""
+    stamps = np.repeat(np.arange(100, dtype=np.int64) * 3 * TAU, 3)
+    stamps[150:] += lost * TAU
+    found = find_breaks(stamps, Period(tau_ns=float(TAU), jitter=0.0, burst=3, resolution_ns=1))
+    assert (found.missing.tolist(), found.doubled.tolist()) == (missing, [])
+    assert found.at.tolist() == [150] * len(missing)
+
+
+def test_extremes_before_a_place() -> None:
+    """Of so many values before it, itself left out."""
+    x = np.array([5.0, 1.0, 4.0, 2.0, 3.0, 0.0])
+    for width in range(1, 6):
+        for better, best in ((np.maximum, max), (np.minimum, min)):
+            expected = [x[0], *(best(x[max(i - width, 0) : i]) for i in range(1, x.size))]
+            assert _extreme(x, better, width).tolist() == expected
+
+
+def test_the_lowest_from_a_place_on() -> None:
+    """Of as many values as the next power of two, to the end at most."""
+    x = np.array([5.0, 4.0, 6.0, 2.0, 3.0, 0.0])
+    reach = [0, 1, 2, 3, 4, 5]
+    found = [_lowest_after(x, np.array([0]), np.array([n])).tolist() for n in reach]
+    assert found == [[5.0], [5.0], [4.0], [2.0], [2.0], [0.0]]
+    assert _lowest_after(x, np.array([1, 4]), np.array([1, 9])).tolist() == [4.0, 0.0]
+
+
+def test_the_period_between_breaks() -> None:
+    """Gaps of known size tell of the period, longer ones, doubled samples and resets begin anew."""
+    true = np.arange(400, dtype=np.int64) * 1010
+    kept = np.delete(true, [*range(100, 103), *range(200, 260)])
+    breaks = Breaks(at=np.array([100, 197]), missing=np.array([3, 60]), doubled=NONE)
+    for longest in (2, 3, 59, 60):
+        assert fit_period(kept, 1000.0, breaks, NONE, longest=longest) == pytest.approx(
+            (1010.0, 0.0), abs=1e-4
+        )
+    # A wrong size of the longer gap is believed only where it is asked for.
+    wrong = Breaks(at=breaks.at, missing=np.array([3, 50]), doubled=NONE)
+    assert fit_period(kept, 1000.0, wrong, NONE, longest=49)[0] == pytest.approx(1010.0)
+    assert fit_period(kept, 1000.0, wrong, NONE, longest=50)[0] > 1020
+    reset = np.where(np.arange(400) < 150, true, true - 90_000)
+    assert fit_period(reset, 1000.0, NO_BREAKS, np.array([150]), longest=10)[0] == pytest.approx(1010.0)
+    doubled = np.insert(true, 77, true[77])
+    again = Breaks(at=NONE, missing=NONE, doubled=np.array([78]))
+    assert fit_period(doubled, 1000.0, again, NONE, longest=10)[0] == pytest.approx(1010.0)
+
+
+def test_what_is_left_after_the_period() -> None:
+    """The standard deviation has the samples less the runs to divide by; one sample has none."""
+    stamps = EVEN + np.where(np.arange(200) % 2, 30, -30)
+    tau, jitter = fit_period(stamps, 1000.0, NO_BREAKS, NONE, longest=10)
+    assert tau == pytest.approx(1000.0, abs=0.01)
+    assert jitter == pytest.approx(30 * np.sqrt(200 / 199), rel=1e-4)
+    assert fit_period(EVEN[:2], 990.0, NO_BREAKS, NONE, longest=10) == (1000.0, 0.0)
+    assert fit_period(EVEN[:1], 1000.0, NO_BREAKS, NONE, longest=10) == (1000.0, 0.0)
+
+
+def test_a_stamp_that_is_far_off_has_no_weight() -> None:
+    """One of two hundred moves neither period nor jitter."""
+    stamps = EVEN + np.where(np.arange(200) % 2, 30, -30)
+    expected = fit_period(stamps, 1000.0, NO_BREAKS, NONE, longest=10)
+    for by in (10**9, -(10**9)):
+        wrong = stamps + (np.arange(200) == 20) * by
+        assert fit_period(wrong, 1000.0, NO_BREAKS, NONE, longest=10) == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "filled"),
+    [
+        ([10, 0, 30], [10, 20, 30]),
+        ([0, 20, 30, 0, 0], [10, 20, 30, 40, 50]),
+        ([10, 0, 0, 40, 60], [10, 20, 30, 40, 60]),
+        ([0, 7, 0], [7, 7, 7]),
+        ([0, 10, 30], [-10, 10, 30]),
+    ],
+)
+def test_zero_stamps_are_filled(stamps: list[int], filled: list[int]) -> None:
+    """Between neighbours, and evenly on at both ends."""
+    assert _filled(np.array(stamps, dtype=np.int64)).tolist() == filled
+
+
+DAY = 86_400 * 10**9
+
+
+@pytest.mark.parametrize(
+    ("step", "missing", "log_step", "expected"),
+    [
+        # Without log time: more than a day, and more than ten times the log.
+        (DAY, 1000, None, None),
+        (DAY + 1, 1000, None, 1),
+        (DAY + 1, 9, None, None),
+        (DAY + 1, 10, None, 1),
+        # With it: less than half of what the stamps say, and more than a second.
+        (10**9 + 1, 100, 50 * TAU, 49),
+        (10**9, 100, 50 * TAU, None),
+        (10**9 + 1, 100, 51 * TAU, None),
+        (10**9 + 1, 100, TAU, 1),
+        (10**9 + 1, 9, TAU, None),
+        (DAY + 1, 100, 101 * TAU, None),
+    ],
+)
+def test_a_gap_or_a_setting_of_the_clock(
+    step: int, missing: int, log_step: int | None, expected: int | None
+) -> None:
+    """What the stamps skip is missing, unless the log time or common sense says that the clock was set."""
+    stamps = late(100, step - TAU)
+    log = None if log_step is None else late(100, log_step - TAU)
+    breaks = Breaks(at=np.array([100]), missing=np.array([missing]), doubled=NONE)
+    found, jumps = _believable(stamps, log, breaks, NONE, float(TAU))
+    assert found.tolist() == [missing if expected is None else expected]
+    assert jumps == ({} if expected is None else {100: expected})
+    npt.assert_array_equal(breaks.missing, [missing])
+
+
+def test_a_long_log_may_have_long_gaps() -> None:
+    """Ten times what it holds, where that is more than a day."""
+    tau = float(DAY)
+    breaks = Breaks(at=np.array([2]), missing=np.array([29]), doubled=NONE)
+    for more, wrong in ((0, False), (1, True)):
+        stamps = np.array([0, 1, 31], dtype=np.int64) * DAY + np.array([0, 0, more])
+        assert _believable(stamps, None, breaks, NONE, tau)[1] == ({2: 1} if wrong else {})
+
+
+def test_a_reset_misses_what_the_log_time_says() -> None:
+    """At least one sample, and just one without log time."""
+    reset = np.array([100])
+    assert _believable(EVEN, None, NO_BREAKS, reset, float(TAU))[1] == {100: 1}
+    assert _believable(EVEN, EVEN, NO_BREAKS, reset, float(TAU))[1] == {100: 1}
+    assert _believable(EVEN, late(100, 4 * TAU), NO_BREAKS, reset, float(TAU))[1] == {100: 4}
+
+
+def test_runs_between_breaks() -> None:
+    """Numbered in the samples that are kept, placed on the grid of all."""
+    breaks = Breaks(at=np.array([3, 8]), missing=np.array([2, 5]), doubled=np.array([6, 1]))
+    assert _segments(12, breaks, breaks.missing, {10: 4}) == (
+        Segment(start=0, stop=2, offset=0),
+        Segment(start=2, stop=6, offset=4),
+        Segment(start=6, stop=8, offset=13),
+        Segment(start=8, stop=10, offset=19),
+    )
+    # A doubled sample right behind a break leaves nothing between.
+    one = Breaks(at=np.array([1, 2]), missing=np.array([3, 4]), doubled=np.array([1]))
+    assert _segments(3, one, one.missing, {}) == (
+        Segment(start=0, stop=1, offset=0),
+        Segment(start=1, stop=2, offset=8),
+    )

@@ -1,0 +1,197 @@
+"""The unit that samples show: the edges of gravity, of counts, of steps and of a gyroscope's noise."""
+
+import numpy as np
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.readers.tables.scales import (
+    _STEPS,
+    _sample_of,
+    _step,
+    _white_noise,
+    infer_accel_unit,
+    infer_gyro_unit,
+)
+from imucal.units import G0
+
+
+def still(size: float) -> FloatArray:
+    return np.array([[0.0, 0.0, size]] * 3)
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "scale"),
+    [
+        (1.149, "g", None),
+        (1.151, None, None),
+        (0.851, "g", None),
+        (0.849, None, None),
+        (G0 * 1.149, "m/s^2", None),
+        (G0 * 0.849, None, None),
+        (1149.5, "mg", None),
+        (850.5, "mg", None),
+        (849.5, None, None),
+        # Five percent about counts, which must be whole.
+        (2048 * 1.049 // 1, "count", G0 / 2048),
+        (2048 * 1.051 // 1, None, None),
+        (2048 * 0.951 // 1, "count", G0 / 2048),
+        (2048 * 0.949 // 1, None, None),
+        (2048.5, None, None),
+        (4096.0, "count", G0 / 4096),
+        (8192.0, "count", G0 / 8192),
+        (16384.0, "count", G0 / 16384),
+    ],
+)
+def test_gravity(size: float, unit: str | None, scale: float | None) -> None:
+    """Fifteen percent about a unit, five about a count."""
+    found = infer_accel_unit(still(size))
+    assert (found.unit, found.scale, found.assumed) == (unit, scale, False)
+
+
+@pytest.mark.parametrize(
+    ("size", "reason"),
+    [
+        (9.5, "median magnitude 9.5 is gravity in m/s^2"),
+        (0.5, "median magnitude 0.5 is gravity in none of m/s^2, g and mg"),
+        (2048.0, "median magnitude 2048 is gravity at 2048 counts per g"),
+        (500.0, "integer counts of median magnitude 500, which is 1 g at no usual range"),
+        (
+            5000.0,
+            (
+                "integer counts of median magnitude 5000, which is 1 g at no usual range; "
+                "a 16 bit sensor of 8 g range has 4096 counts per g"
+            ),
+        ),
+        (
+            30000.0,
+            (
+                "integer counts of median magnitude 3e+04, which is 1 g at no usual range; "
+                "a 16 bit sensor of 2 g range has 16384 counts per g"
+            ),
+        ),
+    ],
+)
+def test_reasons(size: float, reason: str) -> None:
+    """The size is said, and for large counts the usual range next to it."""
+    assert infer_accel_unit(still(size)).reason == reason
+
+
+def test_nothing_to_tell_from() -> None:
+    """Without finite samples no unit is taken."""
+    nothing = np.zeros((0, 3))
+    assert infer_accel_unit(nothing).reason == "there are no finite samples"
+    assert infer_gyro_unit(nothing, rate_hz=None, accel_unit=None).reason == "there are no finite samples"
+
+
+def test_known_steps() -> None:
+    """In deg/s per count, each range twice the one before."""
+    invensense = [1 / 262, 1 / 131, 2 / 131, 4 / 131, 8 / 131]
+    bosch = [125 * 2**k / 32768 for k in range(6)]
+    st = [0.004375, 0.00875, 0.0175, 0.035, 0.07, 0.14]
+    assert pytest.approx([*invensense, *bosch, *st], rel=1e-12) == _STEPS
+
+
+def turning(step: float, n: int = 40) -> FloatArray:
+    return np.array([[k % 7, k % 5, k % 3] for k in range(n)]) * step
+
+
+@pytest.mark.parametrize(
+    ("step", "unit"),
+    [
+        (0.07, "deg/s"),
+        (0.07 * 1.00099, "deg/s"),
+        (0.07 * 1.00101, None),
+        (0.07 * 0.99901, "deg/s"),
+        (0.07 * 0.99899, None),
+        (np.radians(0.07), "rad/s"),
+        (0.05, None),
+    ],
+)
+def test_a_converters_step(step: float, unit: str | None) -> None:
+    """One in a thousand about a known one."""
+    found = infer_gyro_unit(turning(step), rate_hz=None, accel_unit=None)
+    assert (found.unit, found.assumed) == (unit, False)
+
+
+def test_the_reason_of_a_step() -> None:
+    """The step and the known one."""
+    reason = "the rates come in steps of 0.00122173, a converter's 0.07 deg/s"
+    assert infer_gyro_unit(turning(np.radians(0.07)), rate_hz=None, accel_unit=None).reason == reason
+
+
+def axis(*values: float) -> FloatArray:
+    return np.array([values] * 3).T
+
+
+@pytest.mark.parametrize(
+    ("rows", "step"),
+    [
+        (axis(0.0, 0.5, 1.0, 2.5), 0.5),
+        # Two values have one difference, which is no step.
+        (axis(0.0, 0.5), None),
+        (axis(0.0, 0.5, 1.0), 0.5),
+        (np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 1.0], [1.0, 0.5, 1.0]]), 0.5),
+        # Values that differ by rounding alone are one.
+        (axis(0.0, 0.5, 0.5000001, 1.0), 0.49999995),
+        (axis(0.0, 1e-7, 1.0, 2.0), 0.99999995),
+        # One of forty differences may be no multiple, one of twenty not.
+        (axis(*(0.5 * k for k in range(1, 60)), 29.5 + 0.8), 0.5),
+        (axis(*(0.5 * k for k in range(1, 30)), 14.5 + 0.8), None),
+        # Axes differ by two percent at most.
+        (np.array([0.0, 1.0, 2.0, 3.0])[:, None] * [1.0, 1.019, 1.0], 1.019 / 3 + 2 / 3),
+        (np.array([0.0, 1.0, 2.0, 3.0])[:, None] * [1.0, 1.021, 1.0], None),
+    ],
+)
+def test_steps(rows: FloatArray, step: float | None) -> None:
+    """All values are multiples of it, on every axis."""
+    found = _step(rows)
+    assert found == (None if step is None else pytest.approx(step, rel=1e-6))
+
+
+def test_white_noise() -> None:
+    """From the quietest axis, of a hundred samples or more, with a rate."""
+    rows = np.array([[(-1.0) ** k * size for size in (1.0, 2.0, 0.5)] for k in range(100)])
+    assert _white_noise(rows, 4.0) == pytest.approx(1.0 / 0.6745 / np.sqrt(2) / 2)
+    assert _white_noise(rows[:99], 4.0) is None
+    assert _white_noise(rows, None) is None
+
+
+@pytest.mark.parametrize(
+    ("rate", "swing", "reason"),
+    [
+        (0.499, 0.0, "nothing in the log says it; SI as the accelerometer beside it"),
+        (0.501, 0.0, "the median rate 0.501 is too fast for rad/s at rest, so deg/s is likely"),
+        (0.1, 0.00238, "nothing in the log says it; SI as the accelerometer beside it"),
+        (
+            0.1,
+            0.00239,
+            "a noise of 0.005 rad/s/sqrt(Hz) is more than any gyroscope has, so deg/s is likely",
+        ),
+    ],
+)
+def test_rates_and_noise_of_a_gyroscope(rate: float, swing: float, reason: str) -> None:
+    """Half a radian per second, and 5e-3 rad/s/sqrt(Hz), are the most."""
+    rows = np.array([[rate, (-1.0) ** k * swing, (-1.0) ** k * swing] for k in range(100)])
+    rows[:, 0] += np.array([(-1.0) ** k * swing for k in range(100)])
+    found = infer_gyro_unit(rows, rate_hz=1.0, accel_unit="m/s^2")
+    assert found.reason == reason
+    assert found.assumed == (found.unit == "rad/s") == reason.startswith("nothing")
+
+
+def test_whole_rates_are_counts_unless_all_are_zero() -> None:
+    """Zeros say nothing of counts."""
+    counts = infer_gyro_unit(np.ones((9, 3)), rate_hz=None, accel_unit="m/s^2")
+    assert counts.reason == "the rates are integer counts of an unknown scale"
+    assert infer_gyro_unit(np.zeros((9, 3)), rate_hz=None, accel_unit="m/s^2").unit == "rad/s"
+
+
+def test_a_sample_of_a_long_log() -> None:
+    """Twenty thousand rows from four places, the last at the end; rows that are not finite left out."""
+    place = np.arange(40_000.0)
+    found = _sample_of([place, place, place])
+    assert found.shape == (20_000, 3)
+    assert [int(found[k * 5_000, 0]) for k in range(4)] == [0, 10_000, 20_000, 30_000]
+    short = np.arange(5_002.0)
+    assert [int(v) for v in _sample_of([short, short, short])[::5_000, 2]] == [0, 2]
+    gone = np.where(place == 1, np.nan, place)
+    assert _sample_of([place[:4], gone[:4], place[:4]])[:, 0].tolist() == [0.0, 2.0, 3.0]

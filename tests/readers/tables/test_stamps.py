@@ -1,0 +1,158 @@
+"""Times of a table in ns: the edges of wraps, of turns and of the rates that tell a unit."""
+
+import numpy as np
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.readers.tables.stamps import (
+    DAY,
+    NO_STAMP,
+    WEEK,
+    _typical_step,
+    date_stamps,
+    infer_time_unit,
+    parse_text_stamps,
+    rolled,
+    to_ns,
+    unwrapped,
+)
+
+SECOND = 10**9
+
+
+def times(step: float, start: float = 0.0) -> FloatArray:
+    return start + step * np.arange(10.0)
+
+
+@pytest.mark.parametrize(
+    ("step", "fits"),
+    [
+        # From 1 Hz to 20 kHz, and two percent beyond.
+        (1.0, ("s", "ms")),
+        (1.02, ("s", "ms")),
+        (1.03, ("ms",)),
+        (50.0, ("ms", "us")),
+        (49.1, ("ms", "us")),
+        (48.9, ("ms",)),
+        (0.0001, ("s",)),
+        (0.00001, ()),
+        (1e10, ()),
+    ],
+)
+def test_rates_that_tell_a_unit(step: float, fits: tuple[str, ...]) -> None:
+    """Every unit in which the step is one of an IMU; the only one is taken."""
+    unit, found = infer_time_unit(times(step))
+    assert sorted(found) == sorted(fits)
+    assert unit == (fits[0] if len(fits) == 1 else None)
+
+
+@pytest.mark.parametrize(
+    ("start", "unit"), [(0.9e15, None), (1.1e15, "us"), (3.9e15, "us"), (4.1e15, None), (1.1e12, "ms")]
+)
+def test_a_time_since_1970_tells_its_unit(start: float, unit: str | None) -> None:
+    """From 2001 to 2096, for a step that fits several units."""
+    assert infer_time_unit(times(100.0, start))[0] == unit
+
+
+@pytest.mark.parametrize(
+    ("values", "step"),
+    [
+        ([0, 1, 2, 3], 1.0),
+        ([5, 5, 5], 0.0),
+        ([3, 2, 1], 0.0),
+        # Where more than half of the stamps repeat, their mean.
+        ([0, 0, 0, 3], 1.0),
+        ([0, 0, 0, 0, 0, 10], 2.0),
+        # Where half do, the median of those that go on.
+        ([0, 0, 4, 4, 8], 2.0),
+        ([0, 4, 4, 8, 8, 12, 16], 4.0),
+        ([0, 0, 0, 4, 8], 2.0),
+    ],
+)
+def test_usual_steps(values: list[int], step: float) -> None:
+    """The median, unless stamps repeat."""
+    assert _typical_step(np.array(values)) == step
+
+
+@pytest.mark.parametrize(
+    ("counts", "turns"),
+    [
+        ([250, 253, 0, 3], 1),
+        ([250, 255, 0], 1),
+        ([250, 256, 0], 0),
+        ([65_000, 65_500, 10, 500], 1),
+        ([20_000, 20_001, 20_000], 0),
+        ([-1, 250, 3], 0),
+        ([7], 0),
+        ([1, 2, 3], 0),
+        ([250, 253, 1, 128, 255, 2], 2),
+        # A hundred steps, or a part of sixty-four of the range, may be missing at the wrap.
+        ([65_534, 65_535, 1_023], 1),
+        ([65_534, 65_535, 1_024], 0),
+        ([65_515, 65_535, 1_999], 1),
+        ([65_515, 65_535, 2_000], 0),
+    ],
+)
+def test_wraps(counts: list[int], turns: int) -> None:
+    """From near the end of a range to near its start."""
+    values, found = unwrapped(np.array(counts, dtype=np.int64))
+    assert found == turns
+    if turns == 0:
+        assert values.tolist() == counts
+    else:
+        assert (np.diff(values) > 0).all()
+        assert set((values - counts) % 256) == {0}
+
+
+@pytest.mark.parametrize(
+    ("stamps", "expected"),
+    [
+        ([DAY - 1, 0, 1], [DAY - 1, DAY, DAY + 1]),
+        ([DAY - 1, DAY // 2 - 1], [DAY - 1, DAY // 2 - 1]),
+        ([DAY - 1, DAY // 2 - 2], [DAY - 1, DAY + DAY // 2 - 2]),
+        ([DAY, 0], [DAY, 0]),
+        ([-1, 5], [-1, 5]),
+        ([], []),
+        ([DAY - 1, 0, DAY - 1, 5], [DAY - 1, DAY, 2 * DAY - 1, 2 * DAY + 5]),
+    ],
+)
+def test_midnight(stamps: list[int], expected: list[int]) -> None:
+    """A time of day that falls by more than half a day is the next day's."""
+    assert rolled(np.array(stamps, dtype=np.int64), DAY).tolist() == expected
+
+
+def test_dates_of_columns() -> None:
+    """To the nanosecond, over months and leap days."""
+    parts = [np.array([value, value]) for value in (2024, 3, 1, 1, 2)]
+    second, nano = np.array([3.5, 4.0]), np.array([7, 8])
+    start = 1_709_254_800 + 120
+    assert date_stamps([*parts, second]).tolist() == [start * SECOND + 3_500_000_000, (start + 4) * SECOND]
+    assert date_stamps([*parts, second, nano]).tolist() == [
+        start * SECOND + 3_500_000_007,
+        (start + 4) * SECOND + 8,
+    ]
+    assert (DAY, WEEK) == (86_400 * SECOND, 604_800 * SECOND)
+
+
+@pytest.mark.parametrize(
+    ("cell", "ns"),
+    [
+        ("1970-01-01 02:30:00-0130", 4 * 3600 * SECOND),
+        ("1970-01-01 02:30:00+01:30", 3600 * SECOND),
+        ("01:02:03", 3723 * SECOND),
+        ("'01:02:03.000000001999'", 3723 * SECOND + 1),
+        ("1970-13-01 00:00:00", NO_STAMP),
+    ],
+)
+def test_texts(cell: str, ns: int) -> None:
+    """Zones to the minute, hours, minutes and seconds; digits beyond ns are cut."""
+    assert parse_text_stamps([cell]).tolist() == [ns]
+
+
+def test_counts_that_do_not_fit_begin_at_zero() -> None:
+    """Whole numbers whose ns leave int64 are told from their first; floats become zero."""
+    most = (1 << 62) // 1000
+    assert to_ns(np.array([most, most - 1]), 1000).tolist() == [most * 1000, (most - 1) * 1000]
+    assert to_ns(np.array([most + 1, most + 2]), 1000).tolist() == [0, 1000]
+    assert to_ns(np.array([-most - 1, -most]), 1000).tolist() == [0, 1000]
+    assert to_ns(np.array([1e30, 2.5]), 1000).tolist() == [0, 2500]

@@ -1,0 +1,79 @@
+"""What rows without names must look like to be those of a known logger, and what columns arrays are."""
+
+import numpy as np
+import pytest
+
+from imucal.readers.tables.dialects import _is_kitti, _is_ros2
+from imucal.readers.tables.layout import BLANKS, TextLayout
+from imucal.readers.tables.table_files import _of_array, _plain
+
+#: A row of KITTI: position, three angles, and five whole numbers at the end.
+OXTS = ["49.0", "8.4", "110.0", "0.1", "0.2", "0.3", *["1.5"] * 19, "4", "10", "4", "4", "0"]
+
+
+@pytest.mark.parametrize(
+    ("place", "cell", "fits"),
+    [
+        (0, "-90", True),
+        (0, "90.1", False),
+        (1, "180", True),
+        (1, "-180.1", False),
+        (2, "9999", True),
+        (3, "-6.28", True),
+        (4, "6.29", False),
+        (5, "-6.29", False),
+        (10, "x", False),
+        (25, "4.0", False),
+        (24, "4.5", True),
+    ],
+)
+def test_rows_of_kitti(place: int, cell: str, fits: bool) -> None:  # noqa: FBT001 - of the case
+    """A place on Earth and angles within a turn, cut at blanks."""
+    row = [*OXTS[:place], cell, *OXTS[place + 1 :]]
+    assert _is_kitti(TextLayout(width=30, rows=(tuple(row),), delimiter=BLANKS)) == fits
+    assert not _is_kitti(TextLayout(width=30, rows=(tuple(row),), delimiter=","))
+
+
+@pytest.mark.parametrize(
+    ("start", "width", "fits"),
+    [
+        (["1", "2", "imu"], 40, True),
+        (["1", "2", "3"], 40, False),
+        (["1.5", "2", "imu"], 40, False),
+        (["1", "x", "imu"], 40, False),
+        (["1", "2", "imu"], 39, False),
+        (["1", "2", "imu", "x"], 40, False),
+    ],
+)
+def test_rows_of_ros2(start: list[str], width: int, fits: bool) -> None:  # noqa: FBT001 - of the case
+    """Seconds, nanoseconds, the name of a frame, then numbers only."""
+    row = (*start, *["0.5"] * (width - len(start)))
+    assert _is_ros2(TextLayout(width=width, rows=(row,))) == fits
+
+
+@pytest.mark.parametrize(
+    ("shape", "names"),
+    [
+        ((9,), ["a"]),
+        ((9, 1), ["a"]),
+        ((1, 9), ["a"]),
+        ((9, 3), ["a[0]", "a[1]", "a[2]"]),
+        ((3, 9), ["a[0]", "a[1]", "a[2]"]),
+        ((3, 3), ["a[0]", "a[1]", "a[2]"]),
+        ((2, 2, 2), []),
+        ((), []),
+    ],
+)
+def test_columns_of_arrays(shape: tuple[int, ...], names: list[str]) -> None:
+    """The longer side goes along the samples."""
+    columns = _of_array("a", np.arange(np.prod(shape, dtype=int)).reshape(shape))
+    assert [column.name for column in columns] == names
+    assert {column.size for column in columns} <= {max(shape, default=0)}
+
+
+def test_the_head_of_an_array() -> None:
+    """Four hundred values, in which gaps are looked for."""
+    for place, gaps in ((399, True), (400, False)):
+        values = np.where(np.arange(500) == place, np.nan, 1.0)
+        column = _plain("a", values)
+        assert (len(column.head), column.has_gaps, column.size) == (400, gaps, 500)

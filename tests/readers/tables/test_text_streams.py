@@ -1,0 +1,148 @@
+"""The first bytes of a text say how it is packed and encoded, its size about how many lines there are."""
+
+import gzip
+import io
+from pathlib import Path
+
+import pytest
+
+from imucal.errors import ReadError
+from imucal.readers.tables.text import TextSource, open_text
+from imucal.readers.tables.text_streams import compression_of, find_encoding, read_fully, unpacked
+
+
+def utf16(zeros: int, at: int) -> bytes:
+    """Return a hundred bytes, of which every second one from a place on is zero until there are enough."""
+    head = bytearray(b"a" * 100)
+    head[at : at + 2 * zeros : 2] = bytes(zeros)
+    return bytes(head)
+
+
+@pytest.mark.parametrize(
+    ("head", "encoding"),
+    [
+        (b"", "utf-8"),
+        (b"gx,gy", "utf-8"),
+        (b"\xef\xbb\xbfgx", "utf-8"),
+        (b"\xff\xfeg\0", "utf-16-le"),
+        (b"\xfe\xff\0g", "utf-16-be"),
+        # More than three bytes of ten are zero, and stand at one kind of place.
+        (utf16(31, 1), "utf-16-le"),
+        (utf16(31, 0), "utf-16-be"),
+        (utf16(30, 1), None),
+        (utf16(30, 0), None),
+        # Ten of one kind beside one of the other are not enough, eleven are.
+        (utf16(40, 1)[:-2] + b"\0a", "utf-16-le"),
+        (b"\0\0" * 4 + utf16(40, 1)[8:], None),
+        (b"\0a" * 4 + b"a\0" * 40, None),
+        (b"\0a" * 4 + b"a\0" * 41, "utf-16-le"),
+        (b"a\0" * 4 + b"\0a" * 40, None),
+        (b"a\0" * 4 + b"\0a" * 41, "utf-16-be"),
+        # One control character of a hundred bytes may be damage.
+        (b"\x01" + b"a" * 99, "utf-8"),
+        (b"\x01\x02" + b"a" * 98, None),
+        (b"\t\r\n\x1b" * 25, "utf-8"),
+        # So may zeros behind a line, or one of a hundred bytes.
+        (b"\0" + b"a" * 99, "utf-8"),
+        (b"\0\0" + b"a" * 98, None),
+        (b"a\n" + b"\0" * 2 + b"a" * 96, "utf-8"),
+        (b"a" * 96 + b"\0" * 2 + b"a\n", None),
+        # A character that the head cuts is whole in the log.
+        ("m/s²".encode()[:-1], "utf-8"),
+        ("m/s² ".encode("latin-1"), "latin-1"),
+    ],
+)
+def test_encodings(head: bytes, encoding: str | None) -> None:
+    """A mark, zeros at every second place, or bytes that are no UTF-8; what is no text is refused."""
+    if encoding is None:
+        with pytest.raises(ReadError, match=r"^log: binary data, not text; expected a table of numbers"):
+            find_encoding(head, "log")
+    else:
+        assert find_encoding(head, "log") == encoding
+
+
+@pytest.mark.parametrize(
+    ("start", "kind"),
+    [
+        (b"\x1f\x8b", "gzip"),
+        (b"\x1f", "none"),
+        (b"\x28\xb5\x2f\xfd", "zstd"),
+        (b"BZh9", "bzip2"),
+        (b"\xfd7zXZ\x00", "xz"),
+        (b"\x04\x22\x4d\x18", "lz4"),
+        (b"", "none"),
+    ],
+)
+def test_compressions(start: bytes, kind: str) -> None:
+    """By the first bytes alone."""
+    assert compression_of(start) == kind
+
+
+class Drops(io.BytesIO):
+    """A stream that gives two bytes at most at a time, as a pipe may."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        return super().read(2 if size is None or size < 0 else min(size, 2))
+
+
+def test_bytes_put_back() -> None:
+    """What was looked at is read again, in any pieces."""
+    raw = Drops(b"abcdefgh")
+    assert read_fully(raw, 3) == b"abc"
+    stream = unpacked(b"abc", raw, "none")
+    assert stream.readable()
+    assert [stream.read(2), stream.read(2), stream.read(2)] == [b"ab", b"c", b"de"]
+    assert unpacked(b"abc", io.BytesIO(b"def"), "none").read() == b"abcdef"
+    assert read_fully(Drops(b"abc"), 9) == b"abc"
+
+
+def opened(data: bytes, size: int | None) -> TextSource:
+    return TextSource("log", io.BytesIO(data), size=size, progress=None)
+
+
+@pytest.mark.parametrize(
+    ("data", "size", "rows"),
+    [
+        # Four bytes a line, and five in a hundred more.
+        (b"1,2\n" * 5, 400, 105),
+        (b"1,2\n12345\n" * 5, 1000, 210),
+        (b"1,2\n" * 5, None, 0),
+        (gzip.compress(b"1,2\n" * 5), 400, 0),
+        (b"1,2", 400, 105),
+        (b"", 400, 0),
+    ],
+)
+def test_how_many_lines_to_expect(data: bytes, size: int | None, rows: int) -> None:
+    """The size of a plain file over the length of its first lines; nothing where either is unknown."""
+    assert opened(data, size).expected_rows == rows
+
+
+@pytest.mark.parametrize(
+    ("data", "head"),
+    [
+        (b"a\nb\n", ["a", "b"]),
+        (b"a\nb", ["a", "b"]),
+        (b"a\nb\nc", ["a", "b", "c"]),
+        (b"a\nb\nc\nd", ["a", "b", "c"]),
+        (b"a\r\nb\r\n", ["a", "b"]),
+        (b"a\rb\r", ["a", "b"]),
+        (b"a\n\0b\n", ["a", "b"]),
+        (b"\xef\xbb\xbfa\n", ["a"]),
+    ],
+)
+def test_first_lines(data: bytes, head: list[str]) -> None:
+    """Without their ends; of more than three lines the last may be cut."""
+    source = opened(data, None)
+    assert (source.head, source.whole) == (head, True)
+
+
+@pytest.mark.parametrize(
+    "data", [b"a\nb\nc\nd", b"\xef\xbb\xbfa\nb\nc\nd", b"a\r\nb\r\nc\r\nd", b"a\rb\rc\rd"]
+)
+def test_blocks_are_the_whole_text(data: bytes, tmp_path: Path) -> None:
+    """A mark is taken off and line ends are line feeds, in a file and in a stream."""
+    path = tmp_path / "log.csv"
+    path.write_bytes(data)
+    with open_text(path) as source:
+        assert b"".join(source.blocks()) == b"a\nb\nc\nd"
+    assert b"".join(opened(data, None).blocks()) == b"a\nb\nc\nd"

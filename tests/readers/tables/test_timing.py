@@ -1,0 +1,258 @@
+"""Which column is the time: what each word of a name is worth, and which columns belong together."""
+
+from collections.abc import Mapping
+
+import pytest
+
+from imucal.errors import ChoiceError
+from imucal.readers.tables.columns import NamedTable
+from imucal.readers.tables.dialects import Dialect
+from imucal.readers.tables.names import parse_column
+from imucal.readers.tables.timing import TimeChoice, _score, choose_times, named_time, time_of_columns
+from imucal.recording import Sensor
+
+GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+#: Three stamps that go on, and no more digits than a counter has.
+ON = ("1", "2", "3")
+
+
+def table(columns: Mapping[str, tuple[str, ...]], dialect: Dialect | None = None) -> NamedTable:
+    """Return a table of columns by name, with their first cells."""
+    held = list(columns.values())
+    named = tuple(parse_column(name, index) for index, name in enumerate(columns))
+    return NamedTable(path="log.csv", columns=named, cells=held.__getitem__, dialect=dialect)
+
+
+def offered(
+    columns: Mapping[str, tuple[str, ...]], sensor: Sensor = GYRO
+) -> list[tuple[str, str, int | None]]:
+    return [(choice.kind, choice.name, choice.ns) for choice in choose_times(table(columns), sensor)]
+
+
+@pytest.mark.parametrize(
+    ("name", "score"),
+    [
+        ("stamp", 75),
+        ("timestamp", 75),
+        ("timestamp2", 75),
+        ("timestamp [ms]", 77),
+        ("time", 65),
+        ("chiptime", 65),
+        ("t", 62),
+        ("ts", 62),
+        ("ustime", 62),
+        ("mstime", 62),
+        ("uptime", 55),
+        ("elapsed", 55),
+        ("tick", 50),
+        ("ticks", 50),
+        ("tow", 45),
+        ("epoch", 40),
+        ("log_time", 25),
+        ("logging_time", 25),
+        ("host_time", 25),
+        ("receive_time", 25),
+        ("received_time", 25),
+        ("recv_time", 25),
+        ("rosbag_timestamp", 45),
+        ("utc_time", 60),
+        ("startup_time", 60),
+        ("header_time", 80),
+        ("hw_time", 77),
+        ("device_time", 73),
+        ("sensor_time", 73),
+        ("fine_time", 70),
+        ("gyro_time", 95),
+        ("angular_time", 95),
+        ("gyro_accel_time", 95),
+        ("accel_time", -1),
+        ("mag_time", 30),
+        ("motion_time", 30),
+        ("baro_time", 30),
+        ("image_time", 30),
+        ("cam_time", 30),
+        # Another sensor's, and by a clock of its own.
+        ("gps_time", 20),
+    ],
+)
+def test_what_a_name_is_worth(name: str, score: float) -> None:
+    """Stamps before times, the sensor's own clock before the computer's, no other sensor's at all."""
+    assert _score(parse_column(name, 0), ON, GYRO) == score
+
+
+@pytest.mark.parametrize(
+    ("cells", "score"),
+    [
+        ((), 65),
+        (("", ""), 65),
+        (("7",), 65),
+        (("7", "7"), 5),
+        (("7", "", "7"), 5),
+        (("7", "8"), 65),
+        (("2024-01-01T00:00:00", "2024-01-01T00:00:01"), 35),
+        (("'7'", "'8'"), 65),
+        (("1" * 17, "2" * 17), 65),
+        (("1" * 18, "2" * 18), 75),
+        (("-" + "1" * 18, "2" * 18), 75),
+        (("1" * 18, "2" * 17), 65),
+        (("1" * 16 + ".5", "2" * 16 + ".5"), 65),
+    ],
+)
+def test_what_cells_are_worth(cells: tuple[str, ...], score: float) -> None:
+    """Nanoseconds since 1970 are better than numbers, numbers than dates; what stands still is the last."""
+    assert _score(parse_column("time", 0), cells, GYRO) == score
+
+
+def test_a_time_of_another_sensor_that_stands_still_is_not_lifted() -> None:
+    """A low score stays where it is, and one below zero is no choice."""
+    assert _score(parse_column("gps_log_time", 0), ON, GYRO) == -20
+    assert _score(parse_column("gps_log_time", 0), ("7", "7"), GYRO) == -20
+    assert offered({"gps_log_time": ON}) == []
+    assert offered({"mag_log_timestamp": ON}) == []
+    assert offered({"mag_log_timestamp [ms]": ON}) == [("stamp", "mag_log_timestamp [ms]", 10**6)]
+    assert offered({"accel_time": ON}) == []
+    assert [name for _, name, _ in offered({"accel_time": ON}, ACCEL)] == ["accel_time"]
+
+
+def test_the_best_comes_first_and_counters_last() -> None:
+    """Every time of a table, in the order of preference; equal ones in the order of the table."""
+    columns = {"count": ON, "epoch": ON, "time": ("4", "4", "4"), "t": ON, "ts": ON, "timestamp": ON}
+    assert [name for _, name, _ in offered(columns)] == ["timestamp", "t", "ts", "epoch", "time", "count"]
+
+
+@pytest.mark.parametrize(
+    ("columns", "kind", "name"),
+    [
+        ({"secs": ON, "nsecs": ON}, "pair", "secs+nsecs"),
+        ({"nsecs": ON, "secs": ON}, "pair", "secs+nsecs"),
+        ({"time [s]": ON, "time [ns]": ON}, "pair", "time [s]+time [ns]"),
+        # One below a second is the most that nanoseconds can count.
+        ({"secs": ON, "nsecs": ("1", "999999999")}, "pair", "secs+nsecs"),
+        ({"secs": ON, "nsecs": ("1", "1000000000")}, "stamp", "secs"),
+        # Only whole numbers count; empty cells don't matter.
+        ({"secs": ON, "nsecs": ("1", "", "3")}, "pair", "secs+nsecs"),
+        ({"secs": ("1.5", "2.5"), "nsecs": ON}, "stamp", "secs"),
+        ({"secs": ("", ""), "nsecs": ON}, "stamp", "nsecs"),
+        # Names that differ in more do not belong together.
+        ({"stamp_secs": ON, "log_nsecs": ON}, "stamp", "stamp_secs"),
+        ({"header_secs": ON, "header_nsecs": ON, "secs": ON}, "pair", "header_secs+header_nsecs"),
+        # Before the best of stamps, unless the fraction stands still.
+        ({"timestamp [ms]": ON, "secs": ON, "nsecs": ON}, "pair", "secs+nsecs"),
+        ({"sensor_gyro_time": ON, "secs": ON, "nsecs": ON}, "stamp", "sensor_gyro_time"),
+        ({"uptime": ON, "secs": ON, "nsecs": ("5", "5")}, "stamp", "uptime"),
+        ({"uptime": ("5", "5"), "secs": ON, "nsecs": ("5", "5")}, "stamp", "uptime"),
+        ({"count": ON, "secs": ON, "nsecs": ("5", "5")}, "pair", "secs+nsecs"),
+        # GPS week and time of week.
+        ({"week": ON, "tow": ON}, "week", "week+tow"),
+        ({"week": ON, "tow": ON, "ticks": ON}, "week", "week+tow"),
+        ({"week": ON, "tow": ON, "ts": ON}, "stamp", "ts"),
+        ({"week": ON, "time": ON}, "stamp", "time"),
+        ({"tow": ON}, "stamp", "tow"),
+    ],
+)
+def test_columns_that_are_one_time(columns: Mapping[str, tuple[str, ...]], kind: str, name: str) -> None:
+    """Seconds with nanoseconds, weeks with their time; each where both are there."""
+    assert offered(columns)[0][:2] == (kind, name)
+
+
+DATE = ("year", "month", "day", "hour", "minute", "second")
+
+
+@pytest.mark.parametrize(
+    ("columns", "kind", "name"),
+    [
+        (dict.fromkeys(DATE, ON), "date", "+".join(DATE)),
+        (dict.fromkeys(reversed(DATE), ON), "date", "+".join(DATE)),
+        (dict.fromkeys((*DATE, "nano"), ON), "date", "+".join((*DATE, "nano"))),
+        (dict.fromkeys(DATE, ON) | {"year": ("", "7")}, "date", "+".join(DATE)),
+        (dict.fromkeys(DATE, ON) | {"year": ("MM", "7")}, "stamp", "second"),
+        (dict.fromkeys(DATE[1:], ON), "stamp", "second"),
+        # A plain time is better, one by the computer that logged is worse.
+        (dict.fromkeys(DATE, ON) | {"utc_time": ON}, "stamp", "utc_time"),
+        (dict.fromkeys(DATE, ON) | {"uptime [s]": ON}, "date", "+".join(DATE)),
+    ],
+)
+def test_columns_of_a_date(columns: Mapping[str, tuple[str, ...]], kind: str, name: str) -> None:
+    """From year to second all six are needed; nanoseconds may be there."""
+    assert offered(columns)[0] == (kind, name, 1 if kind == "date" else offered(columns)[0][2])
+
+
+@pytest.mark.parametrize(
+    ("cells", "there"),
+    [
+        (("1", "2", "3"), True),
+        (("1", "2"), False),
+        (("1", "1", "2", "3"), False),
+        (("1", "2", "3", "4", "4"), True),
+        (("7",), False),
+        (("3", "2", "1"), False),
+        (("1", "2", "x"), False),
+    ],
+)
+def test_a_counter_goes_on(cells: tuple[str, ...], there: bool) -> None:  # noqa: FBT001 - of the case
+    """More than half of its cells are larger than the one before."""
+    assert offered({"count": cells}) == ([("counter", "count", None)] if there else [])
+
+
+@pytest.mark.parametrize(
+    ("name", "ns"),
+    [
+        ("time (s)", 10**9),
+        ("time_ms", 10**6),
+        ("TimeUS", 10**3),
+        ("ustime", 10**3),
+        ("mstime", 10**6),
+        ("uptime", None),
+        ("time", None),
+        ("t", None),
+    ],
+)
+def test_units_of_times(name: str, ns: int | None) -> None:
+    """In brackets, as a word, or in front of `time`."""
+    choice = choose_times(table({name: ON}), GYRO)[0]
+    assert (choice.ns, choice.ns_source) == (ns, "from the column header" if ns else "")
+
+
+def test_a_dialect_knows_its_units() -> None:
+    """It goes before what the name says, for the columns that it names."""
+    known = Dialect(name="Ours", headers=(), time_ns=(("stamp", 100), ("time (us)", 7)))
+    columns = {'"#stamp"': ON, "time (us)": ON, "time (ms)": ON}
+    found = [time_of_columns(table(columns, known), [index]) for index in range(3)]
+    assert [(choice.ns, choice.ns_source) for choice in found] == [
+        (100, "as Ours counts it"),
+        (7, "as Ours counts it"),
+        (10**6, "from the column header"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("cells", "kind"),
+    [
+        (("1", "2", "x", "y"), "stamp"),
+        (("1", "x", "y"), None),
+        (("", "1", "", ""), "stamp"),
+        (("12:00:00", "12:00:01", "x", "y"), "text"),
+        (("12:00:00", "x", "y"), None),
+        (("'1'", '"2"'), "stamp"),
+    ],
+)
+def test_half_of_the_cells_say_what_a_column_is(cells: tuple[str, ...], kind: str | None) -> None:
+    """Numbers first, then dates and times of day; the empty cells left out."""
+    named = table({"foo": cells})
+    if kind is None:
+        with pytest.raises(ChoiceError, match=r"^log\.csv: column 0 \(foo\) is no time: it holds "):
+            time_of_columns(named, [0])
+    else:
+        assert time_of_columns(named, [0]).kind == kind
+
+
+def test_times_that_a_user_names() -> None:
+    """One column, or two that are seconds and nanoseconds; more are left out."""
+    named = table({"a": ON, "b": ON, "count": ON, "": ON, "empty": ("", "")})
+    pair = TimeChoice(kind="pair", indices=(0, 1), name="a+b", ns=1, ns_source="seconds + nanoseconds")
+    assert named_time(named, "a+b") == pair
+    assert named_time(named, "a+b+count") == pair
+    assert named_time(named, "count") == TimeChoice(kind="counter", indices=(2,), name="count")
+    assert time_of_columns(named, [3]).name == "3"
+    with pytest.raises(ChoiceError, match=r"column 4 \(empty\) is no time: it holds 'nothing'"):
+        time_of_columns(named, [4])

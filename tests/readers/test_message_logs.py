@@ -1,0 +1,137 @@
+"""What is made of decoded messages: losses in words, order, repeats; and what the index of a topic tells."""
+
+import numpy as np
+import pytest
+
+from imucal.readers.column_store import Columns
+from imucal.readers.containers import Channel, Loss
+from imucal.readers.message_logs import _in_time_order, _loss_findings, _repeated
+from imucal.readers.messages import Topic
+from imucal.readers.messages.topics import _said
+from imucal.readers.read_options import ReadOptions
+from imucal.recording import Sensor
+
+GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+
+
+def test_losses_in_words() -> None:
+    """One finding for each kind, in the order met, with the places and the messages of all."""
+    losses = [
+        Loss(code="crc", text="a bad sum", messages=3),
+        Loss(code="index", text="a bad index"),
+        Loss(code="crc", text="another", messages=4),
+    ]
+    assert [(found.level, found.code, found.text) for found in _loss_findings(losses)] == [
+        ("warning", "crc", "The log is damaged in 2 places: a bad sum; about 7 messages are lost."),
+        ("warning", "index", "The log is damaged in one place: a bad index; no message is lost by it."),
+    ]
+    assert _loss_findings([]) == []
+
+
+def topic(*known: tuple[int | None, int | None, int | None]) -> Topic:
+    """Return a topic of channels with count, first and last time."""
+    channels = tuple(
+        (
+            number,
+            Channel(
+                key=number,
+                topic="/imu",
+                type="sensor_msgs/msg/Imu",
+                encoding="cdr",
+                count=count,
+                first_ns=first,
+                last_ns=last,
+            ),
+        )
+        for number, (count, first, last) in enumerate(known)
+    )
+    return Topic(name="/imu", type="sensor_msgs/msg/Imu", channels=channels)
+
+
+@pytest.mark.parametrize(
+    ("known", "count", "duration", "rate"),
+    [
+        ([(11, 0, 10**9)], 11, 1.0, 10.0),
+        ([(11, 10**9, 2 * 10**9), (10, 0, 3 * 10**9)], 21, 3.0, 20 / 3),
+        ([(11, 0, 10**9), (None, None, None)], None, 1.0, None),
+        ([(11, None, None)], 11, None, None),
+        ([(11, 0, None)], 11, None, None),
+        ([(11, None, 10**9)], 11, None, None),
+        ([(2, 5, 5)], 2, 0.0, None),
+        ([(1, 0, 10**9)], 1, 1.0, None),
+        ([(2, 0, 10**9)], 2, 1.0, 1.0),
+        ([(0, None, None)], 0, None, None),
+    ],
+)
+def test_what_an_index_tells(
+    known: list[tuple[int | None, int | None, int | None]],
+    count: int | None,
+    duration: float | None,
+    rate: float | None,
+) -> None:
+    """Over all files; what one of them does not know is not known, except the time."""
+    found = topic(*known)
+    assert (found.count, found.duration_s, found.rate_hz) == (count, duration, rate)
+
+
+def test_what_the_caller_says_of_two_topics() -> None:
+    """The first is the gyroscope; one alone, or of three, says nothing."""
+    two = ReadOptions(topics=("/a", "/b"))
+    assert [_said(name, two) for name in ("/a", "/b", "/c")] == [GYRO, ACCEL, None]
+    assert _said("/a", ReadOptions(topics=("/a",))) is None
+    assert _said("/a", ReadOptions(topics=("/a", "/b", "/c"))) is None
+
+
+def columns(
+    stamps: list[int], log: list[int] | None = None, sensors: tuple[Sensor, ...] = (GYRO, ACCEL)
+) -> Columns:
+    """Return columns whose samples are the number of the row, from 0."""
+    held = Columns(len(stamps), sensors, temperature=False)
+    held.stamps[:] = stamps
+    held.log[:] = stamps if log is None else log
+    for rows in held.vectors.values():
+        rows[:] = np.arange(len(stamps))
+    return held
+
+
+def test_the_order_of_the_log_time() -> None:
+    """Samples are sorted, unless that brings more stamps out of order than there were."""
+    held = columns([1, 3, 2, 4], [1, 3, 2, 4])
+    (found,) = _in_time_order(held)
+    assert (found.level, found.code) == ("info", "log-out-of-order")
+    assert found.text == (
+        "1 messages stand in the file before earlier ones; they were put in order of log time."
+    )
+    assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
+    held = columns([1, 2, 3, 4], [1, 3, 2, 4])
+    (found,) = _in_time_order(held)
+    assert (found.level, found.code) == ("info", "log-out-of-order")
+    assert found.text == (
+        "The log time goes back 1 times; the stamps do not, so the order of the file is kept."
+    )
+    assert held.vectors[GYRO][0].tolist() == [0, 1, 2, 3]
+    # As many steps back before and behind: the log time decides.
+    held = columns([2, 1, 4, 3], [1, 3, 2, 4])
+    assert len(_in_time_order(held)) == 1
+    assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
+    assert _in_time_order(columns([1, 1, 2, 2])) == []
+
+
+def test_samples_recorded_twice() -> None:
+    """The stamp and all six values repeat; zero stamps and a sensor alone tell nothing."""
+    held = columns([1, 1, 2, 2])
+    assert _repeated(held) is None
+    for rows in held.vectors.values():
+        rows[:, 1] = rows[:, 0]
+    found = _repeated(held)
+    assert found is not None
+    assert found.tolist() == [False, True, False, False]
+    held.vectors[ACCEL][2, 1] = 9
+    assert _repeated(held) is None
+    zero = columns([0, 0, 1, 2])
+    alone = columns([1, 1, 2, 2], sensors=(GYRO,))
+    for other in (zero, alone):
+        for rows in other.vectors.values():
+            rows[:] = 5
+        assert _repeated(other) is None
+    assert _repeated(columns([1, 2, 3])) is None
