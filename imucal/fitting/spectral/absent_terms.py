@@ -141,13 +141,8 @@ def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
     """Return the fit with a power-law term added, started from almost none of it."""
     structure = in_order((*fitted.structure, symbol))
     candidate = _like(problem, fitted, structure, fitted.candidate.room_markov)
-<<<<<<< HEAD
-    low, _ = bounds(problem.ordinates, candidate)
-    column = COLUMN[symbol]
-=======
     low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
-    column = _COLUMN[symbol]
->>>>>>> main
+    column = COLUMN[symbol]
     starts = np.repeat(fitted.maximum.theta, 2, axis=0)
     starts[:, column] = low[column] + np.array([8.0, 16.0])
     both = candidate.take(np.zeros(2, dtype=np.int64))
