@@ -8,7 +8,7 @@ from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.spectral import fit_mle
-from imucal.fitting.spectral.absent_terms import estimate_or_bound
+from imucal.fitting.spectral.absent_terms import estimate_or_bound, with_absent
 from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.estimates import Problem
 from imucal.fitting.spectral.ordinates import Ordinates
@@ -64,4 +64,4 @@ def estimated(samples: FloatArray, model: str, *, level: float = 0.95) -> dict[s
     data = ordinates_of(samples)
     choice = choose(data, [parse_structure(model)], criterion="bic", shortest=2.0)
     problem = Problem(ordinates=data, level=level, shortest=2.0, common=(), unit=1.0, tau0=1.0, widening={})
-    return {e.key: e for e in estimate_or_bound(problem, choice)[1]}
+    return {e.key: e for e in with_absent(problem, *estimate_or_bound(problem, choice))}

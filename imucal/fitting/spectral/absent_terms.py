@@ -1,5 +1,6 @@
 """From the chosen candidate to estimates: terms that may be zero have a bound instead of a value."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -14,14 +15,12 @@ from imucal.fitting.spectral.selection import RankedModels
 from imucal.fitting.spectral.structures import Structure, candidates_of
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 
-#: An absent term's bound holds for all models whose criterion is within this of the best, at most so many.
-_BOUND_WITHIN, _BOUND_MODELS = 6.0, 4
 #: Symbol of a power-law term -> its column in a row of parameters.
 COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 
 
 def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, tuple[Estimate, ...]]:
-    """Return the best candidate, and estimates or bounds of its terms and of N, B and K.
+    """Return the best candidate, and estimates or bounds of its terms.
 
     A term whose interval holds zero is bounded and left out of the model; the other terms keep the
     values and intervals that they have beside it, since it may be there.
@@ -33,11 +32,21 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, t
         fitted, dropped = _without_least(problem, fitted, gone)
         bounded[dropped.key] = dropped
         estimates = estimate(problem, fitted)
-    symbols = {e.symbol for e in (*estimates, *bounded.values())}
-    bounded |= {s: _bound(problem, choice, fitted, s) for s in ALWAYS if s not in symbols}
+    return fitted, ordered((*estimates, *bounded.values()))
+
+
+def with_absent(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
+    """Add the bounds of N, B and K that a given model lacks: what it leaves them beside its own terms."""
+    there = {e.symbol for e in estimates}
+    absent = [symbol for symbol in ALWAYS if symbol not in there]
+    bounds_of = [upper_bound(problem, add_term(problem, fitted, symbol), symbol) for symbol in absent]
+    return ordered((*estimates, *bounds_of))
+
+
+def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
+    """Return estimates by rising slope, those of one symbol by their keys."""
     order = list(TERMS)
-    everything = (*estimates, *bounded.values())
-    return fitted, tuple(sorted(everything, key=lambda e: (order.index(e.symbol), e.key)))
+    return tuple(sorted(estimates, key=lambda e: (order.index(e.symbol), e.key)))
 
 
 def _can_not_stay(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> list[Estimate]:
@@ -94,17 +103,6 @@ def fitted_model(choice: RankedModels, index: int) -> Fitted:
         candidate=choice.candidates.take(row),
         maximum=choice.maximum.take(row),
     ).by_time()
-
-
-def _bound(problem: Problem, choice: RankedModels, fitted: Fitted, symbol: str) -> Estimate:
-    """Return the bound of an absent term: the highest that any model near the best leaves it."""
-    near = np.flatnonzero(choice.criterion - choice.criterion[0] <= _BOUND_WITHIN)[1 : _BOUND_MODELS + 1]
-    models = [fitted, *(fitted_model(choice, int(i)) for i in near)]
-    bounds = [
-        upper_bound(problem, model if symbol in model.structure else add_term(problem, model, symbol), symbol)
-        for model in models
-    ]
-    return max(bounds, key=lambda e: e.high)
 
 
 def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:

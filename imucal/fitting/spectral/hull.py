@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.fitting.spectral.absent_terms import add_term, fitted_model
+from imucal.fitting.spectral.absent_terms import add_term, fitted_model, ordered
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate
 from imucal.fitting.spectral.intervals import quantile
 from imucal.fitting.spectral.selection import RankedModels
@@ -50,9 +50,7 @@ def hull_estimates(
         models[0] | own | {key: e for key, e in models[0].items() if key in own and own[key].value is None}
     )
     found = [_hull(values[key], spans[key]) for key in spans]
-    found = [replace(e, alternatives=others.get(e.symbol, ())) for e in found]
-    order = list(TERMS)
-    return tuple(sorted(found, key=lambda e: (order.index(e.symbol), e.key)))
+    return ordered(replace(e, alternatives=others.get(e.symbol, ())) for e in found)
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:

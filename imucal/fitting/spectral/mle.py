@@ -11,7 +11,7 @@ from imucal.fitting.cross_checks import verify_findings
 from imucal.fitting.noise_fit import Goodness, Line, NoiseFit
 from imucal.fitting.robust import heavy_tails, resolution_effect
 from imucal.fitting.settings import FitSettings
-from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered
+from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered, with_absent
 from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.estimates import Problem, covariance_of, model_of
@@ -102,8 +102,11 @@ def fit_mle(
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, estimates)
     model = model_of(problem, fitted, estimates)
-    if structure is None:
-        estimates = hull_estimates(problem, choice, estimates)
+    estimates = (
+        hull_estimates(problem, choice, estimates)
+        if structure is None
+        else with_absent(problem, fitted, estimates)
+    )
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
     findings += filter_finding(
