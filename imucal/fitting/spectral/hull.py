@@ -45,10 +45,11 @@ def hull_estimates(
     own = {e.key: e for e in estimates}
     spans = {key: [model[key] for model in models if key in model] for key in (*own, *ALWAYS)}
     others = _alternatives(choice)
-    # A term that the chosen model lacks has the value of its completion.
-    values = (
-        models[0] | own | {key: e for key, e in models[0].items() if key in own and own[key].value is None}
-    )
+    values = models[0] | own
+    shown = {key for key in ALWAYS if all(e.low > 0 for e in spans[key])}
+    if any(values[key] is not own.get(key) or own[key].value is None for key in shown):
+        # The chosen model is too simple for what is shown: its values are also those of what it lacks.
+        values |= {key: models[0][key] for key in shown}
     found = [_hull(values[key], spans[key]) for key in spans]
     return ordered(replace(e, alternatives=others.get(e.symbol, ())) for e in found)
 

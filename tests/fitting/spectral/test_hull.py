@@ -33,12 +33,12 @@ def test_a_value_lies_inside_its_interval(fits: list[NoiseFit]) -> None:
 
 
 def test_a_term_may_be_shown_that_the_choice_left_out(fits: list[NoiseFit]) -> None:
-    """A parameter costs the choice more than data need to show it; the others keep their values."""
+    """A parameter costs the choice more than data need to show it; the values are then of both together."""
     found = [fit for fit in fits if fit["K"].value is not None and "K" not in str(fit.model)]
     assert found
     for fit in found:
         own = {term.symbol: term.coefficient for term in fit.model.terms}
-        assert fit["B"].value == pytest.approx(own["B"])
+        assert (fit["B"].value or 0.0) < own["B"]
 
 
 def test_a_chosen_term_that_others_can_replace_is_bounded() -> None:
