@@ -10,7 +10,6 @@ Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -54,21 +53,10 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
         second = next((e for e in gmwm.estimates if e.key == first.key), None)
         if second is None:
             continue
-        distance = _distance(mle, gmwm, _in_its_model(mle, first), second)
+        distance = _distance(mle, gmwm, first, second)
         if distance > _DISAGREEMENT:
             findings.append(_finding(mle, gmwm, first, second))
     return tuple(findings)
-
-
-def _in_its_model(fit: NoiseFit, estimate: Estimate) -> Estimate:
-    """Return an estimate with the value that it has in the chosen model, which the second fit shares.
-
-    Where that model is too simple for what is shown, the value is that of a richer one.
-    """
-    own = [term.coefficient for term in fit.model.terms if term.symbol == estimate.symbol]
-    if fit.criterion == "given" or estimate.value is None or len(own) != 1:
-        return estimate
-    return replace(estimate, value=abs(own[0]))
 
 
 def _distance(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) -> float:

@@ -103,13 +103,16 @@ def term_entries(axis: AxisReport, terms: list[Drawn]) -> list[Any]:
 
 
 def drawn_terms(axis: AxisReport) -> list[Drawn]:
-    """Return the lines to draw: each estimate at its value, and each bound as if it were the value."""
+    """Return the lines to draw: each term of the fit, and each bound as if it were the value."""
     found = []
+    by_symbol = {term.symbol: term for term in axis.fit.model.terms}
     for estimate in axis.fit.estimates:
         if TERMS[estimate.symbol].repeatable:
             term: NoiseTerm | None = numbers.gauss_markov_term(axis.fit, estimate)
+        elif estimate.value is None:
+            term = _bound(estimate)
         else:
-            term = _bound(estimate) if estimate.value is None else TERMS[estimate.symbol].of(estimate.value)
+            term = by_symbol.get(estimate.symbol)
         if term is not None:
             found.append(_drawn(estimate, term))
     return found

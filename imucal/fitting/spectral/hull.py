@@ -4,7 +4,7 @@ An interval that takes the chosen structure for granted does not cover: a weak t
 choice, and its neighbour takes its power with a narrow interval. So each model whose criterion is near
 the best is completed with the terms that every fit reports, at zero where the data want them there, and
 a term's interval reaches from its lowest limit in any of them to its highest. What a model has to say
-gets less with its distance from the best. The choice decides what is drawn, not the interval.
+gets less with its distance from the best.
 
 Leeb & Pötscher (2005), Econometric Theory 21, 21, "Model selection and inference: facts and fiction",
 show why a remedy is needed; how well this one covers is measured by `tests/benchmarks/coverage_auto.py`.
@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.fitting.spectral.absent_terms import add_term, fitted_model, ordered
+from imucal.fitting.spectral.absent_terms import add_term, drop_terms, fitted_model, ordered
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate
 from imucal.fitting.spectral.intervals import quantile
 from imucal.fitting.spectral.selection import RankedModels
@@ -31,27 +31,32 @@ _MOST = 16
 
 
 def hull_estimates(
-    problem: Problem, choice: RankedModels, estimates: tuple[Estimate, ...]
-) -> tuple[Estimate, ...]:
-    """Return the estimates with intervals that hold for every model near the best.
+    problem: Problem, choice: RankedModels, fitted: Fitted, own: tuple[Estimate, ...]
+) -> tuple[Fitted, tuple[Estimate, ...], tuple[Estimate, ...]]:
+    """Return the model to draw, its own estimates, and those whose intervals hold for every near model.
 
-    A term whose interval reaches down to zero is bounded, also where the chosen model has it; N, B or K
-    is estimated where no near model can do without, also where the chosen model was too simple for it.
+    A term whose interval reaches down to zero is bounded, also where the chosen model has it. Where N, B
+    or K is shown that the chosen model lacks, the model is drawn with it: a parameter costs the choice
+    more than data need to show it, and terms that are printed should add up to the line.
     """
+    completed = list(_completed(problem, choice))
     models = [
-        {e.key: e for e in estimate(_with_say(problem, distance), model)}
-        for distance, model in _completed(problem, choice)
+        {e.key: e for e in estimate(_with_say(problem, distance), model)} for distance, model in completed
     ]
-    own = {e.key: e for e in estimates}
-    spans = {key: [model[key] for model in models if key in model] for key in (*own, *ALWAYS)}
+    shown = {key for key in ALWAYS if all(model[key].low > 0 for model in models)}
+    lacking = {symbol for symbol in ALWAYS if symbol not in fitted.structure}
+    if shown & lacking:
+        richer = completed[0][1]
+        fitted = drop_terms(problem, richer, sorted(lacking - shown)) if lacking - shown else richer
+        own = ordered(({e.key: e for e in own} | {e.key: e for e in estimate(problem, fitted)}).values())
+    values = {key: models[0][key] for key in ALWAYS} | {e.key: e for e in own}
+    # Terms beside N, B and K, which have the same names in another model only if it has as many of them.
+    rest = {e.key for e in own} - set(ALWAYS)
+    alike = [model for model in models if model.keys() - set(ALWAYS) == rest]
+    spans = {key: [m[key] for m in (models if key in ALWAYS else alike)] for key in values}
     others = _alternatives(choice)
-    values = models[0] | own
-    shown = {key for key in ALWAYS if all(e.low > 0 for e in spans[key])}
-    if any(values[key] is not own.get(key) or own[key].value is None for key in shown):
-        # The chosen model is too simple for what is shown: its values are also those of what it lacks.
-        values |= {key: models[0][key] for key in shown}
-    found = [_hull(values[key], spans[key]) for key in spans]
-    return ordered(replace(e, alternatives=others.get(e.symbol, ())) for e in found)
+    found = (_hull(values[key], spans[key]) for key in values)
+    return fitted, own, ordered(replace(e, alternatives=others.get(e.symbol, ())) for e in found)
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:

@@ -97,16 +97,15 @@ def fit_mle(
         tau0=series.tau0,
         widening={"N": heavy_tails(series.samples)},
     )
-    fitted, estimates = estimate_or_bound(problem, choice)
+    fitted, own = estimate_or_bound(problem, choice)
+    if structure is None:
+        fitted, own, estimates = hull_estimates(problem, choice, fitted, own)
+    else:
+        estimates = with_absent(problem, fitted, own)
     found = misfit(view.ordinates, fitted.candidate, fitted.maximum.theta)
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
-    names, covariance = covariance_of(problem, fitted, estimates)
-    model = model_of(problem, fitted, estimates)
-    estimates = (
-        hull_estimates(problem, choice, estimates)
-        if structure is None
-        else with_absent(problem, fitted, estimates)
-    )
+    names, covariance = covariance_of(problem, fitted, own)
+    model = model_of(problem, fitted, own)
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
     findings += filter_finding(
