@@ -44,19 +44,29 @@ def hull_estimates(
         {e.key: e for e in estimate(_with_say(problem, distance), model)} for distance, model in completed
     ]
     shown = {key for key in ALWAYS if all(model[key].low > 0 for model in models)}
-    lacking = {symbol for symbol in ALWAYS if symbol not in fitted.structure}
-    if shown & lacking:
-        richer = completed[0][1]
-        fitted = drop_terms(problem, richer, sorted(lacking - shown)) if lacking - shown else richer
-        own = ordered(({e.key: e for e in own} | {e.key: e for e in estimate(problem, fitted)}).values())
+    if shown - set(fitted.structure):
+        fitted, own = _richer(problem, completed[0][1], fitted, shown, own)
     values = {key: models[0][key] for key in ALWAYS} | {e.key: e for e in own}
-    # Terms beside N, B and K, which have the same names in another model only if it has as many of them.
-    rest = {e.key for e in own} - set(ALWAYS)
-    alike = [model for model in models if model.keys() - set(ALWAYS) == rest]
-    spans = {key: [m[key] for m in (models if key in ALWAYS else alike)] for key in values}
     others = _alternatives(choice)
-    found = (_hull(values[key], spans[key]) for key in values)
+    found = (_hull(value, _span(key, values, models)) for key, value in values.items())
     return fitted, own, ordered(replace(e, alternatives=others.get(e.symbol, ())) for e in found)
+
+
+def _richer(
+    problem: Problem, completed: Fitted, fitted: Fitted, shown: set[str], own: tuple[Estimate, ...]
+) -> tuple[Fitted, tuple[Estimate, ...]]:
+    """Return the chosen model with the terms that are shown, and its estimates."""
+    spare = [symbol for symbol in ALWAYS if symbol not in shown and symbol not in fitted.structure]
+    richer = drop_terms(problem, completed, spare) if spare else completed
+    return richer, ordered(({e.key: e for e in own} | {e.key: e for e in estimate(problem, richer)}).values())
+
+
+def _span(key: str, values: dict[str, Estimate], models: list[dict[str, Estimate]]) -> list[Estimate]:
+    """Return what each model says of a term; beside N, B and K, each model that has the same of the others."""
+    if key in ALWAYS:
+        return [model[key] for model in models]
+    others = values.keys() - set(ALWAYS)
+    return [model[key] for model in models if model.keys() - set(ALWAYS) == others]
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
