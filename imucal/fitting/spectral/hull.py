@@ -62,7 +62,7 @@ def _richer(
 
 
 def _span(key: str, values: dict[str, Estimate], models: list[dict[str, Estimate]]) -> list[Estimate]:
-    """Return what each model says of a term; beside N, B and K, each model that has the same of the others."""
+    """Return what each model says of a term; of others than N, B and K, each model that has the same ones."""
     if key in ALWAYS:
         return [model[key] for model in models]
     others = values.keys() - set(ALWAYS)
