@@ -164,3 +164,39 @@ def test_needs_a_log() -> None:
     """Without a path there is nothing to read."""
     with pytest.raises(ValueError, match="no log: name at least one file"):
         read()
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "expected"),
+    [
+        # Text never ends so: the log has lost its first bytes.
+        ("log.mcap", b"text", "MCAP"),
+        ("log.bag", b"text", "ROS 1 bag"),
+        ("log.BAG.active", b"text", "ROS 1 bag"),
+        ("log.db3", b"text", "text"),
+        ("log.ulg", b"text", "text"),
+        ("log.npz", b"text", "text"),
+        ("log", b"text", "text"),
+        ("log.ulg", b"\x00\x01", "PX4 ULog"),
+        ("log.ulg", b"\xff\xfet\x00", "text"),
+        ("log.db3.zstd", b"\x28\xb5\x2f\xfd", "ROS 2 bag"),
+        ("log.csv", b"\x1f\x8b\x00", "text"),
+        ("log.unknown", b"PK\x03\x04\x00", "text"),
+    ],
+)
+def test_the_ending_where_the_first_bytes_say_nothing(
+    name: str, head: bytes, expected: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_bytes(head)
+    assert detect(tmp_path / name).name == expected
+
+
+def test_binary_data_without_a_known_ending_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.xyz"
+    path.write_bytes(bytes(range(20)))
+    with pytest.raises(ReadError) as error:
+        detect(path)
+    assert str(error.value).startswith(
+        f"{path}: binary data of an unknown format (first bytes 00 01 02 03 04 05 06 07); "
+        "expected one of .mcap, .bag, .bag.active, .db3, "
+    )

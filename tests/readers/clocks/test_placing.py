@@ -105,6 +105,25 @@ def test_breaks(
     assert [found.at.tolist(), found.missing.tolist(), found.doubled.tolist()] == expected
 
 
+@pytest.mark.parametrize(
+    ("jitter", "early", "by", "missing"),
+    [
+        (0.08, 300, 1230, 1),
+        (0.089, 300, 1230, 1),
+        (0.091, 300, 1230, 2),
+        # However much the stamps jitter, no more than 0.3 samples of it count.
+        (0.2, 300, 1210, 2),
+        (0.2, 330, 1190, 1),
+    ],
+)
+def test_jitter_hides_a_part_of_what_is_missing(jitter: float, early: int, by: int, missing: int) -> None:
+    """A gap after an early stamp looks longer than it is: three times the jitter is believed of it."""
+    stamps = late(100, by)
+    stamps[99] -= early
+    found = find_breaks(stamps, Period(tau_ns=float(TAU), jitter=jitter, burst=1, resolution_ns=1))
+    assert (found.at.tolist(), found.missing.tolist()) == ([100], [missing])
+
+
 @pytest.mark.parametrize(("lost", "missing"), [(2, []), (3, [3]), (5, [5]), (6, [6])])
 def test_breaks_between_bursts(lost: int, missing: list[int]) -> None:
     """Samples that come three at a time: fewer than those of a burst are not seen to be missing."""

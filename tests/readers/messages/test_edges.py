@@ -1,0 +1,95 @@
+"""Edges of what a message or a topic says: stamps that are missing, and logs of very few samples."""
+
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucal.readers.containers import Channel
+from imucal.readers.containers.mcap_file import open_files
+from imucal.readers.messages.json_messages import _stamp, _vector
+from imucal.readers.messages.topics import Topic, find_topics, live_sensors
+from imucal.readers.read_options import ReadOptions
+from imucal.recording import Sensor
+from tests.readers.logs import CONTAINERS, samples
+
+GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+
+
+@pytest.mark.parametrize(
+    ("message", "stamp"),
+    [
+        ({}, 0),
+        ({"header": {}}, 0),
+        # With a header, its stamp counts.
+        ({"header": {}, "stamp": 5}, 0),
+        ({"header": {"stamp": {"sec": 2, "nanosec": 3}}, "stamp": 5}, 2_000_000_003),
+        ({"stamp": 5, "timestamp": 6, "time": 7}, 5),
+        ({"timestamp": 6, "time": 7}, 6),
+        ({"time": 7}, 7),
+        ({"time": {}}, 0),
+        ({"time": {"secs": 1}}, 1_000_000_000),
+        ({"time": {"seconds": 1, "nanos": 4}}, 1_000_000_004),
+        ({"time": {"nsec": 4}}, 4),
+        ({"time": {"nsecs": 4}}, 4),
+        ({"time": "noon"}, 0),
+        ({"time": 1.5}, 0),
+    ],
+)
+def test_the_stamp_of_a_json_message(message: dict[str, Any], stamp: int) -> None:
+    assert _stamp(message) == stamp
+
+
+def test_the_vector_of_a_json_message() -> None:
+    assert _vector({"v": {"z": 3, "x": 1, "y": "2"}}, "v") == (1.0, 2.0, 3.0)
+    assert _vector({"v": [1, 2, 3]}, "v") == (1.0, 2.0, 3.0)
+    np.testing.assert_array_equal(_vector({"v": [1, None, 3]}, "v"), [1.0, np.nan, 3.0])
+    with pytest.raises(ValueError, match="unpack"):
+        _vector({"v": [1, 2]}, "v")
+
+
+@pytest.mark.parametrize(("n", "alive"), [(1, {GYRO, ACCEL}), (2, {GYRO}), (3, {GYRO})])
+def test_two_samples_tell_whether_a_sensor_has_data(n: int, alive: set[Sensor], tmp_path: Path) -> None:
+    truth = samples(n)
+    truth = replace(truth, accel=np.ones_like(truth.accel))
+    options = ReadOptions()
+    containers, _ = open_files(CONTAINERS["mcap-none"](tmp_path, truth))
+    with closing(containers[0]):
+        (topic,) = (topic for topic in find_topics(containers, options) if topic.imu is not None)
+        assert live_sensors(containers, topic, options) == alive
+        assert live_sensors(containers, replace(topic, imu=None), options) == frozenset()
+
+
+def channel(
+    *, count: int | None = None, first_ns: int | None = None, last_ns: int | None = None
+) -> tuple[int, Channel]:
+    return 0, Channel(
+        key=0, topic="/imu", type="", encoding="cdr", count=count, first_ns=first_ns, last_ns=last_ns
+    )
+
+
+@pytest.mark.parametrize(
+    ("channels", "count", "span", "rate"),
+    [
+        ([channel()], None, None, None),
+        ([channel(count=0)], 0, None, None),
+        ([channel(count=1, first_ns=5, last_ns=5)], 1, (5, 5), None),
+        ([channel(count=2, first_ns=0, last_ns=500_000_000)], 2, (0, 500_000_000), 2.0),
+        ([channel(count=2, first_ns=5, last_ns=5)], 2, (5, 5), None),
+        ([channel(count=2), channel(count=1, first_ns=0, last_ns=10**9)], 3, (0, 10**9), 2.0),
+        ([channel(count=2, first_ns=0, last_ns=9), channel(first_ns=3, last_ns=12)], None, (0, 12), None),
+        ([channel(count=2, first_ns=0)], 2, None, None),
+    ],
+)
+def test_what_is_known_of_a_topic(
+    channels: list[tuple[int, Channel]],
+    count: int | None,
+    span: tuple[int, int] | None,
+    rate: float | None,
+) -> None:
+    topic = Topic(name="/imu", type="sensor_msgs/msg/Imu", channels=tuple(channels))
+    assert (topic.count, topic.span_ns, topic.rate_hz) == (count, span, rate)
+    assert topic.duration_s == (None if span is None else (span[1] - span[0]) / 1e9)
