@@ -10,6 +10,7 @@ import pytest
 
 from imucal.readers.containers import Channel
 from imucal.readers.containers.mcap_file import open_files
+from imucal.readers.messages.choice import table
 from imucal.readers.messages.json_messages import _stamp, _vector
 from imucal.readers.messages.topics import Topic, find_topics, live_sensors
 from imucal.readers.read_options import ReadOptions
@@ -93,3 +94,22 @@ def test_what_is_known_of_a_topic(
     topic = Topic(name="/imu", type="sensor_msgs/msg/Imu", channels=tuple(channels))
     assert (topic.count, topic.span_ns, topic.rate_hz) == (count, span, rate)
     assert topic.duration_s == (None if span is None else (span[1] - span[0]) / 1e9)
+
+
+def test_the_table_of_topics() -> None:
+    known = channel(count=101, first_ns=0, last_ns=10**9)
+    topics = [
+        Topic(name="/a", type="p/msg/Long", channels=(known,)),
+        Topic(name="/longer", type="p/B", channels=(channel(),)),
+    ]
+    assert table(topics).splitlines() == [
+        "  /a       p/msg/Long  101 messages  100 Hz  1 s",
+        "  /longer  p/B           ? messages",
+    ]
+    assert table([]) == ""
+
+
+@pytest.mark.parametrize(("n", "last"), [(24, "  /a  p/B  ? messages"), (25, "  and 1 more")])
+def test_a_long_table_is_cut(n: int, last: str) -> None:
+    lines = table([Topic(name="/a", type="p/B", channels=(channel(),))] * n).splitlines()
+    assert (len(lines), lines[-1]) == (n, last)

@@ -1,0 +1,180 @@
+"""The records of containers, byte by byte: what is whole, and what is one byte short."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.readers.containers import mcap_records, ros1_records
+from imucal.readers.containers.container import Batch, gather
+from imucal.readers.containers.rosbag2_folder import natural, open_folder, parse_metadata
+from imucal.readers.containers.sqlite_rows import _integers, varint
+from imucal.readers.files import DamagedError
+
+
+def text(value: bytes) -> bytes:
+    return struct.pack("<I", len(value)) + value
+
+
+def test_a_schema_and_a_channel_of_an_mcap() -> None:
+    body = struct.pack("<H", 3) + text(b"a/B") + text(b"ros2msg") + text(b"int8 x")
+    assert mcap_records.schema(body) == mcap_records.Schema(3, "a/B", "ros2msg", "int8 x")
+    with pytest.raises(DamagedError, match=r"^a schema record is damaged$"):
+        mcap_records.schema(body[:-1])
+    body = struct.pack("<HH", 7, 3) + text(b"/imu") + text(b"cdr")
+    assert mcap_records.channel(body) == mcap_records.ChannelRecord(7, 3, "/imu", "cdr")
+    with pytest.raises(DamagedError, match=r"^a channel record is damaged$"):
+        mcap_records.channel(body[:3])
+
+
+def test_the_head_of_a_chunk() -> None:
+    record = bytes(9) + struct.pack("<QQQI", 1, 2, 300, 99) + text(b"lz4") + struct.pack("<Q", 200)
+    expected = mcap_records.ChunkHead(size=300, crc=99, compression="lz4", data=len(record), stored=200)
+    assert mcap_records.chunk_head(record) == expected
+    with pytest.raises(DamagedError, match=r"^a chunk record is damaged$"):
+        mcap_records.chunk_head(record[:-1])
+
+
+def test_the_index_of_a_chunk() -> None:
+    pairs = struct.pack("<HQHQ", 1, 500, 2, 600)
+    tail = struct.pack("<Q", 44) + text(b"zstd")
+    body = struct.pack("<QQQQI", 5, 9, 100, 300, len(pairs)) + pairs + tail
+    assert mcap_records.chunk_index(body) == mcap_records.ChunkIndex(
+        start=100,
+        length=300,
+        compression="zstd",
+        index_length=44,
+        indexes={1: 500, 2: 600},
+        first_ns=5,
+        last_ns=9,
+    )
+    for size in (len(pairs) - 1, len(pairs) + 1, 100):
+        with pytest.raises(DamagedError, match=r"^a chunk index record is damaged$"):
+            mcap_records.chunk_index(struct.pack("<QQQQI", 5, 9, 100, 300, size) + pairs + tail)
+
+
+def test_the_statistics_of_an_mcap() -> None:
+    pairs = struct.pack("<HQ", 1, 12)
+    head = struct.pack("<QHIIIIQQ", 12, 1, 2, 3, 4, 6, 50, 90)
+    assert mcap_records.statistics(head + text(pairs)) == (12, 6, 50, 90, {1: 12})
+    for body in (head + text(pairs)[:-1], head + text(pairs[:-1]), head[:-1]):
+        with pytest.raises(DamagedError, match=r"^a statistics record is damaged$"):
+            mcap_records.statistics(body)
+
+
+def test_a_record_of_a_ros1_bag() -> None:
+    head = text(text(b"op=\x02") + text(b"name=a=b"))
+    found = ros1_records.record(b"??" + head + text(b"12345"), 2)
+    assert found.head == {b"op": b"\x02", b"name": b"a=b"}
+    assert (found.start, found.end) == (2 + len(head) + 4, 2 + len(head) + 4 + 5)
+    assert found.opcode == ros1_records.MESSAGE
+    # The data may reach beyond the buffer, the header and the size may not.
+    assert ros1_records.record(head + text(b"12345")[:4], 0).end == len(head) + 4 + 5
+    for end in (0, 3, len(head) - 1, len(head) + 3):
+        with pytest.raises(DamagedError, match=r"^a record header is damaged$"):
+            ros1_records.record((head + text(b"12345"))[:end], 0)
+
+
+@pytest.mark.parametrize(("size", "whole"), [(1 << 20, True), ((1 << 20) + 1, False)])
+def test_no_header_is_longer_than_a_megabyte(size: int, whole: bool) -> None:  # noqa: FBT001
+    field = text(b"a=".ljust(size - 4, b"b"))
+    buffer = text(field) + text(b"")
+    if whole:
+        assert len(ros1_records.record(buffer, 0).head[b"a"]) == size - 6
+    else:
+        with pytest.raises(DamagedError, match=r"^a record header is damaged$"):
+            ros1_records.record(buffer, 0)
+
+
+@pytest.mark.parametrize("head", [{}, {b"op": b""}, {b"op": b"\x02\x00"}])
+def test_a_record_without_an_opcode_is_damaged(head: dict[bytes, bytes]) -> None:
+    with pytest.raises(DamagedError, match=r"^a record header is damaged$"):
+        _ = ros1_records.Record(head, 0, 0).opcode
+
+
+@pytest.mark.parametrize("broken", [text(b"op"), text(b"a=1")[:-1], text(b"")])
+def test_a_field_has_a_name_and_all_its_bytes(broken: bytes) -> None:
+    with pytest.raises(DamagedError, match=r"^a record header is damaged$"):
+        ros1_records.fields(broken, 0, len(broken))
+
+
+def test_a_connection() -> None:
+    data = text(b"type=a/B") + text(b"message_definition=int8 x")
+    found = {b"conn": struct.pack("<I", 258), b"topic": b"/imu"}
+    assert ros1_records.connection(found, data) == ros1_records.Connection(258, "/imu", "a/B", "int8 x")
+    bare = ros1_records.connection({b"conn": bytes(4)}, b"")
+    assert bare == ros1_records.Connection(0, "", "", "")
+
+
+def test_messages_lie_inside_their_chunk() -> None:
+    buffer = bytes(range(6))
+    at = np.array([0, 4])
+    assert [bytes(item) for item in gather(buffer, at, 2)] == [b"\x00\x01", b"\x04\x05"]
+    assert gather(b"", at[:0], 2).size == 0
+    for places, width in (([5], 2), ([-1], 2), ([0], 7)):
+        with pytest.raises(DamagedError, match=r"^a message reaches beyond its chunk$"):
+            gather(buffer, np.array(places), width)
+
+
+def test_one_size_stands_for_all_that_are_equal() -> None:
+    starts, log = np.array([0, 10, 20]), np.array([1, 2, 3])
+    same = Batch.of(b"", starts, np.array([8, 8, 8]), log, header=2)
+    assert (same.sizes, same.header, same.n) == (8, 2, 3)
+    assert Batch.of(b"", starts, starts, log).header == 0
+    npt.assert_array_equal(same.payload(), [2, 12, 22])
+    part = Batch.of(b"", starts, np.array([8, 9, 7]), log, header=2).part(np.array([0, 2]))
+    npt.assert_array_equal(np.stack([part.starts, part.sizes, part.log_ns]), [[0, 20], [8, 7], [1, 3]])
+    assert part.header == 2
+
+
+def test_numbers_of_sqlite() -> None:
+    data = np.frombuffer(b"\x7f" + b"\x81\x00" + b"\xff" * 9 + b"\x80\x80\x01", dtype=np.uint8)
+    value, end = varint(data, np.array([0, 1, 3, 12]))
+    npt.assert_array_equal(value, [127, 128, -1, 1])
+    npt.assert_array_equal(end, [1, 3, 12, 15])
+    data = np.frombuffer(b"\xff\x01\x02\x03\x04\x05\x06\x07\x08", dtype=np.uint8)
+    found = _integers(data, np.array([1, 1, 1, 1, 1, 1, 0, 0, 0]), np.array([1, 2, 3, 4, 5, 6, 1, 8, 9]))
+    npt.assert_array_equal(found, [1, 0x102, 0x10203, 0x1020304, 0x10203040506, 0x102030405060708, -1, 0, 1])
+
+
+METADATA = """rosbag2_bagfile_information:
+  compression_mode: 'message'
+  topics_with_message_count:
+    - topic_metadata:
+        name: /imu
+      message_count: 12
+    - topic_metadata:
+        name: "/gps"
+      message_count: 3
+"""
+
+
+def test_metadata_of_a_ros2_bag() -> None:
+    paths = "  relative_file_paths:\n    - a-1.db3\n    - 'b.db3'\n"
+    assert parse_metadata(METADATA + paths) == (("a-1.db3", "b.db3"), "message", {"/imu": 12, "/gps": 3})
+    assert parse_metadata("") == ((), "", None)
+
+
+def test_the_files_of_a_ros2_bag(tmp_path: Path) -> None:
+    for name in ("bag_10.db3", "bag_2.db3", "bag_1.db3.zst", "notes.txt"):
+        (tmp_path / name).touch()
+    bare = open_folder(tmp_path)
+    assert [file.name for file in bare.files] == ["bag_1.db3.zst", "bag_2.db3", "bag_10.db3"]
+    assert (bare.missing, bare.per_message, bare.counts) == ((), False, None)
+    metadata = tmp_path / "metadata.yaml"
+    listed = METADATA + "  relative_file_paths:\n    - bag_1.db3\n    - x/bag_2.db3.zstd\n"
+    metadata.write_text(listed)
+    found = open_folder(tmp_path)
+    assert [file.name for file in found.files] == ["bag_1.db3.zst", "bag_2.db3"]
+    assert (found.missing, found.per_message, found.counts) == ((), True, {"/imu": 12, "/gps": 3})
+    metadata.write_text(listed + "    - bag_3.db3\n")
+    found = open_folder(tmp_path)
+    # A count of all files is not that of those that are left.
+    assert (len(found.files), found.missing, found.counts) == (2, ("bag_3.db3",), None)
+
+
+def test_numbers_in_names_sort_as_numbers() -> None:
+    names = ["bag_10.db3", "bag_2.db3", "bag.db3"]
+    assert sorted(names, key=lambda name: natural(Path(name))) == ["bag.db3", "bag_2.db3", "bag_10.db3"]
