@@ -156,3 +156,21 @@ def test_counts_that_do_not_fit_begin_at_zero() -> None:
     assert to_ns(np.array([most + 1, most + 2]), 1000).tolist() == [0, 1000]
     assert to_ns(np.array([-most - 1, -most]), 1000).tolist() == [0, 1000]
     assert to_ns(np.array([1e30, 2.5]), 1000).tolist() == [0, 2500]
+
+
+def test_a_repeated_count_is_no_wrap() -> None:
+    """Even where the steps are so large that a whole period is within what a wrap may skip."""
+    counts = np.array([0, 3, 6, 6, 9], dtype=np.int64)
+    found, wraps = unwrapped(counts)
+    assert (found.tolist(), wraps) == (counts.tolist(), 0)
+    # The same beside a wrap.
+    found, wraps = unwrapped(np.array([250, 253, 253, 0, 3], dtype=np.int64))
+    assert (found.tolist(), wraps) == ([250, 253, 253, 256, 259], 1)
+
+
+@pytest.mark.parametrize(("still", "step"), [(19_999, 1.0 / 19_999), (20_000, 0.0)])
+def test_the_first_times_tell_the_step(still: int, step: float) -> None:
+    """Of 20 000 times; what comes later does not count."""
+    values = np.zeros(still + 1)
+    values[-1] = 1.0
+    assert _typical_step(values) == step

@@ -1,9 +1,20 @@
 """The columns text that is proposed where no header names the columns."""
 
+import re
+
 import numpy as np
 import pytest
 
-from imucal.readers.tables.text_layout import _gravity, _inertial_tags, _nearest, _proposal, _time_column
+from imucal.errors import ChoiceError, ReadError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.text_layout import (
+    _gravity,
+    _inertial_tags,
+    _nearest,
+    _proposal,
+    _time_column,
+    lay_out,
+)
 from imucal.units import G0
 
 
@@ -79,3 +90,31 @@ def test_tags() -> None:
     """Of the first three cells, the most frequent first."""
     lines = ["'IMU',1", "1,GYR,2", "1,GYR,2", "1,2,acc", "1,2,3,INS", "note,1"]
     assert _inertial_tags(lines, ",") == ["GYR", "IMU", "acc"]
+
+
+@pytest.mark.parametrize(
+    ("lines", "error", "text"),
+    [
+        (
+            ["", " hello " + "x" * 90],
+            ReadError,
+            (
+                f"log.csv: no rows of three numbers or more, the first line is {'hello ' + 'x' * 74!r}; "
+                "expected a table with a row per sample"
+            ),
+        ),
+        (
+            [f"{i},0.1,0.2,0.3" for i in range(5)],
+            ChoiceError,
+            (
+                "log.csv: no header names the 4 columns, and an order is not guessed; found the row "
+                "0 0, 1 0.1, 2 0.2, 3 0.3; expected a header, or a columns text that says which are which, "
+                "such as t=0,g=1:4 (places from 0 with the end left out; check which is which)"
+            ),
+        ),
+    ],
+)
+def test_errors(lines: list[str], error: type[Exception], text: str) -> None:
+    """What was found, what was expected and what to do."""
+    with pytest.raises(error, match=f"^{re.escape(text)}$"):
+        lay_out("log.csv", lines, ReadOptions())

@@ -1,0 +1,134 @@
+"""The clock of a table's samples: samples sent twice, stated rates, units and counters, at their edges."""
+
+import re
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.errors import ChoiceError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.column_plan import SensorPlan
+from imucal.readers.tables.columns import Triad
+from imucal.readers.tables.scales import Work
+from imucal.readers.tables.stamps import Numbers
+from imucal.readers.tables.table_clock import SensorColumns, _compare_rates, _sent_twice, table_clock
+from imucal.readers.tables.timing import TimeChoice
+from imucal.recording import Sensor
+
+GYRO = Triad(sensor=Sensor.GYROSCOPE, indices=(1, 2, 3), headers=("gx", "gy", "gz"))
+COUNTER = TimeChoice(kind="counter", indices=(0,), name="seq")
+MS = TimeChoice(kind="stamp", indices=(0,), name="t", ns=1_000_000, ns_source="by hand")
+
+
+def work(rate_hz: float | None = None, given: float | None = None) -> Work:
+    return Work(path="log.csv", options=ReadOptions(rate_hz=given), dialect=None, rate_hz=rate_hz)
+
+
+def columns(time: TimeChoice | None, values: Numbers, still: int = 0) -> SensorColumns:
+    """Return samples that go on by one, the last `still` of them the same."""
+    n = values.size
+    axis = np.minimum(np.arange(n, dtype=np.float64), n - 1 - still)
+    return SensorColumns(plan=SensorPlan(triad=GYRO, time=time), axes=[axis] * 3, time=[values])
+
+
+@pytest.mark.parametrize(("still", "marked", "found"), [(0, 0, 0), (1, 1, 0), (2, 2, 0), (3, 0, 1)])
+def test_samples_sent_twice(still: int, marked: int, found: int) -> None:
+    """Up to a tenth of the rows is marked; beyond it the sensor is slower than its log, and it is said."""
+    stamps = np.minimum(np.arange(20), 19 - still).astype(np.int64)
+    at = work()
+    same = _sent_twice(at, stamps, columns(MS, stamps, still))
+    assert (0 if same is None else int(same.sum())) == marked
+    assert [finding.code for finding in at.findings] == ["held-samples"] * found
+
+
+def test_equal_stamps_of_other_values_are_not_sent_twice() -> None:
+    """Both the stamp and the values must repeat."""
+    stamps = np.array([0, 1, 2, 2], dtype=np.int64)
+    at = work()
+    assert _sent_twice(at, stamps, columns(MS, stamps)) is None
+    assert not at.findings
+
+
+@pytest.mark.parametrize(
+    ("stated", "given", "differs"),
+    [
+        (100.0, None, True),
+        (101.5, None, False),
+        (106.0, None, True),
+        (100.0, 100.0, False),
+        (None, None, False),
+    ],
+)
+def test_the_stated_rate(stated: float | None, given: float | None, differs: bool) -> None:  # noqa: FBT001
+    """Two percent off is said, once, unless a rate was given."""
+    at = work(stated, given)
+    _compare_rates(at, 103.0)
+    _compare_rates(at, 103.0)
+    texts = [f"The log states {stated:g} Hz, its stamps give 103 Hz; the stamps are used."] if differs else []
+    assert [finding.text for finding in at.findings] == texts
+
+
+@pytest.mark.parametrize("first", [0, 5])
+def test_a_clock_starts_where_its_stamps_do(first: int) -> None:
+    """A stamp of zero at the start is one like any other."""
+    at = work()
+    reading = table_clock(at, columns(MS, np.arange(first, first + 500, 5, dtype=np.int64)))
+    assert reading.clock.start_ns == first * 1_000_000
+    npt.assert_allclose(reading.clock.rate_hz, 200.0, rtol=1e-9)
+    assert at.decisions == [("time unit", "ms for t, by hand"), ("time", "column t, stamps")]
+
+
+def test_a_unit_without_a_name_is_shown_in_ns() -> None:
+    """A count of 12 500 000 ns is no unit with a name."""
+    at = work()
+    ticks = TimeChoice(kind="stamp", indices=(0,), name="t", ns=12_500_000, ns_source="by hand")
+    table_clock(at, columns(ticks, np.arange(1, 101, dtype=np.int64)))
+    assert at.decisions[0] == ("time unit", "12500000 ns for t, by hand")
+
+
+def test_a_column_by_one_a_row_counts_at_the_given_rate() -> None:
+    """Only where a rate is given; else its unit is asked for."""
+    plain = TimeChoice(kind="stamp", indices=(0,), name=" t ")
+    counts = np.arange(1, 101, dtype=np.int64)
+    at = work(given=250.0)
+    assert table_clock(at, columns(plain, counts)).clock.rate_hz == 250.0
+    assert at.decisions[0] == ("time unit", " t  counts samples at the given rate")
+    text = (
+        "log.csv: column ' t ', the time of the gyroscope, has no unit, and goes on by 1 a row, which fits "
+        "ms and s; expected a unit in its name, such as t_ms; name the unit in the header, choose another "
+        "time column, or give columns without a time and the rate"
+    )
+    with pytest.raises(ChoiceError, match=f"^{re.escape(text)}$"):
+        table_clock(work(), columns(plain, counts))
+
+
+@pytest.mark.parametrize(("every", "used"), [(10, True), (9, False)])
+def test_a_counter_of_samples(every: int, used: bool) -> None:  # noqa: FBT001 - of the case
+    """Nine steps of ten must be one; else the rate alone is used, and it is said."""
+    steps = np.ones(90, dtype=np.int64)
+    steps[::every] = 2
+    at = work(given=100.0)
+    reading = table_clock(at, columns(COUNTER, np.concatenate([[0], np.cumsum(steps)])))
+    assert [finding.code for finding in at.findings] == ([] if used else ["counter-unused"])
+    assert reading.clock.start_ns is None
+    assert at.decisions == [("time", "100 Hz, the given rate")]
+
+
+@pytest.mark.parametrize(("time", "what"), [(None, "no time column"), (COUNTER, "only a counter (seq)")])
+def test_neither_time_nor_rate(time: TimeChoice | None, what: str) -> None:
+    """The error says what there is."""
+    text = (
+        f"log.csv: {what} and no sampling rate for the gyroscope; expected stamps or a rate; "
+        "give the sampling rate"
+    )
+    with pytest.raises(ChoiceError, match=f"^{re.escape(text)}$"):
+        table_clock(work(), columns(time, np.arange(10, dtype=np.int64)))
+
+
+def test_the_rate_that_the_log_states() -> None:
+    """It serves where there is no time."""
+    at = work(50.0)
+    reading = table_clock(at, columns(None, np.arange(10, dtype=np.int64)))
+    assert (reading.clock.rate_hz, reading.clock.source) == (50.0, "rate that the log states")
+    assert at.decisions == [("time", "50 Hz, the rate that the log states")]
