@@ -16,7 +16,8 @@ from imucal.fitting.moments.av_points import AvarPoints, avar_points, columns
 from imucal.fitting.moments.av_search import Solution, Weight, time_grid
 from imucal.fitting.moments.av_select import _described, _least_cost, _screen
 from imucal.fitting.moments.gmwm import _eta3_widths, _findings, _with_edf
-from imucal.fitting.moments.slope_lines import LogCurve, _floor, _line, read_term
+from imucal.fitting.moments.slope import _beside
+from imucal.fitting.moments.slope_lines import LogCurve, Reading, _floor, _line, read_term
 from imucal.fitting.noise_fit import Goodness
 from imucal.recording import AxisSeries
 from tests.fitting.moments.curves import simulated_curve
@@ -290,3 +291,22 @@ def test_distances_are_those_of_the_ranking_that_is_left(monkeypatch: pytest.Mon
     misfits |= {"NK": 9.0, "NBK": 9.0}
     first = _described(_points(np.ones(5)), ranking, weight)
     assert [delta for delta, _ in first.ranking] == [0.0, 1.5, 4.0, 7.0]
+
+
+@pytest.mark.parametrize(("size", "known"), [(2, False), (3, True)])
+def test_a_bend_is_read_from_three_points(size: int, *, known: bool) -> None:
+    """White noise beside a walk of a hundredth: that, and two standard errors; two points show no bend."""
+    plain = _logs(np.ones(4))
+    white, walk = plain.shape("N"), plain.shape("K")
+    avar = white + 0.01 * walk
+    curve = LogCurve(replace(plain.points, avar=avar), plain.covariance)
+    places = np.arange(size)
+    reading = Reading(symbol="N", places=places, weights=np.ones(size) / size, log_value=0.0)
+    found = _beside(curve, reading, walk[places])
+    if not known:
+        assert found == np.inf
+        return
+    # The logarithm of a deviation scatters by 0.01, so a variance by 2 %.
+    design = (np.stack([white, walk], axis=1) / avar[:, np.newaxis])[places]
+    spread = np.linalg.inv(design.T @ design) * 4e-4
+    assert found == pytest.approx(0.01 + 2 * np.sqrt(spread[1, 1]))
