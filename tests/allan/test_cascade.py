@@ -5,6 +5,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.allan import Cascade
+from imucal.allan.cascade import _Level
 from imucal.allan.estimators import ESTIMATORS
 from imucal.allan.variance import variances
 from imucal.arrays import FloatArray
@@ -122,3 +123,15 @@ def test_refuses_a_wrong_shape_and_wrong_options() -> None:
         Cascade(axes=2).feed(np.ones(10))
     with pytest.raises(ValueError, match="need axes >= 1 and per_octave from 1 to 128, got 0 and 1"):
         Cascade(axes=0)
+
+
+def test_a_level_keeps_what_its_longest_difference_needs() -> None:
+    """Twice the largest factor, however many points have passed; every difference is counted once."""
+    level = _Level(np.array([3, 5]), 1, 8)
+    for start in range(0, 40, 8):
+        assert level.take(np.arange(start, start + 8.0)[None, :] ** 2) == 8
+        level.work()
+        assert level._kept == min(start + 8, 10)
+    assert level.terms.tolist() == [34, 30]
+    # The second difference of t² at m is 2 m².
+    npt.assert_allclose(level.sums(0), [34 * 18.0**2, 30 * 50.0**2])

@@ -68,3 +68,12 @@ def test_fast_lengths_are_smooth_and_near() -> None:
     assert [fast_length(n) for n in (1, 2, 13, 97, 1000)] == [1, 2, 12, 96, 1000]
     for n in (1_000_003, 9_999_991):
         assert 0.998 * n < fast_length(n) <= n
+
+
+@pytest.mark.parametrize("sizes", [(1, 1, 1), (2, 0, 1), (2, 1, 0)])
+def test_refuses_sizes_of_bins_below_the_least(sizes: tuple[int, int, int]) -> None:
+    """Two samples, one single ordinate and one bin an octave are enough; any of them less is not."""
+    assert dct_bins(2, singles=1, per_octave=1).count.tolist() == [1]
+    n, singles, per_octave = sizes
+    with pytest.raises(ValueError, match=f"got {n}, {singles}, {per_octave}"):
+        dct_bins(n, singles=singles, per_octave=per_octave)

@@ -62,3 +62,10 @@ def test_refuses_a_series_without_neighbours() -> None:
     with pytest.raises(DataError) as caught:
         spectrum(_series(np.array([1.0, np.nan, 2.0])))
     assert str(caught.value) == "gyro_x: a spectrum needs at least 2 neighbouring samples, got 2 samples"
+
+
+def test_the_lowest_eight_frequencies_stand_alone() -> None:
+    """Above, an octave from the ninth each, where one bin an octave is wanted."""
+    samples = np.random.default_rng(2).standard_normal(100)
+    psd = spectrum(_series(samples), per_octave=1)
+    assert psd.count.tolist() == [1.0] * 8 + [9.0, 18.0, 36.0, 28.0]

@@ -225,3 +225,24 @@ def test_labels_are_written_beside_their_points() -> None:
         # Above the mark: at 45 degrees the text would lie on it. 144 pixels an inch, 72 points.
         npt.assert_allclose(text.xyann, [0, 7 + Text.get_window_extent(text, renderer).height / 4], atol=1e-6)
     assert place_labels(axes, [], obstacles=[], fontsize=9.0) == []
+
+
+@pytest.mark.parametrize("side", ["left", "right", "bottom", "top"])
+def test_labels_keep_off_the_frame(side: str) -> None:
+    """By 2.5 points on each side, wherever the mark is; its box is asked of the text itself."""
+    figure = Figure(figsize=(4, 3), dpi=144)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    renderer = canvas.get_renderer()  # type: ignore[no-untyped-call]
+    frame = axes.get_window_extent(renderer)
+    for away in np.linspace(0.005, 0.3, 40):
+        near = {"left": (away, 0.5), "right": (1 - away, 0.5), "bottom": (0.5, away), "top": (0.5, 1 - away)}
+        label = Label(text="N", x=np.array(near[side][:1]), y=np.array(near[side][1:]), colour="k")
+        (written,) = place_labels(axes, [label], obstacles=[], fontsize=8)
+        written.update_positions(renderer)
+        box = Text.get_window_extent(written, renderer)
+        gaps = (box.x0 - frame.x0, frame.x1 - box.x1, box.y0 - frame.y0, frame.y1 - box.y1)
+        # A pixel for the rounding of text to whole ones.
+        assert min(gaps) > 2.5 * 2 - 1
+        written.remove()

@@ -143,3 +143,18 @@ def test_two_averaging_times_covary_as_their_squares_summed_over_all_pairs(
     found = avar_covariance(np.array([mi, mj]), n, [process], overlapping=overlapping).at(np.ones(1))
     assert found[0, 1] == pytest.approx(expected, rel=1e-9 if overlapping else 0.1)
     assert found[1, 0] == found[0, 1]
+
+
+@pytest.mark.parametrize("process", [PowerLaw.QUANTIZATION, PowerLaw.WHITE, PowerLaw.WALK])
+def test_windows_that_do_not_meet_share_nothing(process: PowerLaw) -> None:
+    """Windows of 2 times 12 and 2 times 20 samples, however far apart: not even rounding errors."""
+    far = np.array([-(10**7), -41, 25, 200, 10**7 + 3])
+    assert not module._lag_covariance(far, 12, 20, process).any()
+
+
+@pytest.mark.parametrize("process", [PowerLaw.FLICKER, 300.0])
+def test_windows_that_do_not_meet_share_what_is_correlated(process: Process) -> None:
+    """A long Gauss-Markov term and flicker are the same in both windows, ever less the farther apart."""
+    near = module._lag_covariance(np.array([-41, -50, -100, -300]), 12, 20, process)
+    assert np.all(near < 0)
+    assert np.all(np.diff(near) > 0)

@@ -10,13 +10,14 @@ import pytest
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
-from imucal.fitting.moments import fit_slope
+from imucal.fitting.moments import av_select, fit_slope
 from imucal.fitting.moments.av_intervals import goodness, limits
 from imucal.fitting.moments.av_points import AvarPoints, avar_points, columns
 from imucal.fitting.moments.av_search import Solution, Weight, time_grid
-from imucal.fitting.moments.av_select import _least_cost, _screen
+from imucal.fitting.moments.av_select import _described, _least_cost, _screen
 from imucal.fitting.moments.gmwm import _eta3_widths, _findings, _with_edf
-from imucal.fitting.moments.slope_lines import LogCurve, _floor, _line, read_term
+from imucal.fitting.moments.slope import _beside
+from imucal.fitting.moments.slope_lines import LogCurve, Reading, _floor, _line, read_term
 from imucal.fitting.noise_fit import Goodness
 from imucal.recording import AxisSeries
 from tests.fitting.moments.curves import simulated_curve
@@ -267,3 +268,45 @@ def test_an_interval_of_a_line_is_the_quantile_of_its_spread() -> None:
         assert estimate.low < estimate.value < estimate.high
         highs.append(np.log(estimate.high / estimate.value))
     assert highs[1] == pytest.approx(2 * highs[0], rel=1e-6)
+
+
+def test_distances_are_those_of_the_ranking_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first two models do not describe the curve; the third is the best of what remains."""
+    ranking = [
+        (delta, Solution(laws=laws, times=np.zeros(0), variances=np.ones(len(laws)), objective=0.0))
+        for delta, laws in [(0.0, "N"), (1.5, "NB"), (4.0, "NK"), (7.0, "NBK")]
+    ]
+    weight = Weight.of_deviations(np.ones(5))
+    misfits = {"N": 9.0, "NB": 3.0, "NK": 2.9, "NBK": 0.0}
+    monkeypatch.setattr(av_select, "_converged", lambda _, solution, own: (solution, own, np.eye(5)))
+    monkeypatch.setattr(
+        av_select,
+        "goodness",
+        lambda _, solution, __: Goodness(statistic=misfits[solution.laws], p_value=0.5, chi2_per_bin=1.0),
+    )
+    fit = _described(_points(np.ones(5)), ranking, weight)
+    assert fit.solution.laws == "NK"
+    assert fit.misfit == 2.9
+    assert [(delta, model.laws) for delta, model in fit.ranking] == [(0.0, "NK"), (3.0, "NBK")]
+    misfits |= {"NK": 9.0, "NBK": 9.0}
+    first = _described(_points(np.ones(5)), ranking, weight)
+    assert [delta for delta, _ in first.ranking] == [0.0, 1.5, 4.0, 7.0]
+
+
+@pytest.mark.parametrize(("size", "known"), [(2, False), (3, True)])
+def test_a_bend_is_read_from_three_points(size: int, *, known: bool) -> None:
+    """White noise beside a walk of a hundredth: that, and two standard errors; two points show no bend."""
+    plain = _logs(np.ones(4))
+    white, walk = plain.shape("N"), plain.shape("K")
+    avar = white + 0.01 * walk
+    curve = LogCurve(replace(plain.points, avar=avar), plain.covariance)
+    places = np.arange(size)
+    reading = Reading(symbol="N", places=places, weights=np.ones(size) / size, log_value=0.0)
+    found = _beside(curve, reading, walk[places])
+    if not known:
+        assert found == np.inf
+        return
+    # The logarithm of a deviation scatters by 0.01, so a variance by 2 %.
+    design = (np.stack([white, walk], axis=1) / avar[:, np.newaxis])[places]
+    spread = np.linalg.inv(design.T @ design) * 4e-4
+    assert found == pytest.approx(0.01 + 2 * np.sqrt(spread[1, 1]))

@@ -140,3 +140,32 @@ def test_a_resonance_so_sharp_that_no_regression_is_positive_starts_flat() -> No
     theta = start_response(wild, np.zeros((1, 4)), (2, 0), width=4, room=2)
     candidate = candidates_of([("N",)], data.names, poles=2)
     assert np.isfinite(evaluate(wild, candidate, theta).objective[0])
+
+
+def test_the_blind_fit_is_the_best_of_its_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its objective, whichever start it came from."""
+    data = ordinates_of(simulated("N=1", 500, 1))
+    found = replace(
+        _maximum(0.0, np.eye(MARKOV)),
+        theta=np.arange(12.0).reshape(3, MARKOV),
+        objective=np.array([5.0, 3.0, 4.0]),
+    )
+    monkeypatch.setattr(band, "maximize", lambda *_, **__: found)
+    npt.assert_array_equal(_BandSearch(data, ("N",), 10.0, ()).blind(data), [[4.0, 5.0, 6.0, 7.0]])
+
+
+def test_the_slow_terms_are_found_below_a_32nd_of_the_band(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the narrowest band where it has 24 bins; else on all there is."""
+    seen: list[Ordinates] = []
+
+    def blind(_: _BandSearch, data: Ordinates) -> FloatArray:
+        seen.append(data)
+        return np.zeros((1, MARKOV))
+
+    monkeypatch.setattr(_BandSearch, "blind", blind)
+    monkeypatch.setattr(_BandSearch, "responses", lambda *_: [_trial((0, 0), 1.0)])
+    for n, whole in ((2000, False), (500, True)):
+        data = ordinates_of(simulated("N=1", n, 1))
+        _BandSearch(data, ("N",), 10.0, ()).filtered()
+        expected = data if whole else data.below(0.03125)
+        npt.assert_array_equal(seen[-1].lam, expected.lam)

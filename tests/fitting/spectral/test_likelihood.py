@@ -10,7 +10,7 @@ import pytest
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.likelihood import Candidates, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.fitting.spectral.starts import _mix, time_grid
+from imucal.fitting.spectral.starts import _combinations, _mix, time_grid
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
 from tests.fitting.fits import ordinates_of
@@ -220,3 +220,12 @@ def test_a_rough_ramp_is_taken_out_of_the_power() -> None:
     found = data.detrended()
     npt.assert_allclose(found.power, np.maximum(rest, 1e-9 * data.power))
     assert replace(data, names=("exp:5",)).detrended().power is data.power
+
+
+@pytest.mark.parametrize(("count", "places"), [(3, (0, 8, 15)), (4, (0, 5, 10, 15))])
+def test_more_than_two_gauss_markov_terms_start_evenly_over_the_grid(
+    count: int, places: tuple[int, ...]
+) -> None:
+    """One start, from the first to the last of 16 times; of one or two terms every pair of them."""
+    assert _combinations(count) == [places]
+    assert [len(_combinations(few)) for few in range(3)] == [1, 16, 120]

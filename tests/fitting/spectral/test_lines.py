@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imucal.allan.dct import dct_bins, dct_ordinates
-from imucal.fitting.spectral.lines import find_lines
+from imucal.fitting.spectral.lines import _level, find_lines
 from imucal.noise.model import NoiseModel
 
 N = 60_000
@@ -66,3 +66,14 @@ def test_never_takes_the_lowest_ordinates() -> None:
     samples = noise(2) + 1e-2 * np.arange(N)
     kept, _ = find_lines(dct_ordinates(samples), dct_bins(N), scale=1.0, rate_hz=1.0)
     assert kept is None or kept[:24].all()
+
+
+def test_the_level_is_as_sure_as_half_the_ordinates_it_is_made_of() -> None:
+    """Seventeen neighbouring bins; of single ordinates at first, of more than a hundred at the end."""
+    bins = dct_bins(1000)
+    level, sureness = _level(np.ones(999), None, bins)
+    assert sureness[:100].tolist() == [8.5] * 100
+    assert sureness[-20] == 0.5 * bins.count[-28:-11].sum() > 40
+    assert level[-20] == pytest.approx(1.0)
+    # With nothing kept there is still a level, of one degree of freedom.
+    assert _level(np.ones(999), np.arange(999) < 1, bins)[1][-1] == 1.0

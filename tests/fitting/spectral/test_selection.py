@@ -1,12 +1,15 @@
 """Choice of the model."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 
 from imucal.fitting import CRITERIA, fit
-from imucal.fitting.spectral.scoring import Maximum
+from imucal.fitting.spectral import selection
+from imucal.fitting.spectral.filter_response import Band
+from imucal.fitting.spectral.scoring import Maximum, maximize
 from imucal.fitting.spectral.selection import (
     RankedModels,
     _distinct,
@@ -217,3 +220,28 @@ def test_candidates_are_ranked_by_their_best_maximum_and_its_price() -> None:
     assert ranked.maximum.theta[:, 0].tolist() == [1.0, 2.0]
     assert ranked.modes.tolist() == [1.0, 0.5]
     assert ranked.candidates.parameters.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("poles", [0, 2])
+def test_a_response_that_was_found_stays_in_the_first_round(
+    monkeypatch: pytest.MonkeyPatch, poles: int
+) -> None:
+    """Every start has its coefficients, held; they are free only after that. Without one all are free."""
+    rounds: list[dict[str, Any]] = []
+
+    def watched(*args: Any, **named: Any) -> Maximum:  # noqa: ANN401 - passed on as they are
+        rounds.append({"candidates": args[1], "theta": args[2].copy(), "free": named.get("free")})
+        return maximize(*args, **named)
+
+    monkeypatch.setattr(selection, "maximize", watched)
+    response = np.array([0.5, 2.0])[:poles]
+    band = Band(fraction=1.0, order=(poles, 0), poles=poles, zeros=0, response=response)
+    data = ordinates_of(simulated("N=1", 2000, 1))
+    choose(data, [("N",), ("N", "K")], criterion="bic", shortest=10.0, band=band if poles else None)
+    first, last = rounds[0], rounds[-1]
+    width = first["candidates"].width
+    assert (first["theta"][:, width - poles :] == response).all()
+    expected = first["candidates"].free.copy()
+    expected[:, width - poles :] = False
+    assert (first["free"] == expected).all()
+    assert last["candidates"].free[:, width - poles :].all()

@@ -1,0 +1,161 @@
+"""The parts of an interval after the choice: what near models say, which are looked at, what is named."""
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from imucal.fitting.noise_fit import Estimate, Interval
+from imucal.fitting.spectral import hull
+from imucal.fitting.spectral.estimates import Fitted, Problem
+from imucal.fitting.spectral.selection import RankedModels
+from imucal.fitting.spectral.structures import Structure
+from tests.fitting.fits import ordinates_of
+
+PROBLEM = Problem(
+    ordinates=ordinates_of(np.random.default_rng(0).standard_normal(100)),
+    level=0.9545,
+    shortest=2.0,
+    common=(),
+    unit=1.0,
+    tau0=1.0,
+    widening={},
+)
+
+
+def _ranked(structures: list[Structure], criterion: list[float], fit: list[float]) -> RankedModels:
+    """Return models by criterion; `fit` is twice the sum of objective and number of parameters."""
+    parameters = np.array([len(structure) for structure in structures])
+    models = SimpleNamespace(
+        structures=structures,
+        criterion=np.array(criterion),
+        candidates=SimpleNamespace(parameters=parameters),
+        maximum=SimpleNamespace(objective=np.array(fit) / 2 - parameters),
+    )
+    return cast("RankedModels", models)
+
+
+def _estimate(key: str, low: float, value: float, high: float, time: Interval | None = None) -> Estimate:
+    return Estimate(
+        key=key,
+        symbol=key.rstrip("12"),
+        status="estimated",
+        value=value,
+        low=low,
+        high=high,
+        correlation_time=time,
+    )
+
+
+@pytest.mark.parametrize(
+    ("distance", "level"), [(0.0, 0.9545), (6.0, 0.9545), (7.5, 0.6827), (8.0, 0.4950), (9.0, 0.0)]
+)
+def test_a_model_has_less_to_say_the_farther_it_is(distance: float, level: float) -> None:
+    """Two standard errors up to 6 from the best; one halfway to 9, two thirds of one at 8, none at 9."""
+    assert hull._with_say(PROBLEM, distance).level == pytest.approx(level, abs=1e-4)
+
+
+def _completions(monkeypatch: pytest.MonkeyPatch, choice: RankedModels) -> list[tuple[float, str]]:
+    """Return the distance of each completion, and its terms in the order in which they came."""
+    monkeypatch.setattr(
+        hull, "fitted_model", lambda made, index: SimpleNamespace(structure=made.structures[index])
+    )
+    monkeypatch.setattr(
+        hull, "add_term", lambda _, model, symbol: SimpleNamespace(structure=(*model.structure, symbol))
+    )
+    found = hull._completed(PROBLEM, choice)
+    return [(distance, " ".join(model.structure)) for distance, model in found]
+
+
+def test_models_nearer_than_9_are_completed_once_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """N, N + B and N + B + K have one completion, that of the nearest; at 9 a model is not looked at."""
+    structures: list[Structure] = [("N", "B"), ("N",), ("Q", "N"), ("N", "B", "K"), ("N", "GM"), ("N", "R")]
+    choice = _ranked(structures, [10.0, 11.0, 12.5, 13.0, 18.9, 19.0], [0.0] * 6)
+    assert _completions(monkeypatch, choice) == [
+        (0.0, "N B K"),
+        (2.5, "Q N B K"),
+        (pytest.approx(8.9), "N GM B K"),
+    ]
+
+
+def test_sixteen_models_at_most_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The seventeenth is as near, and is not."""
+    structures: list[Structure] = [("N", *["GM"] * count) for count in range(18)]
+    found = _completions(monkeypatch, _ranked(structures, [0.0] * 18, [0.0] * 18))
+    assert [text.count("GM") for _, text in found] == list(range(16))
+
+
+@pytest.mark.parametrize(
+    ("structures", "fit", "named"),
+    [
+        # Either is there, and each is missing somewhere.
+        ([("N", "B"), ("N", "K")], [0.0, 4.0], {"B": ("K",), "K": ("B",)}),
+        # The second is too far to count.
+        ([("N", "B"), ("N", "K")], [0.0, 4.1], {}),
+        # The third has neither.
+        ([("N", "B"), ("N", "K"), ("N",)], [0.0, 1.0, 2.0], {}),
+        # B is in all of them: it stands for itself.
+        ([("N", "B"), ("N", "B", "K")], [0.0, 1.0], {}),
+        ([("N", "GM"), ("N", "B", "K")], [3.0, 0.0], {"B": ("GM",), "K": ("GM",), "GM": ("B", "K")}),
+        # The nearest by likelihood counts, wherever the criterion has it.
+        ([("N",), ("N", "B"), ("N", "K")], [9.0, 2.0, 0.0], {"B": ("K",), "K": ("B",)}),
+    ],
+)
+def test_a_term_that_another_may_replace_is_named(
+    structures: list[Structure], fit: list[float], named: dict[str, tuple[str, ...]]
+) -> None:
+    """Every model within 4 of the best likelihood has one of the two, and neither is in all of them."""
+    found = hull._alternatives(_ranked(structures, [0.0] * len(fit), fit))
+    assert {symbol: others for symbol, others in found.items() if others} == named
+
+
+def test_an_interval_reaches_from_the_lowest_limit_to_the_highest() -> None:
+    """And holds the value of the chosen model; correlation times likewise."""
+    own = _estimate("GM", 2.0, 3.0, 4.0, Interval(value=10.0, low=8.0, high=12.0))
+    others = [
+        _estimate("GM", 1.0, 1.5, 2.0, Interval(value=9.0, low=7.0, high=11.0)),
+        _estimate("GM", 2.5, 2.6, 2.7, Interval(value=13.0, low=9.0, high=14.0)),
+    ]
+    found = hull._hull(own, others)
+    assert (found.low, found.value, found.high) == (1.0, 3.0, 3.0)
+    assert found.correlation_time == Interval(value=10.0, low=7.0, high=14.0)
+    assert hull._hull(own, []) is own
+
+
+def test_a_term_that_one_model_does_not_show_is_bounded() -> None:
+    """By the highest limit of all, though the chosen model shows it."""
+    own = _estimate("B", 2.0, 3.0, 4.0)
+    found = hull._hull(own, [own, Estimate.bounded("B", "B", 5.0)])
+    assert found == Estimate.bounded("B", "B", 5.0)
+
+
+def test_terms_other_than_n_b_and_k_are_compared_among_equals() -> None:
+    """GM1 of two is another thing than GM of one; N is N in every model."""
+    n, one, first, second = (_estimate(key, 1.0, 2.0, 3.0) for key in ("N", "GM", "GM1", "GM2"))
+    models = [{"N": n, "GM": one}, {"N": n, "GM1": first, "GM2": second}, {"N": n}]
+    assert hull._span("N", {"N": n, "GM": one}, models) == [n, n, n]
+    assert hull._span("GM", {"N": n, "GM": one}, models) == [one]
+
+
+@pytest.mark.parametrize(("shown", "spare"), [({"N", "B"}, ["K"]), ({"B", "K"}, [])])
+def test_terms_that_are_neither_shown_nor_chosen_leave_the_completed_model(
+    monkeypatch: pytest.MonkeyPatch, shown: set[str], spare: list[str]
+) -> None:
+    """What is printed adds up to the line, and no more than that."""
+    dropped: list[str] = []
+
+    def drop(_: Problem, model: Fitted, symbols: list[str]) -> Fitted:
+        dropped.extend(symbols)
+        return model
+
+    monkeypatch.setattr(hull, "drop_terms", drop)
+    monkeypatch.setattr(hull, "estimate", lambda *_: (_estimate("B", 1.0, 2.0, 3.0),))
+    completed, fitted = (
+        cast("Fitted", SimpleNamespace(structure=structure)) for structure in (("N", "B", "K"), ("N",))
+    )
+    own = (_estimate("N", 4.0, 5.0, 6.0),)
+    richer, estimates = hull._richer(PROBLEM, completed, fitted, shown, own)
+    assert richer is completed
+    assert dropped == spare
+    assert [estimate.key for estimate in estimates] == ["N", "B"]
