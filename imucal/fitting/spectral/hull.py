@@ -26,6 +26,8 @@ from imucal.noise.terms import ALWAYS, TERMS, in_order
 _FULL_SAY, _NO_SAY = 6.0, 9.0
 #: Models whose likelihoods, at two a parameter, are within this tell their terms apart no more.
 _ALIKE = 4.0
+#: A lower limit of less than this part of the upper one is none.
+_NOUGHT = 0.02
 #: Most models that are looked at.
 _MOST = 16
 
@@ -43,7 +45,7 @@ def hull_estimates(
     models = [
         {e.key: e for e in estimate(_with_say(problem, distance), model)} for distance, model in completed
     ]
-    shown = {key for key in ALWAYS if all(model[key].low > 0 for model in models)}
+    shown = {key for key in ALWAYS if not any(_may_be_zero(model[key]) for model in models)}
     if shown - set(fitted.structure):
         fitted, own = _richer(problem, completed[0][1], fitted, shown, own)
     values = {key: models[0][key] for key in ALWAYS} | {e.key: e for e in own}
@@ -91,7 +93,7 @@ def _hull(own: Estimate, span: list[Estimate]) -> Estimate:
     if not span:
         return own
     high = max(e.high for e in span)
-    if own.value is None or any(e.low <= 0 for e in span):
+    if own.value is None or any(map(_may_be_zero, span)):
         return Estimate.bounded(own.key, own.symbol, high)
     return replace(
         own,
@@ -99,6 +101,11 @@ def _hull(own: Estimate, span: list[Estimate]) -> Estimate:
         high=max(own.value, high),
         correlation_time=_time_hull(own, span),
     )
+
+
+def _may_be_zero(found: Estimate) -> bool:
+    """Whether an interval reaches down to zero, or to what is printed as zero beside its upper limit."""
+    return found.low <= _NOUGHT * found.high
 
 
 def _time_hull(own: Estimate, span: list[Estimate]) -> Interval | None:

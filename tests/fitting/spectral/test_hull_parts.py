@@ -130,6 +130,13 @@ def test_a_term_that_one_model_does_not_show_is_bounded() -> None:
     assert found == Estimate.bounded("B", "B", 5.0)
 
 
+@pytest.mark.parametrize(("low", "shown"), [(0.079, False), (0.081, True)])
+def test_a_limit_that_is_printed_as_zero_is_zero(low: float, *, shown: bool) -> None:
+    """Less than a fiftieth of the upper one: ``34 [0, 77]`` would say that K is there and that it is not."""
+    own = _estimate("K", low, 2.0, 4.0)
+    assert (hull._hull(own, [own]).value is not None) == shown
+
+
 def test_terms_other_than_n_b_and_k_are_compared_among_equals() -> None:
     """GM1 of two is another thing than GM of one; N is N in every model."""
     n, one, first, second = (_estimate(key, 1.0, 2.0, 3.0) for key in ("N", "GM", "GM1", "GM2"))
