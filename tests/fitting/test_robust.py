@@ -55,6 +55,14 @@ def test_spikes_do_not_reach_the_noise(share: float, size: float) -> None:
     assert [finding.code for finding in findings] == ["spikes"]
 
 
+def test_spikes_are_told_from_the_baseline_not_from_zero() -> None:
+    """Gravity on the axis, or none, or its opposite: the same samples are spikes."""
+    samples = _noise(5_000, 8)
+    samples[[70, 4000]] += 30.0
+    for level in (0.0, 9.8, -9.8):
+        assert np.flatnonzero(spikes(samples + level)).tolist() == [70, 4000]
+
+
 def test_the_finding_counts_and_warns_above_one_per_cent() -> None:
     """Its text has the count, the share and the largest."""
     samples = np.random.default_rng(5).standard_normal(10_000)
