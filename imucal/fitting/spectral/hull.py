@@ -6,7 +6,7 @@ the best is completed with the terms that every fit reports, at zero where the d
 a term's interval reaches from its lowest limit in any of them to its highest. What a model has to say
 gets less with its distance from the best.
 
-Leeb & Pötscher (2005), Econometric Theory 21, 21, "Model selection and inference: facts and fiction",
+Leeb & Pötscher (2005), Econometric Theory 21, p. 21, "Model selection and inference: facts and fiction",
 show why a remedy is needed; how well this one covers is measured by `tests/benchmarks/coverage_auto.py`.
 """
 
@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.fitting.spectral.absent_terms import add_term, drop_terms, fitted_model, ordered
+from imucal.fitting.spectral.absent_terms import add_term, fitted_model, ordered
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate
 from imucal.fitting.spectral.intervals import quantile
 from imucal.fitting.spectral.selection import RankedModels
@@ -47,7 +47,7 @@ def hull_estimates(
     ]
     shown = {key for key in ALWAYS if not any(_may_be_zero(model[key]) for model in models)}
     if shown - set(fitted.structure):
-        fitted, own = _richer(problem, completed[0][1], fitted, shown, own)
+        fitted, own = _richer(problem, fitted, shown, own)
     values = {key: models[0][key] for key in ALWAYS} | {e.key: e for e in own}
     others = _alternatives(choice)
     found = (_hull(value, _span(key, values, models)) for key, value in values.items())
@@ -55,12 +55,13 @@ def hull_estimates(
 
 
 def _richer(
-    problem: Problem, completed: Fitted, fitted: Fitted, shown: set[str], own: tuple[Estimate, ...]
+    problem: Problem, fitted: Fitted, shown: set[str], own: tuple[Estimate, ...]
 ) -> tuple[Fitted, tuple[Estimate, ...]]:
-    """Return the chosen model with the terms that are shown, and its estimates."""
-    spare = [symbol for symbol in ALWAYS if symbol not in shown and symbol not in fitted.structure]
-    richer = drop_terms(problem, completed, spare) if spare else completed
-    return richer, ordered(({e.key: e for e in own} | {e.key: e for e in estimate(problem, richer)}).values())
+    """Return the chosen model, less what was dropped of it, with the terms that are shown; and its estimates."""
+    for symbol in ALWAYS:
+        if symbol in shown and symbol not in fitted.structure:
+            fitted = add_term(problem, fitted, symbol)
+    return fitted, ordered(({e.key: e for e in own} | {e.key: e for e in estimate(problem, fitted)}).values())
 
 
 def _span(key: str, values: dict[str, Estimate], models: list[dict[str, Estimate]]) -> list[Estimate]:

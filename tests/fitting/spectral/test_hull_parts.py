@@ -145,24 +145,23 @@ def test_terms_other_than_n_b_and_k_are_compared_among_equals() -> None:
     assert hull._span("GM", {"N": n, "GM": one}, models) == [one]
 
 
-@pytest.mark.parametrize(("shown", "spare"), [({"N", "B"}, ["K"]), ({"B", "K"}, [])])
-def test_terms_that_are_neither_shown_nor_chosen_leave_the_completed_model(
-    monkeypatch: pytest.MonkeyPatch, shown: set[str], spare: list[str]
+@pytest.mark.parametrize(("shown", "added"), [({"N", "B"}, "B"), ({"B", "K"}, "BK")])
+def test_the_drawn_model_gains_what_is_shown_and_keeps_what_it_lost(
+    monkeypatch: pytest.MonkeyPatch, shown: set[str], added: str
 ) -> None:
-    """What is printed adds up to the line, and no more than that."""
-    dropped: list[str] = []
+    """What is printed adds up to the line; a Gauss-Markov term that was dropped does not come back."""
 
-    def drop(_: Problem, model: Fitted, symbols: list[str]) -> Fitted:
-        dropped.extend(symbols)
-        return model
+    def add(_: Problem, model: Fitted, symbol: str) -> Fitted:
+        return cast("Fitted", SimpleNamespace(structure=(*model.structure, symbol)))
 
-    monkeypatch.setattr(hull, "drop_terms", drop)
-    monkeypatch.setattr(hull, "estimate", lambda *_: (_estimate("B", 1.0, 2.0, 3.0),))
-    completed, fitted = (
-        cast("Fitted", SimpleNamespace(structure=structure)) for structure in (("N", "B", "K"), ("N",))
-    )
-    own = (_estimate("N", 4.0, 5.0, 6.0),)
-    richer, estimates = hull._richer(PROBLEM, completed, fitted, shown, own)
-    assert richer is completed
-    assert dropped == spare
-    assert [estimate.key for estimate in estimates] == ["N", "B"]
+    def estimates_of(_: Problem, model: Fitted) -> tuple[Estimate, ...]:
+        return tuple(_estimate(symbol, 1.0, 2.0, 3.0) for symbol in model.structure)
+
+    monkeypatch.setattr(hull, "add_term", add)
+    monkeypatch.setattr(hull, "estimate", estimates_of)
+    fitted = cast("Fitted", SimpleNamespace(structure=("N", "GM")))
+    own = (_estimate("N", 4.0, 5.0, 6.0), _estimate("GM", 1.0, 2.0, 3.0), Estimate.bounded("GM2", "GM", 5.0))
+    richer, estimates = hull._richer(PROBLEM, fitted, shown, own)
+    assert richer.structure == ("N", "GM", *added)
+    found = {estimate.key: estimate.value for estimate in estimates}
+    assert found == {"N": 2.0, "GM": 2.0, "GM2": None, **dict.fromkeys(added, 2.0)}
