@@ -57,7 +57,7 @@ def hull_estimates(
 def _richer(
     problem: Problem, fitted: Fitted, shown: set[str], own: tuple[Estimate, ...]
 ) -> tuple[Fitted, tuple[Estimate, ...]]:
-    """Return the chosen model, less what was dropped of it, with the terms that are shown; and its estimates."""
+    """Return the chosen model, less what was dropped, with the terms that are shown; and its estimates."""
     for symbol in ALWAYS:
         if symbol in shown and symbol not in fitted.structure:
             fitted = add_term(problem, fitted, symbol)
