@@ -25,7 +25,7 @@ _SAID_BETTER = (("roll-off", "output-filter"), ("tone", "line"))
 #: The settings in the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
-    *("max_gm", "clean", "verify", "second_opinion"),
+    *("max_gm", "clean", "verify", "second_opinion", "segments"),
 )
 
 #: Called with the number of axes done, of all axes, and the name of the next one.

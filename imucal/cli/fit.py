@@ -8,6 +8,7 @@ from imucal.cli._finding_lines import has_warning, print_findings
 from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
 from imucal.errors import DataError
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
+from imucal.fitting.settings import MOST_SEGMENTS
 from imucal.noise import parse_structure, structure_text
 
 _FORMATS = ("png", "svg", "pdf")
@@ -71,6 +72,13 @@ written, 130 interrupted."""
 @shown("--level", type=LEVEL, default=0.95, help="Confidence level of every interval.")
 @shown("--ic", type=click.Choice(CRITERIA), default="bic", help="Criterion that chooses the model.")
 @shown("--weights", type=click.Choice(WEIGHTS), default="full", help="Weights of gmwm.")
+@shown(
+    "--segments",
+    type=click.IntRange(1, MOST_SEGMENTS),
+    default=8,
+    metavar="N",
+    help="Parts whose noise is compared; 1 for none.",
+)
 @shown("--taus", type=TauSet(), default="octave", metavar="SET", help="octave, decade, decade:20 or all.")
 @shown(
     "--edf",
@@ -102,6 +110,7 @@ def command(
     level: float,
     ic: str,
     weights: str,
+    segments: int,
     taus: str,
     edf: str,
     no_clean: bool,
@@ -130,6 +139,7 @@ def command(
             level=level,
             criterion=ic,
             weights=weights,
+            segments=segments,
             taus=taus,
             edf=edf,
             clean=not no_clean,

@@ -8,6 +8,7 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
 from imucal.fitting.cross_checks import verify_findings
+from imucal.fitting.homogeneity import nonstationary_finding, widened, widened_covariance
 from imucal.fitting.noise_fit import Goodness, Line, NoiseFit
 from imucal.fitting.robust import heavy_tails, resolution_effect
 from imucal.fitting.settings import FitSettings
@@ -19,9 +20,11 @@ from imucal.fitting.spectral.filter_response import Band, filter_finding, respon
 from imucal.fitting.spectral.hull import hull_estimates
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
+from imucal.fitting.spectral.segment_fit import fit_segments
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.structures import Structure, all_structures
 from imucal.fitting.spectral.transform import bin_blocks, choose_regressors
+from imucal.fitting.variance_changes import find_variance_change
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
 
@@ -106,12 +109,27 @@ def fit_mle(
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
+    segments = fit_segments(
+        series,
+        view.blocks,
+        problem,
+        fitted,
+        model=model,
+        curve=curve,
+        wanted=settings.segments,
+        fraction=band.fraction,
+        temperature=temperature,
+    )
+    estimates = widened(estimates, segments)
+    covariance = widened_covariance(names, covariance, segments)
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
     findings += filter_finding(
         view.ordinates, fitted, band, response, rate_hz=series.rate_hz, axis=series.name
     )
     findings += _misfit_findings(found, str(model), series.name)
+    change = find_variance_change(series) if settings.segments > 1 else None
+    findings += nonstationary_finding(segments, change, series.name)
     if structure is None:
         findings += choice_findings(choice, series.name)
     white = next(e for e in estimates if e.key == "N")
@@ -142,6 +160,7 @@ def fit_mle(
         criterion=settings.chosen_by,
         findings=tuple(findings),
         settings=_settings(band, view.common),
+        segments=segments,
     )
 
 
