@@ -52,7 +52,8 @@ def complete(
     n = samples.size
     places = np.arange(n)
     filled = np.where(seen, samples, np.interp(places, places[seen], samples[seen]))
-    filled -= filled.mean()
+    mean = filled.mean()
+    filled -= mean
     gaps = np.flatnonzero(~seen)
     draw = np.random.default_rng(_SEED).standard_normal(n - 1)
     groups = _groups(bins)
@@ -80,7 +81,7 @@ def complete(
     whole = ordinates**2 + variance
     share = np.add.reduceat(variance, groups) / np.add.reduceat(whole, groups)
     loss = share[np.searchsorted(groups, bins.first - 1, side="right") - 1]
-    return ordinates, variance, np.clip(loss, 0.0, 0.99), filled[gaps] + error[gaps]
+    return ordinates, variance, np.clip(loss, 0.0, 0.99), mean + filled[gaps] + error[gaps]
 
 
 def _groups(bins: DctBins) -> IntArray:
