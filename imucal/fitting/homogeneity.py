@@ -22,8 +22,8 @@ from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.segments import CHANCE, SLOW, Segments, TermHomogeneity
 from imucal.fitting.variance_changes import VarianceChange
 
-#: An interval that reaches down to less than this part of the value is widened about the deviation,
-#: where it is symmetric when it is wide; others about the deviation's logarithm.
+#: The interval of a slow term that reaches down to less than this part of its value is widened about the
+#: deviation, in which a weak term's is symmetric; others about the deviation's logarithm.
 _NARROW = 0.8
 #: A lower limit of less than this part of the upper one is none.
 _NOUGHT = 0.02
@@ -167,7 +167,7 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
         return estimate
     if estimate.value is None:
         return replace(estimate, high=estimate.high * factor, widening=factor)
-    low, high = _limits(estimate.value, estimate.low, estimate.high, factor)
+    low, high = _limits(estimate, estimate.value, factor)
     if low <= _NOUGHT * high:
         bounded = Estimate.bounded(estimate.key, estimate.symbol, high)
         return replace(bounded, alternatives=estimate.alternatives, widening=factor)
@@ -178,7 +178,8 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
     return replace(estimate, low=low, high=high, correlation_time=time, widening=factor)
 
 
-def _limits(value: float, low: float, high: float, factor: float) -> tuple[float, float]:
-    if low > _NARROW * value:
-        return value * (low / value) ** factor, value * (high / value) ** factor
-    return value - factor * (value - low), value + factor * (high - value)
+def _limits(estimate: Estimate, value: float, factor: float) -> tuple[float, float]:
+    low, high = estimate.low, estimate.high
+    if estimate.symbol in SLOW and low < _NARROW * value:
+        return value - factor * (value - low), value + factor * (high - value)
+    return value * (low / value) ** factor, value * (high / value) ** factor

@@ -115,6 +115,13 @@ def test_a_wide_interval_is_widened_about_the_value_and_may_reach_zero() -> None
     npt.assert_allclose([gone.low, gone.high, gone.widening], [0.0, 2.0, 2.0])
 
 
+def test_white_noise_keeps_its_value_however_much_it_changes() -> None:
+    """A jump of the noise widens N's interval, and does not make N vanish."""
+    (found,) = widened([estimate("N", 1.0, 0.7, 1.4)], segments(term("N", 7000.0)))
+    assert found.value == 1.0
+    npt.assert_allclose([found.low, found.high], [0.7 ** np.sqrt(1000), 1.4 ** np.sqrt(1000)])
+
+
 def test_a_bound_is_raised() -> None:
     """A bound is the factor times as high."""
     (found,) = widened([Estimate.bounded("K", "K", 3.0)], segments(term("K", 28.0)))
