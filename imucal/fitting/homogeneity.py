@@ -82,7 +82,7 @@ def bartlett_correction(information: FloatArray) -> float:
 def widened(estimates: Iterable[Estimate], segments: Segments | None) -> tuple[Estimate, ...]:
     """Return the estimates with intervals as wide as the segments ask for.
 
-    One that then reaches down to zero is bounded.
+    A slow term that then reaches down to zero is bounded.
     """
     if segments is None:
         return tuple(estimates)
@@ -168,7 +168,7 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
     if estimate.value is None:
         return replace(estimate, high=estimate.high * factor, widening=factor)
     low, high = _limits(estimate, estimate.value, factor)
-    if low <= _NOUGHT * high:
+    if estimate.symbol in SLOW and low <= _NOUGHT * high:
         bounded = Estimate.bounded(estimate.key, estimate.symbol, high)
         return replace(bounded, alternatives=estimate.alternatives, widening=factor)
     time = estimate.correlation_time

@@ -5,6 +5,8 @@ Heights are relative to the record's value: one scale for every unit.
 """
 
 import math
+from collections.abc import Iterator
+from itertools import count
 
 import numpy as np
 
@@ -16,9 +18,11 @@ from imucal.report.markup import Markup, element, join
 from imucal.report.result import AxisReport
 
 #: Size of the picture and of the margins about each of its rows, in its own units.
-_WIDTH, _ROW, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 92, 92, 12, 18, 20
+_WIDTH, _ROW, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 86, 56, 12, 24, 22
 #: Least relative height of a row, and most: what is beyond it is cut.
 _LEAST, _MOST = 0.02, 4.0
+#: Most steps between the times that are named.
+_MARKS = 6
 
 
 def segments_figure(axis: AxisReport) -> Markup | None:
@@ -31,7 +35,7 @@ def segments_figure(axis: AxisReport) -> Markup | None:
     ]
     if segments.floor is not None:
         at = numbers.seconds(segments.floor_tau_s)
-        rows.append((f"floor at {at}", segments.floor, None))
+        rows.append((f"floor (Allan deviation at {at})", segments.floor, None))
     height = len(rows) * (_ROW + _TOP) + _BOTTOM
     title = _title(axis, segments)
     drawn = [_row(segments, trace, band, name, i) for i, (name, trace, band) in enumerate(rows)]
@@ -81,7 +85,7 @@ def _row(
         part = math.log(max(ratio, 1e-9)) / (1.08 * reach)
         return round(top + _ROW * (0.5 - 0.5 * max(-1.0, min(part, 1.0))), 1)
 
-    parts = [_text(4, top + _ROW / 2 + 4, name, class_="name")]
+    parts = [_text(_LEFT, top - 6, name, class_="name")]
     for percent in _ticks(reach):
         at = y(1 + percent / 100)
         parts += [
@@ -119,14 +123,21 @@ def _ticks(reach: float) -> list[float]:
 
 
 def _times(segments: Segments, height: int) -> Markup:
-    """Return the names of some times under the rows."""
+    """Return the names of some round times under the rows."""
     end = float(segments.end_s[-1])
     unit, name = (3600.0, "h") if end >= 2 * 3600 else (60.0, "min") if end >= 120 else (1.0, "s")
-    marks = np.linspace(0, end, 5)
+    step = next(s for s in _round_steps() if end / unit / s <= _MARKS)
+    marks = step * unit * np.arange(math.floor(end / unit / step) + 1)
     return join(
-        _text(x, height - 6, f"{time / unit:.3g} {name}", text_anchor="middle" if i < 4 else "end")
-        for i, (time, x) in enumerate(zip(marks.tolist(), _x(segments, marks), strict=True))
+        _text(x, height - 6, f"{time / unit:g} {name}", text_anchor="middle")
+        for time, x in zip(marks.tolist(), _x(segments, marks), strict=True)
     )
+
+
+def _round_steps() -> Iterator[float]:
+    """Yield 0.1, 0.2, 0.5, 1, 2, 5, 10 …"""
+    for power in count(-1):
+        yield from (part * 10.0**power for part in (1, 2, 5))
 
 
 def _x(segments: Segments, seconds: FloatArray) -> list[float]:
