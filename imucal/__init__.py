@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from imucal.findings import Finding
     from imucal.fitting import fit
     from imucal.fitting.noise_fit import NoiseFit
+    from imucal.fleet import LogValue, Population, population
     from imucal.noise import NoiseModel
     from imucal.pipeline import Settings, characterize
     from imucal.planning import plan
@@ -43,8 +44,10 @@ __all__ = [
     "DataError",
     "Finding",
     "ImucalError",
+    "LogValue",
     "NoiseFit",
     "NoiseModel",
+    "Population",
     "ReadError",
     "Recording",
     "Report",
@@ -60,6 +63,7 @@ __all__ = [
     "fit",
     "load_report",
     "plan",
+    "population",
     "read",
     "screen",
     "spectrum",
@@ -74,6 +78,7 @@ _HOMES = {
     "imucal.errors": ("ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"),
     "imucal.findings": ("Finding",),
     "imucal.fitting": ("NoiseFit", "fit"),
+    "imucal.fleet": ("LogValue", "Population", "population"),
     "imucal.noise": ("NoiseModel",),
     "imucal.pipeline": ("Settings", "characterize"),
     "imucal.planning": ("plan",),

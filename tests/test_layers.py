@@ -35,6 +35,7 @@ BELOW |= {
 BELOW["planning"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
+BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
