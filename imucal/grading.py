@@ -112,7 +112,7 @@ def judge_findings(
         Relative half-width of the interval of N, by axis, where one is known.
     """
     grave = [finding for finding in findings if grade_of(finding) != "good"]
-    grade = max(map(grade_of, grave), key=GRADES.index, default="good")
+    grade: Grade = max(map(grade_of, grave), key=GRADES.index, default="good")
     reasons = _reasons([finding for finding in grave if grade_of(finding) == grade], axes)
     sound = _sound(grave, axes)
     noise = _noise(sound, len(axes), errors or {})
