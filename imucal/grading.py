@@ -113,19 +113,22 @@ def judge_findings(
     """
     grave = [finding for finding in findings if grade_of(finding) != "good"]
     grade: Grade = max(map(grade_of, grave), key=GRADES.index, default="good")
-    reasons = _reasons([finding for finding in grave if grade_of(finding) == grade], axes)
-    sound = _sound(grave, axes)
+    decisive = [finding for finding in grave if grade_of(finding) == grade]
+    reasons = _reasons(decisive, axes)
+    sound, left = _untouched(grave, axes), _untouched(decisive, axes)
     noise = _noise(sound, len(axes), errors or {})
     if grade == "good":
-        return NoiseVerdict(grade=grade, sentence=f"Good: {noise or 'no finding speaks against it'}")
-    if grade == "look":
-        return NoiseVerdict(grade=grade, sentence=f"Look first: {reasons}{f'; {noise}' if sound else ''}")
-    rest = noise if sound else "do not use these numbers"
-    return NoiseVerdict(grade=grade, sentence=f"Not noise: {reasons}; {rest}")
+        sentence = f"Good: {noise or 'no finding speaks against it'}"
+    elif grade == "look":
+        sentence = f"Look first: {reasons}{f'; {noise}' if sound else ''}"
+    else:
+        rest = f"look at {_listed(left, axes)} first" if left else "do not use these numbers"
+        sentence = f"Not noise: {reasons}; {noise if sound else rest}"
+    return NoiseVerdict(grade=grade, sentence=sentence)
 
 
-def _sound(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
-    """Return the axes about whose noise nothing grave is said."""
+def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
+    """Return the axes about whose noise none of the findings speaks."""
     return [name for name in axes if not any(_concerns(finding, name) for finding in grave)]
 
 
@@ -166,11 +169,13 @@ def _placed(phrase: str, names: Sequence[str], axes: Sequence[str]) -> str:
     given = [name for name in dict.fromkeys(names) if name]
     about = [axis for axis in axes if any(_within(axis, name) for name in given)]
     about += [name for name in given if not any(_within(axis, name) for axis in axes)]
-    where = list(dict.fromkeys(_shortest(name, about, axes) for name in about))
-    if not where:
-        return phrase
-    *first, last = where
-    return f"{phrase} on {', '.join(first)} and {last}" if first else f"{phrase} on {last}"
+    return f"{phrase} on {_listed(about, axes)}" if about else phrase
+
+
+def _listed(about: Sequence[str], axes: Sequence[str]) -> str:
+    """Return ``gyro, accel_x and accel_y``: a sensor's name for all of its axes."""
+    *first, last = dict.fromkeys(_shortest(name, about, axes) for name in about)
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _shortest(name: str, about: Sequence[str], axes: Sequence[str]) -> str:
