@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from imucal.findings import Finding
     from imucal.fitting import fit
     from imucal.fitting.noise_fit import NoiseFit
+    from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
     from imucal.pipeline import Settings, characterize
     from imucal.planning import plan
@@ -45,6 +46,7 @@ __all__ = [
     "ImucalError",
     "NoiseFit",
     "NoiseModel",
+    "NoiseVerdict",
     "ReadError",
     "Recording",
     "Report",
@@ -74,6 +76,7 @@ _HOMES = {
     "imucal.errors": ("ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"),
     "imucal.findings": ("Finding",),
     "imucal.fitting": ("NoiseFit", "fit"),
+    "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
     "imucal.pipeline": ("Settings", "characterize"),
     "imucal.planning": ("plan",),

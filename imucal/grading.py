@@ -57,7 +57,7 @@ PHRASES: Mapping[str, str] = {
     "swapped-sensors": "gyroscope and accelerometer are swapped",
     "temperature": "the temperature",
     "tone": "a tone",
-    "touch": "something touched the IMU",
+    "touch": "something touched or shook the IMU",
     "truncated": "a log that was cut off",
     "two-maxima": "two explanations",
     "unit-assumed": "an assumed unit",

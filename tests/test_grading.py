@@ -84,7 +84,7 @@ def test_a_warning_names_its_axes() -> None:
 def test_a_warning_of_the_log_leaves_the_axes_alone() -> None:
     """Missing samples are no fault of the noise; a touch is one of all axes."""
     assert sentence(finding("gaps")) == "Look first: missing samples; 6 of 6 axes are stationary noise"
-    assert sentence(finding("touch")) == "Look first: something touched the IMU"
+    assert sentence(finding("touch")) == "Look first: something touched or shook the IMU"
 
 
 def test_many_reasons_are_counted() -> None:
