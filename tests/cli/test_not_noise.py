@@ -77,8 +77,8 @@ def test_fit_and_adev_end_with_code_4_and_one_line(
         ended = "(nothing was written|the curves were printed); record again at rest, or --force"
         assert re.fullmatch(f"Error: log.csv: not noise: {said}(, N to .*)?; {ended}", line)
         assert done.stdout
-        forced = run(*command, "-q", "--force", cwd=tmp_path)
-        assert (forced.returncode, forced.stderr, forced.stdout) == (0, "", done.stdout)
+    forced = run("adev", "log.csv", "-q", "--force", cwd=tmp_path)
+    assert (forced.returncode, forced.stderr, forced.stdout) == (0, "", done.stdout)
     assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
 
 
