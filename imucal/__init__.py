@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from imucal.fitting import fit
     from imucal.fitting.noise_fit import NoiseFit
     from imucal.fleet import LogValue, Population, population
+    from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
     from imucal.pipeline import Settings, characterize
     from imucal.planning import plan
@@ -47,6 +48,7 @@ __all__ = [
     "LogValue",
     "NoiseFit",
     "NoiseModel",
+    "NoiseVerdict",
     "Population",
     "ReadError",
     "Recording",
@@ -79,6 +81,7 @@ _HOMES = {
     "imucal.findings": ("Finding",),
     "imucal.fitting": ("NoiseFit", "fit"),
     "imucal.fleet": ("LogValue", "Population", "population"),
+    "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
     "imucal.pipeline": ("Settings", "characterize"),
     "imucal.planning": ("plan",),

@@ -14,6 +14,7 @@ BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "findings": set(),
+    "grading": {"findings"},
     "_version": set(),
     "atomic": {"errors"},
     "clock": set(),
