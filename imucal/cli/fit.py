@@ -1,6 +1,7 @@
 """``imucal fit``: the main job."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -9,6 +10,9 @@ from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_option
 from imucal.errors import DataError
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
+
+if TYPE_CHECKING:
+    from imucal.findings import Finding
 
 _FORMATS = ("png", "svg", "pdf")
 
@@ -162,11 +166,13 @@ def command(
     else:
         click.echo(summary_table(report, datasheet=datasheet))
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
+    missing: list[Finding] = []
     if not no_report:
-        for path in write_report(report, folder, formats=formats, html=not no_html):
+        for path in write_report(report, folder, formats=formats, html=not no_html, tell=missing.append):
             say(str(path), quiet=request.quiet)
+        print_findings(missing, quiet=request.quiet)
         say(f"Next: imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
-    if request.strict and has_warning(report.all_findings):
+    if request.strict and has_warning((*report.all_findings, *missing)):
         click.get_current_context().exit(DataError.exit_code)
 
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from imucal.allan.dct import DctBins, dct_bins, dct_ordinates, ramp_ordinates
+from imucal.allan.dct import DctBins, dct_bins, dct_ordinates, fast_length, ramp_ordinates
 from imucal.arrays import BoolArray, FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -158,7 +158,8 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Se
     lines: tuple[Line, ...] = ()
     longest = 0
     for run in runs:
-        block = _transform(series, run, _bins(run.size, len(runs)), scale, temperature)
+        quick = _quick(series, run)
+        block = _transform(series, quick, _bins(quick.size, len(runs)), scale, temperature)
         kept, found = find_lines(block.ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
         blocks.append(block if kept is None else replace(block, kept=kept))
         if block.bins.n > longest:
@@ -192,6 +193,17 @@ def _runs(series: AxisSeries) -> tuple[list[_Stretch], int]:
         first = cut + 1
     long = [run for run in runs if run.stop - run.start >= _FEWEST]
     return long, sum(run.stop - run.start for run in runs if run not in long)
+
+
+def _quick(series: AxisSeries, run: _Stretch) -> _Stretch:
+    """Return the run without the last few samples that would make its transform slow."""
+    size = fast_length(run.size)
+    if size == run.size:
+        return run
+    unbroken = run.stop - run.start == run.size
+    places = None if unbroken else series.clock.grid()[run.start : run.stop] - run.offset
+    kept = size if places is None else int(np.searchsorted(places, size))
+    return replace(run, size=size, stop=run.start + kept)
 
 
 def _bins(size: int, blocks: int) -> DctBins:

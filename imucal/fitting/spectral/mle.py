@@ -24,6 +24,7 @@ from imucal.fitting.spectral.structures import Structure, all_structures
 from imucal.fitting.spectral.transform import bin_blocks, choose_regressors
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
+from imucal.side_work import findings_or_why_not
 
 #: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
 #: shorter is the sensor's output filter.
@@ -117,7 +118,12 @@ def fit_mle(
     white = next(e for e in estimates if e.key == "N")
     findings += resolution_effect(series, white.value or 0.0)
     if settings.verify:
-        findings += verify_findings(series, model, names, covariance)
+        findings += findings_or_why_not(
+            lambda: verify_findings(series, model, names, covariance),
+            what="The exact likelihood verifies nothing",
+            code="verified",
+            axis=series.name,
+        )
     nyquist = series.rate_hz / 2
     return NoiseFit(
         method="mle",
