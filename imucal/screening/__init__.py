@@ -78,12 +78,8 @@ def _all_findings(recording: Recording) -> Iterator[Finding]:
     yield from empty
     for log_check in _LOG_CHECKS:
         yield from _judged(log_check, alive)
-    moved: tuple[Finding, ...] = ()
-    for rest_check in _REST_CHECKS:
-        moved = _judged(rest_check, alive)
-        yield from moved
-        if any(finding.code != _FAILED for finding in moved):
-            break
+    moved = _moved(alive)
+    yield from moved
     checks = _AXIS_CHECKS
     if not any(finding.level == "error" for finding in moved):
         checks += _NOISE_CHECKS
@@ -92,6 +88,16 @@ def _all_findings(recording: Recording) -> Iterator[Finding]:
     for axis_check in checks:
         for p in alive:
             yield from _judged(axis_check, p, axis=p.name)
+
+
+def _moved(alive: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return what the first check says that sees a motion, and which could not look."""
+    moved: tuple[Finding, ...] = ()
+    for check in _REST_CHECKS:
+        moved += _judged(check, alive)
+        if any(finding.code != _FAILED for finding in moved):
+            break
+    return moved
 
 
 def _judged(

@@ -5,14 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from imucal.allan.dct import DctBins, dct_bins, dct_ordinates, fast_length, ramp_ordinates
+from imucal.allan.dct import DctBins, dct_bins, dct_ordinates, fast_length
 from imucal.arrays import BoolArray, FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.lines import find_lines
 from imucal.fitting.spectral.missing import complete
-from imucal.fitting.spectral.ordinates import exponential_ordinates
+from imucal.fitting.spectral.regressors import regressor_ordinates
 from imucal.recording import AxisSeries
 
 #: Bends of a straight line, as a part of its steps: rounding, not noise.
@@ -46,7 +46,7 @@ class Block:
     loss
         Share of each bin's information that missing samples took, shape (b,); None for none.
     temperature
-        Ordinates of the temperature, shape (k,), or None.
+        At each place of the block, shape (bins.n,), or None.
     """
 
     offset: int
@@ -58,20 +58,17 @@ class Block:
     temperature: FloatArray | None = None
 
     def regressor(self, name: str) -> FloatArray:
-        """Return the ordinates of a regressor: ``R``, ``temperature`` or ``exp:<samples>``."""
-        count = self.ordinates.size
-        if name == "R":
-            return ramp_ordinates(self.bins.n, count)
-        if name == "temperature" and self.temperature is not None:
-            return self.temperature
-        return exponential_ordinates(self.bins.n, count, float(name.partition(":")[2]), self.offset)
+        """Return the ordinates of a regressor, by its name."""
+        return regressor_ordinates(
+            name, self.bins.n, self.ordinates.size, offset=self.offset, temperature=self.temperature
+        )
 
     def lowest(self, count: int) -> "Block":
         """Return the block of the lowest bins only, of at least `count` ordinates in all."""
         bins = self.bins
         number = int(np.searchsorted(bins.first, count, side="right"))
         stop = int(bins.first[number - 1] + bins.count[number - 1] - 1)
-        stops = {"ordinates": stop, "variance": stop, "kept": stop, "loss": number, "temperature": stop}
+        stops = {"ordinates": stop, "variance": stop, "kept": stop, "loss": number}
         given = {name: end for name, end in stops.items() if getattr(self, name) is not None}
         return replace(
             self,
@@ -237,7 +234,7 @@ def _transform(
         ordinates=ordinates,
         variance=variance,
         loss=loss,
-        temperature=None if temperature is None else dct_ordinates(temperature),
+        temperature=temperature,
     )
 
 

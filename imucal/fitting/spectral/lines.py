@@ -13,8 +13,9 @@ from imucal.fitting.noise_fit import Line
 
 #: Chance that a record without lines has one found.
 _CHANCE = 0.01
-#: Ordinates that are never left out, and half the number of bins that make the local level.
-_LOWEST, _NEIGHBOURS = 24, 8
+#: Ordinates that are never left out: what has up to 24 periods a record is looked for as a cycle. And half
+#: the number of bins that make the local level.
+_LOWEST, _NEIGHBOURS = 48, 8
 #: Degrees of freedom of a median per ordinate it is made of: 0.64 for many, 0.5 for single ones.
 _MEDIAN_EFFICIENCY = 0.5
 #: Median of the square of a standard normal.
