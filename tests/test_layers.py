@@ -20,6 +20,7 @@ BELOW: dict[str, set[str]] = {
     "clock": set(),
     "recording": {"arrays", "clock", "errors", "findings"},
     "powerlaw": {"arrays"},
+    "side_work": {"errors", "findings"},
     "units": {"recording"},
 }
 BASE = set(BELOW)
