@@ -67,7 +67,7 @@ class Work:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unscaled:
-    """A sensor's samples with their clock, still in the unit of the log: x, y and z, shape (n,) each."""
+    """A sensor's samples with their clock, still in the unit of the log: its axes, shape (n,) each."""
 
     triad: Triad
     axes: Sequence[FloatArray]
@@ -163,7 +163,7 @@ class UnitGuess:
 
 
 def _sample_of(axes: Sequence[FloatArray]) -> FloatArray:
-    """Return up to 20 000 rows of a triad, spread over the log, finite ones only; shape (k, 3)."""
+    """Return up to 20 000 rows of a sensor, spread over the log, finite ones only; shape (k, axes)."""
     n = min(axis.size for axis in axes)
     size = _SAMPLE // 4
     starts = sorted({max(0, min(n - size, k * n // 4)) for k in range(4)})
@@ -177,6 +177,8 @@ def infer_accel_unit(rows: FloatArray) -> UnitGuess:
     """Return the unit in which samples of shape (k, 3) have the magnitude of gravity."""
     if not rows.size:
         return UnitGuess(reason="there are no finite samples")
+    if rows.shape[1] < 3:
+        return UnitGuess(reason="without all three axes gravity does not show it")
     size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
     seen = f"median magnitude {size:.4g}"
     for unit, gravity in (("m/s^2", G0), ("g", 1.0), ("mg", 1000.0)):
@@ -198,7 +200,7 @@ def infer_accel_unit(rows: FloatArray) -> UnitGuess:
 
 
 def infer_gyro_unit(rows: FloatArray, *, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:
-    """Return the unit of rates of shape (k, 3), beside an accelerometer whose unit is known."""
+    """Return the unit of rates of shape (k, axes), beside an accelerometer whose unit is known."""
     if not rows.size:
         return UnitGuess(reason="there are no finite samples")
     if bool((rows == np.round(rows)).all()) and bool(rows.any()):
