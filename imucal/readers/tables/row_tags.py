@@ -92,9 +92,7 @@ def _unclear(
     rows = rows or texts
     examples = [columns_text(table.time, *_placed(triad), rows=f"@{index}:{text}") for text in rows[:_SHOWN]]
     found = f"{len(names)} of them name" if names else "none of them names"
-    problem = (
-        f"column {header} says of which sensor a row is ({', '.join(texts)}); {found} the {triad.sensor}"
-    )
+    problem = f"column {header} says whose a row is ({', '.join(texts)}); {found} the {triad.sensor}"
     return table.ask(problem, example=" or ".join(examples))
 
 
