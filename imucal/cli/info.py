@@ -10,6 +10,7 @@ from typing import TypeAlias
 import click
 
 from imucal.cli import options_for
+from imucal.cli._finding_lines import suggestion
 from imucal.cli._options import describe_duration
 from imucal.errors import ImucalError
 from imucal.findings import Finding
@@ -258,7 +259,8 @@ def _jitter(seconds: float) -> str:
 
 
 def _words(finding: Finding) -> _Words:
-    return finding.level, finding.code, f"{finding.text} {finding.advice}"
+    parts = (finding.text, finding.advice, suggestion(finding))
+    return finding.level, finding.code, " ".join(part for part in parts if part)
 
 
 def _sentence(words: _Words, axes: list[str]) -> Iterator[str]:
