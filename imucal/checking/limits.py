@@ -15,16 +15,16 @@ GRAVE = ("info", "warning", "error")
 #: Every code that a finding may have, so that a limits file can't forbid one that doesn't exist;
 #: described in ``docs/findings.md``.
 FINDING_CODES = frozenset([
-    "axis-missing", "bad-rows", "bursts", "clock-jump", "clocks-differ", "coarse-lsb", "coarse-stamps", "compression",
-    "counter-unused", "crc", "cut-line", "damaged", "definition", "delay", "dropouts", "duplicate-axes",
-    "duplicate-stamps", "encapsulation", "extra-samples", "file-missing", "gaps", "gaps-in-curve",
-    "gaps-in-fit", "held-samples", "index", "joined", "line", "log-out-of-order", "log-time-used",
-    "model-choice", "model-misfit", "motion", "no-data", "no-gravity", "no-result", "not-finite",
-    "other-vectors", "output-filter", "poor-fit", "rate-differs", "rate-given", "record-length",
-    "record-length-unknown", "roll-off", "rounding", "sampling-period", "saturated", "second-opinion",
-    "sensor-missing",
-    "short-times", "spikes", "stamps-out-of-order", "step", "stuck", "swapped-sensors", "temperature",
-    "tone", "touch", "truncated", "two-maxima", "unindexed", "unit-assumed", "unit-suspect", "verified",
+    "axis-missing", "bad-rows", "bursts", "clock-jump", "clocks-differ", "coarse-lsb",
+    "coarse-stamps", "compression", "counter-unused", "crc", "cut-line", "damaged", "definition",
+    "delay", "dropouts", "duplicate-axes", "duplicate-stamps", "encapsulation", "extra-samples",
+    "file-missing", "gaps", "gaps-in-curve", "gaps-in-fit", "held-samples", "index", "joined",
+    "line", "log-out-of-order", "log-time-used", "model-choice", "model-misfit", "motion",
+    "no-data", "no-gravity", "no-result", "not-finite", "other-vectors", "output-filter",
+    "poor-fit", "rate-differs", "rate-given", "record-length", "record-length-unknown", "roll-off",
+    "rounding", "sampling-period", "saturated", "second-opinion", "sensor-missing", "short-times",
+    "spikes", "stamps-out-of-order", "step", "stuck", "swapped-sensors", "temperature", "tone",
+    "touch", "truncated", "two-maxima", "unindexed", "unit-assumed", "unit-suspect", "verified",
     "wal-ignored", "warm-up", "warm-up-fitted", "wrapped", "zero-stamps",
 ])  # fmt: skip
 

@@ -124,7 +124,7 @@ def given_unit(options: ReadOptions, sensor: Sensor) -> tuple[str | None, float 
 
 def _inferred_scale(work: Work, entry: Unscaled, accel_unit: str | None) -> tuple[str, float, str]:
     """Return unit, scale and reason as the samples themselves show them."""
-    sensor, rows = entry.triad.sensor, _sample_of(entry.axes)
+    sensor, rows = entry.triad.sensor, sample_rows(entry.axes)
     if sensor is Sensor.ACCELEROMETER:
         found = infer_accel_unit(rows)
     else:
@@ -162,7 +162,7 @@ class UnitGuess:
     assumed: bool = False
 
 
-def _sample_of(axes: Sequence[FloatArray]) -> FloatArray:
+def sample_rows(axes: Sequence[FloatArray]) -> FloatArray:
     """Return up to 20 000 rows of a sensor, spread over the log, finite ones only; shape (k, axes)."""
     n = min(axis.size for axis in axes)
     size = _SAMPLE // 4
@@ -210,7 +210,7 @@ def infer_gyro_unit(rows: FloatArray, *, rate_hz: float | None, accel_unit: str 
 
 def _by_step(rows: FloatArray) -> UnitGuess | None:
     """Return the unit in which the converter's step is a known one."""
-    step = _step(rows)
+    step = converter_step(rows)
     for unit, factor in (("deg/s", 1.0), ("rad/s", _DEGREE)):
         for known in _STEPS:
             if step is not None and abs(step / (known * factor) - 1) < _STEP_TOLERANCE:
@@ -239,7 +239,7 @@ def _by_size(rows: FloatArray, rate_hz: float | None, accel_unit: str | None) ->
     )
 
 
-def _step(rows: FloatArray) -> float | None:
+def converter_step(rows: FloatArray) -> float | None:
     """Return the step of which all values are multiples; None where there is none."""
     steps = []
     for axis in rows.T:
