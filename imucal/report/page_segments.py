@@ -127,7 +127,7 @@ def _times(segments: Segments, height: int) -> Markup:
     end = float(segments.end_s[-1])
     unit, name = (3600.0, "h") if end >= 2 * 3600 else (60.0, "min") if end >= 120 else (1.0, "s")
     step = next(s for s in _round_steps() if end / unit / s <= _MARKS)
-    marks = step * unit * np.arange(math.floor(end / unit / step) + 1)
+    marks = step * unit * np.arange(math.floor(end / unit / step) + 1, dtype=np.float64)
     return join(
         _text(x, height - 6, f"{time / unit:g} {name}", text_anchor="middle")
         for time, x in zip(marks.tolist(), _x(segments, marks), strict=True)
@@ -135,7 +135,7 @@ def _times(segments: Segments, height: int) -> Markup:
 
 
 def _round_steps() -> Iterator[float]:
-    """Yield 0.1, 0.2, 0.5, 1, 2, 5, 10 …"""
+    """Yield 0.1, 0.2, 0.5, 1, 2, 5 and so on."""
     for power in count(-1):
         yield from (part * 10.0**power for part in (1, 2, 5))
 

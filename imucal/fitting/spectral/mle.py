@@ -11,11 +11,14 @@ from imucal.fitting.cross_checks import verify_findings
 from imucal.fitting.homogeneity import nonstationary_finding, widened, widened_covariance
 from imucal.fitting.noise_fit import Goodness, Line, NoiseFit
 from imucal.fitting.robust import heavy_tails, resolution_effect
+from imucal.fitting.segments import Segments
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered, with_absent
 from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
-from imucal.fitting.spectral.estimates import Problem, covariance_of, model_of
+from imucal.fitting.spectral.disturbance_findings import disturbance_findings, with_exact_steps
+from imucal.fitting.spectral.disturbances import find_disturbances
+from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.hull import hull_estimates
 from imucal.fitting.spectral.ordinates import Ordinates
@@ -23,10 +26,12 @@ from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segment_fit import fit_segments
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.structures import Structure, all_structures
-from imucal.fitting.spectral.transform import bin_blocks, choose_regressors
-from imucal.fitting.variance_changes import find_variance_change
+from imucal.fitting.spectral.transform import bin_blocks
+from imucal.fitting.variance_changes import VarianceChange, find_variance_change
+from imucal.noise.model import NoiseModel
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
+from imucal.side_work import findings_or_why_not, try_side_work
 
 #: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
 #: shorter is the sensor's output filter.
@@ -109,16 +114,12 @@ def fit_mle(
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
-    segments = fit_segments(
-        series,
-        view.blocks,
-        problem,
-        fitted,
-        model=model,
-        curve=curve,
-        wanted=settings.segments,
-        fraction=band.fraction,
-        temperature=temperature,
+    (segments, change), not_compared = try_side_work(
+        lambda: _over_time(series, view, problem, fitted, model=model, curve=curve, wanted=settings.segments),
+        (None, None),
+        what="The parts of the record are not compared",
+        code="nonstationary",
+        axis=series.name,
     )
     estimates = widened(estimates, segments)
     covariance = widened_covariance(names, covariance, segments)
@@ -128,14 +129,18 @@ def fit_mle(
         view.ordinates, fitted, band, response, rate_hz=series.rate_hz, axis=series.name
     )
     findings += _misfit_findings(found, str(model), series.name)
-    change = find_variance_change(series) if settings.segments > 1 else None
-    findings += nonstationary_finding(segments, change, series.name)
+    findings += [*not_compared, *nonstationary_finding(segments, change, series.name)]
     if structure is None:
         findings += choice_findings(choice, series.name)
     white = next(e for e in estimates if e.key == "N")
     findings += resolution_effect(series, white.value or 0.0)
     if settings.verify:
-        findings += verify_findings(series, model, names, covariance)
+        findings += findings_or_why_not(
+            lambda: verify_findings(series, model, names, covariance),
+            what="The exact likelihood verifies nothing",
+            code="verified",
+            axis=series.name,
+        )
     nyquist = series.rate_hz / 2
     return NoiseFit(
         method="mle",
@@ -169,7 +174,8 @@ def spectral_view(
 ) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
-    common, findings = choose_regressors(blocks.blocks, axis=series.name, tau0=series.tau0)
+    found = with_exact_steps(find_disturbances(blocks.blocks), series)
+    common = tuple(name for one in found for name in one.names)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common, given=structure)
     return View(
@@ -177,8 +183,34 @@ def spectral_view(
         band=band,
         ordinates=whole.below(band.fraction),
         common=common,
-        findings=blocks.findings + findings,
+        findings=blocks.findings + disturbance_findings(found, series, blocks.scale),
     )
+
+
+def _over_time(
+    series: AxisSeries,
+    view: View,
+    problem: Problem,
+    fitted: Fitted,
+    *,
+    model: NoiseModel,
+    curve: AllanCurve,
+    wanted: int,
+) -> tuple[Segments | None, VarianceChange | None]:
+    """Return what the segments of the record say, and whether the variance changes within them."""
+    if wanted < 2:
+        return None, None
+    segments = fit_segments(
+        series,
+        view.blocks,
+        problem,
+        fitted,
+        model=model,
+        curve=curve,
+        wanted=wanted,
+        fraction=view.band.fraction,
+    )
+    return segments, find_variance_change(series)
 
 
 def _richest(structure: Structure | None, max_gm: int) -> Structure:

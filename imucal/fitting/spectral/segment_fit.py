@@ -17,7 +17,7 @@ from imucal.fitting.spectral.estimates import Fitted, Problem
 from imucal.fitting.spectral.intervals import quantile
 from imucal.fitting.spectral.likelihood import contributions
 from imucal.fitting.spectral.scoring import bounds
-from imucal.fitting.spectral.segment_ordinates import Drift, SegmentOrdinates, segment_ordinates
+from imucal.fitting.spectral.segment_ordinates import SegmentOrdinates, segment_ordinates
 from imucal.fitting.spectral.segment_scales import Parts, Scales, fit_scales, scales_at
 from imucal.fitting.spectral.structures import candidates_of, parameter_columns
 from imucal.noise.model import NoiseModel
@@ -42,7 +42,6 @@ def fit_segments(
     curve: AllanCurve,
     wanted: int,
     fraction: float,
-    temperature: FloatArray | None = None,
 ) -> Segments | None:
     """Return what the segments of a record say of its fit; None where it is too short for any.
 
@@ -62,19 +61,15 @@ def fit_segments(
         Most segments.
     fraction
         Upper end of the band, as a fraction of Nyquist.
-    temperature
-        In degrees Celsius at the samples, shape (n,), or None.
     """
-    drift = Drift(
-        coefficients={
-            name: float(beta)
-            for name, beta in zip(problem.ordinates.names, fitted.maximum.beta[0], strict=True)
-            if beta
-        },
-        temperature=temperature,
-    )
+    names, beta = problem.ordinates.names, fitted.maximum.beta[0].tolist()
     found = segment_ordinates(
-        series, blocks.blocks, drift, scale=blocks.scale, wanted=wanted, fraction=fraction
+        series,
+        blocks.blocks,
+        drift={name: value for name, value in zip(names, beta, strict=True) if value},
+        scale=blocks.scale,
+        wanted=wanted,
+        fraction=fraction,
     )
     if found is None:
         return None

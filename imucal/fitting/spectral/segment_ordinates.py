@@ -4,6 +4,7 @@ Nothing is looked for again: the scale, the lines that are left out, the drift, 
 are those of the record's blocks.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from imucal.allan.dct import dct_bins, dct_ordinates, fast_length
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.regressors import regressor_samples
 from imucal.fitting.spectral.transform import bin_blocks
 from imucal.recording import AxisSeries
 
@@ -46,34 +48,6 @@ class SegmentOrdinates:
     end_s: FloatArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Drift:
-    """What a fit took out beside the noise: its regressors with their coefficients, in scaled units.
-
-    Attributes
-    ----------
-    coefficients
-        Name of a regressor (``R``, ``temperature``, ``exp:<samples>``) -> its coefficient.
-    temperature
-        In degrees Celsius at the samples, shape (n,), or None.
-    """
-
-    coefficients: dict[str, float]
-    temperature: FloatArray | None = None
-
-    def at(self, places: IntArray, grid: IntArray, samples: slice) -> FloatArray:
-        """Return the drift at places on the grid, shape (k,), of which `grid` hold these samples."""
-        drift = np.zeros(places.size)
-        for name, coefficient in self.coefficients.items():
-            if name == "R":
-                drift += coefficient * places
-            elif name == "temperature" and self.temperature is not None:
-                drift += coefficient * np.interp(places, grid, self.temperature[samples])
-            elif name.startswith("exp:"):
-                drift += coefficient * np.exp(-places / float(name.removeprefix("exp:")))
-        return drift
-
-
 def number_of_segments(samples: int, wanted: int) -> int:
     """Return how many segments a record is cut into: fewer where it is short, 0 for none."""
     count = min(wanted, samples // _FEWEST)
@@ -83,8 +57,8 @@ def number_of_segments(samples: int, wanted: int) -> int:
 def segment_ordinates(
     series: AxisSeries,
     blocks: tuple[Block, ...],
-    drift: Drift,
     *,
+    drift: Mapping[str, float],
     scale: float,
     wanted: int,
     fraction: float,
@@ -100,7 +74,7 @@ def segment_ordinates(
     blocks
         Their blocks.
     drift
-        What is taken out of them.
+        Name of a regressor -> its coefficient in scaled units: what is taken out.
     scale
         U per scaled unit.
     wanted
@@ -119,7 +93,7 @@ def segment_ordinates(
         pieces = []
         for block in blocks:
             low, high = max(start, block.offset), min(stop, block.offset + block.bins.n)
-            piece = _piece(series, grid, block, drift, scale=scale, place=low, size=high - low)
+            piece = _piece(series, grid, block, drift=drift, scale=scale, place=low, size=high - low)
             pieces += [piece] if piece else []
         if sum(piece.bins.n for piece in pieces) >= _FEWEST // 2:
             parts.append(bin_blocks(pieces, scale, ()).below(fraction))
@@ -144,7 +118,14 @@ def _joined(parts: list[Ordinates]) -> Ordinates:
 
 
 def _piece(
-    series: AxisSeries, grid: IntArray, block: Block, drift: Drift, *, scale: float, place: int, size: int
+    series: AxisSeries,
+    grid: IntArray,
+    block: Block,
+    *,
+    drift: Mapping[str, float],
+    scale: float,
+    place: int,
+    size: int,
 ) -> Block | None:
     """Return the part of a block from a place of the grid on; None where little of it was measured."""
     size = fast_length(max(size, 0))
@@ -157,8 +138,8 @@ def _piece(
     if missing and block.drawn is not None:
         before = place - block.offset - (first - int(np.searchsorted(grid, block.offset)))
         samples = _between(samples, grid[seen] - place, block.drawn[before : before + missing])
-    if drift.coefficients:
-        samples -= drift.at(np.arange(place, place + size), grid[seen], seen)
+    for name, coefficient in drift.items():
+        samples -= coefficient * _regressor(name, block, place, size)
     bins = dct_bins(size, singles=_SINGLES, per_octave=_PER_OCTAVE)
     return Block(
         offset=place,
@@ -167,6 +148,16 @@ def _piece(
         kept=_kept(block, size),
         loss=_loss(block, bins.omega, missing / size) if missing else None,
     )
+
+
+def _regressor(name: str, block: Block, place: int, size: int) -> FloatArray:
+    """Return a regressor at places of the grid; what lags, from the beginning of the block on."""
+    first = place - block.offset
+    stop = first + size
+    start = 0 if name.startswith("temperature") else first
+    places = block.offset + np.arange(start, stop, dtype=np.float64)
+    temperature = None if block.temperature is None else block.temperature[start:stop]
+    return regressor_samples(name, places, temperature)[first - start :]
 
 
 def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray:

@@ -8,9 +8,10 @@ from scipy.optimize import minimize
 import imucal
 from imucal.clock import Clock
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.spectral import mle
 from imucal.fitting.spectral.blocks import make_blocks
+from imucal.fitting.spectral.regressors import regressor_samples
 from imucal.fitting.spectral.segment_ordinates import (
-    Drift,
     SegmentOrdinates,
     number_of_segments,
     segment_ordinates,
@@ -30,16 +31,13 @@ def axis(samples: np.ndarray, keep: np.ndarray | None = None) -> AxisSeries:
     return series if keep is None else series.keeping(keep)
 
 
-def cut(series: AxisSeries, drift: Drift | None = None, *, wanted: int = 8) -> SegmentOrdinates | None:
-    """Return the ordinates of the segments of a series over the whole band."""
-    blocks = make_blocks(series)
+def cut(
+    series: AxisSeries, drift: dict[str, float] | None = None, temperature: np.ndarray | None = None
+) -> SegmentOrdinates | None:
+    """Return the ordinates of eight segments of a series over the whole band."""
+    blocks = make_blocks(series, temperature)
     return segment_ordinates(
-        series,
-        blocks.blocks,
-        drift or Drift(coefficients={}),
-        scale=blocks.scale,
-        wanted=wanted,
-        fraction=1.0,
+        series, blocks.blocks, drift=drift or {}, scale=blocks.scale, wanted=8, fraction=1.0
     )
 
 
@@ -83,14 +81,15 @@ def test_segments_lie_evenly_in_time() -> None:
 
 
 def test_what_the_fit_took_out_is_taken_out() -> None:
-    """A ramp, a warm-up and the temperature with their coefficients leave the noise."""
+    """A ramp, a warm-up, a step, a cycle and a lagging temperature leave the noise."""
     rng = np.random.default_rng(33)
     noise = rng.standard_normal(N)
-    t, heat = np.arange(N), np.cumsum(rng.standard_normal(N)) / 30
-    series = axis(noise + 1e-3 * t + 40 * np.exp(-t / 5000) + 2 * heat)
+    t, heat = np.arange(N, dtype=np.float64), np.cumsum(rng.standard_normal(N)) / 30
+    shapes = {"R": 1e-3, "exp:5000": 40.0, "step:9000": 3.0, "cos:0.002": 2.0, "temperature:300": 2.0}
+    slow = sum(size * regressor_samples(name, t, heat) for name, size in shapes.items())
+    series = axis(noise + slow)
     scale = make_blocks(series).scale
-    coefficients = {"R": 1e-3 / scale, "exp:5000": 40 / scale, "temperature": 2 / scale}
-    found = cut(series, Drift(coefficients=coefficients, temperature=heat))
+    found = cut(series, {name: size / scale for name, size in shapes.items()}, heat)
     expected = [part.var(ddof=1) for part in np.split(noise, 8)]
     npt.assert_allclose(white_levels(found, series), expected, rtol=1e-6)
 
@@ -336,3 +335,20 @@ def test_stationary_records_are_rarely_widened() -> None:
         found = fit(simulated(truth, N, 5400 + i, rate_hz=RATE_HZ), model="N + B + K" if i % 3 else "N")
         wider += any(e.widening > 1 for e in found.estimates)
     assert wider <= 2
+
+
+def test_a_calculation_that_fails_costs_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fit stays as it is without segments, and a finding says that they were not looked at."""
+
+    def failing(*_: object, **__: object) -> None:
+        msg = "no"
+        raise np.linalg.LinAlgError(msg)
+
+    samples = simulated("N=1", N, 55)
+    once = fit(samples, segments=1, model="N")
+    monkeypatch.setattr(mle, "fit_segments", failing)
+    found = fit(samples, model="N")
+    assert found.segments is None
+    assert found.estimates == once.estimates
+    (said,) = (f for f in found.findings if f.code == "nonstationary")
+    assert said.text == "The parts of the record are not compared: the calculation failed (LinAlgError: no)."
