@@ -156,8 +156,12 @@ def _second_opinion(series: AxisSeries, first: NoiseFit, curve: AllanCurve) -> t
     if not first.model.terms:
         return ()
 
+    # What had no spikes has none now.
+    clean = any(finding.code == "spikes" for finding in first.findings)
+
     def judge() -> tuple[Finding, ...]:
-        other = fit(series, model=str(first.model), method="gmwm", level=first.level, curve=curve)
+        model = str(first.model)
+        other = fit(series, model=model, method="gmwm", level=first.level, clean=clean, curve=curve)
         return second_opinion(first, other)
 
     return findings_or_why_not(
