@@ -139,17 +139,14 @@ def test_the_report_is_named_after_the_log(log: str, folder: str) -> None:
 
 def test_parts_of_the_record_are_compared_unless_asked_not_to(tmp_path: Path) -> None:
     """The report says into how many parts; none is no number of parts."""
-    log = tmp_path / "log.csv"
-    assert (
-        run("simulate", "N=1e-3", "--rate", "100", "--duration", "100s", "-o", str(log), "-q").returncode == 0
-    )
-    options = ("--no-report", "--json", "-q", "--model", "N")
-    cut, whole = (
-        json.loads(run("fit", str(log), *options, *more).stdout) for more in ((), ("--segments", "1"))
-    )
+    options = ("--rate", "100", "--duration", "100s", "-o", "log.csv", "-q")
+    assert run("simulate", "N=1e-3", *options, cwd=tmp_path).returncode == 0
+    ask = ("fit", "log.csv", "--no-report", "--json", "-q", "--model", "N")
+    cut = json.loads(run(*ask, cwd=tmp_path).stdout)
+    whole = json.loads(run(*ask, "--segments", "1", cwd=tmp_path).stdout)
     assert (cut["settings"]["segments"], whole["settings"]["segments"]) == (8, 1)
     assert len(cut["axes"][0]["fit"]["segments"]["start_s"]) == 4
     assert whole["axes"][0]["fit"]["segments"] is None
-    refused = run("fit", str(log), "--segments", "0")
+    refused = run("fit", "log.csv", "--segments", "0", cwd=tmp_path)
     assert refused.returncode == 2
     assert "1<=x<=64" in refused.stderr

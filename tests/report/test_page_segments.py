@@ -25,13 +25,13 @@ _VALUES = np.array([1.0, 1.1, 0.9, 1.6])
 
 def segments(scale: float, *, q: float = 90.0, floor: bool = True) -> Segments:
     """Return four segments of an hour whose N is about `scale`."""
-    start = 3600.0 * np.arange(4)
+    start = 3600.0 * np.arange(4.0)
     spans = np.stack([start, start + 3600], axis=1)
     trace = Trace(value=scale * _VALUES, low=0.95 * scale * _VALUES, high=1.05 * scale * _VALUES)
     term = homogeneity("N", q, np.log(_VALUES), np.full(4, 400.0), spans)
     return Segments(
-        start_s=start,
-        end_s=start + 3600,
+        start_s=np.asarray(start, np.float64),
+        end_s=np.asarray(start + 3600, np.float64),
         white=trace,
         floor=trace if floor else None,
         floor_tau_s=100.0 if floor else np.nan,
@@ -39,10 +39,10 @@ def segments(scale: float, *, q: float = 90.0, floor: bool = True) -> Segments:
     )
 
 
-def changing(report: Report, **how: float) -> Report:
+def changing(report: Report, *, q: float = 90.0, floor: bool = True) -> Report:
     """Return the report as if the N of its first axis had changed."""
     axis = report.axes[0]
-    found = segments(axis.fit["N"].value or 1.0, **how)
+    found = segments(axis.fit["N"].value or 1.0, q=q, floor=floor)
     fit = replace(axis.fit, segments=found, estimates=widened(axis.fit.estimates, found))
     return replace(report, axes=(replace(axis, fit=fit), *report.axes[1:]))
 
@@ -127,11 +127,11 @@ def test_compare_and_check_read_the_wider_interval() -> None:
     axis = report.axes[0]
     n = axis.fit["N"]
     assert n.value is not None
-    moved = replace(n, value=1.2 * n.value, low=1.2 * n.low, high=1.2 * n.high)
+    moved = replace(n, value=1.1 * n.value, low=1.1 * n.low, high=1.1 * n.high)
     estimates = tuple(moved if e.key == "N" else e for e in axis.fit.estimates)
     other = replace(report, axes=(replace(axis, fit=replace(axis.fit, estimates=estimates)),))
     before = {d.key: d.outcome for d in compare(report, other).differences}
-    after = {d.key: d.outcome for d in compare(changing(report), changing(other)).differences}
+    after = {d.key: d.outcome for d in compare(changing(report, q=3000), changing(other, q=3000)).differences}
     assert (before["N"], after["N"]) == ("differs", "same")
     ((_, judged),) = measure(changing(report).axes[0], "N")
     assert judged.high / judged.low == pytest.approx((n.high / n.low) ** np.sqrt(30))
