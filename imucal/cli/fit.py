@@ -116,9 +116,10 @@ def command(
     """Fit a noise model to every axis of LOG and write a report.
 
     LOG is a CSV, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, MAT or ULog file, or
-    - for text on standard input. Several LOGs are read as one recording with gaps. The table on
-    standard output holds the noise terms of each axis with their intervals; the report folder
-    holds report.json, report.html and the pictures.
+    - for text on standard input. Several LOGs are read as one recording where each goes on where
+    the one before ends (splits of a bag, rotated tables), or with --join. The table on standard
+    output holds the noise terms of each axis with their intervals; the report folder holds
+    report.json, report.html and the pictures.
     """
     from imucal.cli._curve_fit import fit_curves, is_curve_table
     from imucal.pipeline import Settings

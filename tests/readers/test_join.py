@@ -303,7 +303,9 @@ def test_what_the_message_says_works(tmp_path: Path) -> None:
         assert done.stderr.endswith("or say that they are parts of one recording\nSay it with --join.\n")
     assert run("adev", "unit0.mcap", "unit1.mcap", "--join", "-q", cwd=tmp_path).returncode == 0
     assert run("adev", "unit0.mcap", "-q", cwd=tmp_path).returncode == 0
-    done = run("fit", "unit0.mcap", "unit1.mcap", "--join", "--json", "--no-report", "--model", "N", cwd=tmp_path)
+    done = run(
+        "fit", "unit0.mcap", "unit1.mcap", "--join", "--json", "--no-report", "--model", "N", cwd=tmp_path
+    )
     assert done.returncode == 0
     assert '"join": true' in done.stdout
 

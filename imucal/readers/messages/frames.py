@@ -13,6 +13,12 @@ _BEFORE = {"ros1": 12, "cdr": 12}
 _LONGEST = 256
 
 
+def first_frames(containers: Sequence[Container], topics: Sequence[Topic]) -> list[tuple[str, str]]:
+    """Return the frames of topics as decisions of a recording; none of a topic without a frame."""
+    frames = (first_frame(containers, topic) for topic in topics)
+    return [("frame", frame) for frame in frames if frame]
+
+
 def first_frame(containers: Sequence[Container], topic: Topic) -> str:
     """Return the frame of a topic's first message; empty where its messages have no header, or no name.
 
@@ -32,8 +38,9 @@ def _first_payload(container: Container, channel: Channel) -> Iterator[bytes]:
     for task in container.tasks(frozenset([channel.key])):
         try:
             for key, batch in task.load(scratch):
-                if key == channel.key and batch.n:
-                    yield _start(batch.checked())
+                checked = batch.checked() if key == channel.key else batch
+                if key == channel.key and checked.n:
+                    yield _start(checked)
                     return
         except DamagedError:
             continue
