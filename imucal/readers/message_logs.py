@@ -134,7 +134,7 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     work = RecordingBuilder(path=str(path), format=form)
     work.findings += [finding for container in containers for finding in container.findings]
     work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
-    work.decisions += first_frames(containers, [choice.topic for choice in choices])
+    work.decisions += first_frames(containers, choices)
     for choice, decoding in zip(choices, decodings, strict=True):
         work.findings += _loss_findings(decoding.losses)
         if not decoding.columns.n:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from imucal.readers.containers import Channel, Container
 from imucal.readers.containers.container import Batch
 from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.messages.choice import Choice
 from imucal.readers.messages.topics import Topic
 
 #: Bytes of a ROS 1 header, and of a ROS 2 header with its encapsulation, before the frame's length.
@@ -13,9 +14,9 @@ _BEFORE = {"ros1": 12, "cdr": 12}
 _LONGEST = 256
 
 
-def first_frames(containers: Sequence[Container], topics: Sequence[Topic]) -> list[tuple[str, str]]:
-    """Return the frames of topics as decisions of a recording; none of a topic without a frame."""
-    frames = (first_frame(containers, topic) for topic in topics)
+def first_frames(containers: Sequence[Container], choices: Sequence[Choice]) -> list[tuple[str, str]]:
+    """Return the frames of what was chosen as decisions of a recording; none of a topic without a frame."""
+    frames = (first_frame(containers, choice.topic) for choice in choices)
     return [("frame", frame) for frame in frames if frame]
 
 
