@@ -17,6 +17,7 @@ BELOW: dict[str, set[str]] = {
     "_version": set(),
     "atomic": {"errors"},
     "clock": set(),
+    "printable": set(),
     "recording": {"arrays", "clock", "errors", "findings"},
     "powerlaw": {"arrays"},
     "units": {"recording"},

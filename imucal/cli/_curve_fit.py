@@ -4,9 +4,8 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import click
-
 from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import say
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS
@@ -44,9 +43,9 @@ def fit_curves(
                 quiet=quiet,
             )
     if as_json:
-        click.echo(json.dumps([_document(named, result) for named, result in results], indent=1))
+        echo_json(json.dumps([_document(named, result) for named, result in results], indent=1))
     else:
-        click.echo("\n\n".join(_table(named, result) for named, result in results))
+        echo("\n\n".join(_table(named, result) for named, result in results))
 
 
 def _unit(named: NamedCurve, symbol: str) -> str:

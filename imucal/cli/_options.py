@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import click
 
+from imucal.cli._echo import echo
 from imucal.cli._progress import axes_progress, reading_progress
 from imucal.recording import AxisSeries, Recording
 
@@ -49,7 +50,7 @@ quiet_option = click.option(
 def say(text: str, *, quiet: bool = False) -> None:
     """Print a line for people, on standard error, so that standard output holds results only."""
     if not quiet:
-        click.echo(text, err=True)
+        echo(text, err=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,6 +8,7 @@ import click
 from imucal._version import __version__
 from imucal.allan.confidence import EDF_METHODS
 from imucal.allan.estimators import ESTIMATORS
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import has_warning, print_findings
 from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say, shown
 from imucal.errors import DataError
@@ -91,9 +92,9 @@ def command(
         raise failures[0] if failures else DataError(msg)
     if as_json:
         document = {"schema": "imucal/adev/1", "version": __version__, "level": level, "axes": axes}
-        click.echo(json.dumps(document, indent=1, allow_nan=False))
+        echo_json(json.dumps(document, indent=1, allow_nan=False))
     else:
-        click.echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
+        echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
     print_findings(recording.findings, quiet=request.quiet, verbose=request.verbose)
     for failure in failures:
         say(f"Error: {failure}")

@@ -9,6 +9,7 @@ import click
 
 from imucal.checking import Baseline, CheckResult, FindingRules, Limits
 from imucal.checking.verdict import Row, Verdict
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
 
@@ -100,12 +101,12 @@ def command(
             scratch.write_text(junit_xml(result), encoding="utf-8")
         say(str(junit), quiet=request.quiet)
     if as_json:
-        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        click.echo(_table(result))
+        echo(_table(result))
     if github:
         for line in github_annotations(result, file=str(limits_file or "")):
-            click.echo(line, err=as_json)
+            echo(line, err=as_json)
     if not result.passed:
         click.get_current_context().exit(1)
 

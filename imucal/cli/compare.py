@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import Number, quiet_option, say, shown
 from imucal.cli._report_input import read_report
 from imucal.comparison import Comparison, Difference, compare
@@ -68,9 +69,9 @@ def command(
     """
     result = compare(read_report(a), read_report(b), alpha=alpha, tolerance=tolerance)
     if as_json:
-        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        click.echo(_table(result, datasheet=datasheet))
+        echo(_table(result, datasheet=datasheet))
     for name, path in (("A", result.a), ("B", result.b)):
         say(f"{name}: {path}", quiet=quiet)
     for note in result.notes:

@@ -7,6 +7,7 @@ from typing import TypedDict, get_args
 import click
 from click.shell_completion import CompletionItem
 
+from imucal.cli._echo import echo
 from imucal.cli._options import LogRequest, say, shown
 from imucal.cli._report_input import load_report, report_or_log
 from imucal.errors import WriteError
@@ -168,10 +169,10 @@ def command(
             raise click.BadParameter(msg, param_hint="'-o'")
         click.echo(texts[0], nl=False)
     elif len(names) == 1:
-        click.echo(str(export(report, names[0], out or Path(), **options)[0]))
+        echo(str(export(report, names[0], out or Path(), **options)[0]))
     else:
         for name in names:
-            click.echo(str(export(report, name, _folder(out or _FOLDER), **options)[0]))
+            echo(str(export(report, name, _folder(out or _FOLDER), **options)[0]))
     _say_bounds(report, quiet=request.quiet)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import has_warning, print_findings
 from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
 from imucal.errors import DataError
@@ -159,9 +160,9 @@ def command(
         check_folder(folder)
     report = request.characterise(settings)
     if as_json:
-        click.echo(dumps(to_document(report)), nl=False)
+        echo_json(dumps(to_document(report)), nl=False)
     else:
-        click.echo(summary_table(report, datasheet=datasheet))
+        echo(summary_table(report, datasheet=datasheet))
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
     if not no_report:
         for path in write_report(report, folder, formats=formats, html=not no_html):

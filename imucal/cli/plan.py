@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say, shown
 from imucal.cli._report_input import is_report, read_report
 from imucal.noise.model import NoiseModel
@@ -96,9 +97,9 @@ def command(
         duration_s=duration,
     )
     if as_json:
-        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        click.echo(_table(result, datasheet=datasheet))
+        echo(_table(result, datasheet=datasheet))
     if any(need.bounded for axis in result.axes for need in axis.needs):
         say("< value: not seen; the time is for a term as large as its bound", quiet=quiet)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import RATE, Duration, Number, quiet_option, say, shown
 from imucal.noise import NoiseModel
 from imucal.units import G0
@@ -135,9 +136,9 @@ def command(
         "seed": seed,
     }
     if as_json:
-        click.echo(json.dumps(truth, indent=2))
+        echo_json(json.dumps(truth, indent=2))
     else:
-        click.echo(str(out))
+        echo(str(out))
     say(
         f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}",
         quiet=quiet or not as_json,

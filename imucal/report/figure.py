@@ -8,6 +8,7 @@ import io
 from typing import TYPE_CHECKING, Any
 
 from imucal.noise.terms import TERMS
+from imucal.printable import printable
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.figure_allan import MARKERS, draw_allan, draw_allan_overview
@@ -110,7 +111,7 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
         figure.add_axes((place, bottom / height, width, _PLOT_HEIGHT / height))
         for place, width in (_LEFT, _RIGHT)
     ]
-    path = report.source.path
+    path = printable(report.source.path)
     shown = path if len(path) <= 90 else f"…{path[-89:]}"
     # A dollar sign in a path starts no formula.
     style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
