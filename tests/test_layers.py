@@ -18,6 +18,7 @@ BELOW: dict[str, set[str]] = {
     "atomic": {"errors"},
     "clock": set(),
     "printable": set(),
+    "resources": {"errors"},
     "recording": {"arrays", "clock", "errors", "findings"},
     "powerlaw": {"arrays"},
     "units": {"recording"},
