@@ -14,6 +14,7 @@ BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "findings": set(),
+    "grading": {"findings"},
     "_version": set(),
     "atomic": {"errors"},
     "clock": set(),
@@ -21,6 +22,7 @@ BELOW: dict[str, set[str]] = {
     "resources": {"errors"},
     "recording": {"arrays", "clock", "errors", "findings"},
     "powerlaw": {"arrays"},
+    "side_work": {"errors", "findings"},
     "units": {"recording"},
 }
 BASE = set(BELOW)
@@ -37,6 +39,7 @@ BELOW |= {
 BELOW["planning"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
+BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}

@@ -28,11 +28,6 @@ class _Line:
         return f" ({self.more} more like it{where}; -v shows all)"
 
 
-def has_warning(findings: Sequence[Finding]) -> bool:
-    """Say whether a finding is more than a remark, which ends a --strict run with an exit code."""
-    return any(finding.level != "info" for finding in findings)
-
-
 def print_findings(findings: Sequence[Finding], *, quiet: bool, verbose: bool = False) -> None:
     """Print findings, the grave ones first; axes that share a sentence stand together.
 

@@ -13,7 +13,8 @@ import click
 
 from imucal.cli._echo import echo
 from imucal.cli._progress import axes_progress, reading_progress
-from imucal.recording import AxisSeries, Recording
+from imucal.recording import AxisSeries, Recording, Sensor
+from imucal.units import SAMPLE_UNITS, parse_sample_unit
 
 if TYPE_CHECKING:
     from imucal.pipeline import Settings
@@ -149,6 +150,27 @@ class Duration(click.ParamType[float]):
         return seconds
 
 
+class UnitName(click.ParamType[str]):
+    """A unit of one sensor's samples, in a spelling that can't be meant otherwise."""
+
+    name = "unit"
+    #: Plurals: a log's column may be called so, but "degs" typed by a person may be degrees.
+    _unclear = frozenset({"rads", "mrads", "degs", "mdegs"})
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.sensor = sensor
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value)
+        found = parse_sample_unit(text)
+        known = ", ".join(SAMPLE_UNITS[self.sensor])
+        if text.strip().lower() in self._unclear and found is not None:
+            self.fail(f"{text!r} is not clear; did you mean {found[1]!r}?", param, ctx)
+        if found is None or found[0] is not self.sensor:
+            self.fail(f"{text!r} is no unit of the {self.sensor}; expected one of {known}", param, ctx)
+        return text
+
+
 def log_options(command: Command) -> Callable[..., Any]:
     """Add the LOG argument and the options of reading it; the command gets them as `request`."""
 
@@ -176,9 +198,17 @@ def log_options(command: Command) -> Callable[..., Any]:
             help="Sampling rate, where the log's own is missing or wrong.",
         ),
         click.option(
-            "--gyro-unit", metavar="UNIT", help="rad/s, deg/s, mdeg/s, …, where the log doesn't say."
+            "--gyro-unit",
+            type=UnitName(Sensor.GYROSCOPE),
+            metavar="UNIT",
+            help="rad/s, deg/s, mdeg/s, …, where the log doesn't say.",
         ),
-        click.option("--accel-unit", metavar="UNIT", help="m/s^2, g, mg, …, where the log doesn't say."),
+        click.option(
+            "--accel-unit",
+            type=UnitName(Sensor.ACCELEROMETER),
+            metavar="UNIT",
+            help="m/s^2, g, mg, …, where the log doesn't say.",
+        ),
         click.option(
             "--gyro-scale",
             type=Number(min=0, min_open=True),
