@@ -11,7 +11,8 @@ from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
-from imucal.units import pretty
+from imucal.report.sheet_units import SheetUnits, sheet_units
+from imucal.units import duration, pretty
 
 #: Two columns and the space between them make 80.
 _COLUMN, _SPACE = 39, 2
@@ -36,7 +37,8 @@ def summary_table(report: Report, *, datasheet: bool, encoding: str | None = Non
     for sensor in Sensor:
         axes = [axis for axis in report.axes if axis.sensor is sensor]
         if axes:
-            columns.append(dict(_blocks(axes, datasheet=datasheet, plain=plain)))
+            units = sheet_units(report, sensor) if datasheet else None
+            columns.append(dict(_blocks(axes, units, plain=plain)))
     lines = _verdict(report, plain=plain)
     for key in _order(columns):
         sides = [column.get(key, []) for column in columns]
@@ -78,9 +80,9 @@ def _side_by_side(row: Sequence[str]) -> str:
     return (" " * _SPACE).join(f"{text:{_COLUMN}}" for text in row).rstrip()
 
 
-def _blocks(axes: list[AxisReport], *, datasheet: bool, plain: bool) -> Iterator[tuple[str, _Block]]:
-    """Yield each block of a sensor's column with its key."""
-    sensor, unit = axes[0].sensor, numbers.datasheet if datasheet else numbers.si
+def _blocks(axes: list[AxisReport], units: SheetUnits | None, *, plain: bool) -> Iterator[tuple[str, _Block]]:
+    """Yield each block of a sensor's column with its key, in data-sheet units or, with None, in SI."""
+    sensor, unit = axes[0].sensor, units.estimate if units else numbers.si
     yield "", _heading(axes)
     for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
         found = [(axis, e) for axis in axes for e in axis.fit.estimates if e.key == key]
@@ -92,7 +94,11 @@ def _blocks(axes: list[AxisReport], *, datasheet: bool, plain: bool) -> Iterator
         if times:
             yield f"{key} T", _block(f"{key}  correlation time", times, plain=plain)
     lowest = [
-        (axis, numbers.minimum(axis)[datasheet], f"at {numbers.seconds(axis.fit.curve.minimum[1])}")
+        (
+            axis,
+            units.minimum(axis) if units else numbers.minimum(axis)[0],
+            f"at {numbers.seconds(axis.fit.curve.minimum[1])}",
+        )
         for axis in axes
     ]
     yield "minimum", _block("minimum of the curve", lowest, plain=plain)
@@ -103,7 +109,7 @@ def _heading(axes: list[AxisReport]) -> _Block:
     lines = [str(axes[0].sensor).upper()]
     clocks: dict[str, list[str]] = {}
     for axis in axes:
-        text = f"{axis.rate_hz:.6g} Hz, {axis.samples} samples, {numbers.hours(axis.duration_s)}"
+        text = f"{axis.rate_hz:.6g} Hz, {axis.samples} samples, {duration(axis.duration_s)}"
         clocks.setdefault(text, []).append(axis.axis)
     for text, names in clocks.items():
         shown = text if len(clocks) == 1 else f"{','.join(names)}: {text}"

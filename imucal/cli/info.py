@@ -10,11 +10,11 @@ from typing import TypeAlias
 import click
 
 from imucal.cli import options_for
-from imucal.cli._options import describe_duration
 from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.readers import LogContents, ReadOptions, TopicContents, describe, read
 from imucal.recording import Recording
+from imucal.units import duration
 
 #: What ``--json`` prints follows this.
 SCHEMA = "imucal/info/1"
@@ -183,7 +183,7 @@ def _head(contents: LogContents) -> Iterator[str]:
     if contents.size_bytes is not None:
         yield _size(contents.size_bytes)
     if contents.duration_s is not None:
-        yield describe_duration(contents.duration_s)
+        yield duration(contents.duration_s)
     if contents.start_ns is not None and contents.start_ns > _NO_DATE:
         yield f"from {_date(contents.start_ns)}"
 
@@ -215,8 +215,8 @@ def _row(cells: tuple[str, ...], widths: list[int]) -> str:
 def _figures(topic: TopicContents) -> tuple[str, str, str, str]:
     count = "?" if topic.count is None else str(topic.count)
     rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
-    duration = "" if topic.duration_s is None else describe_duration(topic.duration_s)
-    return count, rate, duration, ", ".join(sensor.short for sensor in topic.sensors)
+    length = "" if topic.duration_s is None else duration(topic.duration_s)
+    return count, rate, length, ", ".join(sensor.short for sensor in topic.sensors)
 
 
 def _what_was_read(topic: TopicContents, found: TopicReading | None, said: set[_Words]) -> Iterator[str]:
