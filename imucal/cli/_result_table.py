@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
+from imucal.cli._terminal import FULL
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
@@ -14,13 +15,15 @@ from imucal.report.result import AxisReport, Report
 from imucal.report.sheet_units import SheetUnits, sheet_units
 from imucal.units import duration, pretty
 
-#: Two columns and the space between them make 80.
+#: Two columns and the space between them make 80; a narrower table has one column after the other.
 _COLUMN, _SPACE = 39, 2
 _Block = list[str]
 
 
-def summary_table(report: Report, *, datasheet: bool, encoding: str | None = None) -> str:
-    """Return the table as text of at most 80 columns, without a newline at its end.
+def summary_table(
+    report: Report, *, datasheet: bool, encoding: str | None = None, columns: int = FULL
+) -> str:
+    """Return the table as text of at most 80 columns, or 40, without a newline at its end.
 
     Parameters
     ----------
@@ -31,31 +34,38 @@ def summary_table(report: Report, *, datasheet: bool, encoding: str | None = Non
     encoding
         Of the place it is printed to; by default standard output's. Where it can't hold signs
         such as √ the units are written in ASCII.
+    columns
+        Of the terminal; with less than 80 the sensors stand one after the other, 39 columns wide.
     """
     plain = not _can_print(encoding or sys.stdout.encoding or "ascii")
-    columns = []
+    sensors = []
     for sensor in Sensor:
         axes = [axis for axis in report.axes if axis.sensor is sensor]
         if axes:
             units = sheet_units(report, sensor) if datasheet else None
-            columns.append(dict(_blocks(axes, units, plain=plain)))
-    lines = _verdict(report, plain=plain)
-    for key in _order(columns):
-        sides = [column.get(key, []) for column in columns]
-        lines += [_side_by_side(row) for row in zip_longest(*sides, fillvalue="")]
-        lines.append("")
+            sensors.append(dict(_blocks(axes, units, plain=plain)))
+    lines = [*_wrapped(_verdict(report, plain=plain), columns), ""]
+    for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:
+        for key in _order(beside):
+            sides = [sensor.get(key, []) for sensor in beside]
+            lines += [_side_by_side(row) for row in zip_longest(*sides, fillvalue="")]
+            lines.append("")
     levels = {axis.fit.level for axis in report.axes}
     shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
-    lines.append(f"[low, high]: {shown} interval; < high: not shown by the data, upper bound")
+    legend = f"[low, high]: {shown} interval; < high: not shown by the data, upper bound"
+    lines += _wrapped(legend, columns)
     return "\n".join(lines)
 
 
-def _verdict(report: Report, *, plain: bool) -> list[str]:
-    """Return the verdict's sentence and an empty line; a number keeps its unit."""
-    sentence = report.verdict.sentence.replace("±", "+-") if plain else report.verdict.sentence
-    kept = sentence.replace(" %", "\N{NO-BREAK SPACE}%")
-    lines = textwrap.wrap(kept, 2 * _COLUMN + _SPACE)
-    return [*(line.replace("\N{NO-BREAK SPACE}", " ") for line in lines), ""]
+def _verdict(report: Report, *, plain: bool) -> str:
+    sentence = report.verdict.sentence
+    return sentence.replace("±", "+-") if plain else sentence
+
+
+def _wrapped(text: str, columns: int) -> list[str]:
+    """Break a text into lines; a number keeps its unit: lines break after commas and before brackets."""
+    kept = re.sub(r"(?<=\d) (?=[A-Za-z%])", "\N{NO-BREAK SPACE}", text)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, columns)]
 
 
 def _can_print(encoding: str) -> bool:
@@ -113,9 +123,7 @@ def _heading(axes: list[AxisReport]) -> _Block:
         clocks.setdefault(text, []).append(axis.axis)
     for text, names in clocks.items():
         shown = text if len(clocks) == 1 else f"{','.join(names)}: {text}"
-        # A number keeps its unit: lines break after commas and before brackets.
-        kept = re.sub(r"(?<=\d) (?=[A-Za-z])", "\N{NO-BREAK SPACE}", shown)
-        lines += [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, _COLUMN)]
+        lines += _wrapped(shown, _COLUMN)
     return lines
 
 

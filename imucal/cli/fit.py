@@ -6,6 +6,7 @@ import click
 
 from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
+from imucal.cli._terminal import width
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
@@ -163,7 +164,7 @@ def command(
     if as_json:
         click.echo(dumps(to_document(report)), nl=False)
     else:
-        click.echo(summary_table(report, datasheet=datasheet))
+        click.echo(summary_table(report, datasheet=datasheet, columns=width()))
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
     if not no_report:
         for path in write_report(report, folder, formats=formats, html=not no_html):

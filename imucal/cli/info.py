@@ -10,6 +10,7 @@ from typing import TypeAlias
 import click
 
 from imucal.cli import options_for
+from imucal.cli._terminal import FULL, width
 from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.readers import LogContents, ReadOptions, TopicContents, describe, read
@@ -19,7 +20,6 @@ from imucal.units import duration
 #: What ``--json`` prints follows this.
 SCHEMA = "imucal/info/1"
 
-_WIDTH = 80
 STANDARD_INPUT = "-"
 #: Level, code and sentence of a finding: what it says, whatever axis it is about.
 _Words: TypeAlias = tuple[str, str, str]
@@ -192,8 +192,12 @@ def _table(topics: list[TopicContents]) -> Iterator[str]:
     """Yield a line a topic, and a second one for a note or for a name that does not fit."""
     rows = [(topic.name, topic.type, *_figures(topic)) for topic in topics]
     heads = ("topic", "type", "messages", "rate", "duration", "sensors")
+    if width() < FULL:
+        for topic in topics:
+            yield from _topic_lines(topic)
+        return
     widths = [max(len(heads[i]), *(len(row[i]) for row in rows)) for i in range(6)]
-    spare = _WIDTH - 2 - 2 * 5 - sum(widths[2:])
+    spare = width() - 2 - 2 * 5 - sum(widths[2:])
     widths[1] = min(widths[1], max(spare - min(widths[0], spare // 2), 8))
     widths[0] = min(widths[0], max(spare - widths[1], 8))
     yield _row(heads, widths)
@@ -203,6 +207,15 @@ def _table(topics: list[TopicContents]) -> Iterator[str]:
         yield _row((*fitted, *row[2:]), widths)
         for text in [*long, *([topic.note] if topic.note else [])]:
             yield from _wrapped(text, indent=6)
+
+
+def _topic_lines(topic: TopicContents) -> Iterator[str]:
+    """Yield a topic's lines for a narrow terminal."""
+    count, rate, length, sensors = _figures(topic)
+    figures = ", ".join(filter(None, (f"{count} messages", rate, length, sensors)))
+    for text, indent in ((topic.name, 2), (topic.type, 4), (figures, 4), (topic.note, 6)):
+        if text:
+            yield from _wrapped(text, indent=indent)
 
 
 def _row(cells: tuple[str, ...], widths: list[int]) -> str:
@@ -274,7 +287,7 @@ def _wrapped(text: str, *, indent: int = 0) -> list[str]:
         own = indent + len(line) - len(line.lstrip())
         lines += textwrap.wrap(
             line,
-            _WIDTH,
+            width(),
             initial_indent=" " * own if line.strip() else "",
             subsequent_indent=" " * (own + 2),
             break_on_hyphens=False,
