@@ -7,6 +7,7 @@ from pathlib import Path
 from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import say
+from imucal.cli._terminal import fitted, width
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS
 
@@ -68,7 +69,7 @@ def _table(named: NamedCurve, result: NoiseFit) -> str:
         if estimate.correlation_time:
             time = estimate.correlation_time
             lines.append(f"      T = {time.value:.4g}  [{time.low:.4g}, {time.high:.4g}]  s")
-    return "\n".join(lines)
+    return "\n".join(part for line in lines for part in fitted(line, width(), indent=6))
 
 
 def _document(named: NamedCurve, result: NoiseFit) -> dict[str, object]:

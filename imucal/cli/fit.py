@@ -8,6 +8,7 @@ import click
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
+from imucal.cli._terminal import width
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
@@ -169,7 +170,7 @@ def command(
     if as_json:
         echo_json(dumps(to_document(report)), nl=False)
     else:
-        echo(summary_table(report, datasheet=datasheet))
+        echo(summary_table(report, datasheet=datasheet, columns=width()))
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
     missing: list[Finding] = []
     if not no_report:
