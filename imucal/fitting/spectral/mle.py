@@ -16,9 +16,10 @@ from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.disturbance_findings import disturbance_findings, with_exact_steps
 from imucal.fitting.spectral.disturbances import find_disturbances
-from imucal.fitting.spectral.estimates import Problem, covariance_of, model_of
+from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.hull import hull_estimates
+from imucal.fitting.spectral.noise_share import noise_share
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
@@ -46,6 +47,7 @@ class View:
     blocks: SeriesBlocks
     band: Band
     ordinates: Ordinates
+    whole: Ordinates
     common: tuple[str, ...]
     findings: tuple[Finding, ...]
 
@@ -150,7 +152,28 @@ def fit_mle(
         criterion=settings.chosen_by,
         findings=tuple(findings),
         settings=_settings(band, view.common),
+        noise_share=_noise_share(view, fitted, curve, series.rate_hz),
+        taken_out=_taken_out(view, fitted),
     )
+
+
+def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) -> FloatArray | None:
+    """Return the share of noise in each Allan variance, by the longest block; None where it is all noise."""
+    if not (view.blocks.lines or view.band.poles or view.band.fraction < 1):
+        return None
+    sizes = [block.bins.n for block in view.blocks.blocks]
+    longest = int(np.argmax(sizes))
+    stops = np.cumsum([block.bins.size for block in view.blocks.blocks])
+    own = np.arange(stops[-1])
+    bins = view.blocks.blocks[longest].bins
+    part = view.whole.take((own >= stops[longest] - bins.size) & (own < stops[longest]))
+    return noise_share(part, bins, fitted, view.band, view.blocks.lines, m=curve.m, rate_hz=rate_hz)
+
+
+def _taken_out(view: View, fitted: Fitted) -> dict[str, float]:
+    """Return the coefficient of each regressor beside the ramp, in U."""
+    beta = dict(zip(view.ordinates.names, fitted.maximum.beta[0].tolist(), strict=True))
+    return {name: beta[name] * view.blocks.scale for name in view.common}
 
 
 def spectral_view(
@@ -166,6 +189,7 @@ def spectral_view(
         blocks=blocks,
         band=band,
         ordinates=whole.below(band.fraction),
+        whole=whole,
         common=common,
         findings=blocks.findings + disturbance_findings(found, series, blocks.scale),
     )

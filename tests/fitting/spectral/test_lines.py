@@ -77,3 +77,23 @@ def test_the_level_is_as_sure_as_half_the_ordinates_it_is_made_of() -> None:
     assert level[-20] == pytest.approx(1.0)
     # With nothing kept there is still a level, of one degree of freedom.
     assert _level(np.ones(999), np.arange(999) < 1, bins)[1][-1] == 1.0
+
+
+@pytest.mark.parametrize("name", ["mean of 8", "Butterworth 2", "resonance"])
+def test_a_filter_s_edges_and_peaks_are_no_lines(name: str) -> None:
+    """Of 12 records behind each of three filters none has a line; a line on top of them is still found."""
+    from scipy.signal import butter, lfilter
+
+    pole = 0.95 * np.exp(0.4j * np.pi)
+    numerator, denominator = {
+        "mean of 8": (np.full(8, 1 / 8), np.ones(1)),
+        "Butterworth 2": butter(2, 0.2),
+        "resonance": (np.ones(1), np.array([1.0, -2 * pole.real, abs(pole) ** 2])),
+    }[name]
+    for seed in range(40, 52):
+        samples = lfilter(numerator, denominator, noise(seed))[1000:]
+        bins = dct_bins(samples.size)
+        assert find_lines(dct_ordinates(samples), bins, scale=1.0, rate_hz=1.0)[0] is None
+    samples += samples.std() * np.sin(1.1 * np.arange(samples.size))
+    _, lines = find_lines(dct_ordinates(samples), bins, scale=1.0, rate_hz=1.0)
+    assert lines[0].frequency_hz == pytest.approx(1.1 / (2 * np.pi), abs=1e-4)
