@@ -188,12 +188,14 @@ def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArr
     found: list[Sine] = []
     for _ in range(_MOST_SINES):
         square = ordinates * ordinates
-        level, _ = _level(square, None, bins)
+        level, sureness = _level(square, None, bins)
         peaks = np.maximum.reduceat(square, bins.first - 1)
         at = int(np.argmax(np.where(bins.first > _LOWEST, peaks / level, 0.0)))
         first, stop = int(bins.first[at]) - 1, int(bins.first[at] + bins.count[at]) - 1
         top = first + int(np.argmax(square[first:stop]))
-        if np.sqrt(square[top] / level[at] / _TAIL) / np.pi <= max(_LEAST, _MOST * top) or top < _LOWEST:
+        excess = square[top] / level[at]
+        sure = excess > float(_limit(sureness[[at]], _CHANCE / max(square.size, 1))[0])
+        if not sure or np.sqrt(excess / _TAIL) / np.pi <= max(_LEAST, _MOST * top) or top < _LOWEST:
             break
         sine = _fitted_sine(ordinates, bins.n, top)
         rest = ordinates - sine.ordinates(bins.n, ordinates.size)
