@@ -15,7 +15,7 @@ from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered, wi
 from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.disturbance_findings import disturbance_findings, with_exact_steps
-from imucal.fitting.spectral.disturbances import find_disturbances
+from imucal.fitting.spectral.disturbances import Disturbance, find_disturbances
 from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.hull import hull_estimates
@@ -24,10 +24,11 @@ from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.structures import Structure, all_structures
+from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.fitting.spectral.transform import bin_blocks
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
-from imucal.side_work import findings_or_why_not
+from imucal.side_work import findings_or_why_not, try_side_work
 
 #: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
 #: shorter is the sensor's output filter.
@@ -181,7 +182,7 @@ def spectral_view(
 ) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
-    found = with_exact_steps(find_disturbances(blocks.blocks), series)
+    found, findings = _disturbances(series, blocks)
     common = tuple(name for one in found for name in one.names)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common, given=structure)
@@ -191,8 +192,30 @@ def spectral_view(
         ordinates=whole.below(band.fraction),
         whole=whole,
         common=common,
-        findings=blocks.findings + disturbance_findings(found, series, blocks.scale),
+        findings=blocks.findings + findings,
     )
+
+
+def _disturbances(
+    series: AxisSeries, blocks: SeriesBlocks
+) -> tuple[tuple[Disturbance, ...], tuple[Finding, ...]]:
+    """Return what is to be taken out with the fit, and what to say of it and of two levels."""
+    levels, no_levels = try_side_work(
+        lambda: find_telegraph(series),
+        None,
+        what="No look for two levels",
+        code="not-checked",
+        axis=series.name,
+    )
+    found, no_shapes = try_side_work(
+        lambda: with_exact_steps(find_disturbances(blocks.blocks, steps=levels is None), series),
+        (),
+        what="No look for steps and cycles",
+        code="not-checked",
+        axis=series.name,
+    )
+    said = telegraph_finding(levels, series) + disturbance_findings(found, series, blocks.scale)
+    return found, said + no_levels + no_shapes
 
 
 def _richest(structure: Structure | None, max_gm: int) -> Structure:

@@ -24,18 +24,18 @@ from imucal.recording import AxisSeries
 from imucal.units import pretty
 
 #: Spans, and fewest samples of one; a span is short against the time between jumps that can be told.
-_SPANS, _FEWEST = 2048, 8
-#: Parts of the record with levels of their own: slow noise moves both.
+_SPANS, _FEWEST = 1024, 8
+#: Parts of the record whose levels have a mean of their own: slow noise moves both.
 _PARTS = (1, 4)
 #: Chance of a span that holds a jump, or is no part of either level.
 _BETWEEN = 0.05
 #: Quantiles and mean spans between jumps from which the levels are searched.
 _QUANTILES = (0.1, 0.2, 0.3)
-_DWELLS = (6.0, 25.0, 100.0)
+_DWELLS = (4.0, 20.0, 100.0)
 #: Log-likelihood by which two levels must explain the means better, beyond the price of their parameters.
 _MARGIN = 15.0
 #: A start that is worse than the Gaussian noise by this much a span leads nowhere.
-_HOPELESS = 0.1
+_HOPELESS = 0.012
 _RICH = ("N", "B", "GM", "K", "R")
 
 
@@ -53,30 +53,25 @@ def find_telegraph(series: AxisSeries) -> TwoLevels | None:
     Samples are taken as if there were no gaps.
     """
     width = max(series.n // _SPANS, _FEWEST)
-    count = series.n // width
-    if count < _SPANS // 8:
+    count = min(series.n // width, _SPANS)
+    if count < _SPANS // 4:
         return None
-    means = series.samples[: count * width].reshape(count, width).mean(axis=1)
-    means = (means - means.mean()) / means.std()
+    means = np.add.reduceat(series.samples[: count * width], np.arange(0, count * width, width)) / width
+    scale = float(means.std())
+    means = (means - means.mean()) / scale
     white, rich = _gaussian(means)
     if white - rich < _MARGIN:
         return None
-    price = 0.5 * np.log(count)
-    best: tuple[float, TwoLevels] | None = None
+    best, found = _MARGIN, None
     for parts in _PARTS:
-        pieces = np.array_split(means, parts)
-        fits = [_two_levels(piece, rich / parts) for piece in pieces]
-        if any(fit is None for fit in fits):
-            continue
-        found = [fit for fit in fits if fit is not None]
-        gain = rich - sum(fit.cost for fit in found) - price * (5 * parts - 5)
-        if gain > _MARGIN and (best is None or gain > best[0]):
-            scale = float(series.samples[: count * width].reshape(count, width).mean(axis=1).std())
-            best = gain, TwoLevels(
-                amplitude=scale * float(np.median([fit.half for fit in found])),
-                dwell_s=width * series.tau0 * float(np.median([fit.dwell for fit in found])),
-            )
-    return best[1] if best else None
+        price = 0.5 * (parts - 1) * np.log(count)
+        gain, parameters = _two_levels(means[: count - count % parts].reshape(parts, -1), rich)
+        if gain - price > best:
+            best, found = gain - price, parameters
+    if found is None:
+        return None
+    half, _, dwell = np.exp(found[:3]).tolist()
+    return TwoLevels(amplitude=scale * half, dwell_s=width * series.tau0 * dwell)
 
 
 def telegraph_finding(found: TwoLevels | None, series: AxisSeries) -> tuple[Finding, ...]:
@@ -88,8 +83,9 @@ def telegraph_finding(found: TwoLevels | None, series: AxisSeries) -> tuple[Find
             level="warning",
             code="telegraph",
             axis=series.name,
-            text=f"The level jumps to and fro between two values, ±{found.amplitude:.3g} {pretty(series.unit)}, "
-            f"every {found.dwell_s:.3g} s on average: random telegraph noise.",
+            text="The level jumps to and fro between two values, "
+            f"±{found.amplitude:.3g} {pretty(series.unit)}, every {found.dwell_s:.3g} s on average: "
+            "random telegraph noise.",
             advice="The fit takes it for B or GM: its spectrum is right, but no Gaussian noise jumps.",
         ),
     )
@@ -109,62 +105,53 @@ def _gaussian(means: FloatArray) -> tuple[float, float]:
     return costs[0] + constant, costs[1] + constant
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Levels:
-    """A hidden Markov model of two levels: -log L, half their distance, mean spans between jumps."""
+def _two_levels(means: FloatArray, rich: float) -> tuple[float, FloatArray]:
+    """Return how much better than -log L `rich` two levels explain means, and their parameters.
 
-    cost: float
-    half: float
-    dwell: float
-
-
-def _two_levels(means: FloatArray, rich: float) -> _Levels | None:
-    """Return the best two levels for some means; None where they are hopeless beside -log L `rich`."""
+    `means`, shape (p, n/p), in parts; parameters: the logarithms of half the levels' distance, of the
+    noise and of the mean spans between jumps; then the mean of the levels in each part.
+    """
     from scipy.optimize import minimize
 
-    noise = float(np.sqrt(np.median(np.diff(means) ** 2) / (2 * 0.4549)))
-    starts = [
-        np.array([np.quantile(means, q), np.quantile(means, 1 - q), np.log(noise), np.log(dwell)])
-        for q in _QUANTILES
-        for dwell in _DWELLS
-    ]
+    noise = 0.5 * np.log(np.median(np.diff(means, axis=1) ** 2) / (2 * 0.4549))
+    starts = []
+    for q in _QUANTILES:
+        low, high = np.quantile(means, [q, 1 - q], axis=1)
+        half = np.log(np.mean(high - low) / 2)
+        starts += [np.array([half, noise, np.log(dwell), *(low + high) / 2]) for dwell in _DWELLS]
     costs = [_cost(start, means) for start in starts]
     best = int(np.argmin(costs))
     if costs[best] - rich > _HOPELESS * means.size:
-        return None
+        return rich - costs[best], starts[best]
     found = minimize(
-        _cost,
-        starts[best],
+        *(_cost, starts[best]),
         args=(means,),
         method="Nelder-Mead",
-        options={"xatol": 1e-2, "fatol": 0.05, "maxfev": 250},
+        options={"xatol": 1e-2, "fatol": 0.05, "maxfev": 400},
     )
-    low, high, _, log_dwell = found.x.tolist()
-    return _Levels(cost=float(found.fun), half=abs(high - low) / 2, dwell=float(np.exp(log_dwell)))
+    return rich - float(found.fun), np.asarray(found.x, dtype=np.float64)
 
 
 def _cost(parameters: FloatArray, means: FloatArray) -> float:
-    """Return -log L of two levels; parameters: the levels, log of the noise, log of the mean spans between."""
-    low, high, log_noise, log_dwell = parameters.tolist()
-    noise, jump = np.exp(log_noise), 1 / (1 + np.exp(log_dwell))
-    z = (means[:, None] - np.array([low, high])) / noise
-    normal = np.exp(-0.5 * z * z) / (np.sqrt(2 * np.pi) * noise)
-    reach = abs(high - low) + 6 * noise
-    density = (1 - _BETWEEN) * normal + _BETWEEN / reach
+    """Return -log L of two levels; see `_two_levels`."""
+    half, noise, dwell = np.exp(parameters[:3]).tolist()
+    jump = 1 / (1 + dwell)
+    z = ((means - parameters[3:, None])[:, :, None] - np.array([-half, half])) / noise
+    density = (1 - _BETWEEN) / (np.sqrt(2 * np.pi) * noise) * np.exp(-0.5 * z * z)
+    density += _BETWEEN / (2 * half + 6 * noise)
     stay = np.array([[1 - jump, jump], [jump, 1 - jump]])
-    return -_log_product(density[:, None, :] * stay)
+    return -float(_log_product(density[:, :, None, :] * stay).sum())
 
 
-def _log_product(matrices: FloatArray) -> float:
-    """Return log of (1/2, 1/2) M_1 … M_n (1, 1)', of matrices of shape (n, 2, 2), multiplied in pairs."""
-    total = 0.0
-    while len(matrices) > 1:
-        size = matrices.max(axis=(1, 2), keepdims=True)
-        total += float(np.log(size).sum())
+def _log_product(matrices: FloatArray) -> FloatArray:
+    """Return log of (1/2, 1/2) M_1 … M_n (1, 1)', shape (p,), of matrices of shape (p, n, 2, 2), in pairs."""
+    total = np.zeros(len(matrices))
+    while matrices.shape[1] > 1:
+        size = matrices.max(axis=(2, 3), keepdims=True)
+        total += np.log(size[:, :, 0, 0]).sum(axis=1)
         matrices = matrices / size
-        if len(matrices) % 2:
-            matrices = np.concatenate([matrices, np.eye(2)[None]])
-        matrices = np.matmul(matrices[::2], matrices[1::2])
-    return total + float(np.log(0.5 * matrices[0].sum()))
-
-
+        if matrices.shape[1] % 2:
+            last = np.broadcast_to(np.eye(2), (len(matrices), 1, 2, 2))
+            matrices = np.concatenate([matrices, last], axis=1)
+        matrices = np.einsum("pnij,pnjk->pnik", matrices[:, ::2], matrices[:, 1::2])
+    return np.asarray(total + np.log(0.5 * matrices[:, 0].sum(axis=(1, 2))))
