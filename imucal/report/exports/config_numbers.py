@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -263,7 +263,10 @@ class Numbers:
                 number=None,
                 note=f"Gauss-Markov term of {axis.name}: sigma {sigma:.4g}, T {time:.4g} s",
             )
-        return self.walk(axis)
+        walk = self.walk(axis)
+        if term is None:
+            return walk
+        return replace(walk, note=f"{walk.note}; a Gauss-Markov term (T {term[1]:.4g} s) is left out")
 
     def walk(self, axis: AxisReport) -> SlowNoise:
         """Return the random walk of an axis, or its bound, as a process with a nominal T."""
