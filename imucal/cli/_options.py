@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import click
 
+from imucal.cli._param_type import ParamType
 from imucal.cli._progress import axes_progress, reading_progress
 from imucal.recording import AxisSeries, Recording
 
@@ -124,7 +125,7 @@ class LogRequest:
         return {name: value for name, value in asked.items() if value}
 
 
-class Duration(click.ParamType[float]):
+class Duration(ParamType[float]):
     """Seconds, or a number with s, min, m, h or d."""
 
     name = "duration"

@@ -10,11 +10,12 @@ from imucal.allan.confidence import EDF_METHODS
 from imucal.allan.estimators import ESTIMATORS
 from imucal.cli._finding_lines import has_warning, print_findings
 from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
 
 
-class Taus(click.ParamType[str | tuple[float, ...]]):
+class Taus(ParamType[str | tuple[float, ...]]):
     """A set of averaging times by name, or a list of durations."""
 
     name = "taus"

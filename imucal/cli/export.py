@@ -8,6 +8,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from imucal.cli._options import LogRequest, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.cli._report_input import load_report, report_or_log
 from imucal.errors import WriteError
 from imucal.recording import Sensor
@@ -24,7 +25,7 @@ class _Options(TypedDict):
     topic: str | None
 
 
-class TargetName(click.ParamType[str]):
+class TargetName(ParamType[str]):
     """A downstream format, or all."""
 
     name = "target"
@@ -54,7 +55,7 @@ class TargetName(click.ParamType[str]):
         ]
 
 
-class Inflation(click.ParamType[dict[str, float]]):
+class Inflation(ParamType[dict[str, float]]):
     """``white=2,walk=10``."""
 
     name = "inflation"

@@ -6,6 +6,7 @@ import click
 
 from imucal.cli._finding_lines import has_warning, print_findings
 from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.errors import DataError
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
@@ -13,7 +14,7 @@ from imucal.noise import parse_structure, structure_text
 _FORMATS = ("png", "svg", "pdf")
 
 
-class TauSet(click.ParamType[str]):
+class TauSet(ParamType[str]):
     """A set of averaging times by its name."""
 
     name = "taus"
@@ -25,7 +26,7 @@ class TauSet(click.ParamType[str]):
         return text
 
 
-class Structure(click.ParamType[str]):
+class Structure(ParamType[str]):
     """The terms of a model, or auto."""
 
     name = "structure"

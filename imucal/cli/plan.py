@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.cli._report_input import is_report, read_report
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
@@ -19,7 +20,7 @@ from imucal.units import DatasheetUnit
 SCHEMA = "imucal/planning/1"
 
 
-class Fraction(click.ParamType[float]):
+class Fraction(ParamType[float]):
     """A positive fraction: 0.1 or 10%."""
 
     name = "fraction"
