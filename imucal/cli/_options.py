@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import click
 
 from imucal.cli._echo import echo
+from imucal.cli._param_type import ParamType
 from imucal.cli._progress import axes_progress, reading_progress
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
@@ -129,7 +130,7 @@ class LogRequest:
         return {name: value for name, value in asked.items() if value}
 
 
-class Duration(click.ParamType[float]):
+class Duration(ParamType[float]):
     """Seconds, or a number with s, min, m, h or d."""
 
     name = "duration"
@@ -150,7 +151,7 @@ class Duration(click.ParamType[float]):
         return seconds
 
 
-class UnitName(click.ParamType[str]):
+class UnitName(ParamType[str]):
     """A unit of one sensor's samples, in a spelling that can't be meant otherwise."""
 
     name = "unit"

@@ -8,6 +8,7 @@ import click
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.cli._terminal import width
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 _FORMATS = ("png", "svg", "pdf")
 
 
-class TauSet(click.ParamType[str]):
+class TauSet(ParamType[str]):
     """A set of averaging times by its name."""
 
     name = "taus"
@@ -31,7 +32,7 @@ class TauSet(click.ParamType[str]):
         return text
 
 
-class Structure(click.ParamType[str]):
+class Structure(ParamType[str]):
     """The terms of a model, or auto."""
 
     name = "structure"

@@ -9,6 +9,7 @@ import click
 
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.cli._report_input import is_report, read_report
 from imucal.cli._terminal import FULL, fitted, width
 from imucal.noise.model import NoiseModel
@@ -21,7 +22,7 @@ from imucal.units import DatasheetUnit
 SCHEMA = "imucal/planning/1"
 
 
-class Fraction(click.ParamType[float]):
+class Fraction(ParamType[float]):
     """A positive fraction: 0.1 or 10%."""
 
     name = "fraction"
