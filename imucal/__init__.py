@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from imucal.fitting import fit
     from imucal.fitting.noise_fit import NoiseFit
     from imucal.noise import NoiseModel
+    from imucal.noise.transforms import avar_from_acvf, avar_from_psd
     from imucal.pipeline import Settings, characterize
     from imucal.planning import plan
     from imucal.readers import read
@@ -54,6 +55,8 @@ __all__ = [
     "WriteError",
     "__version__",
     "allan_curve",
+    "avar_from_acvf",
+    "avar_from_psd",
     "characterize",
     "compare",
     "export",
@@ -75,6 +78,7 @@ _HOMES = {
     "imucal.findings": ("Finding",),
     "imucal.fitting": ("NoiseFit", "fit"),
     "imucal.noise": ("NoiseModel",),
+    "imucal.noise.transforms": ("avar_from_acvf", "avar_from_psd"),
     "imucal.pipeline": ("Settings", "characterize"),
     "imucal.planning": ("plan",),
     "imucal.readers": ("read",),
