@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, WriteError
     from imucal.findings import Finding
     from imucal.fitting import fit
+    from imucal.fitting.decomposition import Decomposition, decompose
     from imucal.fitting.noise_fit import NoiseFit
     from imucal.noise import NoiseModel
     from imucal.noise.transforms import avar_from_acvf, avar_from_psd
@@ -42,6 +43,7 @@ __all__ = [
     "ChoiceError",
     "Clock",
     "DataError",
+    "Decomposition",
     "Finding",
     "ImucalError",
     "NoiseFit",
@@ -59,6 +61,7 @@ __all__ = [
     "avar_from_psd",
     "characterize",
     "compare",
+    "decompose",
     "export",
     "fit",
     "load_report",
@@ -77,6 +80,7 @@ _HOMES = {
     "imucal.errors": ("ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"),
     "imucal.findings": ("Finding",),
     "imucal.fitting": ("NoiseFit", "fit"),
+    "imucal.fitting.decomposition": ("Decomposition", "decompose"),
     "imucal.noise": ("NoiseModel",),
     "imucal.noise.transforms": ("avar_from_acvf", "avar_from_psd"),
     "imucal.pipeline": ("Settings", "characterize"),
