@@ -10,7 +10,8 @@ from imucal.errors import DataError
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
 
-_FORMATS = ("png", "svg", "pdf")
+#: Pictures that can be written.
+FORMATS = ("png", "svg", "pdf")
 
 
 class TauSet(click.ParamType[str]):
@@ -84,7 +85,7 @@ written, 130 interrupted."""
 @shown(
     "--format",
     "formats",
-    type=click.Choice(_FORMATS),
+    type=click.Choice(FORMATS),
     multiple=True,
     default=("png",),
     help="Pictures; may be repeated.",
@@ -170,10 +171,10 @@ def command(
         click.get_current_context().exit(DataError.exit_code)
 
 
-def report_folder(log: str) -> Path:
-    """Return where the report of a log goes: ``<log name>-imucal`` in the current folder."""
+def report_folder(log: str, what: str = "imucal") -> Path:
+    """Return where the files of a log go: ``<log name>-imucal`` in the current folder."""
     name = "stdin" if log == "-" else Path(log).resolve().name
     stem = name
     while (suffix := Path(stem).suffix) and suffix.lstrip(".").isalnum() and not suffix[1:].isdigit():
         stem = Path(stem).stem
-    return Path(f"{stem or name}-imucal")
+    return Path(f"{stem or name}-{what}")

@@ -95,7 +95,8 @@ def smooth(
 
 
 def _keys(states: LatentStates) -> tuple[str, ...]:
-    return (*states.flat, *states.groups, BIAS)
+    level, slope = (tuple(name for name in states.flat if name == key) for key in ("level", "R"))
+    return (*level, *states.groups, *slope, BIAS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

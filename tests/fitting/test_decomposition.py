@@ -82,8 +82,10 @@ def _missing(kind: str, rng: np.random.Generator) -> BoolArray:
     return seen
 
 
-@pytest.mark.parametrize("length", [16, 256])
-@pytest.mark.parametrize("kind", ["none", "scattered", "gap", "one, then nothing"])
+@pytest.mark.parametrize(
+    ("length", "kind"),
+    [(256, "scattered"), (16, "none"), (16, "scattered"), (16, "gap"), (16, "one, then nothing")],
+)
 @pytest.mark.parametrize("text", MODELS)
 def test_it_is_one_dense_conditioning(
     text: str, kind: str, length: int, monkeypatch: pytest.MonkeyPatch
@@ -133,7 +135,7 @@ def test_the_parts_add_up_to_the_samples() -> None:
     keep[1000:1500] = False
     series = AxisSeries.from_samples(samples, rate_hz=10.0).keeping(keep)
     parts = decompose(series, model)
-    assert [part.key for part in parts.components] == ["level", "R", "B", "GM"]
+    assert [part.key for part in parts.components] == ["level", "B", "GM", "R"]
     total = np.sum([part.value for part in parts.components], axis=0)
     npt.assert_allclose(total, parts.bias.value, atol=1e-9)
     npt.assert_allclose((total + parts.residual)[keep], samples[keep], atol=1e-9)
@@ -176,7 +178,7 @@ def test_units_and_offsets_change_what_they_must() -> None:
     ],
 )
 def test_standard_errors_cover_what_was_simulated(text: str, keys: tuple[str, ...]) -> None:
-    """Of the true states, 95 % lie within 1.96 standard errors; a state far from the last counts once."""
+    """Of the true states, 95 % lie within 1.96 standard errors."""
     model, rng, n = NoiseModel.parse(text), np.random.default_rng(47), 4000
     inside = []
     for _ in range(30):
@@ -193,9 +195,10 @@ def test_standard_errors_cover_what_was_simulated(text: str, keys: tuple[str, ..
             np.abs(parts[key].value - truth[key])[200::400] < 1.96 * parts[key].error[200::400]
             for key in keys
         ]
-    covered, count = np.mean(inside), np.size(inside)
-    # Four standard errors; neighbours 40 s apart still hang together a little.
-    assert covered == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / count) + 0.005)
+    # Slow states are nearly one number a record, so that it is records that count: four standard errors.
+    shares = np.mean(inside, axis=1).reshape(30, -1).mean(axis=1)
+    assert shares.mean() == pytest.approx(0.95, abs=4 * shares.std() / np.sqrt(30) + 0.005)
+    assert shares.std() / np.sqrt(30) < 0.03
 
 
 def test_a_fit_is_decomposed_by_its_model() -> None:
