@@ -11,7 +11,8 @@ from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting import FitSettings, NoiseFit, fit, fit_axis
+from imucal.fitting import FitSettings, NoiseFit, fit_axis
+from imucal.fitting.ambiguity import ambiguity_findings
 from imucal.fitting.cross_checks import second_opinion
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
@@ -124,7 +125,9 @@ def _characterize_axis(
     curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
     at_samples = _same_clock(series, finite, temperature)
     result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
+    density = spectrum(finite)
     found = result.findings + resolution_findings(result, finite.duration_s)
+    found += ambiguity_findings(result, density, series.name)
     if settings.second_opinion and settings.method == "mle":
         found += _second_opinion(finite, result, curve)
     findings = [finding for finding in screened if finding.axis == series.name]
@@ -139,7 +142,7 @@ def _characterize_axis(
         mean=mean,
         std=std,
         gaps=finite.clock.gaps,
-        spectrum=spectrum(finite),
+        spectrum=density,
         overview=Overview.of(finite),
         fit=result,
         findings=_without_repeats(findings),
@@ -151,7 +154,8 @@ def _second_opinion(series: AxisSeries, first: NoiseFit, curve: AllanCurve) -> t
     if not first.model.terms:
         return ()
     try:
-        other = fit(series, model=str(first.model), method="gmwm", level=first.level, curve=curve)
+        settings = FitSettings(model=str(first.model), method="gmwm", level=first.level)
+        other = fit_axis(series, settings, curve=curve)
     except DataError as error:
         text = f"The Allan curve gives no second opinion: {str(error).removeprefix(f'{series.name}: ')}."
         return (Finding(level="warning", code="second-opinion", text=text),)
