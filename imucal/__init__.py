@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from imucal.fitting import fit
     from imucal.fitting.decomposition import Decomposition, decompose
     from imucal.fitting.noise_fit import NoiseFit
+    from imucal.fleet import LogValue, Population, population
+    from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
     from imucal.noise.transforms import avar_from_acvf, avar_from_psd
     from imucal.pipeline import Settings, characterize
@@ -46,8 +48,11 @@ __all__ = [
     "Decomposition",
     "Finding",
     "ImucalError",
+    "LogValue",
     "NoiseFit",
     "NoiseModel",
+    "NoiseVerdict",
+    "Population",
     "ReadError",
     "Recording",
     "Report",
@@ -66,6 +71,7 @@ __all__ = [
     "fit",
     "load_report",
     "plan",
+    "population",
     "read",
     "screen",
     "spectrum",
@@ -81,6 +87,8 @@ _HOMES = {
     "imucal.findings": ("Finding",),
     "imucal.fitting": ("NoiseFit", "fit"),
     "imucal.fitting.decomposition": ("Decomposition", "decompose"),
+    "imucal.fleet": ("LogValue", "Population", "population"),
+    "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
     "imucal.noise.transforms": ("avar_from_acvf", "avar_from_psd"),
     "imucal.pipeline": ("Settings", "characterize"),

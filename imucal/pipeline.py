@@ -18,6 +18,7 @@ from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.screening import screen
+from imucal.side_work import findings_or_why_not
 
 #: Samples looked at at once.
 _BLOCK = 1 << 20
@@ -126,7 +127,11 @@ def _characterize_axis(
     at_samples = _same_clock(series, finite, temperature)
     result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
     density = spectrum(finite)
-    found = result.findings + resolution_findings(result, finite.duration_s)
+    found = result.findings + findings_or_why_not(
+        lambda: resolution_findings(result, finite.duration_s),
+        what="How long a record would do is not known",
+        code="record-length",
+    )
     found += ambiguity_findings(result, density, series.name)
     if settings.second_opinion and settings.method == "mle":
         found += _second_opinion(finite, result, curve)
@@ -153,13 +158,14 @@ def _second_opinion(series: AxisSeries, first: NoiseFit, curve: AllanCurve) -> t
     """Return where a fit of the curve disagrees; that it can't be made costs no axis its result."""
     if not first.model.terms:
         return ()
-    try:
+
+    def judge() -> tuple[Finding, ...]:
         settings = FitSettings(model=str(first.model), method="gmwm", level=first.level)
-        other = fit_axis(series, settings, curve=curve)
-    except DataError as error:
-        text = f"The Allan curve gives no second opinion: {str(error).removeprefix(f'{series.name}: ')}."
-        return (Finding(level="warning", code="second-opinion", text=text),)
-    return second_opinion(first, other)
+        return second_opinion(first, fit_axis(series, settings, curve=curve))
+
+    return findings_or_why_not(
+        judge, what="The Allan curve gives no second opinion", code="second-opinion", axis=series.name
+    )
 
 
 def _moments(samples: FloatArray) -> tuple[float, float]:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal._version import __version__
-from imucal.cli._finding_lines import has_warning, print_findings
+from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import Duration, LogRequest, log_options, say, shown
 from imucal.cli._progress import axes_progress, smoothing_progress
+from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.cli.fit import FORMATS, Structure, report_folder
 from imucal.errors import DataError
 from imucal.recording import AxisSeries, Recording, Sensor
@@ -18,6 +19,14 @@ from imucal.recording import AxisSeries, Recording, Sensor
 if TYPE_CHECKING:
     from imucal.fitting.noise_fit import NoiseFit
 
+#: What a fit takes out beside the noise, by the first part of its name.
+_SHAPES = {
+    "exp": "a warm-up",
+    "step": "a step",
+    "cos": "a cycle",
+    "sin": "a cycle",
+    "temperature": "the effect of temperature",
+}
 #: What --axis takes.
 _AXES = tuple(f"{sensor.short}_{axis}" for sensor in Sensor for axis in "xyz")
 
@@ -70,6 +79,7 @@ written, 130 interrupted."""
 )
 @click.option("--no-clean", is_flag=True, help="Take spikes for samples, instead of leaving them out.")
 @click.option("--json", "as_json", is_flag=True, help="Print decomposition.json on standard output.")
+@force_option
 def command(
     *,
     request: LogRequest,
@@ -81,6 +91,7 @@ def command(
     formats: tuple[str, ...],
     no_clean: bool,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Draw what the bias of every axis of LOG did.
 
@@ -128,7 +139,10 @@ def command(
     path = write_document(document, folder)
     click.echo(json.dumps(document, indent=1, allow_nan=False) if as_json else _table(described))
     say(str(path), quiet=request.quiet)
-    if failed or (request.strict and has_warning(report.all_findings)):
+    refuse(report.verdict, recording.source.path, f"{folder} was written", force=force)
+    if request.strict:
+        refuse_warnings(report.all_findings, recording.source.path)
+    if failed:
         click.get_current_context().exit(DataError.exit_code)
 
 
@@ -152,9 +166,9 @@ def _decompose_axis(
 
     taken = fit.settings.get("regressors")
     if isinstance(taken, list) and taken:
-        names = {"temperature": "the effect of temperature"}
-        named = " and ".join(names.get(str(name), "a warm-up") for name in taken)
-        say(f"{series.name}: the fit took out {named}; here it is in the bias", quiet=quiet)
+        named = dict.fromkeys(_SHAPES[str(name).partition(":")[0]] for name in taken)
+        text = f"the fit took out {' and '.join(named)}; here it is in the bias, as far as the model follows"
+        say(f"{series.name}: {text}", quiet=quiet)
     with smoothing_progress(series.name, quiet=quiet) as progress:
         parts = decompose(series, fit, clean=clean, progress=progress)
     paths = write_decomposition(parts, folder, **asked)

@@ -114,8 +114,8 @@ def decompose(
     series
         The samples; gaps are bridged, and the standard errors say how well.
     fit
-        A fit of them, or a model. What the fit took for an output filter, lines, a warm-up or the
-        effect of temperature is not modelled here: a slow one shows in the bias.
+        A fit of them, or a model. What the fit took for an output filter or lines, a warm-up, steps,
+        cycles or the effect of temperature is not modelled here: what is slow shows in the bias.
     clean
         Take spikes for missing samples.
     progress
