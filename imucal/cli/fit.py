@@ -17,7 +17,8 @@ from imucal.noise import parse_structure, structure_text
 if TYPE_CHECKING:
     from imucal.findings import Finding
 
-_FORMATS = ("png", "svg", "pdf")
+#: Pictures that can be written.
+FORMATS = ("png", "svg", "pdf")
 
 
 class TauSet(ParamType[str]):
@@ -91,7 +92,7 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 @shown(
     "--format",
     "formats",
-    type=click.Choice(_FORMATS),
+    type=click.Choice(FORMATS),
     multiple=True,
     default=("png",),
     help="Pictures; may be repeated.",
@@ -187,10 +188,10 @@ def command(
         refuse_warnings((*report.all_findings, *missing), report.source.path)
 
 
-def report_folder(log: str) -> Path:
-    """Return where the report of a log goes: ``<log name>-imucal`` in the current folder."""
+def report_folder(log: str, what: str = "imucal") -> Path:
+    """Return where the files of a log go: ``<log name>-imucal`` in the current folder."""
     name = "stdin" if log == "-" else Path(log).resolve().name
     stem = name
     while (suffix := Path(stem).suffix) and suffix.lstrip(".").isalnum() and not suffix[1:].isdigit():
         stem = Path(stem).stem
-    return Path(f"{stem or name}-imucal")
+    return Path(f"{stem or name}-{what}")
