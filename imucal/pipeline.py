@@ -134,7 +134,11 @@ def _characterize_axis(
         what="How long a record would do is not known",
         code="record-length",
     )
-    found += ambiguity_findings(result, density, series.name)
+    found += findings_or_why_not(
+        lambda: ambiguity_findings(result, density, series.name),
+        what="What the curve can't tell is not known",
+        code="spectral-ambiguity",
+    )
     if settings.second_opinion and settings.method == "mle":
         found += _second_opinion(finite, result, at_samples, spikes=not settings.clean)
     # Of a step the fit says more: it has taken it out.
