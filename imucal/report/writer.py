@@ -15,7 +15,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from imucal.errors import WriteError
@@ -87,37 +87,39 @@ def check_folder(out: Path) -> None:
 
 def _renderers(report: Report, formats: Sequence[str], *, html: bool) -> dict[str, Callable[[], bytes]]:
     """Return what makes each file, in the order in which they take their places."""
-    from imucal.report.figure import FORMATS
+    from imucal.report.figure import FORMATS, axis_figure, render, sensor_figure
 
     unknown = [form for form in formats if form not in FORMATS]
     if unknown:
         msg = f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}"
         raise ValueError(msg)
+    # One drawing of an axis serves the page and every format.
+    drawn = cache(partial(axis_figure, report))
+
+    def picture(axis: AxisReport, form: str) -> bytes:
+        return render(drawn(axis), form, version=report.version)
+
+    def overview(sensor: Sensor, form: str) -> bytes:
+        return render(sensor_figure(report, sensor), form, version=report.version)
+
     made: dict[str, Callable[[], bytes]] = {_REPORT: lambda: dumps(to_document(report)).encode()}
     if html:
         from imucal.report.html_page import render_page
 
-        made["report.html"] = lambda: render_page(report).encode()
+        made["report.html"] = lambda: render_page(report, picture=drawn).encode()
     for axis in report.axes:
         made[f"{axis.name}.json"] = partial(_axis_json, report, axis)
         for form in formats:
-            made[f"{axis.name}.{form}"] = partial(_picture, report, axis, form)
+            made[f"{axis.name}.{form}"] = partial(picture, axis, form)
     for sensor in Sensor:
         if any(axis.sensor is sensor for axis in report.axes):
             for form in formats:
-                made[f"{sensor.short}.{form}"] = partial(_picture, report, sensor, form)
+                made[f"{sensor.short}.{form}"] = partial(overview, sensor, form)
     return made
 
 
 def _axis_json(report: Report, axis: AxisReport) -> bytes:
     return dumps(axis_document(report, axis)).encode()
-
-
-def _picture(report: Report, subject: AxisReport | Sensor, form: str) -> bytes:
-    from imucal.report.figure import axis_figure, render, sensor_figure
-
-    draw = sensor_figure(report, subject) if isinstance(subject, Sensor) else axis_figure(report, subject)
-    return render(draw, form, version=report.version)
 
 
 @contextmanager
