@@ -20,6 +20,7 @@ BELOW: dict[str, set[str]] = {
     "clock": set(),
     "recording": {"arrays", "clock", "errors", "findings"},
     "powerlaw": {"arrays"},
+    "side_work": {"errors", "findings"},
     "units": {"recording"},
 }
 BASE = set(BELOW)
@@ -36,6 +37,7 @@ BELOW |= {
 BELOW["planning"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
+BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}

@@ -67,6 +67,7 @@ class LogRequest:
     accel_scale: float | None
     columns: str | None
     msg: Path | None
+    join: bool
     strict: bool
     skip: float
     take: float | None
@@ -89,6 +90,7 @@ class LogRequest:
                 accel_scale=self.accel_scale,
                 columns=self.columns,
                 message_definition=self.msg,
+                join=self.join,
                 strict=self.strict,
                 progress=progress,
             )
@@ -118,6 +120,7 @@ class LogRequest:
             "accel_scale": self.accel_scale,
             "columns": self.columns,
             "message_definition": None if self.msg is None else str(self.msg),
+            "join": self.join,
             "strict": self.strict,
             "skip_s": self.skip,
             "take_s": self.take,
@@ -217,12 +220,17 @@ def log_options(command: Command) -> Callable[..., Any]:
             metavar="X",
             help="m/s^2 per count, for raw counts.",
         ),
-        click.option("--columns", metavar="TEXT", help="Columns of a table, such as t=0,g=1:4,a=4:7."),
+        click.option("--columns", metavar="TEXT", help="Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1."),
         click.option(
             "--msg",
             type=click.Path(exists=True, dir_okay=False, path_type=Path),
             metavar="FILE",
             help="Definition (.msg) of a message type the log doesn't define.",
+        ),
+        click.option(
+            "--join",
+            is_flag=True,
+            help="Take several LOGs as parts of one recording, whatever they look like.",
         ),
         click.option(
             "--skip", type=Duration(), default=0.0, metavar="TIME", help="Leave out the start, such as 5min."

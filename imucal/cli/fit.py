@@ -1,6 +1,7 @@
 """``imucal fit``: the main job."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,6 +11,9 @@ from imucal.cli._terminal import width
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
+
+if TYPE_CHECKING:
+    from imucal.findings import Finding
 
 _FORMATS = ("png", "svg", "pdf")
 
@@ -166,16 +170,18 @@ def command(
     else:
         click.echo(summary_table(report, datasheet=datasheet, columns=width()))
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
+    missing: list[Finding] = []
     if not no_report:
-        for path in write_report(report, folder, formats=formats, html=not no_html):
+        for path in write_report(report, folder, formats=formats, html=not no_html, tell=missing.append):
             say(str(path), quiet=request.quiet)
+        print_findings(missing, quiet=request.quiet)
         if report.verdict.usable:
             next_step = f"imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
             say(f"Next: {next_step}", quiet=request.quiet)
     written = "nothing was written" if no_report else f"{folder} says so"
     refuse(report.verdict, report.source.path, written, force=force)
     if request.strict:
-        refuse_warnings(report.all_findings, report.source.path)
+        refuse_warnings((*report.all_findings, *missing), report.source.path)
 
 
 def report_folder(log: str) -> Path:

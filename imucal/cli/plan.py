@@ -12,7 +12,7 @@ from imucal.cli._report_input import is_report, read_report
 from imucal.cli._terminal import FULL, fitted, width
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
-from imucal.planning import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
+from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
 from imucal.report.document import plain
 from imucal.units import DatasheetUnit
@@ -86,8 +86,9 @@ def command(
     """Say how long to record for a wanted precision of each noise term.
 
     MODEL_OR_REPORT is a model in SI units, such as "N=1e-4 + B=2e-5 + K=1e-6", or a report.json or its
-    folder. Times are from the least error that any method can have (the Cramér-Rao bound); a term
-    that a report only bounds is taken at its bound.
+    folder. Times are from the least error that any method can have (the Cramér-Rao bound), and long
+    enough that four of five records tell the term from zero; a term that a report only bounds is
+    taken at its bound.
     """
     result = plan(
         _model(source, rate) or read_report(Path(source)),
@@ -102,6 +103,8 @@ def command(
         click.echo(_table(result, datasheet=datasheet))
     if any(need.bounded for axis in result.axes for need in axis.needs):
         say("< value: not seen; the time is for a term as large as its bound", quiet=quiet)
+    if not as_json and any(_may_be_missed(need) for axis in result.axes for need in axis.needs):
+        say("(n of 10): so many records as long show the term; the others only bound it", quiet=quiet)
 
 
 def to_document(result: Plan) -> dict[str, object]:
@@ -124,6 +127,7 @@ def to_document(result: Plan) -> dict[str, object]:
                         "bounded": need.bounded,
                         "needed_s": plain(need.needed_s),
                         "reached": plain(need.reached),
+                        "shown": need.shown,
                     }
                     for need in axis.needs
                 ],
@@ -167,7 +171,7 @@ def _table(result: Plan, *, datasheet: bool) -> str:
             continue
         lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}")
         if durations != {None}:
-            lines[-1] += f"{'this tells':>15}"
+            lines[-1] += f"{'this tells':>17}"
         lines += [_line(axis, need, datasheet=datasheet) for need in axis.needs]
     text = "\n".join(lines)
     try:
@@ -181,19 +185,27 @@ def _line(axis: AxisPlan, need: Need, *, datasheet: bool) -> str:
     unit = _unit(axis.sensor, need, datasheet=datasheet)
     value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
     line = f"  {need.name:<10}{value:>12}  {unit.name:<18}{describe_time(need.needed_s):>19}"
-    return line if need.reached is None else f"{line}{_reached(need.reached):>15}"
+    return line if need.reached is None else f"{line}{_reached(need):>17}"
 
 
 def _pair(axis: AxisPlan, need: Need, *, datasheet: bool) -> list[str]:
     """Return the two lines of a narrow terminal."""
     unit = _unit(axis.sensor, need, datasheet=datasheet)
-    tells = "" if need.reached is None else f", this tells {_reached(need.reached)}"
+    tells = "" if need.reached is None else f", tells {_reached(need)}"
     first = f"  {need.name:<10}{'< ' if need.bounded else ''}{need.value * unit.factor:.4g} {unit.name}"
-    return [first, f"    needs {describe_time(need.needed_s)}{tells}"]
+    return [first, *fitted(f"    needs {describe_time(need.needed_s)}{tells}", width(), indent=6)]
 
 
-def _reached(fraction: float) -> str:
-    return f"±{100 * fraction:.2g} %" if fraction < 1 else "nothing"
+def _reached(need: Need) -> str:
+    """Return what a record of the asked length tells, and how often it would show the term."""
+    if need.reached is None or need.reached >= 1:
+        return "nothing"
+    often = f" ({math.floor(10 * (need.shown or 0.0))} of 10)" if _may_be_missed(need) else ""
+    return f"±{100 * need.reached:.2g} %{often}"
+
+
+def _may_be_missed(need: Need) -> bool:
+    return need.shown is not None and need.shown < MOSTLY_SHOWN
 
 
 def _unit(sensor: Sensor | None, need: Need, *, datasheet: bool) -> DatasheetUnit:

@@ -21,6 +21,7 @@ from imucal.report.page_summary import findings_section, summary_section
 from imucal.report.page_words import glossary_section, method_section
 from imucal.report.result import AxisReport, Report
 from imucal.report.sheet_units import sheet_units
+from imucal.side_work import try_side_work
 from imucal.units import DatasheetUnit, duration, pretty
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def render_page(report: Report, *, picture: "Callable[[AxisReport], Figure] | No
         ("findings", "Findings", findings_section(report)),
         ("downstream", "Which number goes where", downstream_section(report)),
         *(
-            (axis.name, axis_title(axis), join([_static(axis, drawn(axis)), _axis_section(report, axis)]))
+            (axis.name, axis_title(axis), join([_static(axis, drawn), _axis_section(report, axis)]))
             for axis in report.axes
         ),
         ("terms", "What the terms mean", glossary_section()),
@@ -143,10 +144,16 @@ def _moments(axis: AxisReport, unit: DatasheetUnit) -> str:
     return f"mean {mean:.6g} {name}, standard deviation {std:.4g} {name}"
 
 
-def _static(axis: AxisReport, figure: "Figure") -> Markup:
+def _static(axis: AxisReport, drawn: "Callable[[AxisReport], Figure]") -> Markup:
     """Return the picture of an axis that stands in for its plots where scripts are off."""
-    source = f"data:image/webp;base64,{base64.b64encode(render_small(figure)).decode('ascii')}"
-    name = f"Allan deviation and power spectral density of {axis_title(axis).lower()}"
+    where = axis_title(axis).lower()
+    picture, failed = try_side_work(
+        lambda: render_small(drawn(axis)), None, what=f"The picture of {where} is missing", code="not-drawn"
+    )
+    if picture is None:
+        return element("noscript", *(element("p", finding.text, class_="notice") for finding in failed))
+    source = f"data:image/webp;base64,{base64.b64encode(picture).decode('ascii')}"
+    name = f"Allan deviation and power spectral density of {where}"
     return element("noscript", element("img", src=source, alt=name, width="1100", class_="static"))
 
 

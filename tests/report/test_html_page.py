@@ -419,8 +419,9 @@ def test_plots_have_the_labels_and_marks_of_the_pictures(browser: Browser, addre
     _show(browser, "gyro_x-allan")
     script = """
         return [...document.querySelectorAll('#gyro_x-allan .annotation')].map((a) => {
-            const { left, top, right, bottom } = a.querySelector('.annotation-text-g rect').getBoundingClientRect();
-            return [a.querySelector('.annotation-text').textContent, left, top, right, bottom];
+            const box = a.querySelector('.annotation-text-g rect').getBoundingClientRect();
+            const text = a.querySelector('.annotation-text').textContent;
+            return [text, box.left, box.top, box.right, box.bottom];
         })
     """
     browser.wait("return document.querySelectorAll('#gyro_x-allan .annotation').length > 0")

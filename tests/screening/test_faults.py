@@ -223,7 +223,7 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (repeated, "warning", "held-samples", "gyro",
      ("50.0% of the gyroscope samples repeat the one before on all axes: the log holds 100 samples a second, "
      "about 50 of them new.")),
-    (weightless, "info", "no-gravity", "accel",
+    (weightless, "warning", "no-gravity", "accel",
      "The accelerometer shows no gravity: |a| is 0.0045 m/s^2."),
 ]  # fmt: skip
 
