@@ -14,7 +14,7 @@ from imucal.findings import Finding
 from imucal.fitting import FitSettings, NoiseFit, fit, fit_axis
 from imucal.fitting.cross_checks import second_opinion
 from imucal.planning import resolution_findings
-from imucal.recording import AxisSeries, Recording, Temperature
+from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.screening import screen
 from imucal.side_work import findings_or_why_not
@@ -82,7 +82,7 @@ def characterize(
     if progress:
         progress(len(recording.series), len(recording.series), "")
     return Report(
-        source=recording.source,
+        source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
         settings=settings.document(),
         version=__version__,
