@@ -237,6 +237,11 @@ class Source:
     files: tuple[LogFileInfo, ...] = ()
     read: ReadRange | None = None
 
+    @property
+    def name(self) -> str:
+        """The file's or folder's own name, without the way to it."""
+        return self.path.rstrip("/").rsplit("/", 1)[-1] or self.path
+
     def __post_init__(self) -> None:
         # A name of bytes that are no text can be opened, but not written to a report.
         plain = self.path.encode("utf-8", "backslashreplace").decode()

@@ -25,6 +25,7 @@ __all__ = ["COMMANDS", "main", "options_for"]
 COMMANDS: dict[str, tuple[str, str]] = {
     "fit": ("imucal.cli.fit", "Fit a noise model to every axis of a log and write a report."),
     "info": ("imucal.cli.info", "Say what is in a log: topics, rates, duration, units, gaps."),
+    "decompose": ("imucal.cli.decompose", "Draw what the bias of every axis did: its smoothed parts."),
     "adev": ("imucal.cli.adev", "Print the Allan deviations of every axis as CSV or JSON."),
     "simulate": ("imucal.cli.simulate", "Write a log of known truth (CSV, MCAP, ROS 1 or ROS 2 bag)."),
     "plan": ("imucal.cli.plan", "Say how long to record for a wanted precision."),

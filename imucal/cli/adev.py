@@ -11,6 +11,7 @@ from imucal.allan.estimators import ESTIMATORS
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -18,7 +19,7 @@ from imucal.grading import judge_findings
 from imucal.recording import AxisSeries, Recording
 
 
-class Taus(click.ParamType[str | tuple[float, ...]]):
+class Taus(ParamType[str | tuple[float, ...]]):
     """A set of averaging times by name, or a list of durations."""
 
     name = "taus"
