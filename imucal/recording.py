@@ -199,13 +199,12 @@ class ReadRange:
     def of(cls, series: Sequence[AxisSeries], *, from_s: float = 0.0) -> "ReadRange":
         """Return the range of some axes, of which there is one at least."""
         clocks = [one.clock for one in series]
-        starts = [clock.start_ns for clock in clocks if clock.start_ns is not None]
-        ends = [
-            clock.start_ns + round(clock.duration_s * 1e9) for clock in clocks if clock.start_ns is not None
+        spans = [
+            (c.start_ns, c.start_ns + round(c.duration_s * 1e9)) for c in clocks if c.start_ns is not None
         ]
-        if not starts:
+        if not spans:
             return cls(from_s=from_s, duration_s=max(clock.duration_s for clock in clocks))
-        start, end = min(starts), max(ends)
+        start, end = min(start for start, _ in spans), max(end for _, end in spans)
         return cls(from_s=from_s, duration_s=(end - start) / 1e9, start_ns=start, end_ns=end)
 
 

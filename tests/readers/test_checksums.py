@@ -47,7 +47,7 @@ def test_the_published_checksum(tmp_path: Path) -> None:
     assert found.size_bytes == 3
     assert found.blake2b == (
         "ba80a53f981c4d0d6a2797b69f12f6e94c212f14685ac4b74b12bb6fdbffa2d1"
-        "7d87c5392aab792dc252d5de4533cc9518d38aa8dbc4925ab92386edd4009923"
+        "7d87c5392aab792dc252d5de4533cc9518d38aa8dbf1925ab92386edd4009923"
     )
 
 
@@ -98,5 +98,6 @@ def test_the_range_of_a_recording(tmp_path: Path) -> None:
     series = imucal.AxisSeries.from_samples(recording.series[0].samples, rate_hz=100)
     plain = Recording(source=recording.source, series=(series,)).between(1, 3)
     assert plain.source.read is not None
-    assert (plain.source.read.from_s, plain.source.read.duration_s) == (1.0, pytest.approx(2.0))
+    assert plain.source.read.from_s == 1.0
+    assert plain.source.read.duration_s == pytest.approx(2.0)
     assert plain.source.read.start_ns is None
