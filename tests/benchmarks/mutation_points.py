@@ -90,7 +90,6 @@ _PATH = {
     "sqlite_pages._GROUP": "pages of one task",
     "mcap_scan._PART": "bytes of messages loaded at once",
     "mcap_scan._WINDOW": "bytes read at once",
-    "ros1_file._WINDOW": "bytes read at once",
     "column_store._FLUSH": "bytes written before pages are given back",
     "column_store._FIRST": "first size of a column that grows",
     "loader._MAX_THREADS": "threads: the messages come out in the same order",

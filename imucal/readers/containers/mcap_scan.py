@@ -95,8 +95,8 @@ class _Scan:
         self._start, self._data = 0, file.read(0, min(_WINDOW, file.size))
 
     def _take(self, at: int, size: int) -> memoryview:
-        """Return `size` bytes from `at` on; fewer at the end of the file."""
-        if not (self._start <= at and at + size <= self._start + len(self._data)):
+        """Return `size` bytes from `at` on, never before the last place; fewer at the end of the file."""
+        if at + size > self._start + len(self._data):
             self._start = at
             self._data = self._file.read(at, min(max(size, _WINDOW), self._file.size - at))
         return memoryview(self._data)[at - self._start : at - self._start + size]
@@ -145,7 +145,7 @@ class _Scan:
         if opcode in {records.SCHEMA, records.CHANNEL} and length <= _MAX_DEFINITION:
             self.book.define(opcode, self._take(at + 9, length))
         elif opcode == records.CHUNK:
-            head = records.chunk_head(self._take(at, min(9 + length, _HEAD_BLOCK)))
+            head = records.chunk_head(self._take(at, min(HEAD.size + length, _HEAD_BLOCK)))
             chunks.append(ChunkIndex(start=at, length=9 + length, compression=head.compression))
         elif opcode == records.MESSAGE_INDEX and chunks:
             chunk = chunks[-1]

@@ -193,6 +193,7 @@ def test_definitions_behind_the_data_are_taken(held: Held) -> None:
         (channel(1) + channel(3)[:-1], {1}),
         (channel(1) + record(4, b"?") + channel(3), {1}),
         (channel(1) + channel(3)[:8], {1}),
+        (channel(1) + record(3, schema(2)[9:-1]) + channel(3), {1}),
         (record(99, b"") + channel(1), {1}),
     ],
 )
@@ -214,7 +215,8 @@ def test_a_definition_of_megabytes_is_damage(held: Held, monkeypatch: pytest.Mon
         else:
             with pytest.raises(ReadError, match="no whole record was found"):
                 scan(file, DamagedError("?"))
-    assert mcap_scan._MAX_DEFINITION
+    monkeypatch.undo()
+    assert mcap_scan._MAX_DEFINITION == 16 * 2**20
 
 
 @pytest.mark.parametrize("window", [16, 200, 1 << 20])
@@ -235,3 +237,18 @@ def test_a_file_without_a_channel_is_none(held: Held) -> None:
     assert str(caught.value) == (
         f"{file.path}: the end is missing, and no whole record was found; expected an MCAP file"
     )
+
+
+def test_a_file_is_read_a_window_at_a_time(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not a record at a time: one read for a small file, up to its last byte."""
+    reads: list[tuple[int, int]] = []
+    read = LogFile.read
+
+    def noted(file: LogFile, position: int, size: int) -> bytearray:
+        reads.append((position, size))
+        return read(file, position, size)
+
+    monkeypatch.setattr(LogFile, "read", noted)
+    file = held(*HEAD)
+    scan(file, DamagedError("?"))
+    assert reads == [(0, file.size)]
