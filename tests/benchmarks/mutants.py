@@ -39,8 +39,8 @@ ROOMS = ("readers", "allan", "fitting", "checking", "report")
 #: What the tests need; everything else stays behind.
 _COPIED = ("imucal", "tests", "sample_logs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 _COPIED_TOO = ("pyproject.toml", "mkdocs.yml", "LICENSE")
-#: Recorded seconds of tests a mutant meets in each round; the last is of all that are left.
-_ROUNDS = (8.0, 60.0, math.inf)
+#: Recorded seconds of tests a mutant meets in its first rounds; the last is of all that are left.
+_ROUNDS = (8.0, 60.0)
 #: A process that waits for others does not take time of the processor: this many times as much is too long.
 _PATIENCE = 6
 _OPTIONS = ("-q", "-p", "tests.benchmarks.mutant_plugin", "-p", "no:cacheprovider", "--tb=no", "--no-header")
@@ -67,7 +67,7 @@ def main() -> None:
         def fate(job: tuple[str, Mutation]) -> tuple[bool, str]:
             copy = copies.get()
             try:
-                return _fate(copy, suite, *job, timeout=options.timeout)
+                return _fate(copy, suite, *job, timeout=options.timeout, most=options.most)
             finally:
                 copies.put(copy)
 
@@ -93,6 +93,7 @@ def _options() -> argparse.Namespace:
         "--tests", nargs="+", default=["tests"], help="those that may notice, for a quick look"
     )
     parser.add_argument("--timeout", type=float, default=60.0, help="seconds beyond what tests take")
+    parser.add_argument("--most", type=float, default=math.inf, help="seconds of tests that a mutant meets")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     return parser.parse_args()
 
@@ -181,14 +182,16 @@ def _environment(tree: Path, seconds: float = math.inf) -> dict[str, str]:
     }
 
 
-def _fate(tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: float) -> tuple[bool, str]:
+def _fate(
+    tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: float, most: float
+) -> tuple[bool, str]:
     """Break a line, run its tests in rounds, mend it; return whether one failed, and what to print."""
     tests, met = suite.tests_of(path, mutation)
     began = time.monotonic()
     how = "no test runs the line" if not met else "all passed"
     with _broken(tree, path, mutation):
         noticed = False
-        for part in _rounds(tests, suite.seconds):
+        for part in _rounds(tests, suite.seconds, most):
             ended = _run(tree, part, timeout=timeout + 3 * sum(suite.seconds[test] for test in part))
             noticed = ended not in _SURVIVED
             if noticed:
@@ -199,13 +202,13 @@ def _fate(tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: f
     return noticed, f"{path}:{mutation.line} {change} {time.monotonic() - began:.0f} s {how}".rstrip()
 
 
-def _rounds(tests: list[str], seconds: dict[str, float]) -> Iterator[list[str]]:
+def _rounds(tests: list[str], seconds: dict[str, float], most: float) -> Iterator[list[str]]:
     """Split tests into rounds: a few seconds for what is near, and longer for what is not."""
     rest = list(tests)
-    for limit in _ROUNDS:
+    for limit in (*_ROUNDS, most):
         part: list[str] = []
         spent = 0.0
-        while rest and (spent < limit or not part):
+        while rest and spent < limit:
             spent += seconds[rest[0]]
             part.append(rest.pop(0))
         if part:

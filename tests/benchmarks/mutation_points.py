@@ -10,6 +10,7 @@ Left alone, because no test could or should notice:
   `_LAYOUT`, for pictures are looked at, not pinned;
 - on which side of a limit such as 0.3 the limit itself falls: binary floats do not hold such a number,
   so that chance alone reaches it. Whole numbers, halves and quarters are broken: counts do reach them;
+- the -1 of a `reshape`: any negative number stands for the side that is left;
 - guards against a division by zero: numbers below 1e-100 or above 1e100;
 - what compiles to the same bytecode.
 """
@@ -248,6 +249,8 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
         case ast.Dict():
             keys = [getattr(key, "value", None) for key in node.keys]
             yield from (value for key, value in zip(keys, node.values, strict=True) if key not in _UNSEEN)
+        case ast.Call(func=ast.Attribute(attr="reshape")):
+            yield from (part for part in (node.func, *node.args) if ast.unparse(part) != "-1")
         case ast.arguments():
             names = [argument.arg for argument in (*node.posonlyargs, *node.args, *node.kwonlyargs)]
             values = [*node.defaults, *node.kw_defaults]
