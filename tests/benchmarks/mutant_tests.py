@@ -2,8 +2,9 @@
 
 What stands in a function is judged by the tests that run its line. What Python runs but once, at import,
 is judged by the tests that run what depends on it: the lines that use a constant's or a field's name,
-the body of the function of a default. A test is near if it is of the module's own file of tests, or at
-least of its folder; then the quickest goes first, and one of each function before the second of any.
+the body of the function of a default. The module's own file of tests
+goes first; of the others one of each function before the second of any, those of its folder before those
+of other folders, the quickest first.
 """
 
 import ast
@@ -57,7 +58,8 @@ class Suite:
         places = []
         for test in sorted(tests, key=lambda test: (_distance(test, path), self.seconds[test], test)):
             function = test.partition("[")[0]
-            places.append((met[function], test))
+            own = _distance(test, path) < 0
+            places.append((0 if own else met[function] + 1, test))
             met[function] += 1
         return [test for _, test in sorted(places, key=lambda place: place[0])]
 

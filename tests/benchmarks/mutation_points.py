@@ -78,6 +78,8 @@ _PATH = {
     "missing._SEED": "one seed is as good as another",
     "intervals._ROUNDS": "most rounds of a search for a limit that ends when it is close enough",
     "intervals._CLOSE": "how close is close enough for that search",
+    "intervals._STRIDE": "how fast a search for a limit goes on before it has passed it",
+    "filter_response._CORNERS": "corners of which the best starts a search",
     "av_search._PER_DECADE": "how fine a grid is from which a search is refined",
     "av_search._STARTS": "places of that grid that are refined",
     "av_select._STEPS": "most rounds of a weight that settles after three",

@@ -212,3 +212,12 @@ def test_a_grid_has_values_that_stand_four_times_on_average(copies: int, *, foun
     """And at least three of them."""
     assert (step_size(np.repeat(np.arange(3.0), copies)) is not None) == found
     assert step_size(np.repeat(np.arange(2.0), copies)) is None
+
+
+def test_fewer_than_twenty_samples_are_left_as_they_are() -> None:
+    """They have no baseline and no deviation of their own."""
+    samples = np.array([0.0, 1.0, 50.0] * 6)
+    spike, baseline, deviation = find_spikes(samples)
+    assert not spike.any()
+    assert baseline is samples
+    assert deviation == 0.0
