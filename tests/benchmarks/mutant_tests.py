@@ -68,7 +68,7 @@ def _distance(test: str, path: str) -> int:
     """Return how many folders lie between a test and a module of the package; -1 for its own tests."""
     file = PurePosixPath(test.partition("::")[0])
     module = PurePosixPath(path)
-    if file.stem == f"test_{module.stem}":
+    if f"{file.stem}_".startswith(f"test_{module.stem}_"):
         return -1
     here, there = file.parts[1:-1], module.parts[1:-1]
     common = sum(itertools.takewhile(bool, map(str.__eq__, here, there)))
