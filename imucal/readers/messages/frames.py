@@ -32,8 +32,9 @@ def _first_payload(container: Container, channel: Channel) -> Iterator[bytes]:
     for task in container.tasks(frozenset([channel.key])):
         try:
             for key, batch in task.load(scratch):
-                if key == channel.key and batch.n:
-                    yield _start(batch.checked())
+                # An index may list messages that its chunk does not hold.
+                if key == channel.key and batch.n and (whole := batch.checked()).n:
+                    yield _start(whole)
                     return
         except DamagedError:
             continue
