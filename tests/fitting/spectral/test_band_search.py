@@ -7,7 +7,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral import band
+from imucal.fitting.spectral import band, filter_response
 from imucal.fitting.spectral.band import (
     _BandSearch,
     _deviation_of_white,
@@ -147,6 +147,23 @@ def test_a_resonance_so_sharp_that_no_regression_is_positive_starts_flat() -> No
     theta = start_response(wild, np.zeros((1, 4)), (2, 0), width=4, room=2)
     candidate = candidates_of([("N",)], data.names, poles=2)
     assert np.isfinite(evaluate(wild, candidate, theta).objective[0])
+
+
+def test_a_flat_start_is_the_butterworth_response_nearest_to_the_data() -> None:
+    """Of white noise behind one whose corner is tried, it is that one, with its level."""
+    data = ordinates_of(simulated("N=1", 2000, 1)).below(1.0)
+    low, high, steps = filter_response._CORNERS
+    corner = np.geomspace(low, high, steps)[12]
+    for order in ((2, 0), (3, 0), (2, 2)):
+        poles, zeros = order
+        at = np.sin(np.pi / 2 * corner) ** 2
+        numerator = (1 - data.lam / 4) ** zeros
+        slope = (data.lam / 4 / at) ** poles * (1 - at) ** zeros
+        wave = replace(data, power=data.size * 7.0 * numerator / (numerator + slope))
+        solution = filter_response._flattest(wave, np.ones(data.lam.size, dtype=bool), numerator, order)
+        assert 1 / solution[0] == pytest.approx(7.0, rel=1e-9)
+        powers = (data.lam / data.top)[:, None] ** np.arange(poles + 1)
+        npt.assert_allclose(numerator / (powers @ solution), wave.power / wave.size, rtol=1e-9)
 
 
 def test_the_blind_fit_is_the_best_of_its_starts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -123,6 +123,14 @@ def test_the_last_place_of_a_cell(held: Held) -> None:
         find_leaves(pages_of(held, bytes(page), leaf(), leaf()), 2, 1, 9)
 
 
+def test_pages_are_numbered_by_four_bytes(held: Held) -> None:
+    """A file of terabytes has so many."""
+    numbers = [0x01020304, 0x05060708, 0x7FFFFFFF]
+    page = interior([(numbers[0], 5), (numbers[1], 9)], numbers[2])
+    pages, rows = sqlite_pages._children(pages_of(held, page), 2, PAGE, 99)
+    assert (pages.tolist(), rows.tolist()) == (numbers, [5, 9, 99])
+
+
 @pytest.mark.parametrize("group", [2, 3, 512])
 def test_groups_bound_their_rows(group: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the largest row of their last page, from the first row on; in sum there are no more."""
