@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from imucal.readers.messages.definitions import flatten
+from imucal.readers.messages.definitions import DefinitionError, flatten
 from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus, sensor_of_topic
 from imucal.recording import Sensor
 
@@ -196,7 +196,6 @@ def test_what_is_a_temperature(name: str, known: bool) -> None:  # noqa: FBT001
 
 def test_definitions_end_where_the_layout_is_not_known() -> None:
     """Nests of sixteen are read, deeper ones refused; so are more elements than twenty thousand."""
-    from imucal.readers.messages.definitions import DefinitionError
 
     def nested(depth: int) -> str:
         names = [f"pkg/T{i}" for i in range(depth + 1)]
@@ -213,3 +212,15 @@ def test_definitions_end_where_the_layout_is_not_known() -> None:
     assert [field.path for field in flatten("pkg/M", "string s\nfloat64 x", ros1=True)] == ["s", "x"]
     assert [field.path for field in flatten("pkg/M", "wstring s\nfloat64 x", ros1=True)] == ["s"]
     assert [field.path for field in flatten("pkg/M", "string[2] s\nfloat64 x", ros1=True)] == ["s"]
+
+
+def test_a_definition_that_holds_itself_is_refused() -> None:
+    """As a field or as a sequence: it would never end."""
+    for text in ("pkg/M m", "pkg/M[] m", "pkg/M[2] m", "pkg/A[] a\n===\nMSG: pkg/A\npkg/A[] a"):
+        with pytest.raises(DefinitionError, match="nests too deeply"):
+            flatten("pkg/M", text, ros1=True)
+
+
+@pytest.mark.parametrize(("ros1", "code"), [(True, "i1"), (False, "u1")])
+def test_a_byte_is_signed_in_ros_1_alone(ros1: bool, code: str) -> None:  # noqa: FBT001
+    assert [field.code for field in flatten("pkg/M", "byte b", ros1=ros1)] == [code]
