@@ -3,6 +3,7 @@
 import difflib
 import errno
 import importlib
+import io
 import os
 import re
 import shlex
@@ -14,8 +15,8 @@ from typing import NoReturn
 import click
 from click.shell_completion import CompletionItem
 
-from imucal._version import __version__
 from imucal.errors import ChoiceError, DataError, ImucalError, WriteError
+from imucal.printable import printable
 
 __all__ = ["COMMANDS", "main", "options_for"]
 
@@ -23,6 +24,7 @@ __all__ = ["COMMANDS", "main", "options_for"]
 COMMANDS: dict[str, tuple[str, str]] = {
     "fit": ("imucal.cli.fit", "Fit a noise model to every axis of a log and write a report."),
     "info": ("imucal.cli.info", "Say what is in a log: topics, rates, duration, units, gaps."),
+    "decompose": ("imucal.cli.decompose", "Draw what the bias of every axis did: its smoothed parts."),
     "adev": ("imucal.cli.adev", "Print the Allan deviations of every axis as CSV or JSON."),
     "simulate": ("imucal.cli.simulate", "Write a log of known truth (CSV, MCAP, ROS 1 or ROS 2 bag)."),
     "plan": ("imucal.cli.plan", "Say how long to record for a wanted precision."),
@@ -95,8 +97,23 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
 
+def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> None:
+    if wanted and not ctx.resilient_parsing:
+        from imucal.cli._version_line import version_lines
+
+        click.echo(version_lines())
+        ctx.exit()
+
+
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="imucal")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Say which imucal this is.",
+)
 def imucal() -> None:
     """Turn a recording of an IMU at rest into a noise model.
 
@@ -150,7 +167,9 @@ def _explain(error: BaseException) -> int:
     """Print what went wrong, without a traceback; return the exit code."""
     match error:
         case click.ClickException():
-            error.show()
+            said = io.StringIO()
+            error.show(said)
+            click.echo(printable(said.getvalue()), err=True, nl=False)
             return error.exit_code
         case ChoiceError():
             hint = options_for(str(error))
@@ -168,7 +187,7 @@ def _explain(error: BaseException) -> int:
             what = f"{type(error).__name__}: {error}"
             message = f"Error: internal error ({what}). Please report it; IMUCAL_DEBUG=1 shows where."
             code = 70
-    click.echo(message, err=True)
+    click.echo(printable(message), err=True)
     return code
 
 

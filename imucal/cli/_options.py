@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import click
 
+from imucal.cli._echo import echo
+from imucal.cli._param_type import ParamType
 from imucal.cli._progress import axes_progress, reading_progress
 from imucal.recording import AxisSeries, Recording, Sensor
-from imucal.units import SAMPLE_UNITS, parse_sample_unit
+from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
 
 if TYPE_CHECKING:
     from imucal.pipeline import Settings
@@ -23,24 +25,48 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Number(click.FloatRange):
-    """A finite number in a range: click lets nan and infinity through."""
+    """A finite number in a range: click lets nan and infinity through.
+
+    A `unit` may follow it, and a fraction may be given in percent.
+    """
+
+    def __init__(
+        self,
+        min: float | None = None,  # noqa: A002 - as click calls them
+        max: float | None = None,  # noqa: A002
+        *,
+        min_open: bool = False,
+        max_open: bool = False,
+        unit: str = "",
+        percent: bool = False,
+    ) -> None:
+        super().__init__(min, max, min_open=min_open, max_open=max_open)
+        self.unit, self.percent = unit, percent
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        number = float(super().convert(str(value), param, ctx))  # type: ignore[arg-type] # click's stub is narrow
+        text = str(value).strip()
+        if self.unit:
+            text = re.sub(f"\\s*{self.unit}$", "", text, flags=re.IGNORECASE)
+        try:
+            number = float(text.removesuffix("%")) / (100 if self.percent and text.endswith("%") else 1)
+        except ValueError:
+            number = math.nan
         if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number.", param, ctx)
-        return number
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        if self.percent and 1 < number < 100:
+            self.fail(f"{value!r} is more than all; did you mean {number / 100:g} or {text}%?", param, ctx)
+        return float(super().convert(repr(number), param, ctx))  # type: ignore[arg-type] # click's stub is narrow
 
 
 #: An option whose default stands in its help.
 shown = functools.partial(click.option, show_default=True)
 
 #: Hz: no IMU is slower or faster, and no product of these overflows.
-RATE = Number(1e-6, 1e9)
+RATE = Number(1e-6, 1e9, unit="Hz")
 #: Written like this, averaging times are a set and not a list.
 TAU_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
 #: Beyond these levels an interval is a point or everything.
-LEVEL = Number(0.01, 0.999999)
+LEVEL = Number(0.01, 0.999999, percent=True)
 
 quiet_option = click.option(
     "-q", "--quiet", is_flag=True, help="Print results only: no progress, findings or paths."
@@ -50,7 +76,7 @@ quiet_option = click.option(
 def say(text: str, *, quiet: bool = False) -> None:
     """Print a line for people, on standard error, so that standard output holds results only."""
     if not quiet:
-        click.echo(text, err=True)
+        echo(text, err=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,10 +129,13 @@ class LogRequest:
     def characterise(self, settings: "Settings") -> "Report":
         """Read and characterise the log, with progress bars where a person watches."""
         from imucal.pipeline import characterize
+        from imucal.readers.checksums import Checksums
 
-        recording = self.read()
-        with axes_progress(quiet=self.quiet) as progress:
-            return characterize(recording, settings, progress=progress)
+        with Checksums([Path(log) for log in self.logs]) as checksums:
+            recording = self.read()
+            with axes_progress(quiet=self.quiet) as progress:
+                report = characterize(recording, settings, progress=progress)
+            return replace(report, source=replace(report.source, files=checksums.files()))
 
     def settings(self) -> dict[str, object]:
         """Return what was asked, for the report: JSON values, defaults left out."""
@@ -128,7 +157,7 @@ class LogRequest:
         return {name: value for name, value in asked.items() if value}
 
 
-class Duration(click.ParamType[float]):
+class Duration(ParamType[float]):
     """Seconds, or a number with s, min, m, h or d."""
 
     name = "duration"
@@ -149,7 +178,7 @@ class Duration(click.ParamType[float]):
         return seconds
 
 
-class UnitName(click.ParamType[str]):
+class UnitName(ParamType[str]):
     """A unit of one sensor's samples, in a spelling that can't be meant otherwise."""
 
     name = "unit"
@@ -260,7 +289,7 @@ def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> N
         for series in group:
             sensors[series.sensor.short] = sensors.get(series.sensor.short, "") + series.axis
         names = ", ".join(f"{sensor} {axes}" for sensor, axes in sensors.items())
-        samples = f"{clock.n} samples at {clock.rate_hz:.6g} Hz, {describe_duration(clock.duration_s)}"
+        samples = f"{clock.n} samples at {clock.rate_hz:.6g} Hz, {duration(clock.duration_s)}"
         say(f"Read {Path(source.path).name} ({source.format}): {names}: {samples}", quiet=quiet)
     if verbose:
         for topic, kind in zip(source.topics, source.message_types, strict=False):
@@ -283,10 +312,3 @@ def as_typed(path: Path) -> str:
     """Return a path as a shell takes it for one argument: quoted where it needs to be, never an option."""
     text = str(path)
     return shlex.quote(f"./{text}" if text.startswith("-") else text)
-
-
-def describe_duration(seconds: float) -> str:
-    """Return a duration as people say it: ``45.2 s``, ``7.5 min``, ``2.80 h``."""
-    if seconds < 2 * 60:
-        return f"{seconds:.4g} s"
-    return f"{seconds / 60:.4g} min" if seconds < 2 * 3600 else f"{seconds / 3600:.4g} h"

@@ -4,7 +4,9 @@ from collections.abc import Iterable
 from html import escape
 from typing import TypeAlias
 
-_VOID = frozenset({"br", "hr", "input", "link", "meta"})
+from imucal.printable import printable
+
+_VOID = frozenset({"br", "hr", "img", "input", "link", "meta"})
 
 
 class Markup(str):
@@ -43,8 +45,14 @@ def row(*cells: Markup) -> Markup:
     return element("tr", *cells)
 
 
+def labelled(titles: Iterable[str], cells: Iterable[Child]) -> list[Markup]:
+    """Return cells that carry the titles of their columns, for screens too narrow for a row."""
+    pairs = zip(titles, cells, strict=True)
+    return [element("td", element("span", cell), data_label=title) for title, cell in pairs]
+
+
 def table(caption: Child, head: Iterable[Markup], body: Iterable[Markup], *, class_: str = "") -> Markup:
-    """Return a table with a caption, in a box that scrolls sideways where the screen is narrow."""
+    """Return a table with a caption, in a box that scrolls sideways where it is too wide all the same."""
     inner = element(
         "table",
         element("caption", element("span", caption)),
@@ -56,7 +64,7 @@ def table(caption: Child, head: Iterable[Markup], body: Iterable[Markup], *, cla
 
 
 def _escaped(child: str) -> str:
-    return child if isinstance(child, Markup) else escape(child, quote=False)
+    return child if isinstance(child, Markup) else escape(printable(child), quote=False)
 
 
 def _attribute(name: str, value: str | bool | None) -> str:  # noqa: FBT001 - as HTML has them

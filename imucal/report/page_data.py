@@ -6,13 +6,17 @@ import math
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.document import plain
 from imucal.report.figure_allan import shown_points
-from imucal.report.figure_parts import drawn_terms
+from imucal.report.figure_parts import drawn_terms, estimate_text
 from imucal.report.palette import DATA, LEFT_OUT, MODEL, UNUSED
 from imucal.report.result import AxisReport, Overview, Report
+from imucal.report.sheet_units import SheetUnits, sheet_units
+from imucal.report.smooth_spectrum import smooth_spectrum
 from imucal.units import pretty
 
 #: Points of a smooth line, per plot.
@@ -35,7 +39,7 @@ def page_data(report: Report) -> str:
             "unused": [UNUSED, "#5d6873"],
             "line": [LEFT_OUT, "#ff7b86"],
         },
-        "axes": {axis.name: _axis(axis) for axis in report.axes},
+        "axes": {axis.name: _axis(axis, sheet_units(report, axis.sensor)) for axis in report.axes},
     }
     text = json.dumps(document, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return text.replace("<", "\\u003c")
@@ -69,8 +73,8 @@ def _running_median(values: FloatArray) -> FloatArray:
     return np.where(count > 0, middle[np.arange(values.size), np.maximum(count - 1, 0) // 2], np.nan)
 
 
-def _axis(axis: AxisReport) -> dict[str, object]:
-    level, density = TERMS["B"].datasheet_unit(axis.sensor), TERMS["N"].datasheet_unit(axis.sensor)
+def _axis(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
+    level, density = units.level, units.density
     return {
         "units": {
             "si": [pretty(axis.unit), 1, pretty(f"{axis.unit}/sqrt(Hz)"), 1],
@@ -79,7 +83,8 @@ def _axis(axis: AxisReport) -> dict[str, object]:
         "level": f"{100 * axis.fit.level:.4g}",
         "model": str(axis.fit.model),
         "curve": _curve(axis),
-        "fine": _fine(axis),
+        "minimum": _minimum(axis, units),
+        "fine": _fine(axis, units),
         "psd": _psd(axis),
         "raw": _raw(axis),
     }
@@ -100,7 +105,24 @@ def _curve(axis: AxisReport) -> dict[str, object]:
     }
 
 
-def _fine(axis: AxisReport) -> dict[str, object]:
+def _minimum(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
+    """Return the curve's lowest point and what its label says."""
+    adev, tau = axis.fit.curve.minimum
+    return {
+        "at": [float(f"{tau:.6g}"), float(f"{adev:.5g}")],
+        "si": f"minimum {numbers.with_interval(numbers.minimum(axis)[0])}",
+        "sheet": f"minimum {numbers.with_interval(units.minimum(axis))}",
+    }
+
+
+def _labels(estimate: Estimate, units: SheetUnits, sensor: Sensor) -> dict[str, str]:
+    """Return what a term's label says, line by line, as in the pictures."""
+    si = f"{estimate.key} {numbers.with_uncertainty(numbers.si(estimate, sensor))}"
+    sheet, *time = estimate_text(estimate, sensor, units).split("\n")
+    return {"si": "<br>".join([si, *time]), "sheet": "<br>".join([sheet, *time])}
+
+
+def _fine(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
     """Return the model and its terms as smooth lines, and where each coefficient is read."""
     curve, rate = axis.fit.curve, axis.fit.rate_hz
     shown = shown_points(curve)
@@ -115,7 +137,7 @@ def _fine(axis: AxisReport) -> dict[str, object]:
         at = drawn.tau_s
         if at is None:
             at = float(m[np.argmax(line / np.where(total > 0, total, math.inf))] / rate)
-        si, sheet = numbers.si(estimate, axis.sensor), numbers.datasheet(estimate, axis.sensor)
+        si, sheet = numbers.si(estimate, axis.sensor), units.estimate(estimate, axis.sensor)
         terms.append(
             {
                 "key": estimate.key,
@@ -123,7 +145,8 @@ def _fine(axis: AxisReport) -> dict[str, object]:
                 "name": TERMS[estimate.symbol].name(axis.sensor),
                 "bounded": estimate.value is None,
                 "si": numbers.with_interval(si),
-                "sheet": numbers.with_interval(numbers.comfortable(sheet)),
+                "sheet": numbers.with_interval(sheet),
+                "label": _labels(estimate, units, axis.sensor),
                 "adev": _round(line, 4),
                 "root": _round(np.sqrt(drawn.term.psd(grid, 1 / rate)), 4),
                 "at": [float(f"{at:.4g}"), float(f"{drawn.height:.4g}")],
@@ -139,12 +162,14 @@ def _fine(axis: AxisReport) -> dict[str, object]:
 
 
 def _psd(axis: AxisReport) -> dict[str, object]:
-    spectrum, fit = axis.spectrum, axis.fit
+    smooth, fit = smooth_spectrum(axis), axis.fit
     response = fit.response
     return {
-        "f": _round(spectrum.frequency, 4),
-        "root": _round(np.sqrt(spectrum.psd), 4),
-        "model": _round(np.sqrt(fit.model.psd(spectrum.frequency, rate_hz=fit.rate_hz)), 4),
+        "f": _round(smooth.frequency, 4),
+        "root": _round(smooth.root, 4),
+        "low": _round(smooth.low, 4),
+        "high": _round(smooth.high, 4),
+        "model": _round(np.sqrt(fit.model.psd(smooth.frequency, rate_hz=fit.rate_hz)), 4),
         "band": plain(fit.goodness.band_hz),
         "lines": [[line.frequency_hz, plain(line.amplitude)] for line in fit.goodness.lines],
         "filter": response and [response.kind, plain(response.cutoff_hz)],

@@ -1,5 +1,6 @@
 """One text table: layout, columns, rows -> Recording."""
 
+import io
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -7,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
-from imucal.arrays import FloatArray, memory_limit
+from imucal.arrays import FloatArray
 from imucal.errors import DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import keep_freed_memory
@@ -22,6 +23,7 @@ from imucal.readers.tables.text import TextSource
 from imucal.readers.tables.text_layout import lay_out
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording
+from imucal.resources import memory_limit
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
@@ -101,6 +103,13 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, "csv", plan.topics)
+
+
+def read_head(path: str, lines: Sequence[str], options: ReadOptions, name: str) -> Recording:
+    """Read the table that the first lines of a text hold, as `read_table` would read all of it."""
+    text = io.BytesIO(("\n".join(lines) + "\n").encode())
+    with TextSource(path, text, size=None, progress=None) as source:
+        return read_table(source, options, name=name)
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
