@@ -16,6 +16,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 from imucal._version import __version__
+from imucal.resources import limit_pools
 
 if TYPE_CHECKING:
     from imucal.allan import AllanCurve, Spectrum, allan_curve, spectrum
@@ -99,6 +100,9 @@ _HOMES = {
     "imucal.report.exports": ("export",),
     "imucal.screening": ("screen",),
 }
+
+# Now, as the libraries beneath ask only once how many threads they may start.
+limit_pools()
 
 
 def __getattr__(name: str) -> object:

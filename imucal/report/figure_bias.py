@@ -11,9 +11,8 @@ from imucal.noise.term import Stroke
 from imucal.noise.terms import TERMS
 from imucal.report import numbers
 from imucal.report.figure_parts import LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
-from imucal.report.numbers import Quantity
 from imucal.report.palette import FADED, FRAME, GRID, INK, MODEL
-from imucal.units import datasheet_unit, pretty
+from imucal.units import datasheet_unit, duration, pretty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,12 +96,8 @@ class _View:
 
 def _unit(parts: Decomposition) -> tuple[float, str]:
     """Return what samples are multiplied with, and the unit they have then."""
-    sensor = parts.series.sensor
-    name = TERMS["B"].datasheet_unit(sensor).name
-    size = float(np.ptp(parts.bias.value)) + float(parts.bias.error.max())
-    unit = datasheet_unit(name)
-    shown = numbers.comfortable(Quantity(value=size * unit.factor, low=0.0, high=0.0, unit=name))
-    return (unit.factor * (shown.size / (size * unit.factor)) if size else unit.factor), pretty(shown.unit)
+    name = TERMS["B"].datasheet_unit(parts.series.sensor).name
+    return datasheet_unit(name).factor, pretty(name)
 
 
 def _time_unit(duration_s: float) -> tuple[float, str]:
@@ -180,7 +175,7 @@ def _write(figure: "Figure", parts: Decomposition, source: str) -> None:
     title = f"{str(series.sensor).capitalize()} {series.axis}: what the bias did"
     figure.text(0.012, 1 - 0.10 / height, title, fontsize=TITLE_SIZE, fontweight="bold", **style)
     count = f"{int(np.isfinite(parts.samples).sum()):,}".replace(",", " ")
-    text = f"{numbers.hours(parts.n * series.tau0)} at {series.rate_hz:.6g} Hz   ·   {count} samples   ·   "
+    text = f"{duration(parts.n * series.tau0)} at {series.rate_hz:.6g} Hz   ·   {count} samples   ·   "
     figure.text(0.012, 1 - 0.42 / height, f"{text}model {parts.model}", fontsize=LEGEND_SIZE, **style)
     shown = source if len(source) <= 90 else f"…{source[-89:]}"
     foot: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
