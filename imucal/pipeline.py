@@ -29,7 +29,7 @@ _SAID_BETTER = (("roll-off", "output-filter"), ("tone", "line"))
 #: The settings in the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
-    *("max_gm", "clean", "verify", "second_opinion"),
+    *("max_gm", "clean", "verify", "second_opinion", "segments"),
 )
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
@@ -169,8 +169,11 @@ def _second_opinion(
     if not first.model.terms:
         return ()
 
+    # What had no spikes for the first fit has none now.
+    spiky = not spikes and any(finding.code == "spikes" for finding in first.findings)
+
     def judge() -> tuple[Finding, ...]:
-        samples = series if spikes else clean(series)[0]
+        samples = clean(series)[0] if spiky else series
         return second_opinion(first, fit_of_curve(samples, first, temperature))
 
     return findings_or_why_not(
