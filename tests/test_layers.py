@@ -14,6 +14,7 @@ BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "findings": set(),
+    "grading": {"findings"},
     "_version": set(),
     "atomic": {"errors"},
     "clock": set(),
@@ -36,6 +37,7 @@ BELOW |= {
 BELOW["planning"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
+BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}

@@ -10,10 +10,11 @@ from typing import TypeAlias
 import click
 
 from imucal.cli import options_for
+from imucal.cli._finding_lines import suggestion
 from imucal.cli._options import describe_duration
 from imucal.errors import ImucalError
 from imucal.findings import Finding
-from imucal.readers import LogContents, ReadOptions, TopicContents, describe, read
+from imucal.readers import LogContents, ReadOptions, TopicContents, describe, logs_of, read
 from imucal.recording import Recording
 
 #: What ``--json`` prints follows this.
@@ -21,6 +22,8 @@ SCHEMA = "imucal/info/1"
 
 _WIDTH = 80
 STANDARD_INPUT = "-"
+#: When several logs are read as one.
+_JOINED_WHERE = "Together they are read only where each goes on where the one before ends, or with --join."
 #: Level, code and sentence of a finding: what it says, whatever axis it is about.
 _Words: TypeAlias = tuple[str, str, str]
 #: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
@@ -63,7 +66,8 @@ Exit codes: 0 done, 2 usage, 3 a log can't be read."""
 def command(logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, msg: Path | None) -> None:
     """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps."""
     entries = []
-    for log in logs:
+    folders = {named: parts for named in logs if len(parts := logs_of(Path(named))) > 1}
+    for log in (str(log) for named in logs for log in folders.get(named, [named])):
         contents = describe(log, ReadOptions(message_definition=msg))
         small = contents.size_bytes is not None and contents.size_bytes <= _SMALL
         # Standard input is gone once it was described.
@@ -73,6 +77,9 @@ def command(logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, msg: Pat
             entries.append(_document(contents, found))
         else:
             click.echo("\n".join(_lines(contents, found, looked=wanted)))
+    for folder, parts in folders.items() if not as_json else ():
+        text = f"{folder}: {len(parts)} logs without a metadata.yaml that says they are one recording."
+        click.echo("\n".join([*_wrapped(f"{text} {_JOINED_WHERE}"), ""]))
     if as_json:
         document = {"schema": SCHEMA, "logs": entries}
         click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
@@ -258,7 +265,8 @@ def _jitter(seconds: float) -> str:
 
 
 def _words(finding: Finding) -> _Words:
-    return finding.level, finding.code, f"{finding.text} {finding.advice}"
+    parts = (finding.text, finding.advice, suggestion(finding))
+    return finding.level, finding.code, " ".join(part for part in parts if part)
 
 
 def _sentence(words: _Words, axes: list[str]) -> Iterator[str]:

@@ -8,18 +8,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.formats import FORMATS, Format, detect, load
+from imucal.readers.formats import FORMATS, detect, load, logs_of
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.recording import Recording
 
 __all__ = [
     "FORMATS",
-    "Format",
     "LogContents",
     "Progress",
     "ReadOptions",
     "TopicContents",
     "describe",
+    "logs_of",
     "read",
 ]
 
@@ -35,6 +35,7 @@ def read(
     accel_scale: float | None = None,
     columns: str | None = None,
     message_definition: str | Path | None = None,
+    join: bool = False,
     strict: bool = False,
     memory_limit: int | None = None,
     progress: Progress | None = None,
@@ -44,12 +45,15 @@ def read(
     Parameters
     ----------
     paths
-        One log (a file, or the folder of a ROS 2 bag), or several files of one recording, which are
-        read in the order of their names and joined with gaps between them; ``-`` is standard input.
+        One log (a file, or the folder of a ROS 2 bag), or the files of one recording, which are joined
+        with gaps between them; ``-`` is standard input.
     topic
         Topic to read, or two of them where gyroscope and accelerometer are apart.
     time, rate_hz, gyro_unit, accel_unit, gyro_scale, accel_scale, columns, message_definition
         What the log doesn't say or says wrongly; see `ReadOptions`.
+    join
+        Take several logs as parts of one recording. Without it they are joined where their names are a
+        series, topics, frames and scales are the same, and each goes on where the one before ends.
     strict
         Refuse a damaged log instead of recovering what is whole.
     memory_limit
@@ -62,7 +66,8 @@ def read(
     ReadError
         If a file is missing, damaged beyond reading or of an unknown format.
     ChoiceError
-        If several topics or columns could be meant, or none fits.
+        If several topics or columns could be meant, or none fits; or if several logs are not parts of
+        one recording.
     DataError
         If there are no samples, or no rate can be measured.
     """
@@ -76,6 +81,7 @@ def read(
         accel_scale=accel_scale,
         columns=columns,
         message_definition=Path(message_definition) if message_definition is not None else None,
+        join=join,
         strict=strict,
         memory_limit=memory_limit,
         progress=progress,
@@ -83,12 +89,12 @@ def read(
     if not paths:
         msg = "no log: name at least one file"
         raise ValueError(msg)
-    if len(paths) == 1:
-        path = Path(paths[0])
-        return load(detect(path)).read(path, options)
+    logs = [log for path in paths for log in logs_of(Path(path))]
+    if len(logs) == 1:
+        return load(detect(logs[0])).read(logs[0], options)
     from imucal.readers.split import read_all
 
-    return read_all([Path(path) for path in paths], options)
+    return read_all(logs, options)
 
 
 def describe(path: str | Path, options: ReadOptions | None = None) -> LogContents:

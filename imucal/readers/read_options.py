@@ -32,6 +32,8 @@ class ReadOptions:
         Columns of a table, such as ``t=0,g=1:4,a=4:7`` (numbers from 0, or names).
     message_definition
         A ``.msg`` file for a message type whose definition the log doesn't carry.
+    join
+        Take several logs as parts of one recording, whatever speaks against it.
     strict
         Refuse a log that is damaged instead of recovering what is whole.
     memory_limit
@@ -50,6 +52,7 @@ class ReadOptions:
     accel_scale: float | None = None
     columns: str | None = None
     message_definition: Path | None = None
+    join: bool = False
     strict: bool = False
     memory_limit: int | None = None
     progress: Progress | None = None

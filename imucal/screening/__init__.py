@@ -9,6 +9,7 @@ from imucal.recording import Recording
 from imucal.screening.motion import check_motion, check_tremor, check_turned
 from imucal.screening.profile import Profile, profile
 from imucal.screening.rolloff import check_roll_off
+from imucal.screening.sampling_rate import check_rate
 from imucal.screening.steps import check_steps
 from imucal.screening.stuck import (
     check_duplicates,
@@ -34,6 +35,7 @@ LogCheck: TypeAlias = Callable[[Sequence[Profile]], tuple[Finding, ...]]
 _FAILED = "not-checked"
 #: Checks over all axes that hold data.
 _LOG_CHECKS: tuple[LogCheck, ...] = (
+    check_rate,
     check_swapped,
     check_duplicates,
     check_accelerometer_unit,
@@ -50,8 +52,8 @@ _NOISE_CHECKS: tuple[AxisCheck, ...] = (check_steps, check_warm_up, check_tones,
 def screen(recording: Recording) -> tuple[Finding, ...]:
     """Return what speaks against trusting a recording, worst first; empty for a good one.
 
-    Codes: ``no-data``, ``not-finite``, ``stuck``, ``saturated``, ``held-samples``, ``coarse-lsb``,
-    ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``, ``no-gravity``, ``motion``,
+    Codes: ``absurd-rate``, ``no-data``, ``not-finite``, ``stuck``, ``saturated``, ``held-samples``,
+    ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``, ``no-gravity``, ``motion``,
     ``touch``, ``step``, ``warm-up``, ``temperature``, ``tone``, ``roll-off``.
     What reading the log has said already is not said again. The samples are passed once, in blocks;
     NaN and gaps are left out, and fewer than 16 samples in a row say nothing.

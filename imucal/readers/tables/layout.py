@@ -28,6 +28,10 @@ _WIDE = 50
 
 #: A delimiter that fewer lines have is none.
 _FEW_LINES = 2
+#: A table of one or two columns has rows of numbers in more than this share of its lines.
+_MOSTLY = 0.6
+#: And at least so many of them: a few numbers are no log.
+_ENOUGH = 10
 #: A delimiter is a candidate where it gives this share of the best one's cells.
 _CLOSE = 0.5
 
@@ -113,7 +117,7 @@ def find_layout(lines: Sequence[str]) -> TextLayout | None:
     lines = list(lines[:_LINES])
     only = _named_delimiter(lines)
     splits = _splits(lines, (only,)) if only else []
-    splits = splits or _splits(lines, _DELIMITERS)
+    splits = splits or _splits(lines, _DELIMITERS) or _splits(lines, _DELIMITERS, narrow=True)
     if not splits:
         return None
     layouts = [_finish(lines, split) for split in splits if split.score >= _CLOSE * splits[0].score]
@@ -155,20 +159,23 @@ def split_line(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _splits(lines: Sequence[str], delimiters: Sequence[str]) -> list[_Split]:
+def _splits(lines: Sequence[str], delimiters: Sequence[str], *, narrow: bool = False) -> list[_Split]:
     """Return the ways of cutting the lines that give rows of numbers, the likeliest first."""
-    splits = [split for delimiter in delimiters if (split := _split(lines, delimiter))]
+    splits = [split for delimiter in delimiters if (split := _split(lines, delimiter, narrow=narrow))]
     return sorted(splits, key=lambda split: -split.score)
 
 
-def _split(lines: Sequence[str], delimiter: str) -> _Split | None:
+def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> _Split | None:
     if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
         return None
     rows = [split_line(line, delimiter) if line.strip() else [] for line in lines]
     decimal = _decimal(rows) if delimiter != "," else "."
-    width, fitting = _fitting(rows, decimal)
+    width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
     if not fitting:
         return None
+    if width == 1:
+        # A name with blanks is one name: "gz (deg/s)".
+        rows = [[" ".join(row)] if row else [] for row in rows]
     start = _start(fitting, len(lines))
     return _Split(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start))
 
@@ -185,6 +192,16 @@ def _fitting(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, list[int
     # A table of several topics has rows with a few cells filled.
     sparse = {i for i, count in enumerate(numbers) if 0 < count == filled[i]}
     return width, sorted(i for i in likely | sparse if len(rows[i]) == width)
+
+
+def _narrow(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, list[int]]:
+    """Return the width, one or two, of a log of one axis, and which lines are its rows: most of them."""
+    filled = [i for i, row in enumerate(rows) if row]
+    likely = [i for i in filled if len(rows[i]) <= 2 and _numbers(rows[i], decimal) == len(rows[i])]
+    width = max((len(rows[i]) for i in likely), default=0)
+    fitting = [i for i in likely if len(rows[i]) == width]
+    enough = len(fitting) >= _ENOUGH and len(fitting) > _MOSTLY * len(filled)
+    return (width, fitting) if enough else (0, [])
 
 
 def _start(fitting: Sequence[int], lines: int) -> int:
@@ -237,7 +254,7 @@ def _find_header(split: _Split) -> tuple[int | None, list[str], list[str | None]
     for line in range(split.start - 1, -1, -1):
         row = split.rows[line]
         row = row[1:] if row and row[0] in {"#", "%", "//"} else row
-        if abs(len(row) - split.width) > 1 or len(row) < 2:
+        if abs(len(row) - split.width) > 1 or len(row) < min(2, split.width):
             continue
         if not units and _is_row_of_units(row):
             units = [unit if is_unit(unit) else None for unit in (cell.strip("[]()") for cell in row)]
@@ -248,7 +265,9 @@ def _find_header(split: _Split) -> tuple[int | None, list[str], list[str | None]
 
 
 def _is_row_of_units(row: Sequence[str]) -> bool:
-    return sum(is_unit(cell.strip("[]()")) for cell in row) >= 0.3 * len(row) and not _is_axes(row)
+    units = sum(is_unit(cell.strip("[]()")) for cell in row)
+    # One alone may be a name: t is a time and a tesla.
+    return units >= max(0.3 * len(row), min(2, len(row))) and not _is_axes(row)
 
 
 def _is_axes(row: Sequence[str]) -> bool:

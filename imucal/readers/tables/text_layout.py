@@ -36,7 +36,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     if layout is None:
         first = next((line.strip() for line in lines if line.strip()), "")
         msg = (
-            f"{path}: no rows of three numbers or more, the first line is {first[:80]!r}; "
+            f"{path}: no rows of numbers, the first line is {first[:80]!r}; "
             "expected a table with a row per sample"
         )
         raise ReadError(msg)
@@ -69,7 +69,9 @@ def _propose_columns(lines: Sequence[str], layout: TextLayout) -> str:
         layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tags[0]))) or layout
     numeric = [index for index in range(layout.width) if _is_numeric(layout, index)]
     if len(numeric) < 3:
-        return EXAMPLE
+        # One axis, or a time and one axis: the last column is it.
+        before = f"t={numeric[0]}," if len(numeric) == 2 else ""
+        return f"{before}gz={numeric[-1]}{suffix}" if numeric else EXAMPLE
     table = np.array([layout.cells(index) for index in numeric], dtype=np.float64).T
     time = _time_column(table)
     gyro_tag, accel_tag = _first(tags, "gyr"), _first(tags, "acc")

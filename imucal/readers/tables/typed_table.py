@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from imucal.errors import ChoiceError, ImucalError, ReadError
+from imucal.findings import Finding
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
@@ -55,7 +56,12 @@ def read(path: Path, options: ReadOptions) -> Recording:
     topics = [topic for part in parts for topic in part.plan.topics]
     dialect = next((part.plan.dialect for part in parts if part.plan.dialect), None)
     work = Work(
-        path=str(path), options=options, dialect=dialect, rate_hz=table.rate_hz, decisions=[*decisions]
+        path=str(path),
+        options=options,
+        dialect=dialect,
+        rate_hz=table.rate_hz,
+        decisions=[*decisions],
+        findings=_findings(parts),
     )
     return assemble(work, sensors, table.format, topics)
 
@@ -94,6 +100,12 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
         raise errors[0]
     _refuse_doubles(path, parts)
     return parts
+
+
+def _findings(parts: Sequence[_Part]) -> list[Finding]:
+    """Return what was not found; what one table lacks another may hold."""
+    found = {plan.triad.sensor.short for part in parts for plan in part.plan.sensors}
+    return [finding for part in parts for finding in part.plan.findings if finding.axis not in found]
 
 
 def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
