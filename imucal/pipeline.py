@@ -12,6 +12,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting import FitSettings, NoiseFit, fit_axis
+from imucal.fitting.ambiguity import ambiguity_findings
 from imucal.fitting.cross_checks import second_opinion
 from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.robust import clean
@@ -127,10 +128,16 @@ def _characterize_axis(
     curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
     at_samples = _same_clock(series, finite, temperature)
     result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
+    density = spectrum(finite)
     found = result.findings + findings_or_why_not(
         lambda: resolution_findings(result, finite.duration_s),
         what="How long a record would do is not known",
         code="record-length",
+    )
+    found += findings_or_why_not(
+        lambda: ambiguity_findings(result, density, series.name),
+        what="What the curve can't tell is not known",
+        code="spectral-ambiguity",
     )
     if settings.second_opinion and settings.method == "mle":
         found += _second_opinion(finite, result, at_samples, spikes=not settings.clean)
@@ -148,7 +155,7 @@ def _characterize_axis(
         mean=mean,
         std=std,
         gaps=finite.clock.gaps,
-        spectrum=spectrum(finite),
+        spectrum=density,
         overview=Overview.of(finite),
         fit=result,
         findings=_without_repeats(findings),

@@ -37,6 +37,7 @@ FINDING_CODES = frozenset(
         "duplicate-stamps",
         "encapsulation",
         "extra-samples",
+        "few-units",
         "file-missing",
         "gaps",
         "gaps-in-curve",
@@ -70,6 +71,7 @@ FINDING_CODES = frozenset(
         "second-opinion",
         "sensor-missing",
         "short-times",
+        "spectral-ambiguity",
         "spikes",
         "stamps-out-of-order",
         "step",
@@ -88,6 +90,7 @@ FINDING_CODES = frozenset(
         "wal-ignored",
         "warm-up",
         "warm-up-fitted",
+        "weak-term",
         "wrapped",
         "zero-stamps",
     ]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from imucal.allan.dct import fast_length
 from imucal.clock import Clock
 from imucal.fitting.spectral import blocks
 from imucal.fitting.spectral.blocks import make_blocks
@@ -12,7 +13,7 @@ from tests.fitting.fits import fitted, simulated
 
 @pytest.mark.parametrize("n", [131_071, 104_729])
 def test_results_at_a_quick_length_are_those_of_all_samples(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At primes: they differ by less than 0.02 of a standard error; by 0.01, in the root mean, at the worst."""
+    """At primes: they differ by less than 0.02 of a standard error; at the worst by 0.01 in the root mean."""
     samples = simulated("N=1 + K=1e-2", n, 91)
     quick = fitted(samples, "N + K")
     assert 0 < n - make_blocks(AxisSeries.from_samples(samples, rate_hz=1.0)).blocks[0].bins.n <= 1e-4 * n
@@ -34,6 +35,6 @@ def test_a_run_with_gaps_is_cut_on_its_grid() -> None:
     samples = simulated("N=1", n, 92)[keep]
     series = AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=samples, clock=clock)
     (block,) = make_blocks(series).blocks
-    assert block.bins.n == blocks.fast_length(n) < n
+    assert block.bins.n == fast_length(n) < n
     assert block.ordinates.size == block.bins.n - 1
     assert block.variance is not None
