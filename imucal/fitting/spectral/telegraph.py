@@ -35,6 +35,8 @@ _QUANTILES = (0.1, 0.2, 0.3)
 _DWELLS = (4.0, 20.0, 100.0)
 #: Log-likelihood that noise which is not white must gain on white noise, so that jumps are worth a look.
 _COLOURED = 15.0
+#: Fewer jumps a record are steps, each of its own.
+_JUMPS = 8
 #: A start that is worse than the Gaussian noise by this much a span leads nowhere.
 _HOPELESS = 0.012
 _RICH = ("N", "B", "GM", "K", "R")
@@ -67,7 +69,8 @@ def find_telegraph(series: AxisSeries) -> TwoLevels | None:
     for parts, margin in _PARTS.items():
         price = 0.5 * (parts - 1) * np.log(count)
         gain, parameters = _two_levels(means[: count - count % parts].reshape(parts, -1), rich)
-        if gain - price - margin > best:
+        often = np.exp(parameters[2]) < count / _JUMPS
+        if often and gain - price - margin > best:
             best, found = gain - price - margin, parameters
     if found is None:
         return None
