@@ -140,7 +140,7 @@ def _characterize_axis(
         code="spectral-ambiguity",
     )
     if settings.second_opinion and settings.method == "mle":
-        found += _second_opinion(finite, result, at_samples, spikes=not settings.clean)
+        found += _second_opinion(finite, result, at_samples)
     # Of a step the fit says more: it has taken it out.
     taken_out = {finding.code for finding in found} & {"step"}
     findings = [f for f in screened if f.axis == series.name and f.code not in taken_out]
@@ -163,17 +163,15 @@ def _characterize_axis(
 
 
 def _second_opinion(
-    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None, *, spikes: bool
+    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None
 ) -> tuple[Finding, ...]:
     """Return where a fit of the curve disagrees; that it can't be made costs no axis its result."""
     if not first.model.terms:
         return ()
 
-    # What had no spikes for the first fit has none now.
-    spiky = not spikes and any(finding.code == "spikes" for finding in first.findings)
-
     def judge() -> tuple[Finding, ...]:
-        samples = clean(series)[0] if spiky else series
+        cleaned = any(finding.code == "spikes" for finding in first.findings)
+        samples = clean(series)[0] if cleaned else series
         return second_opinion(first, fit_of_curve(samples, first, temperature))
 
     return findings_or_why_not(
