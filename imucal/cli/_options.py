@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import click
 
+from imucal.cli._echo import echo
+from imucal.cli._param_type import ParamType
 from imucal.cli._progress import axes_progress, reading_progress
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
@@ -74,7 +76,7 @@ quiet_option = click.option(
 def say(text: str, *, quiet: bool = False) -> None:
     """Print a line for people, on standard error, so that standard output holds results only."""
     if not quiet:
-        click.echo(text, err=True)
+        echo(text, err=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,7 +154,7 @@ class LogRequest:
         return {name: value for name, value in asked.items() if value}
 
 
-class Duration(click.ParamType[float]):
+class Duration(ParamType[float]):
     """Seconds, or a number with s, min, m, h or d."""
 
     name = "duration"
@@ -173,7 +175,7 @@ class Duration(click.ParamType[float]):
         return seconds
 
 
-class UnitName(click.ParamType[str]):
+class UnitName(ParamType[str]):
     """A unit of one sensor's samples, in a spelling that can't be meant otherwise."""
 
     name = "unit"

@@ -9,9 +9,11 @@ import click
 
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
 from imucal.cli._terminal import FULL, width
+from imucal.printable import printable
 
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
 
@@ -100,12 +102,12 @@ def command(
             scratch.write_text(junit_xml(result), encoding="utf-8")
         say(str(junit), quiet=request.quiet)
     if as_json:
-        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
         click.echo(_table(result))
     if github:
         for line in github_annotations(result, file=str(limits_file or "")):
-            click.echo(line, err=as_json)
+            echo(line, err=as_json)
     if not result.passed:
         click.get_current_context().exit(1)
 
@@ -126,7 +128,7 @@ def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
 
 
 def _table(result: CheckResult) -> str:
-    """Return the verdicts as lines that fit the terminal, and what they come to."""
+    """Return the verdicts as lines that fit the terminal, and what they come to; the colours are our own."""
     where = max((len(row.where) for row in result.rows), default=0)
     rule = min(max((len(row.rule) for row in result.rows), default=0), 32)
     lines = [line for row in result.rows for line in _lines(row, where, rule)]
@@ -158,6 +160,6 @@ def _lines(row: Row, where: int, rule: int) -> list[str]:
     if row.measured is not None and width() < FULL:
         place, *more = textwrap.wrap(f"{row.where:<{where}} {row.rule}", width() - 10)
         return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, row.measured.text()))]
-    text = row.text.partition(": ")[2]  # without the place, which has its column
+    text = printable(row.text).partition(": ")[2]  # without the place, which has its column
     first, *rest = textwrap.wrap(text, width() - start) or [""]
     return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]

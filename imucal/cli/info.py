@@ -10,10 +10,12 @@ from typing import TypeAlias
 import click
 
 from imucal.cli import options_for
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import suggestion
 from imucal.cli._terminal import FULL, width
 from imucal.errors import ImucalError
 from imucal.findings import Finding
+from imucal.printable import printable
 from imucal.readers import LogContents, ReadOptions, TopicContents, describe, logs_of, read
 from imucal.recording import Recording
 from imucal.units import duration
@@ -76,13 +78,13 @@ def command(logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, msg: Pat
         if as_json:
             entries.append(_document(contents, found))
         else:
-            click.echo("\n".join(_lines(contents, found, looked=wanted)))
+            echo("\n".join(_lines(contents, found, looked=wanted)))
     for folder, parts in folders.items() if not as_json else ():
         text = f"{folder}: {len(parts)} logs without a metadata.yaml that says they are one recording."
-        click.echo("\n".join([*_wrapped(f"{text} {_JOINED_WHERE}"), ""]))
+        echo("\n".join([*_wrapped(f"{text} {_JOINED_WHERE}"), ""]))
     if as_json:
         document = {"schema": SCHEMA, "logs": entries}
-        click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+        echo_json(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def _read_topics(contents: LogContents, msg: Path | None) -> dict[str, TopicReading]:
@@ -197,7 +199,7 @@ def _head(contents: LogContents) -> Iterator[str]:
 
 def _table(topics: list[TopicContents]) -> Iterator[str]:
     """Yield a line a topic, and a second one for a note or for a name that does not fit."""
-    rows = [(topic.name, topic.type, *_figures(topic)) for topic in topics]
+    rows = [(_one_line(topic.name), _one_line(topic.type), *_figures(topic)) for topic in topics]
     heads = ("topic", "type", "messages", "rate", "duration", "sensors")
     if width() < FULL:
         for topic in topics:
@@ -216,13 +218,17 @@ def _table(topics: list[TopicContents]) -> Iterator[str]:
             yield from _wrapped(text, indent=6)
 
 
+def _one_line(text: str) -> str:
+    return printable(text).replace("\n", "\\n")
+
+
 def _topic_lines(topic: TopicContents) -> Iterator[str]:
     """Yield a topic's lines for a narrow terminal."""
     count, rate, length, sensors = _figures(topic)
     figures = ", ".join(filter(None, (f"{count} messages", rate, length, sensors)))
     for text, indent in ((topic.name, 2), (topic.type, 4), (figures, 4), (topic.note, 6)):
         if text:
-            yield from _wrapped(text, indent=indent)
+            yield from _wrapped(_one_line(text), indent=indent)
 
 
 def _row(cells: tuple[str, ...], widths: list[int]) -> str:

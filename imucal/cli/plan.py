@@ -7,7 +7,9 @@ from pathlib import Path
 
 import click
 
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.cli._report_input import is_report, read_report
 from imucal.cli._terminal import FULL, fitted, width
 from imucal.noise.model import NoiseModel
@@ -20,7 +22,7 @@ from imucal.units import DatasheetUnit
 SCHEMA = "imucal/planning/1"
 
 
-class Fraction(click.ParamType[float]):
+class Fraction(ParamType[float]):
     """A positive fraction: 0.1 or 10%."""
 
     name = "fraction"
@@ -98,9 +100,9 @@ def command(
         duration_s=duration,
     )
     if as_json:
-        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        click.echo(_table(result, datasheet=datasheet))
+        echo(_table(result, datasheet=datasheet))
     if any(need.bounded for axis in result.axes for need in axis.needs):
         say("< value: not seen; the time is for a term as large as its bound", quiet=quiet)
     if not as_json and any(_may_be_missed(need) for axis in result.axes for need in axis.needs):

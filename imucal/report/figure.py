@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.printable import printable
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.figure_allan import MARKERS, draw_allan, draw_allan_overview
@@ -128,7 +129,7 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
         figure.add_axes((place, bottom / height, width, _PLOT_HEIGHT / height))
         for place, width in (_LEFT, _RIGHT)
     ]
-    name = report.source.name
+    name = printable(report.source.name)
     shown = name if len(name) <= 90 else f"…{name[-89:]}"
     # A dollar sign in a name starts no formula.
     style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
