@@ -129,10 +129,13 @@ class LogRequest:
     def characterise(self, settings: "Settings") -> "Report":
         """Read and characterise the log, with progress bars where a person watches."""
         from imucal.pipeline import characterize
+        from imucal.readers.checksums import Checksums
 
-        recording = self.read()
-        with axes_progress(quiet=self.quiet) as progress:
-            return characterize(recording, settings, progress=progress)
+        with Checksums([Path(log) for log in self.logs]) as checksums:
+            recording = self.read()
+            with axes_progress(quiet=self.quiet) as progress:
+                report = characterize(recording, settings, progress=progress)
+            return replace(report, source=replace(report.source, files=checksums.files()))
 
     def settings(self) -> dict[str, object]:
         """Return what was asked, for the report: JSON values, defaults left out."""
