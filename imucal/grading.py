@@ -19,11 +19,12 @@ GRADES: tuple[Grade, ...] = ("good", "look", "not-noise")
 #: What a finding says of the numbers, by its level.
 BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
 
-#: Codes and levels for which the level would say too much: what was read is whole, the noise untouched.
+#: Codes and levels for which the level would say too much: what was found is whole, the noise untouched.
 OTHERWISE: Mapping[tuple[str, Level], Grade] = {
     ("other-vectors", "warning"): "good",
     ("unindexed", "warning"): "good",
     ("index", "warning"): "good",
+    ("not-drawn", "warning"): "good",
 }
 
 #: Codes that, said of the whole log, concern the noise of every axis.
@@ -36,6 +37,7 @@ PHRASES: Mapping[str, str] = {
     "clock-jump": "a jump of the clock",
     "clocks-differ": "clocks that differ",
     "coarse-lsb": "coarse steps",
+    "cycle": "a slow cycle",
     "damaged": "damage to the log",
     "duplicate-axes": "two axes hold the same samples",
     "extra-samples": "samples too many",
@@ -46,15 +48,17 @@ PHRASES: Mapping[str, str] = {
     "motion": "the IMU was moved",
     "no-data": "no data",
     "no-result": "no result",
+    "not-checked": "a check that could not judge",
     "not-finite": "samples that are no numbers",
     "poor-fit": "a model that doesn't describe the curve",
     "rate-differs": "a rate other than the log's own",
     "rate-given": "a rate other than the log's own",
-    "second-opinion": "a second opinion that disagrees",
+    "second-opinion": "the second opinion",
     "short-times": "short times left out",
     "step": "a jump of the level",
     "stuck": "a stuck value",
     "swapped-sensors": "gyroscope and accelerometer are swapped",
+    "telegraph": "a level that jumps to and fro",
     "temperature": "the temperature",
     "tone": "a tone",
     "touch": "something touched or shook the IMU",
