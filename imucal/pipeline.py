@@ -169,11 +169,9 @@ def _second_opinion(
     if not first.model.terms:
         return ()
 
-    # What had no spikes the first time has none now.
-    had_spikes = any(finding.code == "spikes" for finding in first.findings)
-
     def judge() -> tuple[Finding, ...]:
-        samples = clean(series)[0] if had_spikes else series
+        cleaned = any(finding.code == "spikes" for finding in first.findings)
+        samples = clean(series)[0] if cleaned else series
         return second_opinion(first, fit_of_curve(samples, first, temperature))
 
     return findings_or_why_not(

@@ -156,14 +156,14 @@ class NoiseFit:
         ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
     findings
         What the fit showed.
-    segments
-        Which terms are the same in all parts of the record; None where that was not looked at.
     noise_share
         Share of each of the curve's Allan variances that is the model's noise, and not an output filter's
         or a line's doing, shape (k,); None where neither was found.
     taken_out
         Regressors that were taken out of the samples with the fit -> their coefficients in U; the names
         are those of `imucal.fitting.spectral.regressors`.
+    segments
+        Which terms are the same in all parts of the record; None where that was not looked at.
     """
 
     method: str
@@ -182,9 +182,9 @@ class NoiseFit:
     criterion: str = "given"
     findings: tuple[Finding, ...] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
-    segments: Segments | None = None
     noise_share: FloatArray | None = None
     taken_out: Mapping[str, float] = field(default_factory=dict)
+    segments: Segments | None = None
 
     def __getitem__(self, key: str) -> Estimate:
         for estimate in self.estimates:

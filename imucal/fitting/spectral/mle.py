@@ -168,9 +168,9 @@ def fit_mle(
         criterion=settings.chosen_by,
         findings=tuple(findings),
         settings=_settings(band, view.common),
-        segments=segments,
         noise_share=_noise_share(view, fitted, curve, series.rate_hz),
         taken_out=_taken_out(view, fitted),
+        segments=segments,
     )
 
 
@@ -212,6 +212,28 @@ def spectral_view(
     )
 
 
+def _disturbances(
+    series: AxisSeries, blocks: SeriesBlocks
+) -> tuple[tuple[Disturbance, ...], tuple[Finding, ...]]:
+    """Return what is to be taken out with the fit, and what to say of it and of two levels."""
+    levels, no_levels = try_side_work(
+        lambda: find_telegraph(series),
+        None,
+        what="No look for two levels",
+        code="not-checked",
+        axis=series.name,
+    )
+    found, no_shapes = try_side_work(
+        lambda: with_exact_steps(find_disturbances(blocks.blocks, steps=levels is None), series),
+        (),
+        what="No look for steps and cycles",
+        code="not-checked",
+        axis=series.name,
+    )
+    said = telegraph_finding(levels, series) + disturbance_findings(found, series, blocks.scale)
+    return found, said + no_levels + no_shapes
+
+
 def _over_time(
     series: AxisSeries,
     view: View,
@@ -236,28 +258,6 @@ def _over_time(
         fraction=view.band.fraction,
     )
     return segments, find_variance_change(series)
-
-
-def _disturbances(
-    series: AxisSeries, blocks: SeriesBlocks
-) -> tuple[tuple[Disturbance, ...], tuple[Finding, ...]]:
-    """Return what is to be taken out with the fit, and what to say of it and of two levels."""
-    levels, no_levels = try_side_work(
-        lambda: find_telegraph(series),
-        None,
-        what="No look for two levels",
-        code="not-checked",
-        axis=series.name,
-    )
-    found, no_shapes = try_side_work(
-        lambda: with_exact_steps(find_disturbances(blocks.blocks, steps=levels is None), series),
-        (),
-        what="No look for steps and cycles",
-        code="not-checked",
-        axis=series.name,
-    )
-    said = telegraph_finding(levels, series) + disturbance_findings(found, series, blocks.scale)
-    return found, said + no_levels + no_shapes
 
 
 def _richest(structure: Structure | None, max_gm: int) -> Structure:
