@@ -19,7 +19,7 @@ GRADES: tuple[Grade, ...] = ("good", "look", "not-noise")
 #: What a finding says of the numbers, by its level.
 BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
 
-#: Codes and levels for which the level would say too much: what was read, or fitted, is whole.
+#: Codes and levels for which the level would say too much: what was found is whole, the noise untouched.
 OTHERWISE: Mapping[tuple[str, Level], Grade] = {
     ("other-vectors", "warning"): "good",
     ("unindexed", "warning"): "good",

@@ -57,6 +57,9 @@ class LogContents:
         From the first message of any topic to the last, in s.
     compression
         Such as ``zstd`` or ``none``.
+    unpacked_bytes
+        Bytes that it holds unpacked, or at least so many where only a part of it was read; None where that
+        is not known.
     findings
         What is wrong with the log's own bookkeeping: no index, cut, damaged.
     """
@@ -68,6 +71,7 @@ class LogContents:
     start_ns: int | None = None
     duration_s: float | None = None
     compression: str = ""
+    unpacked_bytes: int | None = None
     findings: tuple[Finding, ...] = ()
 
     @property

@@ -115,6 +115,9 @@ def test_a_distance_is_in_units_of_the_difference_of_variances(
     assert _distance(replace(first, parameters=("K",)), second, moved, fit["N"]) == 0.0
     unsure = replace(second, covariance=np.array([[np.inf]]))
     assert _distance(first, unsure, moved, fit["N"]) == 0.0
+    # Three times as wide an interval, and its covariance: a third of the distance.
+    wider = replace(first, covariance=9 * first.covariance)
+    assert _distance(wider, second, replace(moved, widening=3.0), fit["N"]) == pytest.approx(expected / 3)
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,8 @@ def test_a_line_is_named_and_left_out() -> None:
         ({"weights": "none"}, "weights 'none' is not one of full, eta3"),
         ({"level": 1.0}, "level must be between 0 and 1, got 1.0"),
         ({"max_gm": 3}, "max_gm must be 0, 1 or 2, got 3"),
+        ({"segments": 0}, "segments must be from 1 (not looked at) to 64, got 0"),
+        ({"segments": 65}, "segments must be from 1 (not looked at) to 64, got 65"),
     ],
 )
 def test_a_setting_that_is_not_known_is_refused(setting: dict[str, Any], message: str) -> None:
@@ -121,3 +123,10 @@ def test_every_method_is_where_the_table_says(method: str) -> None:
     folder, function = METHODS[method]
     offered = importlib.import_module(folder)
     assert function in offered.__all__, f"{method}: {folder}/__init__.py has to offer {function}"
+
+
+def test_what_is_not_asked_for_is_decided_so() -> None:
+    """The defaults of the facade and of the command line."""
+    asked = FitSettings()
+    assert (asked.model, asked.method, asked.level, asked.criterion) == ("auto", "mle", 0.95, "bic")
+    assert (asked.weights, asked.max_gm, asked.clean, asked.verify) == ("full", 2, True, False)

@@ -4,6 +4,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -11,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.errors import ReadError
+from imucal.readers.tables.npz_members import npz_arrays
+from imucal.resources import memory_limit
 
 #: Errors of a file that is damaged, or is none of the formats.
 _DAMAGE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
@@ -61,14 +64,27 @@ class TableFile:
     columns: tuple[TypedColumn, ...]
     rate_hz: float | None = None
 
+    @property
+    def unpacked_bytes(self) -> int:
+        """Bytes of all columns as numbers of eight bytes."""
+        return 8 * sum(column.size for column in self.columns)
+
 
 #: The columns of a file, and the sampling rate where it states one.
 _Content: TypeAlias = tuple[list[TypedColumn], float | None]
 _Reader: TypeAlias = Callable[[Path], _Content]
 
 
-def open_table(path: Path) -> TableFile:
+def open_table(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> TableFile:
     """Return the columns of a file.
+
+    Parameters
+    ----------
+    limit
+        Bytes to hold in memory before a temporary file takes them; None for `imucal.resources.memory_limit`.
+    heads_above
+        Bytes above which a file that is unpacked as it is opened is not: only the heads of its columns hold
+        values then.
 
     Raises
     ------
@@ -82,6 +98,7 @@ def open_table(path: Path) -> TableFile:
         msg = f"{path}: can't be opened: {error.strerror or error}"
         raise ReadError(msg) from error
     kind, reader = _reader(path, head)
+    reader = partial(_npz, limit=limit, heads_above=heads_above) if reader is _npz else reader
     try:
         columns, rate = reader(path)
     except Exception as error:
@@ -150,9 +167,9 @@ def _npy(path: Path) -> _Content:
     return _of_array("", array), None
 
 
-def _npz(path: Path) -> _Content:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        return _of_arrays({name: archive[name] for name in archive.files})
+def _npz(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> _Content:
+    size = memory_limit() if limit is None else limit
+    return _of_arrays(npz_arrays(path, limit=size, heads_above=heads_above))
 
 
 def _mat(path: Path) -> _Content:

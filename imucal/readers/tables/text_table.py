@@ -1,10 +1,10 @@
 """One text table: layout, columns, rows -> Recording."""
 
+import io
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import PurePath
 from typing import Any
 
 from imucal.arrays import FloatArray
@@ -104,6 +104,13 @@ def read_table(
     return assemble(work, sensors, "csv", plan.topics)
 
 
+def read_head(path: str, lines: Sequence[str], options: ReadOptions, name: str) -> Recording:
+    """Read the table that the first lines of a text hold, as `read_table` would read all of it."""
+    text = io.BytesIO(("\n".join(lines) + "\n").encode())
+    with TextSource(path, text, size=None, progress=None) as source:
+        return read_table(source, options, name=name)
+
+
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
     """Return the layout and the columns of a text from its first lines; its name may name the sensor.
 
@@ -117,7 +124,7 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tu
         options,
         units=layout.units,
         preamble=layout.preamble,
-        name=name or PurePath(source.name).name,
+        name=name,
     )
     return layout, plan
 
