@@ -59,6 +59,7 @@ class LogRequest:
     logs: tuple[str, ...]
     topic: tuple[str, ...]
     time: str | None
+    time_unit: str | None
     rate: float | None
     gyro_unit: str | None
     accel_unit: str | None
@@ -81,6 +82,7 @@ class LogRequest:
                 *self.logs,
                 topic=self.topic,
                 time=self.time,
+                time_unit=self.time_unit,
                 rate_hz=self.rate,
                 gyro_unit=self.gyro_unit,
                 accel_unit=self.accel_unit,
@@ -110,6 +112,7 @@ class LogRequest:
         asked: dict[str, object] = {
             "topic": list(self.topic),
             "time": self.time,
+            "time_unit": self.time_unit,
             "rate_hz": self.rate,
             "gyro_unit": self.gyro_unit,
             "accel_unit": self.accel_unit,
@@ -165,6 +168,11 @@ def log_options(command: Command) -> Callable[..., Any]:
         ),
         click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor."),
         click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column."),
+        click.option(
+            "--time-unit",
+            type=click.Choice(["s", "ms", "us", "ns"]),
+            help="Unit of the time, where the log doesn't say.",
+        ),
         click.option(
             "--rate",
             type=RATE,

@@ -28,6 +28,7 @@ def read(
     *paths: str | Path,
     topic: str | Sequence[str] | None = None,
     time: str | None = None,
+    time_unit: str | None = None,
     rate_hz: float | None = None,
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
@@ -48,7 +49,7 @@ def read(
         read in the order of their names and joined with gaps between them; ``-`` is standard input.
     topic
         Topic to read, or two of them where gyroscope and accelerometer are apart.
-    time, rate_hz, gyro_unit, accel_unit, gyro_scale, accel_scale, columns, message_definition
+    time, time_unit, rate_hz, gyro_unit, accel_unit, gyro_scale, accel_scale, columns, message_definition
         What the log doesn't say or says wrongly; see `ReadOptions`.
     strict
         Refuse a damaged log instead of recovering what is whole.
@@ -69,6 +70,7 @@ def read(
     options = ReadOptions(
         topics=(topic,) if isinstance(topic, str) else tuple(topic or ()),
         time=time,
+        time_unit=time_unit,
         rate_hz=rate_hz,
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,

@@ -22,6 +22,8 @@ class ReadOptions:
         the gyroscope and one for the accelerometer.
     time
         ``header`` or ``log`` for messages; for a table the name of its time column.
+    time_unit
+        Unit of the time's counts, a key of `imucal.units.TIME_UNITS_NS`; goes before one that the log states.
     rate_hz
         Sampling rate that overrides the measured one (or supplies it where there are no stamps).
     gyro_unit, accel_unit
@@ -43,6 +45,7 @@ class ReadOptions:
 
     topics: tuple[str, ...] = ()
     time: str | None = None
+    time_unit: str | None = None
     rate_hz: float | None = None
     gyro_unit: str | None = None
     accel_unit: str | None = None

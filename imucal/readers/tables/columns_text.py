@@ -1,13 +1,13 @@
 """The text in which a user says which columns are which: ``t=0,g=1:4,a=4:7``."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from imucal.errors import ChoiceError
-from imucal.readers.tables.layout import Rows
+from imucal.readers.tables.layout import Rows, is_number
 
-#: A columns text that shows how one is written.
-EXAMPLE = "t=0,g=1:4,a=4:7"
+#: A number of more letters is rounded in a message.
+_LONG = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,30 +30,56 @@ _KEYS = {
 }
 
 
-def list_columns(headers: Sequence[str], *, most: int = 60) -> str:
-    """Return the columns of a table with their indices, for a message."""
-    shown = [f"{index} {header.strip() or '(no name)'}" for index, header in enumerate(headers[:most])]
+class ColumnsError(ChoiceError):
+    """Which columns of a table to read is not clear; the message shows them.
+
+    Parameters
+    ----------
+    problem
+        What is not clear.
+    found
+        The columns, as `list_columns` shows them.
+    example
+        A columns text that works on this very table; empty where none is known.
+    """
+
+    def __init__(self, path: str, problem: str, found: str, example: str = "") -> None:
+        self.path, self.problem, self.found, self.example = path, problem, found, example
+        how = (
+            f"such as {example} (places from 0 with the end left out, or three names joined by +)"
+            if example
+            else "of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
+        )
+        super().__init__(
+            f"{path}: {problem}; found columns: {found}; say which are which by a columns text {how}"
+        )
+
+    def with_example(self, example: str) -> "ColumnsError":
+        """Return the same error with a columns text that works."""
+        return ColumnsError(self.path, self.problem, self.found, example)
+
+
+def list_columns(
+    headers: Sequence[str], cells: Callable[[int], Sequence[str]] | None = None, *, most: int = 60
+) -> str:
+    """Return the columns of a table with their indices, for a message; first cells for lack of names."""
+    shown = []
+    for index, header in enumerate(headers[:most]):
+        first = next(iter(cells(index)), "") if cells is not None and not any(headers) else ""
+        if len(first) > _LONG and is_number(first):
+            first = f"{float(first):.6g}"
+        shown.append(f"{index} {header.strip() or first or '(no name)'}")
     more = f", … {len(headers) - most} more" if len(headers) > most else ""
     return ", ".join(shown) + more
-
-
-def ask(path: str, problem: str, headers: Sequence[str], *, example: str = EXAMPLE) -> ChoiceError:
-    """Return the error that shows the columns and a ready text for them."""
-    msg = (
-        f"{path}: {problem}; found columns: {list_columns(headers)}; "
-        f"say which are which by a columns text such as {example} "
-        "(places from 0 with the end left out, or three names joined by +)"
-    )
-    return ChoiceError(msg)
 
 
 def parse_columns_text(text: str, headers: Sequence[str], path: str) -> ColumnSpec:
     """Return the columns that a text such as ``t=0,g=1:4,a=4:7`` names.
 
-    ``t`` is the time (``t=0+1`` joins seconds and nanoseconds), ``g`` the gyroscope, ``a`` the
-    accelerometer, ``temp`` the temperature. Three columns are indices from 0 with the end left out
-    (``1:4``) or indices or names joined by ``+`` (``wx+wy+wz``). ``a=2:5@imu`` takes only the rows
-    that have ``imu`` in one of their cells, ``a=2:5@I:0`` those with 0 in column I.
+    ``t`` is the time (``t=0+1`` joins seconds and nanoseconds, or a date and a time of day), ``g`` the
+    gyroscope, ``a`` the accelerometer, ``temp`` the temperature. Three columns are indices from 0 with
+    the end left out (``1:4``) or indices or names joined by ``+`` (``wx+wy+wz``). ``a=2:5@imu`` takes only
+    the rows that have ``imu`` in one of their cells, ``a=2:5@I:0`` those with 0 in column I.
 
     Raises
     ------
@@ -85,7 +111,7 @@ def parse_columns_text(text: str, headers: Sequence[str], path: str) -> ColumnSp
 
 
 def _wrong(text: str, problem: str, headers: Sequence[str], path: str) -> ChoiceError:
-    return ask(path, f"columns text {text!r}: {problem}", headers)
+    return ColumnsError(path, f"columns text {text!r}: {problem}", list_columns(headers))
 
 
 def _problem(found: dict[str, tuple[int, ...]]) -> str:
@@ -95,8 +121,8 @@ def _problem(found: dict[str, tuple[int, ...]]) -> str:
             return f"{key} names {len(found[key])} columns, expected 3"
     if "g" not in found and "a" not in found:
         return "names neither gyroscope (g) nor accelerometer (a)"
-    if len(found.get("t", ())) > 2 or len(found.get("temp", ())) > 1:
-        return "t takes one or two columns, temp one"
+    if len(found.get("t", ())) > 3 or len(found.get("temp", ())) > 1:
+        return "t takes up to three columns, temp one"
     return ""
 
 

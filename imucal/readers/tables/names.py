@@ -68,6 +68,16 @@ _REJECTED_STARTS = (
     *("quat", "orient", "magn", "euler", "covar", "freeacc", "useracc", "accura", "accum", "deltav"),
 )
 
+
+def holds_no_samples(column: "NamedColumn") -> bool:
+    """Return whether a name says that its column holds samples of neither sensor."""
+    if column.role in {Role.TIME, Role.COUNTER, Role.TEMPERATURE}:
+        return True
+    return column.role is Role.OTHER and any(
+        word in _REJECTED or word.startswith(_REJECTED_STARTS) for word in column.words
+    )
+
+
 #: How the words of a name spell a sensor: the start of a word, a word, two words, or a letter at an end.
 #: A first letter counts only before words that are short as well: w_RS_S, not w_heading.
 _GYROSCOPE = re.compile(

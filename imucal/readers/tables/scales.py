@@ -220,21 +220,19 @@ def _by_step(rows: FloatArray) -> UnitGuess | None:
 def _by_size(rows: FloatArray, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:
     """Return rad/s where rate and noise are those of a gyroscope in SI, beside an accelerometer in SI."""
     size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
+    likely = "so deg/s is likely" if _rests(rows) else "but the sensor moves, so it may be either"
     if size > _FASTEST_REST:
-        return UnitGuess(
-            reason=f"the median rate {size:.3g} is too fast for rad/s at rest, so deg/s is likely"
-        )
+        return UnitGuess(reason=f"the median rate {size:.3g} is too fast for rad/s at rest, {likely}")
     noise = _white_noise(rows, rate_hz)
     if noise is not None and noise > _NOISIEST:
         return UnitGuess(
-            reason=f"a noise of {noise:.2g} rad/s/sqrt(Hz) is more than any gyroscope has, so deg/s is likely"
+            reason=f"a noise of {noise:.2g} rad/s/sqrt(Hz) is more than any gyroscope has, {likely}"
         )
     unsaid = "nothing in the log says it"
     if accel_unit == "m/s^2":
         return UnitGuess(unit="rad/s", assumed=True, reason=f"{unsaid}; SI as the accelerometer beside it")
-    return UnitGuess(
-        reason=f"beside an accelerometer in {accel_unit}, deg/s is likely" if accel_unit else unsaid
-    )
+    beside = f"beside an accelerometer in {accel_unit}, "
+    return UnitGuess(reason=beside + likely.removeprefix("so ") if accel_unit else unsaid)
 
 
 def _step(rows: FloatArray) -> float | None:
@@ -259,6 +257,21 @@ def _step(rows: FloatArray) -> float | None:
     if not steps or max(steps) > 1.02 * min(steps):
         return None
     return float(np.mean(steps))
+
+
+def _rests(rows: FloatArray) -> bool:
+    """Return whether rates are those of a sensor at rest: noise around a mean, not motion.
+
+    Of white noise, steps between samples are sqrt(2) times as large as the samples' own spread; what moves
+    goes far in small steps. A quarter of that ratio leaves room for coloured noise, and for the parts of a
+    long log that are looked at together.
+    """
+    if rows.shape[0] < 100:
+        return False
+    # Medians, so that single shocks count for nothing.
+    steps = np.median(np.abs(np.diff(rows, axis=0)), axis=0)
+    spread = np.median(np.abs(rows - np.median(rows, axis=0)), axis=0)
+    return bool((steps >= 0.25 * np.sqrt(2) * spread).all())
 
 
 def _white_noise(rows: FloatArray, rate_hz: float | None) -> float | None:

@@ -15,6 +15,9 @@ from imucal.errors import ReadError
 #: Errors of a file that is damaged, or is none of the formats.
 _DAMAGE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
 
+#: Arrays whose shapes are kept for a message.
+_SHOWN = 12
+
 #: Columns of a matrix beyond which it is no matrix of samples.
 _WIDEST = 64
 
@@ -55,15 +58,20 @@ class TypedColumn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableFile:
-    """The columns of a file, its format, and the sampling rate where it states one."""
+    """The columns of a file, its format, and the sampling rate where it states one.
+
+    `shapes` are its arrays as a message shows them, such as ``imu (600, 2, 3)``; those of which no columns
+    were made are among them.
+    """
 
     format: str
     columns: tuple[TypedColumn, ...]
     rate_hz: float | None = None
+    shapes: tuple[str, ...] = ()
 
 
-#: The columns of a file, and the sampling rate where it states one.
-_Content: TypeAlias = tuple[list[TypedColumn], float | None]
+#: The columns of a file, the sampling rate where it states one, and the shapes of its arrays.
+_Content: TypeAlias = tuple[list[TypedColumn], float | None, tuple[str, ...]]
 _Reader: TypeAlias = Callable[[Path], _Content]
 
 
@@ -83,7 +91,7 @@ def open_table(path: Path) -> TableFile:
         raise ReadError(msg) from error
     kind, reader = _reader(path, head)
     try:
-        columns, rate = reader(path)
+        columns, rate, shapes = reader(path)
     except Exception as error:
         # polars and scipy have error classes of their own; anything else is a bug and goes on.
         package = type(error).__module__.partition(".")[0]
@@ -91,7 +99,7 @@ def open_table(path: Path) -> TableFile:
             raise
         msg = f"{path}: not a readable {kind} file: {error}"
         raise ReadError(msg) from error
-    return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate)
+    return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate, shapes=shapes)
 
 
 def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
@@ -142,12 +150,12 @@ def _parquet(path: Path) -> _Content:
                     has_gaps=first.null_count() > 0,
                 )
             )
-    return columns, None
+    return columns, None, ()
 
 
 def _npy(path: Path) -> _Content:
     array = np.load(path, mmap_mode="r", allow_pickle=False)
-    return _of_array("", array), None
+    return _of_array("", array), None, (_shape("", array),)
 
 
 def _npz(path: Path) -> _Content:
@@ -174,13 +182,14 @@ def _flatten(name: str, value: Any, arrays: dict[str, NDArray[Any]], depth: int 
             inner = array[part]
             inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
             _flatten(f"{name}.{part}", inner, arrays, depth + 1)
-    elif array.dtype.kind in "biufM" and array.ndim <= 2:
+    elif array.dtype.kind in "biufM":
         arrays[name] = array
 
 
 def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> _Content:
     rate = None
     columns: list[TypedColumn] = []
+    shapes = [_shape(name, array) for name, array in arrays.items() if array.size != 1]
     for name, array in arrays.items():
         last = name.rpartition(".")[2].lower()
         if array.size == 1 and array.dtype.kind in "iuf":
@@ -190,18 +199,30 @@ def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> _Content:
             continue
         label, unit = _NAVEGO.get(last, ("", None))
         columns += _of_array(f"{name}.{label}" if label else name, array, unit)
-    return columns, rate
+    return columns, rate, tuple(shapes[:_SHOWN])
+
+
+def _shape(name: str, array: NDArray[Any]) -> str:
+    """Return an array as a message shows it: its name and its shape."""
+    return f"{name or 'array'} {array.shape}"
 
 
 def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:
-    """Return the columns of an array: of a record, of a matrix, or itself."""
+    """Return the columns of an array: of a record, of a matrix, or itself; none of what is no table.
+
+    Of three dimensions or more the longest holds the samples; the others are columns ``name[0,2]``.
+    """
     if array.dtype.names is not None:
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
         return [column for label, part in parts for column in _of_array(label, part)]
+    if array.ndim > 2:
+        array = array.squeeze()
     if array.ndim == 1:
         return [_plain(name, array, unit)]
-    if array.ndim != 2:
-        return []
+    return _of_matrix(name, array, unit) if array.ndim == 2 else _of_cube(name, array, unit)
+
+
+def _of_matrix(name: str, array: NDArray[Any], unit: str | None) -> list[TypedColumn]:
     if array.shape[0] < array.shape[1] and array.shape[0] <= _WIDEST:
         array = array.T
     if array.shape[1] > _WIDEST:
@@ -210,6 +231,14 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
         return [_plain(name, array[:, 0], unit)]
     labels = [f"{name}[{i}]" if name else "" for i in range(array.shape[1])]
     return [_plain(label, array[:, i], unit) for i, label in enumerate(labels)]
+
+
+def _of_cube(name: str, array: NDArray[Any], unit: str | None) -> list[TypedColumn]:
+    if array.ndim == 0 or array.size > _WIDEST * max(array.shape):
+        return []
+    array = np.moveaxis(array, int(np.argmax(array.shape)), 0)
+    places = np.ndindex(array.shape[1:])
+    return [_plain(f"{name}[{','.join(map(str, at))}]", array[:, *at], unit) for at in places]
 
 
 def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColumn:
