@@ -30,6 +30,17 @@ def test_a_missing_rate_is_asked_for_with_its_option(tmp_path: Path) -> None:
     assert "No gyroscope" not in listed.stdout
 
 
+def test_an_open_time_unit_is_asked_for_with_its_options(tmp_path: Path) -> None:
+    """Either of them does."""
+    rows = "\n".join(f"{100 * i},{0.001 * (i % 7)},0.002,{0.001 * (i % 3)}" for i in range(300))
+    (tmp_path / "log.csv").write_text(f"time,gx (rad/s),gy (rad/s),gz (rad/s)\n{rows}\n", encoding="utf-8")
+    done = run("fit", "log.csv", "--no-report", cwd=tmp_path)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1] == "Say it with --time-unit UNIT or --rate HZ."
+    assert "at 10000 Hz" in run("adev", "log.csv", "--time-unit", "us", cwd=tmp_path).stderr
+    assert "at 10 Hz" in run("adev", "log.csv", "--rate", "10", cwd=tmp_path).stderr
+
+
 def test_several_topics_are_asked_for_with_topic(tmp_path: Path) -> None:
     """The message lists them."""
     messages = imu_messages(samples(100), topic="/a") + imu_messages(samples(100), topic="/b")

@@ -20,7 +20,7 @@ from imucal.readers.tables.columns import (
 from imucal.readers.tables.columns_text import ColumnsError, ColumnSpec, parse_columns_text
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import Role, holds_no_samples, parse_column
+from imucal.readers.tables.names import NamedColumn, Role, holds_no_samples, parse_column
 from imucal.readers.tables.proposals import propose_columns
 from imucal.readers.tables.scales import given_unit
 from imucal.readers.tables.timing import TimeChoice, choose_times, named_time, time_of_columns
@@ -116,9 +116,13 @@ def _proposal(table: NamedTable, options: ReadOptions) -> str:
     if triads:
         first = {triad.sensor: triad for triad in reversed(triads)}
         texts.append(columns_text(table.time, first.get(Sensor.GYROSCOPE), first.get(Sensor.ACCELEROMETER)))
-    known = [column.index for column in table.columns if holds_no_samples(column)]
+    known = [column.index for column in table.columns if holds_no_samples(column) or _counts(table, column)]
     texts.append(propose_columns(table.cells, len(table.columns), time=table.time, taken=known))
     return next((text for text in texts if text and works(table, options, text)), "")
+
+
+def _counts(table: NamedTable, column: NamedColumn) -> bool:
+    return column.role is Role.COUNTER and all(cell.isdecimal() for cell in table.cells(column.index))
 
 
 def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> TablePlan:

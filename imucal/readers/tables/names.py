@@ -71,7 +71,7 @@ _REJECTED_STARTS = (
 
 def holds_no_samples(column: "NamedColumn") -> bool:
     """Return whether a name says that its column holds samples of neither sensor."""
-    if column.role in {Role.TIME, Role.COUNTER, Role.TEMPERATURE}:
+    if column.role in {Role.TIME, Role.TEMPERATURE}:
         return True
     return column.role is Role.OTHER and any(
         word in _REJECTED or word.startswith(_REJECTED_STARTS) for word in column.words

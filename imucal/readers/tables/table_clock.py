@@ -34,6 +34,9 @@ from imucal.units import TIME_UNITS_NS
 #: A unit is that of a time where it gives the rate that the user gave, within this share.
 _AS_GIVEN = 0.1
 
+#: A rate that ns can tell, in Hz, and a time that 64 bits can hold, in ns: about 30 years.
+_FASTEST, _LONGEST_NS = 1e8, 1e18
+
 #: Share of repeated rows up to which they are samples sent twice; beyond, the sensor is slower than the log.
 _SENT_TWICE = 0.1
 
@@ -75,8 +78,10 @@ def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
         If no rate can be measured.
     """
     plan, sensor = columns.plan, columns.plan.triad.sensor
-    if plan.time is None or not _tells_time(work, plan.time, columns):
+    if plan.time is None or (plan.time.kind == "counter" and work.options.time_unit is None):
         return _counted_clock(work, columns)
+    if not _tells_time(work, plan.time, columns):
+        return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
     source = f"column {plan.time.name}"
     stamps = _stamps(work, plan.time, columns.time, sensor)
     log = columns.log_time
@@ -184,9 +189,9 @@ def _of_texts(columns: Sequence[IntArray]) -> IntArray:
 
 
 def _tells_time(work: Work, time: TimeChoice, columns: SensorColumns) -> bool:
-    """Return whether a time gives stamps; a counter, and a count that fits no unit and a given rate, doesn't.
+    """Return whether a time gives stamps: a count that has the given rate in no unit doesn't.
 
-    A given unit makes stamps of any count; a ChoiceError where the time has none.
+    A given unit makes stamps of any count; a ChoiceError where the time can have none.
     """
     given = work.options.time_unit
     if given is not None and given not in TIME_UNITS_NS:
@@ -199,10 +204,8 @@ def _tells_time(work: Work, time: TimeChoice, columns: SensorColumns) -> bool:
             f"{time.name}, {_time_words(time)}; expected no unit, or another time column"
         )
         raise ChoiceError(msg)
-    if given is not None or time.kind != "stamp":
-        return given is not None or time.kind != "counter"
     rate = work.options.rate_hz
-    if time.ns is not None or rate is None:
+    if given is not None or time.kind != "stamp" or time.ns is not None or rate is None:
         return True
     values = columns.time[0]
     if infer_time_unit(values)[0] or _unit_of_rate(values, rate) or _counts_samples(values):
@@ -257,9 +260,14 @@ def _open_unit(
         f"{path}: column {time.name!r}, the time of the {sensor}, has no unit, and goes on by "
         f"{typical_step(values):g} a row"
     )
-    rates = rates_by_unit(values)
+    span = float(np.max(values) - np.min(values))
+    rates = {
+        unit: rate
+        for unit, rate in rates_by_unit(values).items()
+        if rate <= _FASTEST and span * TIME_UNITS_NS[unit] < _LONGEST_NS
+    }
     if not rates:
-        return ChoiceError(f"{found}; expected a time that goes on; name another time column")
+        return ChoiceError(f"{found}, which is no rate in any unit; name another time column")
     # The rates of IMUs, or those that are nearest.
     likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
     shown = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)

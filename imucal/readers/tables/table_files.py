@@ -229,7 +229,9 @@ def _of_matrix(name: str, array: NDArray[Any], unit: str | None) -> list[TypedCo
         return []
     if array.shape[1] == 1:
         return [_plain(name, array[:, 0], unit)]
-    labels = [f"{name}[{i}]" if name else "" for i in range(array.shape[1])]
+    # Three columns are x, y and z; of others no number tells an axis.
+    place = "[{}]" if array.shape[1] == 3 else "[:,{}]"
+    labels = [name + place.format(i) if name else "" for i in range(array.shape[1])]
     return [_plain(label, array[:, i], unit) for i, label in enumerate(labels)]
 
 

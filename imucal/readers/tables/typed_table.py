@@ -1,10 +1,12 @@
 """Tables with typed columns: Parquet, NumPy's NPZ and NPY, MATLAB's MAT; chosen by their names like a CSV's.
 
-A two-dimensional array counts as columns ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z. Arrays
-of different lengths are tables of their own: the gyroscope may have one, the accelerometer another.
+An array of three columns counts as ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; columns of others say
+nothing by their places. Arrays of different lengths are tables of their own: the gyroscope may have one, the
+accelerometer another.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,26 +80,26 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
     groups = [tuple(c for c in table.columns if c.size == length) for length in lengths]
     if not groups:
-        shown = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
-        msg = (
-            f"{path}: no columns of samples, found {shown}; expected arrays of the gyroscope or the "
-            "accelerometer with a row per sample and up to 64 columns; save those columns alone"
-        )
-        raise ReadError(msg)
-    if len(groups) == 1 or options.columns is not None:
-        # The indices in a columns text are those of the longest table.
-        longest = max(groups, key=lambda group: (len(group), group[0].size))
-        return [_part(path, longest, options, table.shapes)]
-    parts, errors = [], []
-    for group in groups:
-        try:
+        raise _nothing(path, table)
+    parts = []
+    for group in groups if len(groups) > 1 and options.columns is None else ():
+        with suppress(ChoiceError):
             parts.append(_part(path, group, options, table.shapes))
-        except ChoiceError as error:
-            errors.append(error)
     if not parts:
-        raise errors[0]
+        # The indices in a columns text, and in the error that proposes one, are those of the widest table.
+        widest = max(groups, key=lambda group: (len(group), group[0].size))
+        return [_part(path, widest, options, table.shapes)]
     _refuse_doubles(path, parts)
     return parts
+
+
+def _nothing(path: Path, table: TableFile) -> ReadError:
+    """Return the error of a file without columns of samples."""
+    shown = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
+    return ReadError(
+        f"{path}: no columns of samples, found {shown}; expected arrays of the gyroscope or the "
+        "accelerometer with a row per sample and up to 64 columns; save those columns alone"
+    )
 
 
 def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
