@@ -11,6 +11,7 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.readers.tables.dates import is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.scales import median_size
 from imucal.units import G0
 
 #: Beyond this many columns of numbers, three that have the size of gravity may be anything.
@@ -96,7 +97,7 @@ def _gravity(table: FloatArray, time: int | None) -> int | None:
     free = [i for i in range(table.shape[1]) if i != time]
     found = []
     for i in range(0, len(free) - 2, 3):
-        size = float(np.median(np.sqrt((table[:, free[i : i + 3]] ** 2).sum(axis=1))))
+        size = median_size(table[:, free[i : i + 3]])
         if free[i + 2] == free[i] + 2 and any(abs(size / gravity - 1) < 0.05 for gravity in (G0, 1.0)):
             found.append(free[i])
     return found[0] if len(found) == 1 else None

@@ -173,11 +173,17 @@ def _sample_of(axes: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(rows[np.isfinite(rows).all(axis=1)], dtype=np.float64)
 
 
+def median_size(rows: FloatArray) -> float:
+    """Return the median magnitude of vectors of shape (k, 3); infinite where a damaged one is."""
+    with np.errstate(over="ignore"):
+        return float(np.median(np.sqrt((rows**2).sum(axis=1))))
+
+
 def infer_accel_unit(rows: FloatArray) -> UnitGuess:
     """Return the unit in which samples of shape (k, 3) have the magnitude of gravity."""
     if not rows.size:
         return UnitGuess(reason="there are no finite samples")
-    size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
+    size = median_size(rows)
     seen = f"median magnitude {size:.4g}"
     for unit, gravity in (("m/s^2", G0), ("g", 1.0), ("mg", 1000.0)):
         if abs(size / gravity - 1) <= _GRAVITY_TOLERANCE:
@@ -219,7 +225,7 @@ def _by_step(rows: FloatArray) -> UnitGuess | None:
 
 def _by_size(rows: FloatArray, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:
     """Return rad/s where rate and noise are those of a gyroscope in SI, beside an accelerometer in SI."""
-    size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
+    size = median_size(rows)
     likely = "so deg/s is likely" if _rests(rows) else "but the sensor moves, so it may be either"
     if size > _FASTEST_REST:
         return UnitGuess(reason=f"the median rate {size:.3g} is too fast for rad/s at rest, {likely}")

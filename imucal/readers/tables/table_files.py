@@ -1,9 +1,9 @@
 """Parquet, NPZ, NPY and MAT files as lists of named columns."""
 
-import zipfile
-import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -11,15 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.errors import ReadError
-
-#: Errors of a file that is damaged, or is none of the formats.
-_DAMAGE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
+from imucal.readers.isolation import isolated
+from imucal.readers.tables.foreign_files import WIDEST, mat_arrays, parquet_columns, parquet_values
 
 #: Arrays whose shapes are kept for a message.
 _SHOWN = 12
-
-#: Columns of a matrix beyond which it is no matrix of samples.
-_WIDEST = 64
 
 #: Names of a single number that is the sampling rate, in Hz.
 _RATES = frozenset(
@@ -90,15 +86,7 @@ def open_table(path: Path) -> TableFile:
         msg = f"{path}: can't be opened: {error.strerror or error}"
         raise ReadError(msg) from error
     kind, reader = _reader(path, head)
-    try:
-        columns, rate, shapes = reader(path)
-    except Exception as error:
-        # polars and scipy have error classes of their own; anything else is a bug and goes on.
-        package = type(error).__module__.partition(".")[0]
-        if not isinstance(error, _DAMAGE) and package not in {"polars", "scipy"}:
-            raise
-        msg = f"{path}: not a readable {kind} file: {error}"
-        raise ReadError(msg) from error
+    columns, rate, shapes = reader(path)
     return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate, shapes=shapes)
 
 
@@ -119,71 +107,46 @@ def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
 
 
 def _parquet(path: Path) -> _Content:
-    import polars as pl
-
-    # Only the columns that are read are decoded, so that one in an unknown encoding does no harm.
-    scan = pl.scan_parquet(path)
-    schema = scan.collect_schema()
-    rows = scan.select(pl.len()).collect()["len"].to_list()[0]
-    head = scan.head(400).collect()
-    columns: list[TypedColumn] = []
-    for name, dtype in schema.items():
-        if isinstance(dtype, pl.Struct):
-            fields = [(f"{name}.{part.name}", pl.col(name).struct.field(part.name)) for part in dtype.fields]
-        elif isinstance(dtype, pl.List | pl.Array):
-            width = (
-                max(head[name].list.len().to_list(), default=0) if isinstance(dtype, pl.List) else dtype.size
-            )
-            getter = pl.col(name).list if isinstance(dtype, pl.List) else pl.col(name).arr
-            fields = [(f"{name}[{i}]", getter.get(i, null_on_oob=True)) for i in range(min(width, _WIDEST))]
-        else:
-            fields = [(str(name), pl.col(name))]
-        for label, expression in fields:
-            first = head.select(expression.alias("v"))["v"]
-            columns.append(
-                TypedColumn(
-                    name=label,
-                    size=rows,
-                    head=first.to_numpy(),
-                    values=lambda e=expression: scan.select(e.alias("v")).collect()["v"].to_numpy(),  # type: ignore[misc]
-                    unit="ns" if isinstance(first.dtype, pl.Datetime) else None,
-                    has_gaps=first.null_count() > 0,
-                )
-            )
+    values = isolated(path, parquet_values, "Parquet")
+    columns = [
+        TypedColumn(
+            name=column.label,
+            size=column.rows,
+            head=column.head,
+            values=partial(values, path, column.name, column.part),
+            unit=column.unit,
+            has_gaps=column.has_gaps,
+        )
+        for column in isolated(path, parquet_columns, "Parquet")(path)
+    ]
     return columns, None, ()
 
 
 def _npy(path: Path) -> _Content:
-    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    with _readable(path, "NPY"):
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
     return _of_array("", array), None, (_shape("", array),)
 
 
 def _npz(path: Path) -> _Content:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        return _of_arrays({name: archive[name] for name in archive.files})
-
-
-def _mat(path: Path) -> _Content:
-    import scipy.io
-
-    content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
-    arrays: dict[str, NDArray[Any]] = {}
-    for name, value in content.items():
-        if not name.startswith("__"):
-            _flatten(name, value, arrays)
+    with _readable(path, "NPZ"), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        arrays = {name: np.asarray(archive[name]) for name in archive.files}
     return _of_arrays(arrays)
 
 
-def _flatten(name: str, value: Any, arrays: dict[str, NDArray[Any]], depth: int = 0) -> None:  # noqa: ANN401
-    """Collect the arrays of MATLAB structures under names with points."""
-    array = np.asarray(value)
-    if array.dtype.names is not None and depth < 8:
-        for part in array.dtype.names:
-            inner = array[part]
-            inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
-            _flatten(f"{name}.{part}", inner, arrays, depth + 1)
-    elif array.dtype.kind in "biufM":
-        arrays[name] = array
+@contextmanager
+def _readable(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever NumPy raises at a damaged file into a ReadError."""
+    try:
+        yield
+    except Exception as error:
+        text = str(error) or type(error).__name__
+        msg = f"{path}: not a readable {kind} file: {text}"
+        raise ReadError(msg) from error
+
+
+def _mat(path: Path) -> _Content:
+    return _of_arrays(isolated(path, mat_arrays, "MAT")(path))
 
 
 def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> _Content:
@@ -223,9 +186,9 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
 
 
 def _of_matrix(name: str, array: NDArray[Any], unit: str | None) -> list[TypedColumn]:
-    if array.shape[0] < array.shape[1] and array.shape[0] <= _WIDEST:
+    if array.shape[0] < array.shape[1] and array.shape[0] <= WIDEST:
         array = array.T
-    if array.shape[1] > _WIDEST:
+    if array.shape[1] > WIDEST:
         return []
     if array.shape[1] == 1:
         return [_plain(name, array[:, 0], unit)]
@@ -236,7 +199,7 @@ def _of_matrix(name: str, array: NDArray[Any], unit: str | None) -> list[TypedCo
 
 
 def _of_cube(name: str, array: NDArray[Any], unit: str | None) -> list[TypedColumn]:
-    if array.ndim == 0 or array.size > _WIDEST * max(array.shape):
+    if array.ndim == 0 or array.size > WIDEST * max(array.shape):
         return []
     array = np.moveaxis(array, int(np.argmax(array.shape)), 0)
     places = np.ndindex(array.shape[1:])
