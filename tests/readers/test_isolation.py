@@ -108,7 +108,7 @@ def test_the_child_leaves_with_its_parent(file: Path) -> None:
         "print(isolated(pathlib.Path(sys.argv[1]), os.getpid, 'test')(), flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
-    done = subprocess.run(
+    done = subprocess.run(  # noqa: S603 - this very interpreter
         [sys.executable, "-c", script, str(file)], capture_output=True, text=True, check=False
     )
     assert done.returncode == -signal.SIGKILL

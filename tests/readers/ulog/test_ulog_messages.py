@@ -204,8 +204,8 @@ def test_a_ulog_has_one_clock() -> None:
     with pytest.raises(ChoiceError) as caught:
         _refuse_options(LOG, ReadOptions(time="log"), found)
     assert str(caught.value) == (
-        "flight.ulg: a ULog has messages with one clock in us, but time 'log' was asked for; expected nothing, "
-        "or the name of a message; found sensor_accel:1 (accelerometer, 1 samples)"
+        "flight.ulg: a ULog has messages with one clock in us, but time 'log' was asked for; expected "
+        "nothing, or the name of a message; found sensor_accel:1 (accelerometer, 1 samples)"
     )
-    with pytest.raises(ChoiceError, match="time unit 'ms' was asked for; .* found none of an IMU"):
+    with pytest.raises(ChoiceError, match=r"time unit 'ms' was asked for; .* found none of an IMU"):
         _refuse_options(LOG, ReadOptions(time_unit="ms"), [])
