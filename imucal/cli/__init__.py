@@ -43,6 +43,7 @@ _OPTIONS = (
     (r"counts in m/s\^2", "--accel-scale X"),
     (r"expected header or log|another time column|column to take as time|no time column '", "--time CLOCK"),
     (r"\.msg file", "--msg FILE"),
+    (r"fields text", "--fields TEXT"),
 )  # fmt: skip
 
 #: What writing to a full disk, or to a place that takes no more, ends with.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.formats import FORMATS, Format, detect, load
-from imucal.readers.read_options import Progress, ReadOptions
+from imucal.readers.read_options import Progress, ReadOptions, options_of
 from imucal.recording import Recording
 
 __all__ = [
@@ -35,7 +35,8 @@ def read(
     gyro_scale: float | None = None,
     accel_scale: float | None = None,
     columns: str | None = None,
-    message_definition: str | Path | None = None,
+    message_definition: str | Path | Sequence[str | Path] | None = None,
+    fields: str | Sequence[str] | None = None,
     strict: bool = False,
     memory_limit: int | None = None,
     progress: Progress | None = None,
@@ -49,7 +50,8 @@ def read(
         read in the order of their names and joined with gaps between them; ``-`` is standard input.
     topic
         Topic to read, or two of them where gyroscope and accelerometer are apart.
-    time, time_unit, rate_hz, gyro_unit, accel_unit, gyro_scale, accel_scale, columns, message_definition
+    time, time_unit, rate_hz, gyro_unit, accel_unit, gyro_scale, accel_scale, columns, message_definition, \
+    fields
         What the log doesn't say or says wrongly; see `ReadOptions`.
     strict
         Refuse a damaged log instead of recovering what is whole.
@@ -67,8 +69,8 @@ def read(
     DataError
         If there are no samples, or no rate can be measured.
     """
-    options = ReadOptions(
-        topics=(topic,) if isinstance(topic, str) else tuple(topic or ()),
+    options = options_of(
+        topic=topic,
         time=time,
         time_unit=time_unit,
         rate_hz=rate_hz,
@@ -77,7 +79,8 @@ def read(
         gyro_scale=gyro_scale,
         accel_scale=accel_scale,
         columns=columns,
-        message_definition=Path(message_definition) if message_definition is not None else None,
+        message_definition=message_definition,
+        fields=fields,
         strict=strict,
         memory_limit=memory_limit,
         progress=progress,

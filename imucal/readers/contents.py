@@ -26,6 +26,8 @@ class TopicContents:
         What it can give: gyroscope, accelerometer, both or nothing.
     note
         Units, columns, or why it can't be read; one short sentence, or empty.
+    fields
+        The numbers in its messages with their types, such as ``gyro_x float32``; empty for a table.
     """
 
     name: str
@@ -35,6 +37,7 @@ class TopicContents:
     duration_s: float | None = None
     sensors: tuple[Sensor, ...] = ()
     note: str = ""
+    fields: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

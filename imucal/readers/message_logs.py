@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
@@ -25,7 +26,11 @@ from imucal.readers.messages import (
     read_temperature,
     stream_of,
 )
+from imucal.readers.messages.fields_text import parse_fields_text
+from imucal.readers.messages.leaves import MOST
 from imucal.readers.read_options import Progress, ReadOptions
+from imucal.readers.tables.columns import Triad
+from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.recording import Recording, Sensor
 from imucal.units import SAMPLE_UNITS
 
@@ -121,6 +126,7 @@ def _contents(containers: Sequence[Container], topic: Topic, options: ReadOption
         duration_s=topic.duration_s,
         sensors=sensors,
         note=note,
+        fields=tuple(map(str, topic.leaves.all[:MOST])),
     )
 
 
@@ -155,6 +161,13 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
 
 
 def _refuse_options(path: Path, options: ReadOptions) -> None:
+    named = parse_fields_text(options.fields)
+    if options.time_unit is not None and (named is None or len(named.time) != 1):
+        msg = (
+            f"{path}: the time unit {options.time_unit} is given, but stamps are seconds and nanoseconds; "
+            "expected no unit, or a fields text that names a time of one number"
+        )
+        raise ChoiceError(msg)
     if options.time not in _TIMES:
         msg = f"{path}: messages have no time called {options.time!r}; expected header or log"
         raise ChoiceError(msg)
@@ -205,13 +218,15 @@ def _add_topic(
         work.findings += compare_clocks(columns.stamps, columns.log)
     columns.release()
     work.decisions.append(("time", clock.source))
+    asked = choice.topic.imu is not None and choice.topic.imu.asked
+    scales = _inferred(work, choice.topic, columns, clock, options) if asked else {}
     for sensor, rows in columns.vectors.items():
         if is_constant(rows):
             value = ", ".join(f"{row[0]:g}" for row in rows)
             text = f"The {sensor} of topic {choice.topic.name} is always ({value}): it has no data."
             work.findings.append(Finding(level="warning", code="no-data", text=text, axis=sensor.short))
             continue
-        factor, how = _factor(sensor, choice.topic, options)
+        factor, how = scales.get(sensor) or _factor(sensor, choice.topic, options)
         work.decisions.append((f"{sensor} unit", how))
         work.add_sensor(sensor, rows, clock, order=order, scale=factor)
     if columns.temperature is not None and columns.temperature.any():
@@ -276,6 +291,33 @@ def _repeated(columns: Columns) -> NDArray[np.bool_] | None:
     repeated = np.zeros(columns.n, dtype=np.bool_)
     repeated[same[twin]] = True
     return repeated
+
+
+def _inferred(
+    work: RecordingBuilder, topic: Topic, columns: Columns, clock: Clock, options: ReadOptions
+) -> dict[Sensor, tuple[float, str]]:
+    """Return what turns samples of fields that a user named into SI: as a table's columns have it.
+
+    Raises
+    ------
+    ChoiceError
+        If a unit is open.
+    """
+    vectors = {vector.sensor: vector for vector in (topic.imu.vectors if topic.imu else ())}
+    table = Work(path=f"{work.path}: topic {topic.name}", options=options, dialect=None, rate_hz=None)
+    timed = [
+        Unscaled(
+            triad=Triad(sensor=sensor, indices=(0, 1, 2), headers=("x", "y", "z"), unit=vectors[sensor].unit),
+            axes=list(rows),
+            temperature=None,
+            clock=clock,
+        )
+        for sensor, rows in columns.vectors.items()
+    ]
+    factors = find_scales(table, timed)
+    work.findings += table.findings
+    reasons = dict(table.decisions)
+    return {sensor: (factor, reasons[f"{sensor} unit"]) for sensor, factor in factors.items()}
 
 
 def _factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float, str]:

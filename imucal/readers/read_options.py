@@ -1,9 +1,9 @@
 """What a caller may say about a log; every reader takes the same options."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from imucal.recording import Sensor
 
@@ -32,8 +32,10 @@ class ReadOptions:
         SI per count, for raw integer counts.
     columns
         Columns of a table, such as ``t=0,g=1:4,a=4:7`` (numbers from 0, or names).
-    message_definition
-        A ``.msg`` file for a message type whose definition the log doesn't carry.
+    message_definitions
+        ``.msg`` files, or folders of them, for message types whose definitions the log doesn't carry.
+    fields
+        Texts such as ``gyro=gx,gy,gz accel=ax,ay,az`` that say which fields of messages are which.
     strict
         Refuse a log that is damaged instead of recovering what is whole.
     memory_limit
@@ -52,7 +54,8 @@ class ReadOptions:
     gyro_scale: float | None = None
     accel_scale: float | None = None
     columns: str | None = None
-    message_definition: Path | None = None
+    message_definitions: tuple[Path, ...] = ()
+    fields: tuple[str, ...] = ()
     strict: bool = False
     memory_limit: int | None = None
     progress: Progress | None = None
@@ -64,3 +67,24 @@ class ReadOptions:
     def scale_of(self, sensor: Sensor) -> float | None:
         """Return the SI per count that is given for a sensor's samples."""
         return self.gyro_scale if sensor is Sensor.GYROSCOPE else self.accel_scale
+
+
+def options_of(
+    *,
+    topic: str | Sequence[str] | None = None,
+    message_definition: str | Path | Sequence[str | Path] | None = None,
+    fields: str | Sequence[str] | None = None,
+    **others: Any,  # noqa: ANN401 - the fields of `ReadOptions`
+) -> ReadOptions:
+    """Return the arguments of `imucal.read` as one value."""
+    return ReadOptions(
+        topics=(topic,) if isinstance(topic, str) else tuple(topic or ()),
+        message_definitions=_paths(message_definition),
+        fields=(fields,) if isinstance(fields, str) else tuple(fields or ()),
+        **others,
+    )
+
+
+def _paths(given: str | Path | Sequence[str | Path] | None) -> tuple[Path, ...]:
+    several = (given,) if isinstance(given, str | Path) else tuple(given or ())
+    return tuple(Path(path) for path in several)
