@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from imucal.findings import Finding
     from imucal.fitting import fit
     from imucal.fitting.noise_fit import NoiseFit
+    from imucal.fleet import LogValue, Population, population
+    from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
     from imucal.pipeline import Settings, characterize
     from imucal.planning import plan
@@ -43,8 +45,11 @@ __all__ = [
     "DataError",
     "Finding",
     "ImucalError",
+    "LogValue",
     "NoiseFit",
     "NoiseModel",
+    "NoiseVerdict",
+    "Population",
     "ReadError",
     "Recording",
     "Report",
@@ -60,6 +65,7 @@ __all__ = [
     "fit",
     "load_report",
     "plan",
+    "population",
     "read",
     "screen",
     "spectrum",
@@ -74,6 +80,8 @@ _HOMES = {
     "imucal.errors": ("ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"),
     "imucal.findings": ("Finding",),
     "imucal.fitting": ("NoiseFit", "fit"),
+    "imucal.fleet": ("LogValue", "Population", "population"),
+    "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
     "imucal.pipeline": ("Settings", "characterize"),
     "imucal.planning": ("plan",),

@@ -17,6 +17,7 @@ from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.screening import screen
+from imucal.side_work import findings_or_why_not
 
 #: Samples looked at at once.
 _BLOCK = 1 << 20
@@ -124,7 +125,11 @@ def _characterize_axis(
     curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
     at_samples = _same_clock(series, finite, temperature)
     result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
-    found = result.findings + resolution_findings(result, finite.duration_s)
+    found = result.findings + findings_or_why_not(
+        lambda: resolution_findings(result, finite.duration_s),
+        what="How long a record would do is not known",
+        code="record-length",
+    )
     if settings.second_opinion and settings.method == "mle":
         found += _second_opinion(finite, result, curve)
     findings = [finding for finding in screened if finding.axis == series.name]
@@ -150,12 +155,14 @@ def _second_opinion(series: AxisSeries, first: NoiseFit, curve: AllanCurve) -> t
     """Return where a fit of the curve disagrees; that it can't be made costs no axis its result."""
     if not first.model.terms:
         return ()
-    try:
+
+    def judge() -> tuple[Finding, ...]:
         other = fit(series, model=str(first.model), method="gmwm", level=first.level, curve=curve)
-    except DataError as error:
-        text = f"The Allan curve gives no second opinion: {str(error).removeprefix(f'{series.name}: ')}."
-        return (Finding(level="warning", code="second-opinion", text=text),)
-    return second_opinion(first, other)
+        return second_opinion(first, other)
+
+    return findings_or_why_not(
+        judge, what="The Allan curve gives no second opinion", code="second-opinion", axis=series.name
+    )
 
 
 def _moments(samples: FloatArray) -> tuple[float, float]:

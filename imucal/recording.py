@@ -14,6 +14,9 @@ from imucal.findings import Finding
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 
+#: The axes of a sensor, in their order.
+AXES: tuple[Axis, ...] = ("x", "y", "z")
+
 #: No sensor measures this, in any unit: larger values are damage, and their squares would overflow.
 ABSURD = 1e100
 

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-__all__ = ["pytest_addoption", "pytest_collection_modifyitems", "update_golden"]
+__all__ = ["faults_fail_the_test", "pytest_addoption", "pytest_collection_modifyitems", "update_golden"]
 
 # Before NumPy is imported, here and in the workers: its matrices are small here, and threads of
 # several workers that wait for each other in a loop take twice the time of the work itself.
@@ -19,6 +19,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the longest test, so that no worker is left alone with it at the end."""
     items.sort(key=lambda item: item.path.name != "test_readme.py")
+
+
+@pytest.fixture(autouse=True)
+def faults_fail_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Raise faults of the program in side work (second opinions …); a user is only told of them."""
+    from imucal import side_work
+
+    monkeypatch.setattr(side_work, "faults_are_raised", lambda: True)
 
 
 @pytest.fixture

@@ -14,11 +14,13 @@ BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "findings": set(),
+    "grading": {"findings"},
     "_version": set(),
     "atomic": {"errors"},
     "clock": set(),
     "recording": {"arrays", "clock", "errors", "findings"},
     "powerlaw": {"arrays"},
+    "side_work": {"errors", "findings"},
     "units": {"recording"},
 }
 BASE = set(BELOW)
@@ -35,6 +37,7 @@ BELOW |= {
 BELOW["planning"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
+BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from imucal import AxisSeries, fit
 from imucal.fitting import FitSettings
 from imucal.fitting.moments import fit_gmwm
 from imucal.fitting.spectral import relative_deviations
@@ -14,6 +15,10 @@ from tests.fitting.moments.curves import simulated_curve
 from tests.report.synthetic import consumer_report
 
 DAY = 86400.0
+
+
+def _series(samples: np.ndarray) -> AxisSeries:
+    return AxisSeries.from_samples(samples, rate_hz=10)
 
 
 def _errors(text: str, seconds: float, rate_hz: float = 1.0) -> dict[str, float]:
@@ -111,6 +116,36 @@ def test_a_level_asks_for_more() -> None:
     model = NoiseModel.parse("N=1e-3 + K=1e-6")
     one = plan(model, rate_hz=100).needed_s
     assert plan(model, rate_hz=100, level=0.95).needed_s == pytest.approx(3.8415 * one, rel=0.01)
+
+
+def test_a_term_must_also_be_shown() -> None:
+    """However coarse the wanted precision: a length at which most records only bound K is not enough."""
+    model = NoiseModel.parse("N=1e-4 + B=3e-5 + K=3e-6")
+    coarse = plan(model, rate_hz=20, precision=0.9)
+    (axis,) = plan(model, rate_hz=20, duration_s=coarse.needed_s).axes
+    walk = next(need for need in axis.needs if need.name == "K")
+    assert walk.shown == pytest.approx(0.8, abs=0.001)
+    assert coarse.needed_s == pytest.approx(plan(model, rate_hz=20, precision=0.3).needed_s)
+    (short,) = plan(model, rate_hz=20, duration_s=coarse.needed_s / 4).axes
+    faint = next(need for need in short.needs if need.name == "K")
+    assert faint.shown is not None
+    assert faint.shown < 0.3
+
+
+def test_what_is_planned_is_found() -> None:
+    """Records of the planned length show K about as precisely as planned; of a tenth of it, few do."""
+    model = NoiseModel.parse("N=1e-4 + K=1e-5")
+    needed_s = plan(model, rate_hz=10, precision=0.12).needed_s
+
+    def widths(duration_s: float) -> list[float]:
+        rng = np.random.default_rng(7301)
+        fits = [fit(_series(model.simulate(round(10 * duration_s), rate_hz=10, rng=rng))) for _ in range(6)]
+        return [(f["K"].high - f["K"].low) / 2 / 1.96 / 1e-5 for f in fits if f["K"].value]
+
+    long, short = widths(needed_s), widths(needed_s / 10)
+    assert len(long) >= 5
+    assert np.median(long) == pytest.approx(0.12, rel=0.25)
+    assert len(short) <= 2
 
 
 def test_what_no_record_tells_is_infinite() -> None:

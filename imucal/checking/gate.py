@@ -50,6 +50,7 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
         rows=tuple(rows),
         undecided_fails=limits.undecided == "fail",
         version=report.version,
+        noise=report.verdict,
     )
 
 
@@ -159,19 +160,26 @@ def _baseline(report: Report, before: Report, rules: Baseline) -> Iterator[Row]:
 
 
 def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) -> Iterator[Row]:
-    old = dict(measure(before, symbol))
+    old, same = dict(measure(before, symbol)), _same_fit(now, before)
     for key, measured in measure(now, symbol):
         if key not in old:
             text = f"{now.name}: {key} is not in the baseline's model"
             yield Row(where=now.name, subject=f"{key} / baseline", verdict="undecided", text=text)
             continue
-        ratio = relative(measured, old[key])
+        ratio = Measured.exactly(1.0) if same else relative(measured, old[key])
         if rules.max_increase is not None:
             limit = 1 + rules.max_increase
             yield judge(now.name, f"{key} / baseline", ratio, side="max", limit=limit)
         if rules.max_decrease is not None:
             limit = 1 - rules.max_decrease
             yield judge(now.name, f"{key} / baseline", ratio, side="min", limit=limit)
+
+
+def _same_fit(now: AxisReport, before: AxisReport) -> bool:
+    """Say whether two results are one: no noise is between them, so that a ratio is 1 without an interval."""
+    samples = [(axis.samples, axis.rate_hz, axis.mean, axis.std) for axis in (now, before)]
+    # Text, because limits that are not known are NaN, which no NaN equals.
+    return samples[0] == samples[1] and repr(now.fit.estimates) == repr(before.fit.estimates)
 
 
 def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Measured], ...]:

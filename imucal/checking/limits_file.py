@@ -50,6 +50,7 @@ from imucal.checking.limits import (
     Undecided,
 )
 from imucal.errors import LimitsError
+from imucal.noise.terms import symbol_of
 from imucal.recording import Axis, Sensor
 
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
@@ -105,7 +106,7 @@ class _File:
         limits: list[Limit] = []
         required: dict[Sensor, tuple[Axis, ...]] = {}
         for section in _SECTIONS:
-            table = dict(self._table(section, document.get(section, {})))
+            table = self._by_symbol(section, self._table(section, document.get(section, {})))
             axes = table.pop("axes", None)
             if axes is not None and section in _SENSORS:
                 required[Sensor(section)] = self._axes(f"{section}.axes", axes)
@@ -125,6 +126,16 @@ class _File:
             baseline=baseline,
             undecided=self._undecided(document.get("undecided", "pass")),
         )
+
+    def _by_symbol(self, section: str, table: Mapping[str, object]) -> dict[str, object]:
+        """Return a section with its terms under their symbols: ARW and VRW are N, BI is B, RRW is K."""
+        found: dict[str, object] = {}
+        for key, value in table.items():
+            symbol = symbol_of(key) or key
+            if symbol in found:
+                self._refuse(f"{section}.{key}", f"{symbol} has limits twice", "write one entry for both")
+            found[symbol] = value
+        return found
 
     def _undecided(self, value: object) -> Undecided:
         if value not in ("pass", "fail"):
@@ -186,7 +197,8 @@ class _File:
         report = table.get("report")
         if not isinstance(report, str | None):
             self._refuse("baseline.report", repr(report), "expected the path of a report")
-        terms = tuple(self._texts("baseline.terms", table.get("terms", list(Baseline().terms))))
+        asked = self._texts("baseline.terms", table.get("terms", list(Baseline().terms)))
+        terms = tuple(symbol_of(text) or text for text in asked)
         self._known("baseline.terms", terms, TERM_QUANTITIES)
         changes = {
             side: self._number(f"baseline.{side}", table[side], low=0)

@@ -17,6 +17,7 @@ def to_document(result: CheckResult) -> dict[str, object]:
         "level": result.level,
         "verdict": result.verdict,
         "passed": result.passed,
+        "noise": {"verdict": result.noise.grade, "sentence": result.noise.sentence},
         "counts": {name: result.count(name) for name in ("pass", "fail", "undecided")},
         "rows": [_row(row) for row in result.rows],
     }

@@ -8,6 +8,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+from imucal.grading import NoiseVerdict
+
 Verdict: TypeAlias = Literal["pass", "fail", "undecided"]
 
 
@@ -98,6 +100,8 @@ class CheckResult:
         Whether an undecided limit fails the check.
     version
         imucal's version.
+    noise
+        What the report says of the recording: good, look or not-noise.
     """
 
     source: str
@@ -105,6 +109,7 @@ class CheckResult:
     rows: tuple[Row, ...]
     undecided_fails: bool
     version: str
+    noise: NoiseVerdict
 
     @property
     def verdict(self) -> Verdict:

@@ -1,9 +1,11 @@
 """The command line: parse, call, print. One file a command; one line a command in `COMMANDS`."""
 
+import difflib
 import errno
 import importlib
 import os
 import re
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -44,6 +46,7 @@ _OPTIONS = (
     (r"expected header or log|another time column|column to take as time|no time column '", "--time CLOCK"),
     (r"\.msg file", "--msg FILE"),
     (r"fields text", "--fields TEXT"),
+    (r"parts of one recording$", "--join"),
 )  # fmt: skip
 
 #: What writing to a full disk, or to a place that takes no more, ends with.
@@ -62,6 +65,23 @@ class LazyGroup(click.Group):
         module = importlib.import_module(COMMANDS[cmd_name][0])
         command: click.Command = module.command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Name the command that a mistyped one is near to, or all of them."""
+        name = args[0]
+        if name in COMMANDS or name.startswith("-") or ctx.resilient_parsing:
+            return super().resolve_command(ctx, args)
+        near = difflib.get_close_matches(name.lower(), COMMANDS, n=1)
+        if near:
+            hint = f"did you mean {near[0]!r}?"
+        elif Path(name).exists():
+            hint = f"to fit a log write 'imucal fit {shlex.quote(name)}'"
+        else:
+            hint = f"expected one of {', '.join(COMMANDS)}"
+        msg = f"No such command {name!r}; {hint}"
+        raise click.UsageError(msg, ctx)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Offer commands without importing them, so that the Tab key answers at once."""

@@ -27,11 +27,6 @@ class _Line:
         return f" ({self.more} more like it{where}; -v shows all)"
 
 
-def has_warning(findings: Sequence[Finding]) -> bool:
-    """Say whether a finding is more than a remark, which ends a --strict run with an exit code."""
-    return any(finding.level != "info" for finding in findings)
-
-
 def print_findings(findings: Sequence[Finding], *, quiet: bool, verbose: bool = False) -> None:
     """Print findings, the grave ones first; axes that share a sentence stand together.
 
@@ -55,7 +50,7 @@ def _lines(findings: Sequence[Finding], *, verbose: bool) -> list[_Line]:
     same: dict[tuple[str, str, str], _Line] = {}
     for finding in findings:
         plain = finding.text.removeprefix(f"{finding.axis}: ")
-        text = " ".join(part for part in (plain, finding.advice, _suggestion(finding)) if part)
+        text = " ".join(part for part in (plain, finding.advice, suggestion(finding)) if part)
         line = same.setdefault((finding.level, finding.code, text), _Line(finding.level, finding.code, text))
         line.axes += [finding.axis] if finding.axis and finding.axis not in line.axes else []
     lines = [line for level in _STYLES for line in same.values() if line.level == level]
@@ -76,8 +71,10 @@ def _folded(lines: Sequence[_Line]) -> list[_Line]:
     return folded
 
 
-def _suggestion(finding: Finding) -> str:
-    """Return the options that keep the good part of a log."""
+def suggestion(finding: Finding) -> str:
+    """Return the options that do what the advice of a finding says."""
+    if "columns text" in finding.advice:
+        return "Say it with --columns."
     if finding.keep_s is None:
         return ""
     start, end = finding.keep_s

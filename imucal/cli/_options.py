@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import click
 
 from imucal.cli._progress import axes_progress, reading_progress
-from imucal.recording import AxisSeries, Recording
+from imucal.recording import AxisSeries, Recording, Sensor
+from imucal.units import SAMPLE_UNITS, parse_sample_unit
 
 if TYPE_CHECKING:
     from imucal.pipeline import Settings
@@ -68,6 +69,7 @@ class LogRequest:
     columns: str | None
     fields: tuple[str, ...]
     msg: tuple[Path, ...]
+    join: bool
     strict: bool
     skip: float
     take: float | None
@@ -92,6 +94,7 @@ class LogRequest:
                 columns=self.columns,
                 message_definition=self.msg,
                 fields=self.fields,
+                join=self.join,
                 strict=self.strict,
                 progress=progress,
             )
@@ -123,6 +126,7 @@ class LogRequest:
             "columns": self.columns,
             "message_definition": [str(path) for path in self.msg],
             "fields": list(self.fields),
+            "join": self.join,
             "strict": self.strict,
             "skip_s": self.skip,
             "take_s": self.take,
@@ -151,6 +155,27 @@ class Duration(click.ParamType[float]):
         return seconds
 
 
+class UnitName(click.ParamType[str]):
+    """A unit of one sensor's samples, in a spelling that can't be meant otherwise."""
+
+    name = "unit"
+    #: Plurals: a log's column may be called so, but "degs" typed by a person may be degrees.
+    _unclear = frozenset({"rads", "mrads", "degs", "mdegs"})
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.sensor = sensor
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value)
+        found = parse_sample_unit(text)
+        known = ", ".join(SAMPLE_UNITS[self.sensor])
+        if text.strip().lower() in self._unclear and found is not None:
+            self.fail(f"{text!r} is not clear; did you mean {found[1]!r}?", param, ctx)
+        if found is None or found[0] is not self.sensor:
+            self.fail(f"{text!r} is no unit of the {self.sensor}; expected one of {known}", param, ctx)
+        return text
+
+
 #: How to read a log, where it doesn't say itself.
 READING = (
     click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column."),
@@ -165,8 +190,18 @@ READING = (
         metavar="HZ",
         help="Sampling rate, where the log's own is missing or wrong.",
     ),
-    click.option("--gyro-unit", metavar="UNIT", help="rad/s, deg/s, mdeg/s, …, where the log doesn't say."),
-    click.option("--accel-unit", metavar="UNIT", help="m/s^2, g, mg, …, where the log doesn't say."),
+    click.option(
+        "--gyro-unit",
+        type=UnitName(Sensor.GYROSCOPE),
+        metavar="UNIT",
+        help="rad/s, deg/s, mdeg/s, …, where the log doesn't say.",
+    ),
+    click.option(
+        "--accel-unit",
+        type=UnitName(Sensor.ACCELEROMETER),
+        metavar="UNIT",
+        help="m/s^2, g, mg, …, where the log doesn't say.",
+    ),
     click.option(
         "--gyro-scale",
         type=Number(min=0, min_open=True),
@@ -179,7 +214,7 @@ READING = (
         metavar="X",
         help="m/s^2 per count, for raw counts.",
     ),
-    click.option("--columns", metavar="TEXT", help="Columns of a table, such as t=0,g=1:4,a=4:7."),
+    click.option("--columns", metavar="TEXT", help="Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1."),
     click.option(
         "--fields",
         multiple=True,
@@ -251,6 +286,11 @@ def log_options(command: Command) -> Callable[..., Any]:
         ),
         click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor."),
         *READING,
+        click.option(
+            "--join",
+            is_flag=True,
+            help="Take several LOGs as parts of one recording, whatever they look like.",
+        ),
         click.option(
             "--skip", type=Duration(), default=0.0, metavar="TIME", help="Leave out the start, such as 5min."
         ),

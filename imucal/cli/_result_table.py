@@ -1,4 +1,4 @@
-"""The table that a run prints: both sensors side by side, every number with its interval."""
+"""The table that a run prints: the verdict, then both sensors side by side, all with intervals."""
 
 import re
 import sys
@@ -37,7 +37,7 @@ def summary_table(report: Report, *, datasheet: bool, encoding: str | None = Non
         axes = [axis for axis in report.axes if axis.sensor is sensor]
         if axes:
             columns.append(dict(_blocks(axes, datasheet=datasheet, plain=plain)))
-    lines: list[str] = []
+    lines = _verdict(report, plain=plain)
     for key in _order(columns):
         sides = [column.get(key, []) for column in columns]
         lines += [_side_by_side(row) for row in zip_longest(*sides, fillvalue="")]
@@ -46,6 +46,14 @@ def summary_table(report: Report, *, datasheet: bool, encoding: str | None = Non
     shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
     lines.append(f"[low, high]: {shown} interval; < high: not shown by the data, upper bound")
     return "\n".join(lines)
+
+
+def _verdict(report: Report, *, plain: bool) -> list[str]:
+    """Return the verdict's sentence and an empty line; a number keeps its unit."""
+    sentence = report.verdict.sentence.replace("±", "+-") if plain else report.verdict.sentence
+    kept = sentence.replace(" %", "\N{NO-BREAK SPACE}%")
+    lines = textwrap.wrap(kept, 2 * _COLUMN + _SPACE)
+    return [*(line.replace("\N{NO-BREAK SPACE}", " ") for line in lines), ""]
 
 
 def _can_print(encoding: str) -> bool:

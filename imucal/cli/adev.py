@@ -8,10 +8,13 @@ import click
 from imucal._version import __version__
 from imucal.allan.confidence import EDF_METHODS
 from imucal.allan.estimators import ESTIMATORS
-from imucal.cli._finding_lines import has_warning, print_findings
+from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say, shown
+from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.errors import DataError
-from imucal.recording import AxisSeries
+from imucal.findings import Finding
+from imucal.grading import judge_findings
+from imucal.recording import AxisSeries, Recording
 
 
 class Taus(click.ParamType[str | tuple[float, ...]]):
@@ -44,7 +47,7 @@ Examples:
 
 \b
 Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
-analysed (with --strict: or a warning was found)."""
+analysed or are not noise at rest (with --strict: or a warning was found)."""
 )
 @log_options
 @shown(
@@ -63,6 +66,7 @@ analysed (with --strict: or a warning was found)."""
 )
 @shown("--level", type=LEVEL, default=0.95, help="Confidence level of the intervals.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, with the spectrum of each axis, not CSV.")
+@force_option
 def command(
     *,
     request: LogRequest,
@@ -71,6 +75,7 @@ def command(
     edf: str,
     level: float,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Print the Allan deviations of every axis of LOG as CSV or JSON.
 
@@ -81,24 +86,44 @@ def command(
     recording = request.read()
     axes: list[dict[str, object]] = []
     failures: list[DataError] = []
+    failed: list[Finding] = []
     for series in recording.series:
         try:
             axes.append(_axis(series, taus, estimator=estimator, edf=edf, level=level, spectrum=as_json))
         except DataError as error:
             failures.append(error)
+            failed.append(Finding(level="error", code="no-result", axis=series.name, text=f"{error}."))
     if not axes:
         msg = f"{recording.source.path}: no axis of a gyroscope or an accelerometer was found"
         raise failures[0] if failures else DataError(msg)
+    findings = _findings(recording, failed)
+    verdict = judge_findings(findings, [series.name for series in recording.series])
     if as_json:
-        document = {"schema": "imucal/adev/1", "version": __version__, "level": level, "axes": axes}
+        document = {
+            "schema": "imucal/adev/1",
+            "version": __version__,
+            "verdict": verdict.grade,
+            "verdict_sentence": verdict.sentence,
+            "level": level,
+            "axes": axes,
+        }
         click.echo(json.dumps(document, indent=1, allow_nan=False))
     else:
         click.echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
-    print_findings(recording.findings, quiet=request.quiet, verbose=request.verbose)
-    for failure in failures:
-        say(f"Error: {failure}")
-    if failures or (request.strict and has_warning(recording.findings)):
-        click.get_current_context().exit(DataError.exit_code)
+    print_findings(findings, quiet=request.quiet, verbose=request.verbose)
+    say(verdict.sentence, quiet=request.quiet or not verdict.usable)
+    refuse(verdict, recording.source.path, "the curves were printed", force=force)
+    if request.strict:
+        refuse_warnings(findings, recording.source.path)
+
+
+def _findings(recording: Recording, failed: list[Finding]) -> tuple[Finding, ...]:
+    """Return what `imucal fit` would say too: of reading, of screening, and of axes without a curve."""
+    from imucal.screening import screen
+
+    said = {("no-data", finding.axis) for finding in failed}
+    found = (*recording.findings, *screen(recording))
+    return (*(finding for finding in found if (finding.code, finding.axis) not in said), *failed)
 
 
 def _axis(

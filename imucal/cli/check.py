@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from imucal.checking import Baseline, CheckResult, FindingRules, Limits
+from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
@@ -116,7 +116,7 @@ def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
     if limits_file is None and baseline is None:
         msg = "nothing to check against; give --limits FILE, --baseline REPORT, or both"
         raise click.UsageError(msg)
-    limits = Limits(findings=FindingRules(level="none")) if limits_file is None else read_limits(limits_file)
+    limits = Limits() if limits_file is None else read_limits(limits_file)
     if baseline is not None:
         limits = replace(limits, baseline=replace(limits.baseline or Baseline(), report=baseline))
     elif limits.baseline is not None and limits.baseline.report is None:

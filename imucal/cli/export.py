@@ -9,6 +9,7 @@ from click.shell_completion import CompletionItem
 
 from imucal.cli._options import LogRequest, say, shown
 from imucal.cli._report_input import load_report, report_or_log
+from imucal.cli._verdict_line import force_option, refuse
 from imucal.errors import WriteError
 from imucal.report.exports import INFLATABLE, TARGETS, AxisPolicy, Unidentified, export, find_target, render
 from imucal.report.result import Report
@@ -96,8 +97,9 @@ Examples:
   imucal export still-imucal --to openvins --inflate white=5,walk=10
 
 \b
-Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 a number
-that the format needs is missing, 5 the file can't be written."""
+Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
+are not noise at rest or a number that the format needs is missing, 5 the
+file can't be written."""
 )
 @click.option(
     "--to",
@@ -137,6 +139,7 @@ that the format needs is missing, 5 the file can't be written."""
     help="A term that the data don't show: write its upper bound, or refuse.",
 )
 @click.option("--rostopic", metavar="NAME", help="IMU topic to write. [default: the log's]")
+@force_option
 @report_or_log
 def command(
     *,
@@ -147,6 +150,7 @@ def command(
     inflate: dict[str, float],
     unidentified: Unidentified,
     rostopic: str | None,
+    force: bool,
 ) -> None:
     """Write the config files that filters and simulators read.
 
@@ -154,6 +158,7 @@ def command(
     a comment which number is continuous or discrete, by which formula, and from which axis.
     """
     report = load_report(request)
+    refuse(report.verdict, request.logs[0], "nothing was exported", force=force)
     options: _Options = {
         "axis_policy": axis_policy,
         "inflate": inflate,

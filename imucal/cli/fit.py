@@ -1,14 +1,18 @@
 """``imucal fit``: the main job."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._finding_lines import has_warning, print_findings
+from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
-from imucal.errors import DataError
+from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
+
+if TYPE_CHECKING:
+    from imucal.findings import Finding
 
 _FORMATS = ("png", "svg", "pdf")
 
@@ -49,8 +53,8 @@ Examples:
 
 \b
 Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
-analysed (with --strict: or a warning was found), 5 the report can't be
-written, 130 interrupted."""
+analysed or are not noise at rest (with --strict: or a warning was found),
+5 the report can't be written, 130 interrupted."""
 )
 @log_options
 @click.option(
@@ -93,6 +97,7 @@ written, 130 interrupted."""
 @click.option("--no-report", is_flag=True, help="Write no files at all.")
 @click.option("--json", "as_json", is_flag=True, help="Print report.json on standard output.")
 @click.option("--curve", is_flag=True, help="LOG is a table of tau and Allan deviations, without headings.")
+@force_option
 def command(
     *,
     request: LogRequest,
@@ -112,13 +117,15 @@ def command(
     no_report: bool,
     as_json: bool,
     curve: bool,
+    force: bool,
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
     LOG is a CSV, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, MAT or ULog file, or
     - for text on standard input. Several LOGs are read as one recording with gaps. The table on
     standard output holds the noise terms of each axis with their intervals; the report folder
-    holds report.json, report.html and the pictures.
+    holds report.json, report.html and the pictures. Both begin with a verdict: good, look first, or
+    not noise, which ends with exit code 4.
     """
     from imucal.cli._curve_fit import fit_curves, is_curve_table
     from imucal.pipeline import Settings
@@ -162,12 +169,18 @@ def command(
     else:
         click.echo(summary_table(report, datasheet=datasheet))
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
+    missing: list[Finding] = []
     if not no_report:
-        for path in write_report(report, folder, formats=formats, html=not no_html):
+        for path in write_report(report, folder, formats=formats, html=not no_html, tell=missing.append):
             say(str(path), quiet=request.quiet)
-        say(f"Next: imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
-    if request.strict and has_warning(report.all_findings):
-        click.get_current_context().exit(DataError.exit_code)
+        print_findings(missing, quiet=request.quiet)
+        if report.verdict.usable:
+            next_step = f"imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
+            say(f"Next: {next_step}", quiet=request.quiet)
+    written = "nothing was written" if no_report else f"{folder} says so"
+    refuse(report.verdict, report.source.path, written, force=force)
+    if request.strict:
+        refuse_warnings((*report.all_findings, *missing), report.source.path)
 
 
 def report_folder(log: str) -> Path:

@@ -4,15 +4,17 @@ import json
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import click
 
 from imucal.cli import options_for
+from imucal.cli._finding_lines import suggestion
 from imucal.cli._options import describe_duration, reading_options
 from imucal.errors import ImucalError
 from imucal.findings import Finding
-from imucal.readers import LogContents, TopicContents, describe, read
+from imucal.readers import LogContents, TopicContents, describe, logs_of, read
 from imucal.readers.read_options import options_of
 from imucal.recording import Recording
 
@@ -21,6 +23,8 @@ SCHEMA = "imucal/info/1"
 
 _WIDTH = 80
 STANDARD_INPUT = "-"
+#: When several logs are read as one.
+_JOINED_WHERE = "Together they are read only where each goes on where the one before ends, or with --join."
 #: Level, code and sentence of a finding: what it says, whatever axis it is about.
 _Words: TypeAlias = tuple[str, str, str]
 #: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
@@ -67,7 +71,8 @@ def command(
 ) -> None:
     """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps."""
     entries = []
-    for log in logs:
+    folders = {named: parts for named in logs if len(parts := logs_of(Path(named))) > 1}
+    for log in (str(log) for named in logs for log in folders.get(named, [named])):
         contents = describe(log, options_of(**reading))
         small = contents.size_bytes is not None and contents.size_bytes <= _SMALL
         # Standard input is gone once it was described.
@@ -77,6 +82,9 @@ def command(
             entries.append(_document(contents, found))
         else:
             click.echo("\n".join(_lines(contents, found, looked=wanted, verbose=verbose)))
+    for folder, parts in folders.items() if not as_json else ():
+        text = f"{folder}: {len(parts)} logs without a metadata.yaml that says they are one recording."
+        click.echo("\n".join([*_wrapped(f"{text} {_JOINED_WHERE}"), ""]))
     if as_json:
         document = {"schema": SCHEMA, "logs": entries}
         click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
@@ -275,7 +283,8 @@ def _jitter(seconds: float) -> str:
 
 
 def _words(finding: Finding) -> _Words:
-    return finding.level, finding.code, f"{finding.text} {finding.advice}"
+    parts = (finding.text, finding.advice, suggestion(finding))
+    return finding.level, finding.code, " ".join(part for part in parts if part)
 
 
 def _sentence(words: _Words, axes: list[str]) -> Iterator[str]:

@@ -11,7 +11,7 @@ from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say, shown
 from imucal.cli._report_input import is_report, read_report
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
-from imucal.planning import ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
+from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
 from imucal.report.document import plain
 from imucal.units import DatasheetUnit
@@ -85,8 +85,9 @@ def command(
     """Say how long to record for a wanted precision of each noise term.
 
     MODEL_OR_REPORT is a model in SI units, such as "N=1e-4 + B=2e-5 + K=1e-6", or a report.json or its
-    folder. Times are from the least error that any method can have (the Cramér-Rao bound); a term
-    that a report only bounds is taken at its bound.
+    folder. Times are from the least error that any method can have (the Cramér-Rao bound), and long
+    enough that four of five records tell the term from zero; a term that a report only bounds is
+    taken at its bound.
     """
     result = plan(
         _model(source, rate) or read_report(Path(source)),
@@ -101,6 +102,8 @@ def command(
         click.echo(_table(result, datasheet=datasheet))
     if any(need.bounded for axis in result.axes for need in axis.needs):
         say("< value: not seen; the time is for a term as large as its bound", quiet=quiet)
+    if not as_json and any(_may_be_missed(need) for axis in result.axes for need in axis.needs):
+        say("(n of 10): so many records as long show the term; the others only bound it", quiet=quiet)
 
 
 def to_document(result: Plan) -> dict[str, object]:
@@ -123,6 +126,7 @@ def to_document(result: Plan) -> dict[str, object]:
                         "bounded": need.bounded,
                         "needed_s": plain(need.needed_s),
                         "reached": plain(need.reached),
+                        "shown": need.shown,
                     }
                     for need in axis.needs
                 ],
@@ -161,7 +165,7 @@ def _table(result: Plan, *, datasheet: bool) -> str:
             title += f", {describe_time(axis.duration_s)}"
         lines += ["", title, f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}"]
         if durations != {None}:
-            lines[-1] += f"{'this tells':>15}"
+            lines[-1] += f"{'this tells':>17}"
         lines += [_line(axis, need, datasheet=datasheet) for need in axis.needs]
     text = "\n".join(lines)
     try:
@@ -178,7 +182,13 @@ def _line(axis: AxisPlan, need: Need, *, datasheet: bool) -> str:
     if need.reached is None:
         return line
     reached = f"±{100 * need.reached:.2g} %" if need.reached < 1 else "nothing"
-    return f"{line}{reached:>15}"
+    if need.reached < 1 and _may_be_missed(need):
+        reached += f" ({math.floor(10 * (need.shown or 0.0))} of 10)"
+    return f"{line}{reached:>17}"
+
+
+def _may_be_missed(need: Need) -> bool:
+    return need.shown is not None and need.shown < MOSTLY_SHOWN
 
 
 def _unit(sensor: Sensor | None, need: Need, *, datasheet: bool) -> DatasheetUnit:

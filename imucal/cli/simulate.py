@@ -1,7 +1,9 @@
 """``imucal simulate``: a log of known truth."""
 
 import json
+import os
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -42,6 +44,19 @@ class Gap(click.ParamType[tuple[float, float]]):
         return duration.convert(start, param, ctx), duration.convert(length, param, ctx)
 
 
+class LogName(click.Path):
+    """A log to write: its suffix is a format's."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:  # noqa: ANN401
+        from imucal.log_files import WRITERS
+
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        if path.suffix.lower() not in WRITERS:
+            known = ", ".join(suffix or "none (a ROS 2 folder)" for suffix in WRITERS)
+            self.fail(f"{path.name!r} ends in {path.suffix!r}; expected one of {known}", param, ctx)
+        return path
+
+
 @click.command(
     epilog="""\b
 Examples:
@@ -56,7 +71,7 @@ Examples:
 @click.option(
     "-o",
     "--out",
-    type=click.Path(path_type=Path),
+    type=LogName(),
     required=True,
     metavar="FILE",
     help="Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",

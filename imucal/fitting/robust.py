@@ -23,6 +23,10 @@ _LEAST_DISTANCE = 5.0
 _FALSE_ALARMS = 0.01
 #: Standard deviation of Gaussian noise, over its median absolute deviation.
 _DEVIATION = 1.4826
+#: Where the body of the noise shows how heavy its tails are, in standard deviations.
+_BODY = 3.0
+#: Degrees of freedom of a Student's t that nobody tells from a Gaussian.
+_GAUSSIAN = 1e4
 #: Above this share of spikes the noise itself is in doubt.
 _MANY = 0.01
 #: Rounding is reported where it adds more than this share to N².
@@ -52,7 +56,9 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
     -----
     The baseline runs straight between the medians of blocks of 100 samples. A spike lies further
     from it than 5 standard deviations (1.4826 median absolute deviations), or as far as a hundred
-    records of Gaussian noise of this length hold once. O(n).
+    records of Gaussian noise of this length hold once; and where there are more samples so far out
+    than the noise's own tail explains: that of Student's t which has as many beyond 3 deviations.
+    O(n).
 
     Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
     """
@@ -73,9 +79,50 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
     if spike.any():
         # Coarse steps put the median deviation on a step; the others' root mean square is not.
         spread = float(np.sqrt(np.mean(np.square(distance[~spike]))))
-        deviation = max(deviation, spread)
-        spike = distance > reach * deviation
+        wide = max(deviation, spread)
+        spike = distance > _end_of_tail(distance / deviation, reach * wide / deviation) * deviation
+        deviation = wide
     return spike, baseline, deviation
+
+
+def _end_of_tail(distance: FloatArray, reach: float) -> float:
+    """Return how far out the noise's own tail reaches, at least `reach`; shape (n,), in deviations.
+
+    Beyond, there are more samples than half as many again as a Student's t would have there, by more
+    than chance. Noise whose tails are heavier than t's with 3 degrees of freedom is not believed.
+    """
+    from scipy.special import pdtrc, stdtr
+
+    far = np.sort(distance[distance > reach])[::-1]
+    freedom = _degrees_of_freedom(int(np.count_nonzero(distance > _BODY)), distance.size)
+    # Only the body is sure to be noise: the median sets the scale.
+    expected = 2 * distance.size * stdtr(freedom, -far * _median_of_t(freedom) * _DEVIATION)
+    number = np.arange(1, far.size + 1)
+    beyond = np.flatnonzero(pdtrc(number - 1, 1.5 * expected + 1e-300) < _FALSE_ALARMS)
+    return float(np.nextafter(far[beyond[-1]], 0.0)) if beyond.size else np.inf
+
+
+def _degrees_of_freedom(count: int, n: int) -> float:
+    """Return those of the Student's t of which `count` of `n` samples lie beyond 3 deviations.
+
+    Gaussian where there are no more than chance gives; at least 3, the fewest of a finite variance
+    that a record can tell.
+    """
+    from scipy.special import ndtr, stdtr
+
+    normal = 2 * n * float(ndtr(-_BODY))
+    if count <= normal + 3 * np.sqrt(normal) + 3:
+        return _GAUSSIAN
+    grid = np.geomspace(3.0, _GAUSSIAN, 64)
+    expected = 2 * n * stdtr(grid, -_BODY * _median_of_t(grid) * _DEVIATION)
+    return float(np.interp(-count, -expected, grid))
+
+
+def _median_of_t(freedom: FloatArray | float) -> FloatArray:
+    """Return the median distance from zero of Student's t."""
+    from scipy.special import stdtrit
+
+    return np.asarray(stdtrit(freedom, 0.75))
 
 
 def step_size(samples: FloatArray) -> float | None:

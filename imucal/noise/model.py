@@ -8,9 +8,9 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import TERMS, in_order
+from imucal.noise.terms import TERMS, in_order, symbol_of
 
-_TERM = re.compile(r"\s*(?:(?P<count>[1-9]\d*)\s*\*\s*)?(?P<symbol>[A-Z]+)\s*")
+_TERM = re.compile(r"\s*(?:(?P<count>[1-9]\d*)\s*\*\s*)?(?P<symbol>[A-Za-z][A-Za-z0-9]*)\s*")
 _EXAMPLE = "such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'"
 
 
@@ -77,6 +77,8 @@ class NoiseModel:
 def parse_structure(text: str) -> tuple[str, ...]:
     """Return the symbols of a text such as ``N + 2*GM + K``, in the order of `TERMS`.
 
+    Abbreviations that others use are taken too: ``ARW + BI + RRW`` is ``N + B + K``.
+
     Raises
     ------
     ValueError
@@ -85,11 +87,12 @@ def parse_structure(text: str) -> tuple[str, ...]:
     symbols: list[str] = []
     for part in text.split("+"):
         match = _TERM.fullmatch(part)
-        if match is None or match["symbol"] not in TERMS:
+        symbol = symbol_of(match["symbol"]) if match else None
+        if match is None or symbol is None:
             known = ", ".join(TERMS)
             msg = f"model {text!r}: {part.strip()!r} is not one of {known}; write 'N + B + K' or 'N + 2*GM'"
             raise ValueError(msg)
-        symbols += [match["symbol"]] * int(match["count"] or 1)
+        symbols += [symbol] * int(match["count"] or 1)
     _refuse_repeats(tuple(symbols))
     return in_order(symbols)
 

@@ -47,6 +47,8 @@ class NoiseTerm(ABC):
     ----------------
     symbol
         Letters in capitals.
+    abbreviations
+        What others call the coefficient, in capitals: accepted wherever a user names a term.
     names, units
         Of the coefficient, for a gyroscope and an accelerometer; units in SI.
     datasheet
@@ -68,6 +70,7 @@ class NoiseTerm(ABC):
     """
 
     symbol: ClassVar[str]
+    abbreviations: ClassVar[tuple[str, ...]] = ()
     names: ClassVar[tuple[str, str]]
     units: ClassVar[tuple[str, str]]
     datasheet: ClassVar[tuple[str, str]]
@@ -99,12 +102,12 @@ class NoiseTerm(ABC):
     @classmethod
     def parameter_texts(cls, text: str) -> tuple[str, ...] | None:
         """Return the parameters that a text such as ``N=1e-3`` gives this term; None for another's text."""
-        names = cls.parameters()
+        names, symbol = cls.parameters(), f"(?i:{'|'.join((cls.symbol, *cls.abbreviations))})"
         if len(names) == 1:
-            pattern = rf"\s*{cls.symbol}\s*=\s*([^\s()]+)\s*"
+            pattern = rf"\s*{symbol}\s*=\s*([^\s()]+)\s*"
         else:
             inside = r"\s*,\s*".join(rf"{name}\s*=\s*([^\s,)]+)" for name in names)
-            pattern = rf"\s*{cls.symbol}\s*\(\s*{inside}\s*\)\s*"
+            pattern = rf"\s*{symbol}\s*\(\s*{inside}\s*\)\s*"
         match = re.fullmatch(pattern, text)
         return match.groups() if match else None
 

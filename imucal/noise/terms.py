@@ -24,6 +24,7 @@ class Quantization(PowerLawTerm):
 
     __slots__ = ()
     symbol = "Q"
+    abbreviations = ("QN",)
     law = PowerLaw.QUANTIZATION
     names = ("quantization noise", "quantization noise")
     units = ("rad", "m/s")
@@ -49,6 +50,7 @@ class AngleRandomWalk(PowerLawTerm):
 
     __slots__ = ()
     symbol = "N"
+    abbreviations = ("ARW", "VRW", "WN")
     law = PowerLaw.WHITE
     names = ("angle random walk", "velocity random walk")
     units = ("rad/s/sqrt(Hz)", "m/s^2/sqrt(Hz)")
@@ -79,6 +81,7 @@ class BiasInstability(PowerLawTerm):
 
     __slots__ = ()
     symbol = "B"
+    abbreviations = ("BI", "FN")
     law = PowerLaw.FLICKER
     names = ("bias instability", "bias instability")
     units = ("rad/s", "m/s^2")
@@ -105,6 +108,7 @@ class RateRandomWalk(PowerLawTerm):
 
     __slots__ = ()
     symbol = "K"
+    abbreviations = ("RRW", "RW")
     law = PowerLaw.WALK
     names = ("rate random walk", "acceleration random walk")
     units = ("rad/s/sqrt(s)", "m/s^2/sqrt(s)")
@@ -137,6 +141,7 @@ class RateRamp(NoiseTerm):
     """Rate ramp R, in rad/s² (m/s³): a steady drift. Slope +1. It has no spectrum."""
 
     symbol = "R"
+    abbreviations = ("RR", "DR")
     names = ("rate ramp", "acceleration ramp")
     units = ("rad/s^2", "m/s^3")
     datasheet = ("deg/h^2", "m/s^2/h")
@@ -185,6 +190,7 @@ class GaussMarkov(NoiseTerm):
     """
 
     symbol = "GM"
+    abbreviations = ("AR1",)
     names = ("Gauss-Markov", "Gauss-Markov")
     units = ("rad/s", "m/s^2")
     datasheet = ("deg/h", "mg")
@@ -264,6 +270,12 @@ TERMS: dict[str, type[NoiseTerm]] = {
 
 #: Symbols that every fit reports, as a bound where the data don't show the term.
 ALWAYS = tuple(symbol for symbol, term in TERMS.items() if term.always)
+
+
+def symbol_of(text: str) -> str | None:
+    """Return the symbol that a text is, or is an abbreviation of, such as N for ``ARW``; None for others."""
+    plain = text.strip().upper()
+    return next((s for s, term in TERMS.items() if plain == s or plain in term.abbreviations), None)
 
 
 def in_order(symbols: Iterable[str]) -> tuple[str, ...]:

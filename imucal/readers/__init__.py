@@ -8,18 +8,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.formats import FORMATS, Format, detect, load
+from imucal.readers.formats import FORMATS, detect, load, logs_of
 from imucal.readers.read_options import Progress, ReadOptions, options_of
 from imucal.recording import Recording
 
 __all__ = [
     "FORMATS",
-    "Format",
     "LogContents",
     "Progress",
     "ReadOptions",
     "TopicContents",
     "describe",
+    "logs_of",
     "read",
 ]
 
@@ -37,6 +37,7 @@ def read(
     columns: str | None = None,
     message_definition: str | Path | Sequence[str | Path] | None = None,
     fields: str | Sequence[str] | None = None,
+    join: bool = False,
     strict: bool = False,
     memory_limit: int | None = None,
     progress: Progress | None = None,
@@ -46,13 +47,16 @@ def read(
     Parameters
     ----------
     paths
-        One log (a file, or the folder of a ROS 2 bag), or several files of one recording, which are
-        read in the order of their names and joined with gaps between them; ``-`` is standard input.
+        One log (a file, or the folder of a ROS 2 bag), or the files of one recording, which are joined
+        with gaps between them; ``-`` is standard input.
     topic
         Topic to read, or two of them where gyroscope and accelerometer are apart.
     time, time_unit, rate_hz, gyro_unit, accel_unit, gyro_scale, accel_scale, columns, message_definition, \
     fields
         What the log doesn't say or says wrongly; see `ReadOptions`.
+    join
+        Take several logs as parts of one recording. Without it they are joined where their names are a
+        series, topics, frames and scales are the same, and each goes on where the one before ends.
     strict
         Refuse a damaged log instead of recovering what is whole.
     memory_limit
@@ -65,7 +69,8 @@ def read(
     ReadError
         If a file is missing, damaged beyond reading or of an unknown format.
     ChoiceError
-        If several topics or columns could be meant, or none fits.
+        If several topics or columns could be meant, or none fits; or if several logs are not parts of
+        one recording.
     DataError
         If there are no samples, or no rate can be measured.
     """
@@ -81,6 +86,7 @@ def read(
         columns=columns,
         message_definition=message_definition,
         fields=fields,
+        join=join,
         strict=strict,
         memory_limit=memory_limit,
         progress=progress,
@@ -88,12 +94,12 @@ def read(
     if not paths:
         msg = "no log: name at least one file"
         raise ValueError(msg)
-    if len(paths) == 1:
-        path = Path(paths[0])
-        return load(detect(path)).read(path, options)
+    logs = [log for path in paths for log in logs_of(Path(path))]
+    if len(logs) == 1:
+        return load(detect(logs[0])).read(logs[0], options)
     from imucal.readers.split import read_all
 
-    return read_all([Path(path) for path in paths], options)
+    return read_all(logs, options)
 
 
 def describe(path: str | Path, options: ReadOptions | None = None) -> LogContents:

@@ -8,9 +8,7 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source, Temperature
-
-_AXES: tuple[Axis, ...] = ("x", "y", "z")
+from imucal.recording import AXES, Axis, AxisSeries, Recording, Sensor, Source, Temperature
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -42,19 +40,21 @@ class RecordingBuilder:
         *,
         order: IntArray | None = None,
         scale: float = 1.0,
+        names: Sequence[Axis] = AXES,
     ) -> None:
         """Add the axes of a sensor.
 
         Parameters
         ----------
         axes
-            x, y and z, shape (n,) each; scaled in place where they are this package's own memory.
+            The axes that `names` names, shape (n,) each and no two the same memory; scaled in place where
+            they are this package's own.
         order
             Samples to keep, in order, shape (clock.n,); None for all.
         scale
             SI per unit of the samples.
         """
-        for axis, values in zip(_AXES, axes, strict=True):
+        for axis, values in zip(names, axes, strict=True):
             samples = _scaled(_kept(values, order), scale)
             self.series.append(AxisSeries(sensor=sensor, axis=axis, samples=samples, clock=clock))
 

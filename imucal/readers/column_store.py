@@ -6,6 +6,7 @@
 
 import mmap
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,22 @@ class Columns:
     def _keep_first(self, n: int) -> None:
         if n != self.n:
             self._view(self._data[:, :n], tuple(self.vectors), temperature=self.temperature is not None)
+
+
+def join_rows(pieces: Sequence[Sequence[FloatArray]], *, limit: int | None = None) -> list[FloatArray]:
+    """Return rows of samples, each made of its pieces one behind the other.
+
+    They lie in a temporary file where all together are more than `limit` bytes.
+    """
+    rows = [sum(piece.size for piece in row) for row in pieces]
+    size = 8 * sum(rows)
+    spilled = size > (memory_limit() if limit is None else limit)
+    held = _Spill().take(np.dtype(np.float64), size)[0] if spilled else np.empty(sum(rows))
+    joined, start = [], 0
+    for row, n in zip(pieces, rows, strict=True):
+        joined.append(np.concatenate(row, out=held[start : start + n]) if n else held[start:start])
+        start += n
+    return joined
 
 
 class GrowingColumn:

@@ -8,6 +8,7 @@ from typing import Protocol, cast
 
 from imucal.errors import ReadError
 from imucal.readers.containers import Container
+from imucal.readers.containers.rosbag2_folder import METADATA, natural
 from imucal.readers.contents import LogContents
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.recording import Recording
@@ -169,6 +170,19 @@ def load(entry: Format) -> Reader:
 def load_opener(entry: Format) -> Opener:
     """Import the module of a format of messages."""
     return cast("Opener", importlib.import_module(entry.module))
+
+
+def logs_of(path: Path) -> list[Path]:
+    """Return the logs that a path stands for: itself, or each of a folder of logs that is no bag.
+
+    A bag has a ``metadata.yaml``, which says that its files are one recording; logs of messages that
+    stand together without it may be anything. They are in the natural order of their names.
+    """
+    if str(path) == STDIN or not path.is_dir() or (path / METADATA).exists():
+        return [path]
+    endings = tuple(suffix for entry in FORMATS if entry.messages for suffix in entry.suffixes)
+    logs = sorted((entry for entry in path.iterdir() if entry.name.endswith(endings)), key=natural)
+    return logs if len(logs) > 1 or any(log.suffix == ".bag" for log in logs) else [path]
 
 
 def _holds_tables(folder: Path) -> bool:

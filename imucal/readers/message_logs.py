@@ -27,6 +27,7 @@ from imucal.readers.messages import (
     stream_of,
 )
 from imucal.readers.messages.fields_text import parse_fields_text
+from imucal.readers.messages.frames import first_frame
 from imucal.readers.messages.leaves import MOST
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.readers.tables.columns import Triad
@@ -143,12 +144,10 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         work.findings += _loss_findings(decoding.losses)
         if not decoding.columns.n:
             raise _empty(path, choice, decoding.losses, work.findings)
+        frame = first_frame(containers, choice.topic)
+        work.decisions += [("frame", frame)] if frame else []
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
-    if work.temperature is None:
-        beside = read_temperature(containers, topics, choices[0].topic.name)
-        if beside is not None:
-            work.temperature, name = beside
-            work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
+    _add_temperature(work, containers, topics, choices[0])
     _refuse_damage(path, work.findings, options)
     if not work.series:
         seen = "; ".join(finding.text for finding in work.findings) or "no data"
@@ -158,6 +157,16 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         topics=[choice.topic.name for choice in choices],
         message_types=[choice.topic.type for choice in choices],
     )
+
+
+def _add_temperature(
+    work: RecordingBuilder, containers: Sequence[Container], topics: Sequence[Topic], choice: Choice
+) -> None:
+    """Add the temperature of a topic beside the IMU's, where the IMU has none."""
+    beside = read_temperature(containers, topics, choice.topic.name) if work.temperature is None else None
+    if beside is not None:
+        work.temperature, name = beside
+        work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
 
 
 def _refuse_options(path: Path, options: ReadOptions) -> None:

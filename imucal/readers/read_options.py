@@ -36,6 +36,8 @@ class ReadOptions:
         ``.msg`` files, or folders of them, for message types whose definitions the log doesn't carry.
     fields
         Texts such as ``gyro=gx,gy,gz accel=ax,ay,az`` that say which fields of messages are which.
+    join
+        Take several logs as parts of one recording, whatever speaks against it.
     strict
         Refuse a log that is damaged instead of recovering what is whole.
     memory_limit
@@ -56,6 +58,7 @@ class ReadOptions:
     columns: str | None = None
     message_definitions: tuple[Path, ...] = ()
     fields: tuple[str, ...] = ()
+    join: bool = False
     strict: bool = False
     memory_limit: int | None = None
     progress: Progress | None = None

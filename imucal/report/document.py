@@ -61,9 +61,12 @@ def plain(value: object) -> object:
 
 
 def _header(report: Report) -> dict[str, object]:
+    verdict = report.verdict
     return {
         "schema": SCHEMA,
         "version": report.version,
+        "verdict": verdict.grade,
+        "verdict_sentence": verdict.sentence,
         "source": _source(report.source),
         "settings": plain(report.settings),
     }

@@ -46,6 +46,7 @@ def render_page(report: Report) -> str:
     return Template(_part("page.html")).substitute(
         title=element("title", f"{name} – IMU noise report"),
         heading=element("h1", name),
+        verdict=element("p", report.verdict.sentence, class_=f"verdict {report.verdict.grade}"),
         lead=_lead(report),
         navigation=element("ul", *links),
         sections=join(bodies),

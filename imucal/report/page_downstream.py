@@ -135,7 +135,9 @@ _MARKOV = (
 
 
 def downstream_section(report: Report) -> Markup:
-    """Return which number goes into which configuration, with its formula."""
+    """Return which number goes into which configuration, with its formula; none where it is not noise."""
+    if not report.verdict.usable:
+        return element("p", f"{report.verdict.sentence}. No filter should be given its numbers.")
     chosen = Numbers(report=report, choices=Choices(), target="the page")
     sensors = [sensor for sensor in Sensor if any(axis.sensor is sensor for axis in report.axes)]
     head = [

@@ -10,7 +10,11 @@ from imucal.arrays import FloatArray, read_only
 from imucal.clock import Gap
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.grading import NoiseVerdict, judge_findings
 from imucal.recording import Axis, AxisSeries, Sensor, Source
+
+#: What is said of an axis that has no result.
+_WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,6 +96,12 @@ class AxisReport:
         """SI unit of the samples."""
         return self.sensor.unit
 
+    @property
+    def white_error(self) -> float:
+        """Half of the interval of N, relative to N; infinite where the data don't show it."""
+        white = self.fit["N"]
+        return (white.high - white.low) / (2 * white.value) if white.value else np.inf
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Report:
@@ -122,3 +132,11 @@ class Report:
     def all_findings(self) -> tuple[Finding, ...]:
         """The findings of the log and of every axis."""
         return self.findings + tuple(finding for axis in self.axes for finding in axis.findings)
+
+    @property
+    def verdict(self) -> NoiseVerdict:
+        """Whether this is stationary noise, and how well N is known: the widest relative interval of it."""
+        errors = {axis.name: axis.white_error for axis in self.axes if np.isfinite(axis.white_error)}
+        failed = (f.axis for f in self.findings if f.code in _WITHOUT_RESULT and f.level == "error")
+        names = [*(axis.name for axis in self.axes), *(name for name in failed if name)]
+        return judge_findings(self.all_findings, list(dict.fromkeys(names)), errors=errors)

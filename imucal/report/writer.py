@@ -13,16 +13,19 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from imucal.errors import WriteError
+from imucal.findings import Finding
 from imucal.recording import Sensor
 from imucal.report.document import axis_document, to_document
 from imucal.report.json_file import dumps
 from imucal.report.result import AxisReport, Report
+from imucal.side_work import try_side_work
 
 _REPORT = "report.json"
 #: Files this module writes, in any version and with any settings.
@@ -35,9 +38,16 @@ _NAMED = 3
 
 
 def write_report(
-    report: Report, out: Path, *, formats: Sequence[str] = ("png",), html: bool = True
+    report: Report,
+    out: Path,
+    *,
+    formats: Sequence[str] = ("png",),
+    html: bool = True,
+    tell: Callable[[Finding], None] | None = None,
 ) -> tuple[Path, ...]:
     """Write the report folder `out`; return its files, report.json first.
+
+    A picture or page that can't be drawn is left out; a finding in report.json says so.
 
     Parameters
     ----------
@@ -47,6 +57,8 @@ def write_report(
         Of the pictures: ``png``, ``svg``, ``pdf``; empty for none.
     html
         Whether to write the page.
+    tell
+        Called with the finding of each picture or page that was left out.
 
     Raises
     ------
@@ -60,11 +72,11 @@ def write_report(
     with _translated(out):
         _refuse_foreign(out, tuple(renderers))
         with _scratch(out) as scratch:
-            for name, make in renderers.items():
-                _write(scratch / name, make())
+            left_out = _write_all(report, renderers, scratch, tell or (lambda _: None))
             _sync_folder(scratch)
-            _publish(scratch, out, tuple(renderers))
-    return tuple(out / name for name in renderers)
+            names = tuple(name for name in renderers if name not in left_out)
+            _publish(scratch, out, names)
+    return tuple(out / name for name in names)
 
 
 def check_folder(out: Path) -> None:
@@ -85,35 +97,60 @@ def check_folder(out: Path) -> None:
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
-def _renderers(report: Report, formats: Sequence[str], *, html: bool) -> dict[str, Callable[[], bytes]]:
-    """Return what makes each file, in the order in which they take their places."""
+def _renderers(report: Report, formats: Sequence[str], *, html: bool) -> dict[str, Callable[[Report], bytes]]:
+    """Return what makes each file of a report, in the order in which they take their places."""
     from imucal.report.figure import FORMATS
 
     unknown = [form for form in formats if form not in FORMATS]
     if unknown:
         msg = f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}"
         raise ValueError(msg)
-    made: dict[str, Callable[[], bytes]] = {_REPORT: lambda: dumps(to_document(report)).encode()}
+    made: dict[str, Callable[[Report], bytes]] = {_REPORT: lambda told: dumps(to_document(told)).encode()}
     if html:
         from imucal.report.html_page import render_page
 
-        made["report.html"] = lambda: render_page(report).encode()
+        made["report.html"] = lambda told: render_page(told).encode()
     for axis in report.axes:
-        made[f"{axis.name}.json"] = partial(_axis_json, report, axis)
+        made[f"{axis.name}.json"] = partial(_axis_json, axis)
         for form in formats:
-            made[f"{axis.name}.{form}"] = partial(_picture, report, axis, form)
+            made[f"{axis.name}.{form}"] = partial(_picture, axis, form)
     for sensor in Sensor:
         if any(axis.sensor is sensor for axis in report.axes):
             for form in formats:
-                made[f"{sensor.short}.{form}"] = partial(_picture, report, sensor, form)
+                made[f"{sensor.short}.{form}"] = partial(_picture, sensor, form)
     return made
 
 
-def _axis_json(report: Report, axis: AxisReport) -> bytes:
+def _write_all(
+    report: Report,
+    renderers: Mapping[str, Callable[[Report], bytes]],
+    scratch: Path,
+    tell: Callable[[Finding], None],
+) -> set[str]:
+    """Write each file, pictures first, so that page and JSON say which are missing; return those."""
+    left_out = set()
+    for name in sorted(renderers, key=lambda name: (name.endswith(".json"), name.endswith(".html"))):
+        if name.endswith(".json"):
+            _write(scratch / name, renderers[name](report))
+            continue
+        content, failed = try_side_work(
+            partial(renderers[name], report), None, what=f"{name} was left out", code="not-drawn"
+        )
+        if content is not None:
+            _write(scratch / name, content)
+            continue
+        left_out.add(name)
+        report = replace(report, findings=report.findings + failed)
+        for finding in failed:
+            tell(finding)
+    return left_out
+
+
+def _axis_json(axis: AxisReport, report: Report) -> bytes:
     return dumps(axis_document(report, axis)).encode()
 
 
-def _picture(report: Report, subject: AxisReport | Sensor, form: str) -> bytes:
+def _picture(subject: AxisReport | Sensor, form: str, report: Report) -> bytes:
     from imucal.report.figure import axis_figure, render, sensor_figure
 
     draw = sensor_figure(report, subject) if isinstance(subject, Sensor) else axis_figure(report, subject)

@@ -1,6 +1,7 @@
 """Recording -> findings: can it be trusted."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TypeAlias
 
 from imucal.findings import Finding
@@ -8,6 +9,7 @@ from imucal.recording import Recording
 from imucal.screening.motion import check_motion, check_tremor, check_turned
 from imucal.screening.profile import Profile, profile
 from imucal.screening.rolloff import check_roll_off
+from imucal.screening.sampling_rate import check_rate
 from imucal.screening.steps import check_steps
 from imucal.screening.stuck import (
     check_duplicates,
@@ -22,14 +24,18 @@ from imucal.screening.temperature import check_temperature
 from imucal.screening.tones import check_tones
 from imucal.screening.unit_check import check_accelerometer_unit, check_gyroscope_unit, check_swapped
 from imucal.screening.warmup import check_warm_up
+from imucal.side_work import findings_or_why_not, try_side_work
 
 __all__ = ["AxisCheck", "LogCheck", "screen"]
 
 AxisCheck: TypeAlias = Callable[[Profile], tuple[Finding, ...]]
 LogCheck: TypeAlias = Callable[[Sequence[Profile]], tuple[Finding, ...]]
 
+#: Code of the finding that a check could not judge.
+_FAILED = "not-checked"
 #: Checks over all axes that hold data.
 _LOG_CHECKS: tuple[LogCheck, ...] = (
+    check_rate,
     check_swapped,
     check_duplicates,
     check_accelerometer_unit,
@@ -46,8 +52,8 @@ _NOISE_CHECKS: tuple[AxisCheck, ...] = (check_steps, check_warm_up, check_tones,
 def screen(recording: Recording) -> tuple[Finding, ...]:
     """Return what speaks against trusting a recording, worst first; empty for a good one.
 
-    Codes: ``no-data``, ``not-finite``, ``stuck``, ``saturated``, ``held-samples``, ``coarse-lsb``,
-    ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``, ``no-gravity``, ``motion``,
+    Codes: ``absurd-rate``, ``no-data``, ``not-finite``, ``stuck``, ``saturated``, ``held-samples``,
+    ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``, ``no-gravity``, ``motion``,
     ``touch``, ``step``, ``warm-up``, ``temperature``, ``tone``, ``roll-off``.
     What reading the log has said already is not said again. The samples are passed once, in blocks;
     NaN and gaps are left out, and fewer than 16 samples in a row say nothing.
@@ -59,21 +65,46 @@ def screen(recording: Recording) -> tuple[Finding, ...]:
 
 
 def _all_findings(recording: Recording) -> Iterator[Finding]:
-    """Yield what each check says, in the order of the tables."""
-    profiles = [profile(series) for series in recording.series]
+    """Yield what each check says, in the order of the tables; one that can't judge says that."""
+    profiles: list[Profile] = []
+    for series in recording.series:
+        what = "The axis can't be screened"
+        made, failed = try_side_work(
+            partial(profile, series), None, what=what, code=_FAILED, axis=series.name
+        )
+        profiles += [made] if made else []
+        yield from failed
     empty = [finding for p in profiles for finding in check_no_data(p)]
     dead = {finding.axis for finding in empty}
     alive = [p for p in profiles if p.name not in dead and p.windows.size]
     yield from empty
     for log_check in _LOG_CHECKS:
-        yield from log_check(alive)
-    moved = next((found for check in _REST_CHECKS if (found := check(alive))), ())
+        yield from _judged(log_check, alive)
+    moved = _moved(alive)
     yield from moved
     checks = _AXIS_CHECKS
     if not any(finding.level == "error" for finding in moved):
         checks += _NOISE_CHECKS
-        yield from check_gyroscope_unit(alive)
-        yield from check_temperature(alive, recording.temperature)
+        yield from _judged(check_gyroscope_unit, alive)
+        yield from _judged(check_temperature, alive, recording.temperature)
     for axis_check in checks:
         for p in alive:
-            yield from axis_check(p)
+            yield from _judged(axis_check, p, axis=p.name)
+
+
+def _moved(alive: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return what the first check says that sees a motion, and which could not look."""
+    moved: tuple[Finding, ...] = ()
+    for check in _REST_CHECKS:
+        moved += _judged(check, alive)
+        if any(finding.code != _FAILED for finding in moved):
+            break
+    return moved
+
+
+def _judged(
+    check: Callable[..., tuple[Finding, ...]], *checked: object, axis: str | None = None
+) -> tuple[Finding, ...]:
+    """Return what a check finds, or that it could not look."""
+    what = f"No check for {check.__name__.removeprefix('check_').replace('_', ' ')}"
+    return findings_or_why_not(partial(check, *checked), what=what, code=_FAILED, axis=axis)

@@ -23,6 +23,8 @@ _WORTH_S = 5.0
 _MOVING = 0.2
 #: Disturbances in this part of the log from its ends are its start and its end.
 _ENDS = 0.1
+#: Disturbances that hold this many times the noise's own power over the log are not within its numbers.
+_LOUDER = 1.0
 #: Gravity that points this far elsewhere, in degrees, is a turn and no drift of a bias.
 _TURN_DEG = 2.0
 #: Windows averaged for a pose, and least gravity, in U, to see one.
@@ -95,33 +97,37 @@ def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     keep = _longest_rest(disturbances, duration)
     moving = sum(d.end_s - d.start_s for d in disturbances) / duration
     if moving > _MOVING or keep is None:
-        return (_not_at_rest(disturbances, moving, keep),)
+        hopeless = moving > 0.5 or keep is None
+        level: Level = "error" if hopeless else _level(profiles, disturbances, duration)
+        return (_not_at_rest(disturbances, moving, keep, level),)
     ends = [d for d in disturbances if d.end_s < _ENDS * duration or d.start_s > (1 - _ENDS) * duration]
     middle = [d for d in disturbances if d not in ends]
-    findings = []
-    if ends:
-        where = {True: "start", False: "end"}
-        sides = name_list(list(dict.fromkeys(where[d.start_s < duration / 2] for d in ends)))
-        findings.append(
-            Finding(
-                level="warning",
-                code="motion",
-                text=f"The IMU was moved near the {sides} of the log: {_listed(ends)}.",
-                advice=f"Leave that out: keep {span(*keep)}.",
-                keep_s=keep,
-            )
-        )
-    if middle:
-        findings.append(
-            Finding(
-                level="warning",
-                code="touch",
-                text=f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}.",
-                advice=f"Record again undisturbed, or keep the longest quiet part, {span(*keep)}.",
-                keep_s=keep,
-            )
-        )
-    return tuple(findings)
+    moved = (_moved(ends, _level(profiles, ends, duration), duration, keep),) if ends else ()
+    return (*moved, _touched(middle, _level(profiles, middle, duration), keep)) if middle else moved
+
+
+def _moved(ends: list[_Disturbance], level: Level, duration: float, keep: tuple[float, float]) -> Finding:
+    """Return the finding of what happened near the start and the end."""
+    where = {True: "start", False: "end"}
+    sides = name_list(list(dict.fromkeys(where[d.start_s < duration / 2] for d in ends)))
+    return Finding(
+        level=level,
+        code="motion",
+        text=f"The IMU was moved near the {sides} of the log: {_listed(ends)}.",
+        advice=f"Leave that out: keep {span(*keep)}.",
+        keep_s=keep,
+    )
+
+
+def _touched(middle: list[_Disturbance], level: Level, keep: tuple[float, float]) -> Finding:
+    """Return the finding of what happened in between."""
+    return Finding(
+        level=level,
+        code="touch",
+        text=f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}.",
+        advice=f"Record again undisturbed, or keep the longest quiet part, {span(*keep)}.",
+        keep_s=keep,
+    )
 
 
 def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
@@ -185,7 +191,7 @@ def _spans(profile: Profile) -> list[tuple[float, float, float]]:
     if not marks.any():
         return []
     firsts, lasts = _runs(marks)
-    scale = max(usual_variance(windows), (profile.lsb or 0.0) ** 2 / 12)
+    scale = _scale(profile)
     spans = []
     for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
         loudest = windows.variance[first : last + 1].max()
@@ -197,6 +203,35 @@ def _spans(profile: Profile) -> list[tuple[float, float, float]]:
 def _runs(marks: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     steps = np.diff(np.concatenate([[0], marks.astype(np.int8), [0]]))
     return np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1
+
+
+def _level(profiles: Sequence[Profile], disturbances: list[_Disturbance], duration: float) -> Level:
+    """Return an error for disturbances that hold more power than the noise of the whole log, on any axis."""
+    loud = any(_power(profile, disturbances) > _LOUDER * duration for profile in profiles)
+    return "error" if loud else "warning"
+
+
+def _power(profile: Profile, disturbances: list[_Disturbance]) -> float:
+    """Return the energy of disturbances on an axis, as the time, in s, in which its noise has as much.
+
+    Counted are the variance within windows, and means beyond all that the axis's own wander reaches.
+    """
+    windows, scale = profile.windows, _scale(profile)
+    within = np.zeros(windows.size, dtype=bool)
+    for each in disturbances:
+        within |= (windows.time_s >= each.start_s) & (windows.end_s <= each.end_s)
+    rest = ~(within | profile.disturbed)
+    if not (rest.any() and scale > 0):
+        return 0.0
+    away = np.abs(windows.mean - np.median(windows.mean[rest]))
+    beyond = np.maximum(0.0, away - away[rest].max())
+    excess = (windows.variance + beyond**2)[within] / scale - 1
+    return float(np.maximum(excess, 0.0).sum()) * windows.length_s
+
+
+def _scale(profile: Profile) -> float:
+    """Return the variance of a quiet window, in U²; at least that of the rounding."""
+    return max(usual_variance(profile.windows), (profile.lsb or 0.0) ** 2 / 12)
 
 
 def _longest_rest(disturbances: list[_Disturbance], duration: float) -> tuple[float, float] | None:
@@ -211,7 +246,7 @@ def _longest_rest(disturbances: list[_Disturbance], duration: float) -> tuple[fl
 
 
 def _not_at_rest(
-    disturbances: list[_Disturbance], moving: float, keep: tuple[float, float] | None
+    disturbances: list[_Disturbance], moving: float, keep: tuple[float, float] | None, level: Level
 ) -> Finding:
     text = f"The IMU was not at rest: it moved {_times(len(disturbances))}, {moving:.0%} of the log; "
     advice = "Record again with the IMU on a firm, quiet surface"
@@ -220,7 +255,6 @@ def _not_at_rest(
     else:
         text += f"the longest rest, {span(*keep)}, lasts {time(keep[1] - keep[0])}."
         advice += ", or keep the longest rest"
-    level: Level = "error" if moving > 0.5 or keep is None else "warning"
     return Finding(level=level, code="motion", text=text, advice=f"{advice}.", keep_s=keep)
 
 

@@ -83,7 +83,7 @@ def _accelerometer(accel: Sequence[Profile], length: float) -> tuple[Finding, ..
     if length < _NO_GRAVITY:
         text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
         advice = "If a driver takes gravity off, log the raw acceleration: the filter's noise is in this one."
-        return (Finding(level="info", code="no-gravity", text=text, advice=advice, axis="accel"),)
+        return (Finding(level="warning", code="no-gravity", text=text, advice=advice, axis="accel"),)
     guess = _accelerometer_guess(accel, length)
     return (
         Finding(

@@ -63,11 +63,23 @@ def test_refuses_what_has_no_spectrum() -> None:
         dct_bins(1)
 
 
-def test_fast_lengths_are_smooth_and_near() -> None:
-    """Only 2, 3, 5, 7 and 11 divide them, and little is left out."""
-    assert [fast_length(n) for n in (1, 2, 13, 97, 1000)] == [1, 2, 12, 96, 1000]
-    for n in (1_000_003, 9_999_991):
-        assert 0.998 * n < fast_length(n) <= n
+@pytest.mark.parametrize("n", [65_537, 131_101, 720_001, 1_000_003, 2_159_999, 9_999_991])
+def test_fast_lengths_are_smooth_and_near(n: int) -> None:
+    """At most 1e-4 is left out, and no prime factor is above 127; or nothing is left out at all."""
+    length = fast_length(n)
+    assert 0 <= n - length <= 1e-4 * n
+    rest = length
+    for factor in range(2, 128):
+        while rest % factor == 0:
+            rest //= factor
+    assert rest == 1 or length == n
+    assert n < 700_000 or rest == 1
+
+
+def test_short_and_smooth_series_are_taken_whole() -> None:
+    """Below 65536 any length is quick; a smooth one always is."""
+    lengths = (1, 2, 13, 997, 65_521, 65_536, 1_000_000, 2_160_000)
+    assert [fast_length(n) for n in lengths] == list(lengths)
 
 
 @pytest.mark.parametrize("sizes", [(1, 1, 1), (2, 0, 1), (2, 1, 0)])

@@ -47,6 +47,11 @@ def limits(name: str, seed: int, model: str, record: int) -> tuple[list[tuple[fl
     return [(fit[s].low, fit[s].high) for s in ALWAYS], time.process_time() - start
 
 
+def structure(truth: str) -> str:
+    """Return the structure of a model, such as ``N + K``."""
+    return " + ".join(term.symbol for term in NoiseModel.parse(truth).terms)
+
+
 def row(name: str, found: list[tuple[list[tuple[float, float]], float]]) -> str:
     """Return a row of the table."""
     truth = {term.symbol: term.coefficient for term in NoiseModel.parse(TRUTHS[name]).terms}
@@ -71,7 +76,9 @@ def main() -> None:
     )
     parser.add_argument("--records", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--model", default="auto", help="a given structure instead of the choice")
+    parser.add_argument(
+        "--model", default="auto", help="a given structure instead of the choice; `truth`: each row's own"
+    )
     parser.add_argument("--truth", nargs="*", default=list(TRUTHS), choices=list(TRUTHS))
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
@@ -79,7 +86,8 @@ def main() -> None:
     print(f"| truth | {' | '.join(heads)} | CPU s |\n|{'---|' * (len(heads) + 2)}")
     with ProcessPoolExecutor(options.jobs) as pool:
         for name in options.truth:
-            work = partial(limits, name, options.seed, options.model)
+            model = structure(TRUTHS[name]) if options.model == "truth" else options.model
+            work = partial(limits, name, options.seed, model)
             print(row(name, list(pool.map(work, range(options.records)))), flush=True)
 
 

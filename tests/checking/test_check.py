@@ -239,6 +239,23 @@ def test_the_baseline_that_the_limits_name_is_loaded(tmp_path: Path) -> None:
     assert check(consumer_report(), limits).passed
 
 
+def test_a_report_is_its_own_baseline() -> None:
+    """Nothing lies between the two: each ratio is 1, bounds too, and none is undecided."""
+    result = _check(
+        "[baseline]\nmax_increase = 0.01\nmax_decrease = 0.01", consumer_report(), consumer_report()
+    )
+    assert {row.verdict for row in result.rows} == {"pass"}
+    assert {row.measured for row in result.rows if row.measured} == {Measured.exactly(1.0)}
+    assert sum("baseline" in row.subject for row in result.rows) == 2 * 3 * 6
+
+
+def test_another_record_with_the_same_numbers_is_not_the_same() -> None:
+    """Bounds of two logs may agree by chance; their ratio is not known."""
+    other = consumer_report()
+    other = replace(other, axes=tuple(replace(axis, std=2 * axis.std) for axis in other.axes))
+    assert "undecided" in {row.verdict for row in _check("[baseline]", consumer_report(), other).rows}
+
+
 def test_a_baseline_that_the_report_does_not_match() -> None:
     """A lost axis fails; a term the baseline lacks is undecided; no baseline at all is an error."""
     rows = _check("[baseline]", small_report(), consumer_report()).rows

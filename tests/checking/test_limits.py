@@ -175,6 +175,27 @@ def test_a_baseline_is_sought_beside_the_file(tmp_path: Path) -> None:
     )
 
 
+def test_terms_have_the_names_of_data_sheets_too() -> None:
+    """ARW and VRW are N, BI is B, RRW is K; the unit stays what it is."""
+    text = """
+        [gyroscope]
+        ARW = { max = 0.3, unit = "deg/sqrt(h)" }
+        BI = { max = 10, unit = "deg/h" }
+        [accelerometer]
+        VRW = { max = 1e-3 }
+        RRW = { max = 1e-4 }
+        [baseline]
+        terms = ["ARW", "K"]
+    """
+    limits = parse_limits(text)
+    assert [limit.quantity for limit in limits.limits] == ["N", "B", "N", "K"]
+    assert limits.limits[0].unit == "deg/sqrt(h)"
+    assert limits.baseline is not None
+    assert limits.baseline.terms == ("N", "K")
+    with pytest.raises(LimitsError, match=r"limits: gyro_x\.N: N has limits twice, write one entry for both"):
+        parse_limits("[gyro_x]\nARW = { max = 1 }\nN = { max = 1 }")
+
+
 def test_the_codes_are_those_of_the_page_on_findings() -> None:
     """A new finding is added to the page, which is held to the source, and to the list."""
     page = (EXAMPLE.parent / "findings.md").read_text(encoding="utf-8")

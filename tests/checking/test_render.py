@@ -29,6 +29,8 @@ def test_json_has_every_number() -> None:
     document = json.loads(json.dumps(to_document(_result()), allow_nan=False))
     assert document["schema"] == "imucal/checking/1"
     assert (document["verdict"], document["passed"]) == ("fail", False)
+    assert document["noise"]["verdict"] == "look"
+    assert document["noise"]["sentence"].startswith("Look first: ")
     assert document["counts"] == {"pass": 6, "fail": 2, "undecided": 1}
     row = next(row for row in document["rows"] if row["verdict"] == "undecided")
     assert (row["where"], row["subject"], row["side"], row["limit"]) == ("gyro_x", "K", "max", 1.1e-6)
@@ -37,7 +39,9 @@ def test_json_has_every_number() -> None:
 
 def test_an_unknown_interval_is_null() -> None:
     """The ratio of two bounds is anything; JSON knows no infinity."""
-    result = check(consumer_report(), parse_limits("[baseline]\nterms = ['K']"), baseline=consumer_report())
+    other = consumer_report()
+    other = replace(other, axes=tuple(replace(axis, mean=1.0) for axis in other.axes))
+    result = check(consumer_report(), parse_limits("[baseline]\nterms = ['K']"), baseline=other)
     document = json.loads(json.dumps(to_document(result), allow_nan=False))
     row = next(row for row in document["rows"] if row["where"] == "gyro_y")
     assert (row["low"], row["high"], row["verdict"]) == (0, None, "undecided")

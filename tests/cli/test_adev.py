@@ -117,7 +117,13 @@ def test_one_bad_axis_does_not_hide_the_others(tmp_path: Path) -> None:
     done = run("adev", "log.csv", "-q", "--gyro-unit", "rad/s", cwd=tmp_path)
     assert done.returncode == 4
     assert {row["axis"] for row in _table(done.stdout)} == {"gyro_x", "gyro_y"}
-    assert done.stderr == "Error: gyro_z: no finite samples among 400\n"
+    assert done.stderr == (
+        "Error: log.csv: not noise: no result on gyro_z; look at gyro_x and gyro_y first; "
+        "the curves were printed; record again at rest, or --force\n"
+    )
+    said = run("adev", "log.csv", "--gyro-unit", "rad/s", "--force", cwd=tmp_path)
+    assert (said.returncode, said.stdout) == (0, done.stdout)
+    assert "error [no-result] gyro_z: no finite samples among 400." in said.stderr
 
 
 def test_a_missing_log_is_exit_code_3(tmp_path: Path) -> None:
@@ -142,4 +148,7 @@ def test_warnings_of_reading_are_printed_and_end_a_strict_run(tmp_path: Path) ->
     assert done.returncode == 0
     assert "warning [gaps]: 285 samples" in done.stderr
     strict = run("adev", log, "--strict", "-q", cwd=tmp_path)
-    assert (strict.returncode, strict.stdout, strict.stderr) == (4, done.stdout, "")
+    assert (strict.returncode, strict.stdout, strict.stderr) == (
+        *(4, done.stdout),
+        f"Error: {log}: gaps found, and --strict allows no warning\n",
+    )

@@ -1,13 +1,16 @@
 """`imucal check`: the gate opens, closes, or can't tell; table, JSON, JUnit, annotations."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 
+from imucal.findings import Finding
 from tests.cli.reports import write_report
 from tests.cli.run import SAMPLE_LOGS, run, run_process
+from tests.report.synthetic import consumer_report
 
 PASSES = '[gyroscope]\nN = { max = 0.5, unit = "deg/sqrt(h)" }\n'
 FAILS = '[gyroscope]\nN = { max = 0.4, unit = "deg/sqrt(h)" }\n'
@@ -91,12 +94,17 @@ def test_annotations_follow_the_table(tmp_path: Path) -> None:
 
 
 def test_a_baseline_needs_no_limits(tmp_path: Path) -> None:
-    """A report is not worse than itself; no finding is forbidden then."""
+    """A report is not worse than itself; one of moved data fails as it does with limits."""
     write_report(tmp_path)
     done = run("check", "still-imucal", "--baseline", "still-imucal/report.json", cwd=tmp_path)
     assert done.returncode == 0
     assert "N / baseline <= 1.2" in done.stdout
-    assert "0 failed" in done.stdout
+    assert "0 failed, 0 undecided" in done.stdout
+    moved = Finding(level="error", code="motion", text="It moved.")
+    write_report(tmp_path, "moved-imucal", replace(consumer_report(), findings=(moved,)))
+    done = run("check", "moved-imucal", "--baseline", "still-imucal", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "forbidden error [motion]" in done.stdout
 
 
 def test_a_baseline_of_the_limits_file_is_beside_it(tmp_path: Path) -> None:

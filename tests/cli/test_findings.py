@@ -2,7 +2,7 @@
 
 import pytest
 
-from imucal.cli._finding_lines import has_warning, print_findings
+from imucal.cli._finding_lines import print_findings
 from imucal.findings import Finding
 
 
@@ -43,9 +43,3 @@ def test_verbose_prints_all_and_quiet_none(capsys: pytest.CaptureFixture[str]) -
     assert capsys.readouterr().err.count("[spikes]") == 3
     print_findings(FINDINGS, quiet=True, verbose=True)
     assert capsys.readouterr().err == ""
-
-
-def test_a_remark_is_no_warning() -> None:
-    """What --strict asks."""
-    assert has_warning(FINDINGS)
-    assert not has_warning(FINDINGS[:1])

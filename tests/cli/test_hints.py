@@ -54,22 +54,31 @@ def test_several_topics_are_asked_for_with_topic(tmp_path: Path) -> None:
     assert run("adev", "log.mcap", "--topic", "/b", "-q", cwd=tmp_path).returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "hint"),
-    [
-        (("--gyro-unit", "furlong"), "--gyro-unit UNIT"),
-        (("--accel-unit", "furlong"), "--accel-unit UNIT"),
-        (("--time", "moon"), "--time CLOCK"),
-    ],
-)
-def test_a_wrong_value_is_answered_with_its_own_option(
-    arguments: tuple[str, str], hint: str, tmp_path: Path
-) -> None:
+def test_a_wrong_value_is_answered_with_its_own_option(tmp_path: Path) -> None:
     """After what was expected."""
     write_mcap(tmp_path / "log.mcap", imu_messages(samples(100)))
-    done = run("adev", "log.mcap", *arguments, cwd=tmp_path)
+    done = run("adev", "log.mcap", "--time", "moon", cwd=tmp_path)
     assert done.returncode == 3
-    assert done.stderr.splitlines()[-1] == f"Say it with {hint}."
+    assert done.stderr.splitlines()[-1] == "Say it with --time CLOCK."
+
+
+@pytest.mark.parametrize(
+    ("option", "unit", "said"),
+    [
+        ("--gyro-unit", "furlong", "'furlong' is no unit of the gyroscope; expected one of rad/s, "),
+        ("--gyro-unit", "g", "'g' is no unit of the gyroscope"),
+        ("--gyro-unit", "degs", "'degs' is not clear; did you mean 'deg/s'?"),
+        ("--accel-unit", "furlong", "'furlong' is no unit of the accelerometer; expected one of m/s^2, g"),
+        ("--accel-unit", "rads", "'rads' is not clear; did you mean 'rad/s'?"),
+    ],
+)
+def test_a_wrong_unit_is_a_usage_error(option: str, unit: str, said: str, tmp_path: Path) -> None:
+    """Before the log is read; spellings that can't be meant otherwise are taken."""
+    done = run("adev", "nowhere.csv", option, unit, cwd=tmp_path)
+    assert done.returncode == 2
+    assert f"Invalid value for '{option}': {said}" in done.stderr
+    taken = "dps" if option == "--gyro-unit" else "m/s2"
+    assert run("adev", "nowhere.csv", option, taken, cwd=tmp_path).returncode == 3
 
 
 def test_a_message_without_an_answer_has_no_hint(tmp_path: Path) -> None:

@@ -13,14 +13,14 @@ def test_a_model_gives_a_table_of_80_columns(tmp_path: Path) -> None:
     """Whole, also through a pipe."""
     done = run("plan", MODEL, "--rate", "100", "--duration", "3h", cwd=tmp_path)
     assert done.returncode == 0
-    assert done.stderr == ""
+    assert done.stderr == "(n of 10): so many records as long show the term; the others only bound it\n"
     assert done.stdout.splitlines() == [
         "Record length for ±10 % (1 sd) of each term",
         "",
         "N + K  at 100 Hz, 3.0 h",
-        "  term             value  unit                            needs     this tells",
-        "  N                0.001  SI                             0.54 s       ±0.068 %",
-        "  K                1e-06  SI                           2.3 days          ±62 %",
+        "  term             value  unit                            needs       this tells",
+        "  N                0.001  SI                             0.54 s         ±0.068 %",
+        "  K                1e-06  SI                           2.3 days  ±62 % (0 of 10)",
     ]
 
 
@@ -54,6 +54,7 @@ def test_json_is_the_plan(tmp_path: Path) -> None:
         "bounded": False,
         "needed_s": None,
         "reached": None,
+        "shown": None,
     }
 
 

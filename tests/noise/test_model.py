@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucal.noise import GaussMarkov, NoiseModel, parse_structure, structure_text
-from imucal.noise.terms import RateRamp
+from imucal.noise.terms import TERMS, RateRamp
 
 TEXT = "N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)"
 
@@ -68,7 +68,6 @@ def test_samples_follow_the_seed() -> None:
     [
         ("", "model term '' is not understood"),
         ("N", "model term 'N' is not understood"),
-        ("n=1", "model term 'n=1' is not understood"),
         ("X=1", "model term 'X=1' is not understood"),
         ("N=1 +", "model term '' is not understood"),
         ("GM=1", "model term 'GM=1' is not understood"),
@@ -108,3 +107,32 @@ def test_refuses_a_repeated_structure() -> None:
     """2*N is N."""
     with pytest.raises(ValueError, match="N stands more than once; only GM may"):
         parse_structure("2*N")
+
+
+@pytest.mark.parametrize(
+    ("text", "symbols"),
+    [
+        ("ARW + BI + RRW", "N + B + K"),
+        ("VRW + QN", "Q + N"),
+        ("WN+AR1+RW+DR", "N + GM + K + R"),
+        ("n + 2*ar1", "N + 2*GM"),
+    ],
+)
+def test_what_others_call_the_terms_is_understood(text: str, symbols: str) -> None:
+    """IEEE's and the GMWM's abbreviations, in small letters too; printed are the symbols."""
+    assert structure_text(parse_structure(text)) == symbols
+
+
+def test_values_may_have_the_names_of_others() -> None:
+    """The same numbers; a term may not hide behind a second name."""
+    model = NoiseModel.parse("ARW=1e-3 + bi=2e-5 + AR1(sigma=1e-4, T=50)")
+    assert model.text() == NoiseModel.parse("N=1e-3 + B=2e-5 + GM(sigma=1e-4, T=50)").text()
+    with pytest.raises(ValueError, match="N stands more than once"):
+        parse_structure("N + ARW")
+
+
+def test_no_abbreviation_has_two_meanings() -> None:
+    """Of all terms and symbols together."""
+    names = [name for term in TERMS.values() for name in (term.symbol, *term.abbreviations)]
+    assert len(names) == len(set(names))
+    assert all(name == name.upper() for name in names)

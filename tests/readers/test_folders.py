@@ -78,10 +78,12 @@ def test_reads_files_in_the_order_of_the_metadata(tmp_path: Path) -> None:
 
 
 def test_reads_a_folder_without_metadata(tmp_path: Path) -> None:
-    """In natural order, and by log time where that is wrong."""
+    """In the order of their times, where each goes on where the one before ends."""
     recording = read(split(tmp_path / "bag"))
     assert np.array_equal(rows(recording), TRUTH.all)
-    assert "log-out-of-order" in [finding.code for finding in recording.findings]
+    (finding,) = [finding for finding in recording.findings if finding.code == "joined"]
+    assert finding.level == "info"
+    assert finding.text == "2 logs are joined as one recording: bag_10.mcap, bag_2.mcap."
 
 
 def test_says_which_file_is_missing(tmp_path: Path) -> None:
@@ -137,7 +139,7 @@ def test_joins_files_of_one_recording_with_a_gap(tmp_path: Path) -> None:
 def test_joins_tables_file_by_file(tmp_path: Path) -> None:
     """By the time of their first samples."""
     paths = []
-    for name, chosen in (("b.csv", part(0, 150)), ("a.csv", part(160, 400))):
+    for name, chosen in (("log_2.csv", part(0, 150)), ("log_1.csv", part(160, 400))):
         path = tmp_path / name
         lines = [EUROC]
         for stamp, row in zip(chosen.stamps.tolist(), chosen.all.tolist(), strict=True):
@@ -160,9 +162,9 @@ def test_refuses_files_of_different_rates(tmp_path: Path) -> None:
     lines = ["time,gx,gy,gz,ax,ay,az", *(",".join(map(repr, row)) for row in numbers)]
     table.write_text("\n".join(lines) + "\n", encoding="utf-8")
     with pytest.raises(ReadError) as caught:
-        read(first, table)
+        read(first, table, join=True, gyro_unit="rad/s")
     assert str(caught.value) == (
-        f"{first}: its rate is 100 Hz, that of {table} 50 Hz; expected files of one recording"
+        f"{first}: its rate is 100 Hz, that of {table} 50 Hz; expected one recording; read one log at a time"
     )
 
 

@@ -12,9 +12,9 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from imucal.errors import ReadError
-from imucal.readers import FORMATS, Format, describe, read
+from imucal.readers import FORMATS, describe, read
 from imucal.readers.containers import Container
-from imucal.readers.formats import detect, load_opener
+from imucal.readers.formats import Format, detect, load_opener
 from tests.readers.logs import CONTAINERS, samples
 
 #: Formats of messages, as `imucal.recording.Source` documents them.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
+from imucal.clock import Clock
 from imucal.findings import Finding
 from imucal.screening import screen
 from imucal.units import G0
@@ -166,13 +167,13 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (knocked, "warning", "touch", None,
      ("Something touched or shook the IMU once: 90.0 to 90.5 s (accel_x, accel_y and accel_z; "
      "7 times the noise).")),
-    (picked_up, "warning", "motion", None,
+    (picked_up, "error", "motion", None,
      ("The IMU was moved near the start of the log: 0.0 to 3.5 s (gyro_x, gyro_y and gyro_z; "
      "160 times the noise).")),
     (put_away, "warning", "motion", None,
      ("The IMU was moved near the end of the log: 197.5 to 198.5 s (gyro_x, gyro_y and gyro_z; "
      "a shift of the level).")),
-    (handled, "warning", "motion", None,
+    (handled, "error", "motion", None,
      ("The IMU was not at rest: it moved 8 times, 40% of the log; the longest rest, "
      "170.5 to 200.0 s, lasts 29.5 s.")),
     (turned, "error", "motion", None,
@@ -222,7 +223,7 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (repeated, "warning", "held-samples", "gyro",
      ("50.0% of the gyroscope samples repeat the one before on all axes: the log holds 100 samples a second, "
      "about 50 of them new.")),
-    (weightless, "info", "no-gravity", "accel",
+    (weightless, "warning", "no-gravity", "accel",
      "The accelerometer shows no gravity: |a| is 0.0045 m/s^2."),
 ]  # fmt: skip
 
@@ -303,6 +304,44 @@ def test_spikes_are_no_touch() -> None:
     gyro[0, 5000] += 1.0
     accel[1, 7000:7002] += 5.0
     assert found(gyro, accel) == ()
+
+
+@pytest.mark.parametrize(("start", "code"), [(2.0, "motion"), (90.0, "touch")])
+@pytest.mark.parametrize(("factor", "level"), [(5.0, "warning"), (20.0, "error")])
+def test_what_is_louder_than_all_the_noise_is_an_error(
+    start: float, code: str, factor: float, level: str
+) -> None:
+    """2 s of 5 times the noise hold as much power as 48 s of it, of 20 times as 800 s; the log has 200 s."""
+    gyro, accel = still(N, 4)
+    shaken = (start <= T) & (start + 2 > T)
+    gyro[:, shaken] += (gyro[:, shaken] - gyro[:, shaken].mean(axis=1, keepdims=True)) * (factor - 1)
+    finding = one(found(gyro, accel))
+    assert (finding.code, finding.level) == (code, level)
+
+
+@pytest.mark.parametrize(("rate", "level"), [(0.005, "warning"), (0.5, "error")])
+def test_a_smooth_turn_is_as_loud_as_its_mean(rate: float, level: str) -> None:
+    """A steady rotation has no variance within its windows; noise is 0.0015 rad/s."""
+    gyro, accel = still(N, 4)
+    gyro[0, 500:800] += rate
+    assert [f.level for f in found(gyro, accel) if f.code == "motion"] == [level]
+
+
+@pytest.mark.parametrize(("rate_hz", "word"), [(0.2, "slow"), (1e5, "fast")])
+def test_a_rate_that_no_imu_has_is_an_error(rate_hz: float, word: str) -> None:
+    """Stamps in ms that were taken for s, and the other way round; once for both sensors."""
+    found_here = screen(recording(*still(4000, 1), clock=Clock.even(4000, rate_hz)))
+    (finding,) = (f for f in found_here if f.code == "absurd-rate")
+    assert finding.text == f"The samples come at {rate_hz:.4g} Hz: no IMU is so {word}."
+    assert (finding.level, finding.axis) == ("error", None)
+
+
+@pytest.mark.parametrize("rate_hz", [0.5, 1.0, 32e3, 40e3])
+def test_rates_that_imus_have_are_none(rate_hz: float) -> None:
+    """From averages of a second to the fastest MEMS sensor."""
+    assert "absurd-rate" not in {
+        f.code for f in screen(recording(*still(4000, 1), clock=Clock.even(4000, rate_hz)))
+    }
 
 
 def test_worst_findings_come_first() -> None:

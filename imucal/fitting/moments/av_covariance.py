@@ -206,7 +206,22 @@ def _lag_covariance(lags: IntArray, mi: int, mj: int, process: Process) -> Float
     signs = np.multiply.outer(_SIGNS, _SIGNS).ravel()
     distance = np.abs(shifts[:, np.newaxis] + lags.astype(np.float64))
     total = signs @ sum_variance(process, distance)
+    covariance = np.asarray(total / (-4.0 * mi * mj))
+    # Windows that do not meet: the sum above would leave rounding errors, the larger the farther apart.
+    apart = np.maximum(lags - 2 * mi, -2 * mj - lags)
     if process in {PowerLaw.WHITE, PowerLaw.QUANTIZATION, PowerLaw.WALK}:
-        # Beyond the windows it is nought, and would be rounding error.
-        total = np.where((lags >= -2 * mj) & (lags <= 2 * mi), total, 0.0)
-    return np.asarray(total / (-4.0 * mi * mj))
+        covariance[apart > 0] = 0.0
+    elif not isinstance(process, PowerLaw):
+        beyond = apart >= 0
+        covariance[beyond] = _gauss_markov_apart(apart[beyond], mi, mj, process)
+    return covariance
+
+
+def _gauss_markov_apart(apart: IntArray, mi: int, mj: int, time: float) -> FloatArray:
+    """Return the covariance of a Gauss-Markov process in windows `apart` samples from end to start.
+
+    A product: -phi phi^apart (1 - phi^mi)² (1 - phi^mj)² / (2 mi mj (1 - phi)²), phi = exp(-1/T).
+    """
+    rate = 1 / time
+    size = (math.expm1(-rate * mi) * math.expm1(-rate * mj) / math.expm1(-rate)) ** 2
+    return np.asarray(-np.exp(-rate * (apart + 1.0)) * (size / (2.0 * mi * mj)))

@@ -5,14 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from imucal.allan.dct import DctBins, dct_bins, dct_ordinates, ramp_ordinates
+from imucal.allan.dct import DctBins, dct_bins, dct_ordinates, fast_length
 from imucal.arrays import BoolArray, FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.lines import find_lines
 from imucal.fitting.spectral.missing import complete
-from imucal.fitting.spectral.ordinates import exponential_ordinates
+from imucal.fitting.spectral.regressors import regressor_ordinates
 from imucal.recording import AxisSeries
 
 #: Bends of a straight line, as a part of its steps: rounding, not noise.
@@ -46,7 +46,7 @@ class Block:
     loss
         Share of each bin's information that missing samples took, shape (b,); None for none.
     temperature
-        Ordinates of the temperature, shape (k,), or None.
+        At each place of the block, shape (bins.n,), or None.
     """
 
     offset: int
@@ -58,20 +58,17 @@ class Block:
     temperature: FloatArray | None = None
 
     def regressor(self, name: str) -> FloatArray:
-        """Return the ordinates of a regressor: ``R``, ``temperature`` or ``exp:<samples>``."""
-        count = self.ordinates.size
-        if name == "R":
-            return ramp_ordinates(self.bins.n, count)
-        if name == "temperature" and self.temperature is not None:
-            return self.temperature
-        return exponential_ordinates(self.bins.n, count, float(name.partition(":")[2]), self.offset)
+        """Return the ordinates of a regressor, by its name."""
+        return regressor_ordinates(
+            name, self.bins.n, self.ordinates.size, offset=self.offset, temperature=self.temperature
+        )
 
     def lowest(self, count: int) -> "Block":
         """Return the block of the lowest bins only, of at least `count` ordinates in all."""
         bins = self.bins
         number = int(np.searchsorted(bins.first, count, side="right"))
         stop = int(bins.first[number - 1] + bins.count[number - 1] - 1)
-        stops = {"ordinates": stop, "variance": stop, "kept": stop, "loss": number, "temperature": stop}
+        stops = {"ordinates": stop, "variance": stop, "kept": stop, "loss": number}
         given = {name: end for name, end in stops.items() if getattr(self, name) is not None}
         return replace(
             self,
@@ -158,7 +155,8 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Se
     lines: tuple[Line, ...] = ()
     longest = 0
     for run in runs:
-        block = _transform(series, run, _bins(run.size, len(runs)), scale, temperature)
+        quick = _quick(series, run)
+        block = _transform(series, quick, _bins(quick.size, len(runs)), scale, temperature)
         kept, found = find_lines(block.ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
         blocks.append(block if kept is None else replace(block, kept=kept))
         if block.bins.n > longest:
@@ -194,6 +192,17 @@ def _runs(series: AxisSeries) -> tuple[list[_Stretch], int]:
     return long, sum(run.stop - run.start for run in runs if run not in long)
 
 
+def _quick(series: AxisSeries, run: _Stretch) -> _Stretch:
+    """Return the run without the last few samples that would make its transform slow."""
+    size = fast_length(run.size)
+    if size == run.size:
+        return run
+    unbroken = run.stop - run.start == run.size
+    places = None if unbroken else series.clock.grid()[run.start : run.stop] - run.offset
+    kept = size if places is None else int(np.searchsorted(places, size))
+    return replace(run, size=size, stop=run.start + kept)
+
+
 def _bins(size: int, blocks: int) -> DctBins:
     """Return the bins of a block: fewer where there are many blocks, so that the whole stays small."""
     if blocks <= _FINE:
@@ -225,7 +234,7 @@ def _transform(
         ordinates=ordinates,
         variance=variance,
         loss=loss,
-        temperature=None if temperature is None else dct_ordinates(temperature),
+        temperature=temperature,
     )
 
 

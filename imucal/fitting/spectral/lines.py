@@ -13,10 +13,15 @@ from imucal.fitting.noise_fit import Line
 
 #: Chance that a record without lines has one found.
 _CHANCE = 0.01
-#: Ordinates that are never left out, and half the number of bins that make the local level.
-_LOWEST, _NEIGHBOURS = 24, 8
+#: Ordinates that are never left out: what has up to 24 periods a record is looked for as a cycle. And half
+#: the number of bins that make the local level.
+_LOWEST, _NEIGHBOURS = 48, 8
 #: Degrees of freedom of a median per ordinate it is made of: 0.64 for many, 0.5 for single ones.
 _MEDIAN_EFFICIENCY = 0.5
+#: Median of the square of a standard normal.
+_MEDIAN = 0.4549
+#: Ordinates on each side that a line must stand out of, and the least of them as a share of the frequency.
+_NEAR, _NEAR_SHARE = 64, 1 / 800
 #: A line's tail is left out until it is this part of the level.
 _TAIL = 0.05
 #: Fewest neighbours left out on each side, and most, as a share of the frequency.
@@ -45,7 +50,7 @@ def find_lines(
         limit = level * _limit(sureness, _CHANCE / max(size, 1))
         suspects = np.flatnonzero(peaks > limit)
         found = _beyond(square, bins, suspects, limit)
-        found = found[found >= _LOWEST]
+        found = _standing_out(square, found[found >= _LOWEST])
         if not found.size:
             break
         of_bin = np.searchsorted(starts, found, side="right") - 1
@@ -80,7 +85,7 @@ def _level(square: FloatArray, kept: BoolArray | None, bins: DctBins) -> tuple[F
     known = np.flatnonzero(count > 0)
     mean = np.interp(np.arange(mean.size), known, mean[known])
     # The median of one squared normal is 0.455 of its mean; of many it is the mean.
-    mean -= np.where(bins.count == 1, np.log(0.4549), 0.0)
+    mean -= np.where(bins.count == 1, np.log(_MEDIAN), 0.0)
     padded = np.pad(mean, _NEIGHBOURS, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1)
     level: FloatArray = np.exp(np.median(windows, axis=1))
@@ -97,6 +102,23 @@ def _beyond(square: FloatArray, bins: DctBins, suspects: IntArray, limit: FloatA
         )
     ]
     return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+
+
+def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
+    """Return those found whose surroundings are lower too: an edge or a peak of a filter is no line.
+
+    The level of 17 bins does not follow a steep filter; that of the nearest ordinates does. Those that
+    lie together stand or fall with the highest of them. Among the lowest the bins are as narrow.
+    """
+    kept = []
+    for near in np.split(found, np.flatnonzero(np.diff(found) > _NEAR) + 1):
+        top = int(near[np.argmax(square[near])]) if near.size else 0
+        reach = max(_NEAR, int(_NEAR_SHARE * top))
+        around = square[max(top - reach, 0) : top + reach + 1]
+        limit = _limit(np.array([_MEDIAN_EFFICIENCY * around.size]), _CHANCE / square.size)
+        if top < 4 * _NEAR or square[top] > float(limit[0] * np.median(around)) / _MEDIAN:
+            kept.append(near)
+    return np.concatenate(kept) if kept else found[:0]
 
 
 def _without(found: IntArray, reach: IntArray, size: int) -> BoolArray:

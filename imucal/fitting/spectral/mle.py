@@ -14,6 +14,8 @@ from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered, with_absent
 from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
+from imucal.fitting.spectral.disturbance_findings import disturbance_findings, with_exact_steps
+from imucal.fitting.spectral.disturbances import find_disturbances
 from imucal.fitting.spectral.estimates import Problem, covariance_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.hull import hull_estimates
@@ -21,9 +23,10 @@ from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.structures import Structure, all_structures
-from imucal.fitting.spectral.transform import bin_blocks, choose_regressors
+from imucal.fitting.spectral.transform import bin_blocks
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
+from imucal.side_work import findings_or_why_not
 
 #: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
 #: shorter is the sensor's output filter.
@@ -117,7 +120,12 @@ def fit_mle(
     white = next(e for e in estimates if e.key == "N")
     findings += resolution_effect(series, white.value or 0.0)
     if settings.verify:
-        findings += verify_findings(series, model, names, covariance)
+        findings += findings_or_why_not(
+            lambda: verify_findings(series, model, names, covariance),
+            what="The exact likelihood verifies nothing",
+            code="verified",
+            axis=series.name,
+        )
     nyquist = series.rate_hz / 2
     return NoiseFit(
         method="mle",
@@ -150,7 +158,8 @@ def spectral_view(
 ) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
-    common, findings = choose_regressors(blocks.blocks, axis=series.name, tau0=series.tau0)
+    found = with_exact_steps(find_disturbances(blocks.blocks), series)
+    common = tuple(name for one in found for name in one.names)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common, given=structure)
     return View(
@@ -158,7 +167,7 @@ def spectral_view(
         band=band,
         ordinates=whole.below(band.fraction),
         common=common,
-        findings=blocks.findings + findings,
+        findings=blocks.findings + disturbance_findings(found, series, blocks.scale),
     )
 
 

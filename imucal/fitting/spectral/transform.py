@@ -1,9 +1,4 @@
-"""Blocks -> Ordinates: sums of squares in bins, and of products with the regressors.
-
-A regressor is a slow, known shape, such as a warm-up or the temperature, that is taken out with the
-fit: a column of generalised least squares beside the ramp, so that what it takes out is judged
-against the noise at the same frequencies.
-"""
+"""Blocks -> Ordinates: sums of squares in bins, and of products with the regressors."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,24 +6,11 @@ from typing import Any
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.findings import Finding
 from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import LAWS, Ordinates
-from imucal.fitting.spectral.scoring import maximize
-from imucal.fitting.spectral.starts import find_starts
-from imucal.fitting.spectral.structures import candidates_of
 
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
-#: Shortest correlation time beside a regressor, in samples.
-_SHORTEST = 2.0
-#: Ordinates that such slow shapes live in.
-_LOWEST = 4000
-#: Time constants of a warm-up, as parts of the record.
-_PARTS = np.geomspace(0.01, 0.3, 8)
-#: What a shape must gain beyond the price of its parameters, in twice the log-likelihood.
-_MARGIN = 10.0
-_STRUCTURE = ("N", "B", "GM", "K", "R")
 
 
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
@@ -72,64 +54,3 @@ def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
         "cross": cross,
         "gram": gram,
     }
-
-
-def choose_regressors(
-    blocks: Sequence[Block], *, axis: str, tau0: float
-) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
-    """Return names of the regressors beside the ramp that the data ask for, and say so."""
-    low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
-    length = blocks[-1].offset + blocks[-1].bins.n
-    exponentials = [f"exp:{part * length!r}" for part in _PARTS.tolist()]
-    names = ("R", *exponentials)
-    if all(block.temperature is not None and np.any(block.temperature) for block in blocks):
-        names += ("temperature",)
-    ordinates = bin_blocks(low, 1.0, names)
-    ordinates = ordinates.take(ordinates.size > 0)
-    chosen: tuple[str, ...] = ()
-    findings: list[Finding] = []
-    if "temperature" in names:
-        alone, heated = _objectives(ordinates, [(), ("temperature",)])
-        if 2 * (alone - heated) > np.log(length) + _MARGIN:
-            chosen = ("temperature",)
-            findings.append(_temperature_finding(axis))
-    alone, *warm = _objectives(ordinates, [chosen, *((*chosen, name) for name in exponentials)])
-    best = int(np.argmin(warm))
-    if 2 * (alone - warm[best]) > 2 * np.log(length) + _MARGIN:
-        chosen += (exponentials[best],)
-        findings.append(_warm_up_finding(axis, float(_PARTS[best]) * length * tau0))
-    return chosen, tuple(findings)
-
-
-def _objectives(ordinates: Ordinates, sets: list[tuple[str, ...]]) -> list[float]:
-    """Return the least -log L of a rich structure with each set of regressors beside the ramp."""
-    shown = [(*_STRUCTURE, *names) for names in sets]
-    candidates = candidates_of(shown, ordinates.names)
-    owner, theta = find_starts(ordinates, candidates, shortest=_SHORTEST, keep=(1, 2, 2))
-    found = maximize(
-        ordinates, candidates.take(owner), theta, shortest=_SHORTEST, tolerance=1e-2, iterations=40
-    )
-    best = np.full(len(sets), np.inf)
-    np.minimum.at(best, owner, found.objective)
-    return best.tolist()
-
-
-def _temperature_finding(axis: str) -> Finding:
-    return Finding(
-        level="info",
-        code="temperature",
-        axis=axis,
-        text="The axis follows the temperature; a linear effect is taken out with the fit.",
-        advice="Use the noise model together with a temperature compensation.",
-    )
-
-
-def _warm_up_finding(axis: str, seconds: float) -> Finding:
-    return Finding(
-        level="warning",
-        code="warm-up-fitted",
-        axis=axis,
-        text=f"The axis settles exponentially, with a time constant of {seconds:.3g} s; this drift is taken "
-        "out with the fit.",
-        advice="Leave out the first part of the record, or let the sensor warm up before recording.",
-    )

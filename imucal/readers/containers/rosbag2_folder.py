@@ -9,7 +9,8 @@ from imucal.errors import ReadError
 #: Endings of the files of a bag.
 ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.zst", ".db3.zst")
 
-_METADATA = "metadata.yaml"
+#: The file that makes a folder a bag.
+METADATA = "metadata.yaml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +44,7 @@ def open_folder(path: Path) -> Folder:
         If the folder holds none.
     """
     present = {entry.name: entry for entry in path.iterdir() if entry.name.endswith(ENDINGS)}
-    names, mode, counts = _metadata(path / _METADATA)
+    names, mode, counts = _metadata(path / METADATA)
     files = [(name, _present(present, name)) for name in names]
     found = tuple(file for _, file in files if file is not None)
     missing = tuple(name for name, file in files if file is None)

@@ -1,16 +1,18 @@
 """What to read from a table: its sensors' columns, their times, the temperature, and why these."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 from imucal.errors import ChoiceError
+from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import (
     Cells,
     NamedTable,
     Triad,
     columns_text,
+    find_axes,
     find_bare_triads,
     find_temperature,
     find_triads,
@@ -20,14 +22,19 @@ from imucal.readers.tables.columns import (
 from imucal.readers.tables.columns_text import ColumnsError, ColumnSpec, parse_columns_text
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import NamedColumn, Role, holds_no_samples, parse_column
+from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, parse_column
 from imucal.readers.tables.proposals import propose_columns
+from imucal.readers.tables.row_tags import rows_of_sensors
 from imucal.readers.tables.scales import given_unit
 from imucal.readers.tables.timing import TimeChoice, choose_times, named_time, time_of_columns
+from imucal.readers.tables.unused_columns import missing_sensor
 from imucal.recording import Sensor
 
 #: Names of the two clocks of a message; for a table they are not columns.
 _CLOCKS = ("header", "log")
+
+#: How columns are found that no tags, and no name of the file, had to tell.
+_BY_NAME = "by name"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +50,8 @@ class SensorPlan:
 class TablePlan:
     """What to read from a table, gyroscope first, and how each choice was made.
 
-    `headers` are the names of all columns, `temperature` is the index of its column.
+    `headers` are the names of all columns, `temperature` is the index of its column, `findings` say what
+    was not found.
     """
 
     headers: tuple[str, ...]
@@ -51,6 +59,7 @@ class TablePlan:
     temperature: int | None
     dialect: Dialect | None
     decisions: tuple[tuple[str, str], ...]
+    findings: tuple[Finding, ...] = ()
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -116,13 +125,17 @@ def _proposal(table: NamedTable, options: ReadOptions) -> str:
     if triads:
         first = {triad.sensor: triad for triad in reversed(triads)}
         texts.append(columns_text(table.time, first.get(Sensor.GYROSCOPE), first.get(Sensor.ACCELEROMETER)))
-    known = [column.index for column in table.columns if holds_no_samples(column) or _counts(table, column)]
+    known = [column.index for column in table.columns if _holds_no_samples(table, column)]
     texts.append(propose_columns(table.cells, len(table.columns), time=table.time, taken=known))
     return next((text for text in texts if text and works(table, options, text)), "")
 
 
-def _counts(table: NamedTable, column: NamedColumn) -> bool:
-    return column.role is Role.COUNTER and all(cell.isdecimal() for cell in table.cells(column.index))
+def _holds_no_samples(table: NamedTable, column: NamedColumn) -> bool:
+    """Return whether a column is named as something else than samples; counters must count."""
+    if column.role is Role.COUNTER:
+        return all(cell.isdecimal() for cell in table.cells(column.index))
+    other = column.role is Role.OTHER and is_of_something_else(column)
+    return other or column.role in {Role.TIME, Role.TEMPERATURE}
 
 
 def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> TablePlan:
@@ -130,11 +143,14 @@ def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> 
     gyro, accel, reason = _sensors(table, options, name)
     if gyro is None and accel is None:
         raise _nothing_found(table, shape)
-    _refuse_instances(table, gyro, accel)
+    if reason == _BY_NAME:
+        gyro, accel, rows = rows_of_sensors(table, gyro, accel)
+        reason += f", {rows}" if rows else ""
     triads = [triad for triad in (gyro, accel) if triad is not None]
     near = [index for triad in triads for index in triad.indices]
     sensors = [_with_time(table, triad, options) for triad in triads]
-    return _plan(table, sensors, find_temperature(table.columns, near=near), reason)
+    plan = _plan(table, sensors, find_temperature(table.columns, near=near), reason)
+    return replace(plan, findings=missing_sensor(table, gyro, accel))
 
 
 def _plan(
@@ -160,14 +176,11 @@ def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> Tab
     """Return the plan of a columns text."""
     time = time_of_columns(table, asked.time) if asked.time else None
     sensors = []
-    for sensor, indices, rows in (
-        (Sensor.GYROSCOPE, asked.gyro, asked.gyro_rows),
-        (Sensor.ACCELEROMETER, asked.accel, asked.accel_rows),
-    ):
-        if indices:
-            triad = triad_of(sensor, [table.columns[index] for index in indices], rows)
-            plan = SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
-            sensors.append(plan)
+    for spec in asked.sensors:
+        columns = [table.columns[index] for index in spec.indices]
+        triad = triad_of(spec.sensor, columns, spec.rows, spec.axes)
+        plan = SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
+        sensors.append(plan)
     return _plan(table, sensors, asked.temperature, "as given")
 
 
@@ -175,11 +188,11 @@ def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Triad 
     """Return gyroscope and accelerometer, and how they were found."""
     given = [sensor for sensor in Sensor if given_unit(options, sensor) != (None, None)]
     triads = find_triads(table, units_given=given)
-    if not triads:
-        return find_bare_triads(table, name)
-    gyro = pick(table, triads, Sensor.GYROSCOPE)
-    accel = pick(table, triads, Sensor.ACCELEROMETER)
-    return gyro, accel, "by name"
+    if triads:
+        return pick(table, triads, Sensor.GYROSCOPE), pick(table, triads, Sensor.ACCELEROMETER), _BY_NAME
+    bare = find_bare_triads(table, name)
+    # Single axes count where there is nothing else: beside a whole gyroscope az may be an azimuth.
+    return bare if any(bare[:2]) else (*find_axes(table), _BY_NAME)
 
 
 def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorPlan:
@@ -206,20 +219,6 @@ def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[T
         "name the column to take as time"
     )
     raise ChoiceError(msg)
-
-
-def _refuse_instances(table: NamedTable, gyro: Triad | None, accel: Triad | None) -> None:
-    """Refuse rows of several sensors in one table: the column I of ArduPilot's IMU message."""
-    for column in table.columns:
-        name = column.header.strip()
-        if name.strip("\"'").lower() not in {"i", "instance", "imu_id", "sensor_id"}:
-            continue
-        cells = {cell for cell in table.cells(column.index) if cell}
-        if len(cells) > 1 and all(cell.isdigit() for cell in cells):
-            shown = sorted(cells, key=int)
-            texts = [columns_text(table.time, gyro, accel, f"@{name}:{cell}") for cell in shown[:4]]
-            problem = f"rows of {len(cells)} sensors, told apart by column {name} ({', '.join(shown)})"
-            raise table.ask(problem, example=" or ".join(texts))
 
 
 def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import TypeAlias
 
 from imucal.errors import ChoiceError
@@ -11,7 +10,7 @@ from imucal.readers.tables.columns_text import ColumnsError, list_columns
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role
-from imucal.recording import Sensor
+from imucal.recording import AXES, Axis, Sensor
 from imucal.units import parse_sample_unit
 
 #: First cells of a column, by its index.
@@ -51,34 +50,39 @@ class NamedTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Triad:
-    """The x, y and z columns of one sensor, and the rows that belong to it.
+    """The x, y and z columns of one sensor, or those of its axes that there are, and its rows.
 
     The unit is a key of `imucal.units.SAMPLE_UNITS`; None where the names don't say.
     """
 
     sensor: Sensor
-    indices: tuple[int, int, int]
-    headers: tuple[str, str, str]
+    indices: tuple[int, ...]
+    headers: tuple[str, ...]
+    axes: tuple[Axis, ...] = AXES
     unit: str | None = None
     rows: Rows = None
 
-    @property
-    def text(self) -> str:
-        """The columns as a user gives them: ``1:4``, or ``4+3+2`` where they don't follow each other."""
-        first = self.indices[0]
+    def text(self, rows: str = "") -> str:
+        """Return the columns as a user gives them: ``g=1:4``, ``g=4+3+2``, ``gz=1``; `rows` is ``@I:0``."""
+        letter, first = self.sensor.short[0], self.indices[0]
+        if self.axes != AXES:
+            named = zip(self.axes, self.indices, strict=True)
+            return ",".join(f"{letter}{axis}={index}{rows}" for axis, index in named)
         if self.indices == (first, first + 1, first + 2):
-            return f"{first}:{first + 3}"
-        return "+".join(map(str, self.indices))
+            return f"{letter}={first}:{first + 3}{rows}"
+        return f"{letter}={'+'.join(map(str, self.indices))}{rows}"
 
 
-def triad_of(sensor: Sensor, axes: Sequence[NamedColumn], rows: Rows = None) -> Triad:
-    """Return columns x, y, z as those of a sensor; without a unit where theirs differ."""
-    x, y, z = axes
-    units = {_unit_of(sensor, column) for column in axes}
+def triad_of(
+    sensor: Sensor, columns: Sequence[NamedColumn], rows: Rows = None, axes: tuple[Axis, ...] = AXES
+) -> Triad:
+    """Return the columns of some axes as those of a sensor; without a unit where theirs differ."""
+    units = {_unit_of(sensor, column) for column in columns}
     return Triad(
         sensor=sensor,
-        indices=(x.index, y.index, z.index),
-        headers=(x.header, y.header, z.header),
+        indices=tuple(column.index for column in columns),
+        headers=tuple(column.header for column in columns),
+        axes=axes,
         unit=units.pop() if len(units) == 1 else None,
         rows=rows,
     )
@@ -105,6 +109,29 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
     measured = {triad.sensor for triad in with_gravity}
     kept = [triad for triad in triads if triad in with_gravity or triad.sensor not in measured]
     return sorted(kept, key=lambda triad: triad.sensor is Sensor.ACCELEROMETER)
+
+
+def find_axes(table: NamedTable) -> tuple[Triad | None, Triad | None]:
+    """Return the single axes of sensors of which no triad is complete: a gyroscope about z, say.
+
+    None for a sensor whose axes are numbered, carry different units, or belong to several sets.
+    """
+    families: dict[tuple[str, ...], list[NamedColumn]] = {}
+    for column in table.columns:
+        if column.axis is not None and column.role in {Role.GYROSCOPE, Role.ACCELEROMETER}:
+            families.setdefault(column.family, []).append(column)
+    found = []
+    for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER):
+        sets = [members for family, members in families.items() if family[0] == sensor]
+        found.append(_single_axes(table, sensor, sets[0]) if len(sets) == 1 else None)
+    return found[0], found[1]
+
+
+def _single_axes(table: NamedTable, sensor: Sensor, members: Sequence[NamedColumn]) -> Triad | None:
+    if any(column.numbered for column in members) or len({_unit_of(sensor, c) for c in members}) > 1:
+        return None
+    axes = _in_order(table, members)
+    return triad_of(sensor, [axes[i] for i in sorted(axes)], axes=tuple(AXES[i] for i in sorted(axes)))
 
 
 def _complete(table: NamedTable, roles: set[Role]) -> Iterator[tuple[NamedColumn, ...]]:
@@ -165,7 +192,10 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad 
     accel = replace(gyro, sensor=Sensor.ACCELEROMETER)
     for column in table.columns:
         texts = {cell.strip("\"'") for cell in table.cells(column.index) if cell and not is_number(cell)}
-        gyro_tag, accel_tag = _tags(texts)
+        gyros, accels = _tags(texts)
+        if max(len(gyros), len(accels)) > 1:
+            raise _several_tags(table, gyro, gyros, accels)
+        gyro_tag, accel_tag = next(iter(gyros), None), next(iter(accels), None)
         if gyro_tag or accel_tag:
             return (
                 replace(gyro, rows=(column.index, gyro_tag)) if gyro_tag else None,
@@ -181,12 +211,27 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad 
     return (gyro, None, by_name) if sensor is Sensor.GYROSCOPE else (None, accel, by_name)
 
 
-def _tags(texts: set[str]) -> tuple[str | None, str | None]:
+def _several_tags(table: NamedTable, axes: Triad, gyros: Sequence[str], accels: Sequence[str]) -> ChoiceError:
+    """Return the error for bare columns whose rows are tagged as those of several sensors of a kind."""
+    texts = []
+    for k in range(max(len(gyros), len(accels))):
+        parts = [f"t={table.time}"] if table.time else []
+        for sensor, tags in ((Sensor.GYROSCOPE, gyros), (Sensor.ACCELEROMETER, accels)):
+            if tags:
+                parts.append(replace(axes, sensor=sensor).text(f"@{tags[min(k, len(tags) - 1)]}"))
+        texts.append(",".join(parts))
+    return table.ask(f"rows of several sensors: {', '.join([*gyros, *accels])}", example=" or ".join(texts))
+
+
+def _tags(texts: set[str]) -> tuple[list[str], list[str]]:
     """Return the tags of the gyroscope's rows and the accelerometer's; one of a usual pair tells both."""
-    gyro = min((text for text in texts if text.lower().startswith("gyr")), default=None)
-    accel = min((text for text in texts if text.lower().startswith("acc")), default=None)
-    partner = next((name for name, other in _PARTNERS.items() if other == accel), None)
-    return gyro or partner, accel or _PARTNERS.get(gyro or "")
+    gyros = sorted(text for text in texts if text.lower().startswith("gyr"))
+    accels = sorted(text for text in texts if text.lower().startswith("acc"))
+    if not gyros:
+        gyros = [name for name, other in _PARTNERS.items() if accels == [other]]
+    if not accels and len(gyros) == 1 and gyros[0] in _PARTNERS:
+        accels = [_PARTNERS[gyros[0]]]
+    return gyros, accels
 
 
 def sensor_of_name(name: str) -> Sensor | None:
@@ -210,16 +255,32 @@ def pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad | 
     found = [triad for triad in triads if triad.sensor is sensor]
     if len(found) <= 1:
         return found[0] if found else None
-    gyros: list[Triad | None] = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE]
-    accels: list[Triad | None] = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER]
-    pairs = list(product(gyros or [None], accels or [None]))[:4]
+    texts = [columns_text(table.time, *pair) for pair in _pairs(table, triads)]
     problem = f"{len(found)} sets of {sensor} columns: " + ", ".join(triad.headers[0] for triad in found)
-    raise table.ask(problem, example=" or ".join(columns_text(table.time, *pair) for pair in pairs))
+    raise table.ask(problem, example=" or ".join(texts))
+
+
+def _pairs(table: NamedTable, triads: Sequence[Triad]) -> list[tuple[Triad | None, Triad | None]]:
+    """Return a gyroscope and the accelerometer that goes with it: by the words they share, then by place."""
+    gyros = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE]
+    accels = [triad for triad in triads if triad.sensor is Sensor.ACCELEROMETER]
+
+    def likeness(gyro: Triad, accel: Triad) -> tuple[int, int]:
+        first, second = (set(table.columns[triad.indices[0]].words) for triad in (gyro, accel))
+        return len(first & second) - len(first ^ second), -abs(gyro.indices[0] - accel.indices[0])
+
+    pairs: list[tuple[Triad | None, Triad | None]] = []
+    if not gyros or not accels:
+        pairs = [(gyro, None) for gyro in gyros] + [(None, accel) for accel in accels]
+    elif len(gyros) >= len(accels):
+        pairs = [(gyro, max(accels, key=lambda accel, g=gyro: likeness(g, accel))) for gyro in gyros]  # type: ignore[misc]
+    else:
+        pairs = [(max(gyros, key=lambda gyro, a=accel: likeness(gyro, a)), accel) for accel in accels]  # type: ignore[misc]
+    return pairs[:4]
 
 
 def columns_text(time: str, gyro: Triad | None, accel: Triad | None, rows: str = "") -> str:
     """Return the ready columns text of a choice; `rows` says which rows, such as ``@I:0``."""
     parts = [f"t={time}"] if time else []
-    parts += [f"g={gyro.text}{rows}"] if gyro else []
-    parts += [f"a={accel.text}{rows}"] if accel else []
+    parts += [triad.text(rows) for triad in (gyro, accel) if triad]
     return ",".join(parts)

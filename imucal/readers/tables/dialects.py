@@ -200,6 +200,26 @@ def _good_sentences(block: bytes) -> bytes:
     return b"\n".join(lines) + b"\n"
 
 
+#: A comment of GnssLogger (Android) that names the fields of its rows of an inertial sensor.
+_GNSS_LOGGER = re.compile(r"#\s*(?P<tag>(?:Uncal)?Gyro)\s*,(?P<names>\s*utcTimeMillis\s*,.*)")
+
+
+def _find_gnss_logger(lines: Sequence[str]) -> TextLayout | None:
+    """Return the layout of the rows of a gyroscope; those of the accelerometer have the same columns."""
+    match = next(filter(None, map(_GNSS_LOGGER.match, lines)), None)
+    if match is None:
+        return None
+    headers = ("tag", *(name.strip() for name in match["names"].split(",")))
+    sensors = {match["tag"], match["tag"].replace("Gyro", "Accel")}
+    cells = [tuple(split_line(line, ",")) for line in lines]
+    rows = [row for row in cells if row[0] in sensors]
+    # Old versions wrote no biases: the rows are shorter than the comment says.
+    width = min((len(row) for row in rows), default=0)
+    if not 6 <= width <= len(headers):
+        return None
+    return TextLayout(width=width, headers=headers[:width], rows=tuple(row[:width] for row in rows))
+
+
 _SI: Any = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
 _ROS: Any = {"name": "ROS", **_SI, "has_log_time": True}
 
@@ -234,6 +254,13 @@ DIALECTS: tuple[Dialect, ...] = (
         time_ns=(("sampletimefine", 100_000),),
     ),
     Dialect(name="Xsens", headers=(r"gyr_x", r"acc_x"), preamble=r"^// ", **_SI),
+    # GnssLogger for Android: rows of many sensors, whose fields comments name.
+    Dialect(
+        name="GnssLogger",
+        headers=(r"tag", r"(uncal)?gyroxradpersec"),
+        **_SI,
+        messages=_find_gnss_logger,
+    ),
     # ArduPilot dataflash message IMU.
     Dialect(name="ArduPilot", headers=(r"timeus", r"gyrx", r"accx"), **_SI, messages=_find_ardupilot),
     # PX4 sensor_combined, sensor_gyro and sensor_accel through ulog2csv: microseconds since boot.

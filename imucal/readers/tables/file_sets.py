@@ -174,6 +174,7 @@ def _merged(parts: Sequence[Recording], names: Sequence[str], path: str) -> Reco
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)
+    _refuse_other_times(path, names, parts)
     topics = chain.from_iterable(part.source.topics for part in parts)
     decisions = chain([("files", ", ".join(names))], *(part.source.decisions for part in parts))
     findings = chain.from_iterable(part.findings for part in parts)
@@ -184,6 +185,18 @@ def _merged(parts: Sequence[Recording], names: Sequence[str], path: str) -> Reco
         temperature=next((part.temperature for part in parts if part.temperature is not None), None),
         findings=tuple(dict.fromkeys(findings)),
     )
+
+
+def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
+    """Refuse files whose stamps share no time: a gyroscope and an accelerometer of different days."""
+    clocks = [part.series[0].clock for part in parts]
+    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
+    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
+        msg = (
+            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
+            "read one file at a time"
+        )
+        raise ChoiceError(msg)
 
 
 def _all_series(parts: Sequence[Recording]) -> tuple[AxisSeries, ...]:

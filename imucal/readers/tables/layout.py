@@ -36,6 +36,10 @@ _WIDE = 50
 
 #: A delimiter that fewer lines have is none.
 _FEW_LINES = 2
+#: A table of one or two columns has rows of numbers in more than this share of its lines.
+_MOSTLY = 0.6
+#: And at least so many of them: a few numbers are no log.
+_ENOUGH = 10
 #: A delimiter is a candidate where it gives this share of the best one's cells.
 _CLOSE = 0.5
 
@@ -123,7 +127,7 @@ def find_layout(lines: Sequence[str]) -> TextLayout | None:
     lines = list(lines[:_LINES])
     only = _named_delimiter(lines)
     splits = _splits(lines, (only,)) if only else []
-    splits = splits or _splits(lines, _DELIMITERS)
+    splits = splits or _splits(lines, _DELIMITERS) or _splits(lines, _DELIMITERS, narrow=True)
     if not splits:
         return None
     layouts = [_finish(lines, split) for split in splits if split.score >= _CLOSE * splits[0].score]
@@ -165,30 +169,39 @@ def split_line(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _splits(lines: Sequence[str], delimiters: Sequence[str]) -> list[_Split]:
+def _splits(lines: Sequence[str], delimiters: Sequence[str], *, narrow: bool = False) -> list[_Split]:
     """Return the ways of cutting the lines that give rows of numbers, the likeliest first."""
-    splits = [split for delimiter in delimiters if (split := _split(lines, delimiter))]
+    splits = [split for delimiter in delimiters if (split := _split(lines, delimiter, narrow=narrow))]
     return sorted(splits, key=lambda split: -split.score)
 
 
-def _split(lines: Sequence[str], delimiter: str) -> _Split | None:
+def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> _Split | None:
     if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
         return None
-    ended = delimiter != ";" and sum(map(_has_end, lines)) > 0.5 * len(lines)
+    ended = delimiter != ";" and _have_ends(lines)
     if ended:
         lines = [line.rstrip("; \t") for line in lines]
-    rows = [split_line(line, delimiter) if line.strip() else [] for line in lines]
+    rows = _cells(lines, delimiter)
     # Where commas part the cells, one within a cell stood in quotes.
     decimal = _decimal(rows)
-    width, fitting = _fitting(rows, decimal)
+    width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
     if not fitting:
         return None
+    if width == 1:
+        # A name with blanks is one name: "gz (deg/s)".
+        rows = [[" ".join(row)] if row else [] for row in rows]
     start = _start(fitting, len(lines))
     return _Split(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start), ended)
 
 
-def _has_end(line: str) -> bool:
-    return line.rstrip().endswith(";")
+def _cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
+    """Return the cells of each line; none of an empty one."""
+    return [split_line(line, delimiter) if line.strip() else [] for line in lines]
+
+
+def _have_ends(lines: Sequence[str]) -> bool:
+    """Return whether most lines end with a semicolon."""
+    return sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
 
 
 def _without_ends(block: bytes) -> bytes:
@@ -208,6 +221,16 @@ def _fitting(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, list[int
     # A table of several topics has rows with a few cells filled.
     sparse = {i for i, count in enumerate(numbers) if 0 < count == filled[i]}
     return width, sorted(i for i in likely | sparse if len(rows[i]) == width)
+
+
+def _narrow(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, list[int]]:
+    """Return the width, one or two, of a log of one axis, and which lines are its rows: most of them."""
+    filled = [i for i, row in enumerate(rows) if row]
+    likely = [i for i in filled if len(rows[i]) <= 2 and _numbers(rows[i], decimal) == len(rows[i])]
+    width = max((len(rows[i]) for i in likely), default=0)
+    fitting = [i for i in likely if len(rows[i]) == width]
+    enough = len(fitting) >= _ENOUGH and len(fitting) > _MOSTLY * len(filled)
+    return (width, fitting) if enough else (0, [])
 
 
 def _start(fitting: Sequence[int], lines: int) -> int:
@@ -262,7 +285,8 @@ def _find_header(split: _Split) -> tuple[int | None, list[str], list[str | None]
         row = split.rows[line]
         row = row[1:] if row and row[0] in {"#", "%", "//"} else row
         # The cells of a date, a time and AM or PM may have one name.
-        if not -max(1, _stamp_cells(split)[1] - 1) <= len(row) - split.width <= 1 or len(row) < 2:
+        fewest = -max(1, _stamp_cells(split)[1] - 1)
+        if not fewest <= len(row) - split.width <= 1 or len(row) < min(2, split.width):
             continue
         if not units and _is_row_of_units(row):
             units = [unit if is_unit(unit) else None for unit in (cell.strip("[]()") for cell in row)]
@@ -273,7 +297,9 @@ def _find_header(split: _Split) -> tuple[int | None, list[str], list[str | None]
 
 
 def _is_row_of_units(row: Sequence[str]) -> bool:
-    return sum(is_unit(cell.strip("[]()")) for cell in row) >= 0.3 * len(row) and not _is_axes(row)
+    units = sum(is_unit(cell.strip("[]()")) for cell in row)
+    # One alone may be a name: t is a time and a tesla.
+    return units >= max(0.3 * len(row), min(2, len(row))) and not _is_axes(row)
 
 
 def _is_axes(row: Sequence[str]) -> bool:

@@ -1,6 +1,7 @@
 """What the name of a column says: sensor, axis and unit. By name alone, never by position."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -68,16 +69,6 @@ _REJECTED_STARTS = (
     *("quat", "orient", "magn", "euler", "covar", "freeacc", "useracc", "accura", "accum", "deltav"),
 )
 
-
-def holds_no_samples(column: "NamedColumn") -> bool:
-    """Return whether a name says that its column holds samples of neither sensor."""
-    if column.role in {Role.TIME, Role.TEMPERATURE}:
-        return True
-    return column.role is Role.OTHER and any(
-        word in _REJECTED or word.startswith(_REJECTED_STARTS) for word in column.words
-    )
-
-
 #: How the words of a name spell a sensor: the start of a word, a word, two words, or a letter at an end.
 #: A first letter counts only before words that are short as well: w_RS_S, not w_heading.
 _GYROSCOPE = re.compile(
@@ -89,11 +80,17 @@ _ACCELEROMETER = re.compile(
     r"|\bspecific\b.*\bforce\b|\bforce\b.*\bspecific\b|\b[af]$|^[af]( \w{1,2})*$"
 )
 
-#: A sensor and an axis in one word: gx, wz, ax, fy, gyrox, xaccel.
+#: What stands behind a sensor and an axis and says nothing of either: gx_raw, gx_2.
+_TRAILING = re.compile(
+    r"( (\d+|raw|filt|filtered|filter|lp|lpf|cal|calib|calibrated|corr?|corrected|uncal|uncalibrated|"
+    r"meas|measured|data|vals?|values?|imu|sensor|body))+$"
+)
+
+#: A sensor and an axis in one word, and perhaps a number: gx, wz, ax, fy, gyrox, xaccel, gx2.
 _GLUED = re.compile(
     r"(?:(?P<sensor>g|w|a|f|gyr|gyro|gyros|gyroscope|acc|accl|accel|acceleration|accelerometer|omega|alpha|"
-    r"angvel|angrate|rate|rotationrate|rot|mag)(?P<axis>[xyz]))"
-    r"|(?:(?P<axis2>[xyz])(?P<sensor2>gyr|gyro|gyros|acc|accl|accel|rate|angrate|angvel|mag))"
+    r"angvel|angrate|rate|rotationrate|rot|mag)(?P<axis>[xyz])"
+    r"|(?P<axis2>[xyz])(?P<sensor2>gyr|gyro|gyros|acc|accl|accel|rate|angrate|angvel|mag))(?P<number>\d*)"
 )
 
 _VECTOR_WORDS = _words("axis dof 3 3dof value values val data raw sensor cal calibrated imu")
@@ -142,7 +139,7 @@ def parse_column(
     text = shown.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")
     text, named_unit, number = _without_brackets(text)
     unit = unit or named_unit
-    words, axis = _take_axis([word.lower() for word in _WORD.findall(text)])
+    words, axis, place = _take_axis([word.lower() for word in _WORD.findall(text)])
     numbered = axis is None and number is not None
     if numbered:
         axis = number
@@ -151,7 +148,7 @@ def parse_column(
     if words in (["p"], ["q"], ["r"]) and {"p", "q", "r"} <= context:
         axis, words = "pqr".index(words[0]), ["rate"]
     omega = any("omega" in name for name in context)
-    role, words, unit = _classify(words, axis, unit, omega=omega)
+    role, words, unit = _classify(words, axis, unit, place=place, omega=omega)
     if role in {Role.TEMPERATURE, Role.OTHER} or text == "T":
         role = _temperature(text, unit, role)
     return NamedColumn(
@@ -178,35 +175,41 @@ def _without_brackets(text: str) -> tuple[str, str | None, int | None]:
     return _BRACKETS.sub(replace, text).strip(), unit, index
 
 
-def _take_axis(words: list[str]) -> tuple[list[str], int | None]:
-    """Take the axis out of the words of a name."""
+def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
+    """Take the axis out of the words of a name; also return before which word of the rest it stood."""
     for position in range(len(words) - 1, -1, -1):
         if words[position] in _AXES:
-            return words[:position] + words[position + 1 :], _AXES[words[position]]
+            return words[:position] + words[position + 1 :], _AXES[words[position]], position
     for position in range(len(words) - 1, -1, -1):
         match = _GLUED.fullmatch(words[position])
         if match:
             sensor, axis = match["sensor"] or match["sensor2"], match["axis"] or match["axis2"]
-            return [*words[:position], sensor, *words[position + 1 :]], _AXES[axis]
+            number = [match["number"]] if match["number"] else []
+            named = [*words[:position], sensor, *number, *words[position + 1 :]]
+            return named, _AXES[axis], position + 1
     rate = any(word in {"rate", "angular", "gyro"} for word in words)
     for position, word in enumerate(words):
         if word in _ATTITUDE and rate:
-            return words[:position] + words[position + 1 :], _ATTITUDE[word]
+            return words[:position] + words[position + 1 :], _ATTITUDE[word], position
         if word.removesuffix("rate") in _ATTITUDE and word.endswith("rate"):
-            return [*words[:position], "rate", *words[position + 1 :]], _ATTITUDE[word.removesuffix("rate")]
-    return words, None
+            axis_at = _ATTITUDE[word.removesuffix("rate")]
+            return [*words[:position], "rate", *words[position + 1 :]], axis_at, position + 1
+    return words, None, len(words)
 
 
 def _classify(
-    words: list[str], axis: int | None, unit: str | None, *, omega: bool
+    words: list[str], axis: int | None, unit: str | None, *, place: int, omega: bool
 ) -> tuple[Role, list[str], str | None]:
-    """Return the role, the words left and the unit of a name."""
+    """Return the role, the words left and the unit of a name whose axis stood before word number `place`."""
     if unit is None:
         for size in (3, 2, 1):
             spelled = _UNIT_TAILS.get(tuple(words[-size:])) if len(words) > size else None
             if spelled is None:
                 continue
             role = _role(words[:-size], axis, omega=omega)
+            # Before the axis stands the sensor, behind it the unit: imu1_gx is no acceleration in g.
+            if role is Role.VECTOR and len(words) - size < place:
+                continue
             agreed = _agreed(role, spelled)
             if agreed is not None and (role is not Role.VECTOR or spelled != "s"):
                 return agreed, words[:-size], spelled
@@ -243,17 +246,27 @@ def _role(words: list[str], axis: int | None, *, omega: bool) -> Role:
 
 def _axis_role(stems: list[str], *, omega: bool) -> Role:
     sensor = _sensor(stems, omega=omega)
-    rejected = _REJECTED - {"vel", "velocity"} if sensor is Sensor.GYROSCOPE else _REJECTED
-    if any(stem in rejected or stem.startswith(_REJECTED_STARTS) for stem in stems):
+    if _rejects(stems, sensor):
         return Role.OTHER
     if sensor is not None:
         return Role(str(sensor))
     return Role.VECTOR if all(stem in _VECTOR_WORDS for stem in stems) else Role.OTHER
 
 
+def _rejects(stems: Sequence[str], sensor: Sensor | None) -> bool:
+    """Return whether words say that a column holds no raw sample of a sensor."""
+    rejected = _REJECTED - {"vel", "velocity"} if sensor is Sensor.GYROSCOPE else _REJECTED
+    return any(stem in rejected or stem.startswith(_REJECTED_STARTS) for stem in stems)
+
+
+def is_of_something_else(column: NamedColumn) -> bool:
+    """Return whether a name says that the column is no raw sample; one that says nothing may be."""
+    return _rejects([word.rstrip("0123456789") or word for word in column.words], None)
+
+
 def _sensor(stems: list[str], *, omega: bool) -> Sensor | None:
     """Return the sensor that words name, if they name one and only one."""
-    text = " ".join(stems)
+    text = _TRAILING.sub("", " ".join(stems))
     gyro = _GYROSCOPE.search(text) is not None
     accel = _ACCELEROMETER.search(text) is not None or (omega and "alpha" in stems)
     if gyro == accel:

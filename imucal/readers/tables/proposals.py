@@ -26,7 +26,7 @@ def propose_columns(
     taken: Sequence[int] = (),
     suffix: str = "",
 ) -> str:
-    """Return a columns text such as ``t=0,g=1:4,a=4:7`` for a table; empty where it has no three columns.
+    """Return a columns text such as ``t=0,g=1:4,a=4:7`` for a table; empty where it has none of numbers.
 
     Parameters
     ----------
@@ -41,12 +41,20 @@ def propose_columns(
     """
     numeric = [index for index in range(width) if index not in taken and _is_numeric(cells(index))]
     if len(numeric) < 3:
-        return ""
+        return _single_axis(numeric, time, suffix)
     table = np.array([[float(cell) for cell in cells(index)] for index in numeric], dtype=np.float64).T
     time = time or _text_time(cells, width)
     onward = None if time else _time_column(table)
     accel = _gravity(table, onward) if len(numeric) <= _NARROW else None
     return _proposal(numeric, onward, accel, time=time, suffix=suffix)
+
+
+def _single_axis(numeric: Sequence[int], time: str, suffix: str) -> str:
+    """Return the columns text of one axis, or of a time and one axis: the last column is it."""
+    if not numeric or (len(numeric) == 2 and time):
+        return ""
+    time = time or (str(numeric[0]) if len(numeric) == 2 else "")
+    return (f"t={time}," if time else "") + f"gz={numeric[-1]}{suffix}"
 
 
 def _is_numeric(cells: Sequence[str]) -> bool:

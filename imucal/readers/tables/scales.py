@@ -67,7 +67,7 @@ class Work:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unscaled:
-    """A sensor's samples with their clock, still in the unit of the log: x, y and z, shape (n,) each."""
+    """A sensor's samples with their clock, still in the unit of the log: its axes, shape (n,) each."""
 
     triad: Triad
     axes: Sequence[FloatArray]
@@ -124,7 +124,7 @@ def given_unit(options: ReadOptions, sensor: Sensor) -> tuple[str | None, float 
 
 def _inferred_scale(work: Work, entry: Unscaled, accel_unit: str | None) -> tuple[str, float, str]:
     """Return unit, scale and reason as the samples themselves show them."""
-    sensor, rows = entry.triad.sensor, _sample_of(entry.axes)
+    sensor, rows = entry.triad.sensor, sample_rows(entry.axes)
     if sensor is Sensor.ACCELEROMETER:
         found = infer_accel_unit(rows)
     else:
@@ -162,8 +162,8 @@ class UnitGuess:
     assumed: bool = False
 
 
-def _sample_of(axes: Sequence[FloatArray]) -> FloatArray:
-    """Return up to 20 000 rows of a triad, spread over the log, finite ones only; shape (k, 3)."""
+def sample_rows(axes: Sequence[FloatArray]) -> FloatArray:
+    """Return up to 20 000 rows of a sensor, spread over the log, finite ones only; shape (k, axes)."""
     n = min(axis.size for axis in axes)
     size = _SAMPLE // 4
     starts = sorted({max(0, min(n - size, k * n // 4)) for k in range(4)})
@@ -183,6 +183,8 @@ def infer_accel_unit(rows: FloatArray) -> UnitGuess:
     """Return the unit in which samples of shape (k, 3) have the magnitude of gravity."""
     if not rows.size:
         return UnitGuess(reason="there are no finite samples")
+    if rows.shape[1] < 3:
+        return UnitGuess(reason="without all three axes gravity does not show it")
     size = median_size(rows)
     seen = f"median magnitude {size:.4g}"
     for unit, gravity in (("m/s^2", G0), ("g", 1.0), ("mg", 1000.0)):
@@ -204,7 +206,7 @@ def infer_accel_unit(rows: FloatArray) -> UnitGuess:
 
 
 def infer_gyro_unit(rows: FloatArray, *, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:
-    """Return the unit of rates of shape (k, 3), beside an accelerometer whose unit is known."""
+    """Return the unit of rates of shape (k, axes), beside an accelerometer whose unit is known."""
     if not rows.size:
         return UnitGuess(reason="there are no finite samples")
     if bool((rows == np.round(rows)).all()) and bool(rows.any()):
@@ -214,7 +216,7 @@ def infer_gyro_unit(rows: FloatArray, *, rate_hz: float | None, accel_unit: str 
 
 def _by_step(rows: FloatArray) -> UnitGuess | None:
     """Return the unit in which the converter's step is a known one."""
-    step = _step(rows)
+    step = converter_step(rows)
     for unit, factor in (("deg/s", 1.0), ("rad/s", _DEGREE)):
         for known in _STEPS:
             if step is not None and abs(step / (known * factor) - 1) < _STEP_TOLERANCE:
@@ -241,7 +243,7 @@ def _by_size(rows: FloatArray, rate_hz: float | None, accel_unit: str | None) ->
     return UnitGuess(reason=beside + likely.removeprefix("so ") if accel_unit else unsaid)
 
 
-def _step(rows: FloatArray) -> float | None:
+def converter_step(rows: FloatArray) -> float | None:
     """Return the step of which all values are multiples; None where there is none."""
     steps = []
     for axis in rows.T:

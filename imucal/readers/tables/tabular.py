@@ -41,7 +41,8 @@ def assemble(work: Work, sensors: Sequence[SensorColumns], form: str, topics: Se
     builder = RecordingBuilder(path=work.path, format=form, decisions=work.decisions, findings=work.findings)
     for entry in timed:
         sensor = entry.triad.sensor
-        builder.add_sensor(sensor, entry.axes, entry.clock, scale=scales[sensor])
+        names = entry.triad.axes
+        builder.add_sensor(sensor, entry.axes, entry.clock, scale=scales[sensor], names=names)
     _add_temperature(builder, work, timed)
     return builder.build(topics=topics)
 
@@ -111,7 +112,7 @@ def _rows_of_sensor(work: Work, columns: SensorColumns) -> NDArray[np.bool_] | N
     """Return which rows are samples of the sensor; None where all are."""
     keep: NDArray[np.bool_] | None = None
     if columns.sparse:
-        keep = ~(np.isnan(columns.axes[0]) & np.isnan(columns.axes[1]) & np.isnan(columns.axes[2]))
+        keep = ~np.logical_and.reduce([np.isnan(axis) for axis in columns.axes])
     for column in columns.time:
         if column.dtype.kind == "f":
             finite = np.isfinite(column)

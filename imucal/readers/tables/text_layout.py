@@ -32,7 +32,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     if layout is None:
         first = next((line.strip() for line in lines if line.strip()), "")
         msg = (
-            f"{path}: no rows of three numbers or more, the first line is {first[:80]!r}; "
+            f"{path}: no rows of numbers, the first line is {first[:80]!r}; "
             "expected a table with a row per sample"
         )
         raise ReadError(msg)

@@ -99,7 +99,7 @@ def read_table(
         dialect=plan.dialect,
         rate_hz=layout.rate_hz,
         decisions=[*plan.decisions],
-        findings=[*source.findings, *findings],
+        findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, "csv", plan.topics)
 

@@ -38,7 +38,7 @@ _DATE_NEEDED = 6
 
 #: Word of a name -> how much it is to be preferred; the largest counts.
 _PREFERENCE = {
-    **dict.fromkeys(("stamp", "timestamp"), 75),
+    **dict.fromkeys(("stamp", "timestamp", "realtime"), 75),
     **dict.fromkeys(("time", "chiptime"), 65),
     **dict.fromkeys(("t", "ts", "ustime", "mstime"), 62),
     **dict.fromkeys(("uptime", "elapsed"), 55),

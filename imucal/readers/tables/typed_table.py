@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from imucal.errors import ChoiceError, ImucalError, ReadError
+from imucal.findings import Finding
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
@@ -58,7 +59,12 @@ def read(path: Path, options: ReadOptions) -> Recording:
     topics = [topic for part in parts for topic in part.plan.topics]
     dialect = next((part.plan.dialect for part in parts if part.plan.dialect), None)
     work = Work(
-        path=str(path), options=options, dialect=dialect, rate_hz=table.rate_hz, decisions=[*decisions]
+        path=str(path),
+        options=options,
+        dialect=dialect,
+        rate_hz=table.rate_hz,
+        decisions=[*decisions],
+        findings=_findings(parts),
     )
     return assemble(work, sensors, table.format, topics)
 
@@ -100,6 +106,12 @@ def _nothing(path: Path, table: TableFile) -> ReadError:
         f"{path}: no columns of samples, found {shown}; expected arrays of the gyroscope or the "
         "accelerometer with a row per sample and up to 64 columns; save those columns alone"
     )
+
+
+def _findings(parts: Sequence[_Part]) -> list[Finding]:
+    """Return what was not found; what one table lacks another may hold."""
+    found = {plan.triad.sensor.short for part in parts for plan in part.plan.sensors}
+    return [finding for part in parts for finding in part.plan.findings if finding.axis not in found]
 
 
 def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:

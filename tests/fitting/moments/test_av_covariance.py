@@ -1,5 +1,8 @@
 """The covariance of Allan variances: against all lags, against closed forms, against simulation."""
 
+from decimal import Decimal, localcontext
+from itertools import product
+
 import numpy as np
 import numpy.testing as npt
 import pytest
@@ -158,3 +161,28 @@ def test_windows_that_do_not_meet_share_what_is_correlated(process: Process) -> 
     near = module._lag_covariance(np.array([-41, -50, -100, -300]), 12, 20, process)
     assert np.all(near < 0)
     assert np.all(np.diff(near) > 0)
+
+
+@pytest.mark.parametrize(("mi", "mj"), [(1, 1), (64, 1), (64, 64), (1024, 4)])
+def test_a_slow_gauss_markov_term_keeps_its_digits(mi: int, mj: int) -> None:
+    """T = 786432 samples, against sums of V(n) with 60 digits at every lag of the grid.
+
+    In double precision the same sums were 4e10 times too large at m = 1.
+    """
+    time = 786_432
+    reach = module._reach(max(mi, mj), [time])
+    lags, weights, _ = module._laws(mi, mj, 4 * time, reach, overlapping=True)
+    with localcontext(prec=60):
+        phi = (Decimal(-1) / time).exp()
+
+        def sum_of(n: int) -> Decimal:
+            return (n * (1 - phi**2) - 2 * phi * (1 - (Decimal(-n) / time).exp())) / (1 - phi) ** 2
+
+        expected = Decimal(0)
+        for lag, weight in zip(lags.tolist(), weights.tolist(), strict=True):
+            comb = Decimal(0)
+            for a, b in product(range(3), repeat=2):
+                comb += (1, -2, 1)[a] * (1, -2, 1)[b] * sum_of(abs(lag + b * mj - a * mi))
+            expected += 2 * Decimal(weight) * (comb / (-4 * mi * mj)) ** 2
+        found = avar_covariance(np.array([mi, mj]), 4 * time, [float(time)], overlapping=True)
+        assert float(found.at(np.ones(1))[0, 1]) == pytest.approx(float(expected), rel=1e-6)

@@ -5,10 +5,9 @@ import pytest
 
 from imucal.allan.dct import dct_bins, dct_ordinates, ramp_ordinates
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral import transform
 from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import exponential_ordinates
-from imucal.fitting.spectral.transform import choose_regressors
+from imucal.fitting.spectral.regressors import lagged, regressor_ordinates, regressor_samples
 from tests.fitting.fits import fitted, simulated
 
 N = 40_000
@@ -40,7 +39,7 @@ def test_a_warm_up_is_found_and_k_keeps_its_size() -> None:
 def test_temperature_is_taken_out() -> None:
     """A linear effect of temperature is removed where the temperature is given."""
     samples = simulated("N=1 + K=2e-3", N, 2)
-    temperature = 25 + 3 * np.sin(np.arange(N) / 4000)
+    temperature = 25 + 3 * np.sin(np.arange(N) / 6000)
     heated = samples + 0.5 * temperature
     without = fitted(heated, "N + K")
     result = fitted(heated, "N + K", temperature=temperature)
@@ -60,8 +59,7 @@ def test_a_steady_temperature_changes_nothing(temperature: np.typing.NDArray[np.
 
 def _block(temperature: FloatArray | None) -> Block:
     samples = simulated("N=1", 500, 4)
-    heat = None if temperature is None else dct_ordinates(temperature)
-    return Block(offset=70, bins=dct_bins(500), ordinates=dct_ordinates(samples), temperature=heat)
+    return Block(offset=70, bins=dct_bins(500), ordinates=dct_ordinates(samples), temperature=temperature)
 
 
 def test_a_block_has_its_regressors_by_name() -> None:
@@ -75,51 +73,50 @@ def test_a_block_has_its_regressors_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("heated", "warm", "chosen"),
-    [
-        (0.0, 0.0, ()),
-        (-0.1, 0.0, ()),
-        (0.1, 0.0, ("temperature",)),
-        (-0.1, -0.1, ()),
-        (-0.1, 0.1, ("exp",)),
-        (0.1, 0.1, ("temperature", "exp")),
-    ],
+    "name", ["R", "exp:80.0", "step:71", "step:300", "step:569", "cos:0.0311", "sin:0.0311", "sin:0.5"]
 )
-def test_a_regressor_gains_its_price_and_ten_more(
-    heated: float, warm: float, chosen: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In twice the log-likelihood: log n for a temperature, twice that for a decay and its time; n = 570."""
-    prices = (np.log(570) + 10, 2 * np.log(570) + 10)
-
-    def objectives(_: object, sets: list[tuple[str, ...]]) -> list[float]:
-        if len(sets) == 2:
-            return [100.0, 100 - (prices[0] + heated) / 2]
-        gains = [0.0] * (len(sets) - 1)
-        gains[3] = (prices[1] + warm) / 2
-        return [100.0, *(100 - gain for gain in gains)]
-
-    monkeypatch.setattr(transform, "_objectives", objectives)
-    found, findings = choose_regressors([_block(np.sin(np.arange(500.0)))], axis="gyro_x", tau0=0.01)
-    assert tuple(name.partition(":")[0] for name in found) == chosen
-    codes = {"temperature": "temperature", "exp": "warm-up-fitted"}
-    assert [f.code for f in findings] == [codes[name] for name in chosen]
-    if "exp" in chosen:
-        seconds = float(np.geomspace(0.01, 0.3, 8)[3]) * 570 * 0.01
-        assert float(found[-1].partition(":")[2]) == pytest.approx(100 * seconds)
-        assert f"with a time constant of {seconds:.3g} s;" in findings[-1].text
+@pytest.mark.parametrize("offset", [0, 70])
+def test_closed_forms_are_transforms_of_the_samples(name: str, offset: int) -> None:
+    """Also where the block begins later than the record, and at a frequency of an ordinate itself."""
+    samples = regressor_samples(name, offset + np.arange(500.0))
+    found = regressor_ordinates(name, 500, 499, offset=offset)
+    np.testing.assert_allclose(found, dct_ordinates(samples), atol=1e-8)
+    name = f"cos:{np.pi * 7 / 500!r}"
+    found = regressor_ordinates(name, 500, 499, offset=offset)
+    np.testing.assert_allclose(
+        found, dct_ordinates(regressor_samples(name, offset + np.arange(500.0))), atol=1e-8
+    )
 
 
-@pytest.mark.parametrize("temperature", [None, np.full(500, 20.0)])
-def test_without_a_temperature_that_varies_none_is_tried(
-    temperature: FloatArray | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Only the decays are."""
-    asked = []
+@pytest.mark.parametrize("place", [0.0, -3.0, 500.0])
+def test_a_step_outside_a_block_is_nothing(place: float) -> None:
+    """It is a constant there."""
+    assert not regressor_ordinates(f"step:{place}", 500, 499).any()
 
-    def objectives(_: object, sets: list[tuple[str, ...]]) -> list[float]:
-        asked.append(len(sets))
-        return [0.0] * len(sets)
 
-    monkeypatch.setattr(transform, "_objectives", objectives)
-    assert choose_regressors([_block(temperature)], axis="gyro_x", tau0=1.0) == ((), ())
-    assert asked == [9]
+def test_a_lag_follows_as_a_first_order_filter_does() -> None:
+    """By its recursion; at rest before the first sample; no lag changes nothing."""
+    x = np.random.default_rng(5).normal(size=300)
+    expected, state = [], x[0]
+    for value in x:
+        state += (1 - np.exp(-1 / 12.0)) * (value - state)
+        expected.append(state)
+    np.testing.assert_allclose(lagged(x, 12.0), expected, rtol=1e-12)
+    assert lagged(x, 0.0) is x
+    np.testing.assert_allclose(regressor_samples("temperature:12.0", np.arange(300.0), x), expected)
+
+
+@pytest.mark.parametrize("lag", ["", ":300.0"])
+def test_the_lowest_ordinates_of_a_temperature_are_quick_and_right(lag: str) -> None:
+    """Of means over a 25th of the samples, as of all of them, to 1 % of the largest."""
+    t = np.arange(20_000.0)
+    warm = 25 + np.sin(t / 2500) + 1e-3 * np.random.default_rng(6).normal(size=t.size)
+    quick = regressor_ordinates(f"temperature{lag}", t.size, 200, temperature=warm)
+    every = regressor_ordinates(f"temperature{lag}", t.size, t.size - 1, temperature=warm)[:200]
+    np.testing.assert_allclose(quick, every, atol=0.01 * np.abs(every).max())
+
+
+def test_a_temperature_that_was_not_measured_is_refused() -> None:
+    """A mistake of the caller's."""
+    with pytest.raises(ValueError, match="'temperature:3' needs the temperature of the samples, got none"):
+        regressor_ordinates("temperature:3", 500, 499)

@@ -59,6 +59,27 @@ def test_a_delimiter_of_one_line_is_none() -> None:
     assert find_layout(["1,2", "3,4"]) is None
 
 
+@pytest.mark.parametrize(
+    ("head", "row", "width", "headers"),
+    [
+        ((), "{0},{0}.5", 2, ()),
+        (("t,gz",), "{0},{0}.5", 2, ("t", "gz")),
+        (("time gz",), "{0} {0}.5", 2, ("time", "gz")),
+        (("gz",), "{0}.5", 1, ("gz",)),
+        (("Rate Z (deg/s)",), "{0}.5", 1, ("Rate Z (deg/s)",)),
+        ((), "{0}.5", 1, ()),
+        (("# a rest", "t;gz"), "{0};{0},5", 2, ("t", "gz")),
+    ],
+)
+def test_a_log_of_one_axis(head: tuple[str, ...], row: str, width: int, headers: tuple[str, ...]) -> None:
+    """One or two columns, where most lines are nothing but numbers and there are ten of them."""
+    rows = [row.format(i) for i in range(10)]
+    layout = found(*head, *rows)
+    assert (layout.width, layout.headers, len(layout.rows)) == (width, headers, 10)
+    assert find_layout([*head, *rows[:9]]) is None
+    assert find_layout([*rows, *(f"line {i} of a text" for i in range(7))]) is None
+
+
 def test_a_header_settles_which_delimiter_is_meant() -> None:
     """Blanks in dates make more cells than there are names; a delimiter of half the cells is looked at."""
     rows = ("2024 01 01;1;2;3", "2024 01 01;4;5;6")

@@ -6,11 +6,11 @@ import pytest
 from imucal.arrays import FloatArray
 from imucal.readers.tables.scales import (
     _STEPS,
-    _sample_of,
-    _step,
     _white_noise,
+    converter_step,
     infer_accel_unit,
     infer_gyro_unit,
+    sample_rows,
 )
 from imucal.units import G0
 
@@ -144,7 +144,7 @@ def axis(*values: float) -> FloatArray:
 )
 def test_steps(rows: FloatArray, step: float | None) -> None:
     """All values are multiples of it, on every axis."""
-    found = _step(rows)
+    found = converter_step(rows)
     assert found == (None if step is None else pytest.approx(step, rel=1e-6))
 
 
@@ -185,13 +185,13 @@ def test_whole_rates_are_counts_unless_all_are_zero() -> None:
     assert infer_gyro_unit(np.zeros((9, 3)), rate_hz=None, accel_unit="m/s^2").unit == "rad/s"
 
 
-def test_a_sample_of_a_long_log() -> None:
+def test_asample_rows_a_long_log() -> None:
     """Twenty thousand rows from four places, the last at the end; rows that are not finite left out."""
     place = np.arange(40_000.0)
-    found = _sample_of([place, place, place])
+    found = sample_rows([place, place, place])
     assert found.shape == (20_000, 3)
     assert [int(found[k * 5_000, 0]) for k in range(4)] == [0, 10_000, 20_000, 30_000]
     short = np.arange(5_002.0)
-    assert [int(v) for v in _sample_of([short, short, short])[::5_000, 2]] == [0, 2]
+    assert [int(v) for v in sample_rows([short, short, short])[::5_000, 2]] == [0, 2]
     gone = np.where(place == 1, np.nan, place)
-    assert _sample_of([place[:4], gone[:4], place[:4]])[:, 0].tolist() == [0.0, 2.0, 3.0]
+    assert sample_rows([place[:4], gone[:4], place[:4]])[:, 0].tolist() == [0.0, 2.0, 3.0]

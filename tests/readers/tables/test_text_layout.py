@@ -93,7 +93,7 @@ def test_tags() -> None:
             ["", " hello " + "x" * 90],
             ReadError,
             (
-                f"log.csv: no rows of three numbers or more, the first line is {'hello ' + 'x' * 74!r}; "
+                f"log.csv: no rows of numbers, the first line is {'hello ' + 'x' * 74!r}; "
                 "expected a table with a row per sample"
             ),
         ),

@@ -314,6 +314,25 @@ def ardupilot_log(t: Truth) -> str:
     return "\n".join(rows) + "\n"
 
 
+def gnss_logger(t: Truth) -> str:
+    fields = "utcTimeMillis,elapsedRealtimeNanos"
+    rows = ["# Version: v3.0.6.4 Platform: 13", "# Raw,utcTimeMillis,TimeNanos,LeapSecond,BiasNanos,Svid"]
+    for tag, unit, bias in (
+        ("UncalAccel", "Mps2", "Bias"),
+        ("UncalGyro", "RadPerSec", "Drift"),
+        ("UncalMag", "MicroT", "Bias"),
+    ):
+        names = ",".join(f"{name}{axis}{unit}" for name in (tag, bias) for axis in "XYZ")
+        rows.append(f"# {tag},{fields},{names}")
+    for i in range(N):
+        utc, boot = (EPOCH + t.ns[i]) // 10**6, 10**9 + t.ns[i]
+        for tag, values in (("UncalAccel", t.accel[i]), ("UncalGyro", t.gyro[i]), ("UncalMag", t.gyro[i])):
+            rows.append(f"{tag},{utc},{boot},{','.join(cells(values))},0.0,0.0,0.0")
+        if i % 5 == 0:
+            rows.append(f"Raw,{utc},{boot},18,0.1,{i % 30}")
+    return "\n".join(rows) + "\n"
+
+
 def betaflight(t: Truth) -> str:
     preamble = '"Product","Blackbox flight data recorder"\n"acc_1G","2048"\n'
     header = (
@@ -683,6 +702,7 @@ STYLES: tuple[Style, ...] = (
         options={"columns": "t=0,g=2:5@I:1,a=5:8@I:1"},
         tolerance=0,
     ),
+    Style(name="GnssLogger", build=gnss_logger, file="gnss_log.txt", layout="GnssLogger", tolerance=0),
     Style(
         name="ArduPilot text log", build=ardupilot_log, file="00000001.log", layout="ArduPilot", tolerance=0
     ),

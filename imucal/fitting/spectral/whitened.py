@@ -1,0 +1,132 @@
+"""The lowest ordinates of a record, whitened: how much each of many shapes would gain in the fit.
+
+At a given spectrum, the log-likelihood that a regressor gains is half the square of its correlation
+with the whitened ordinates, less what the regressors that are in the fit explain of both. So a
+search over hundreds of shapes costs no fit; the few best are then fitted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+from imucal.fitting.spectral.blocks import Block
+
+#: Places in a block at which a step is looked for.
+_PLACES = 8192
+#: Ordinates, of all blocks, that hold nearly all of a cycle of 24 periods a record.
+_OF_CYCLES = 512
+#: Nearer to the ends of a block than this share of it, a step is not told from the block's mean.
+_CLEAR = 0.005
+#: What is left of a shape beside the regressors of the fit, below which it is one of them.
+_ALIKE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Whitened:
+    """Ordinates over the roots of their spectrum, less what the fit's regressors explain.
+
+    Attributes
+    ----------
+    blocks
+        Their lowest ordinates.
+    weight
+        1/sqrt(S) of each block's ordinates, 0 where they are left out; shapes (k,).
+    rest
+        The whitened ordinates of all blocks, shape (K,).
+    base
+        Orthonormal basis of the whitened regressors, shape (K, r).
+    """
+
+    blocks: tuple[Block, ...]
+    weight: tuple[FloatArray, ...]
+    rest: FloatArray
+    base: FloatArray
+
+    @classmethod
+    def by(cls, blocks: Sequence[Block], spectrum: FloatArray, names: Sequence[str]) -> "Whitened":
+        """Return the ordinates whitened by the bins' `spectrum`, shape (b,); the fit has `names`."""
+        stops = np.cumsum([block.bins.size for block in blocks])
+        parts = np.split(spectrum, stops[:-1])
+        weight = tuple(_weight(block, part) for block, part in zip(blocks, parts, strict=True))
+        own = np.concatenate([block.ordinates * w for block, w in zip(blocks, weight, strict=True)])
+        plain = cls(blocks=tuple(blocks), weight=weight, rest=own, base=np.zeros((own.size, 0)))
+        base = np.linalg.qr(plain.columns(names))[0] if names else plain.base
+        return cls(blocks=tuple(blocks), weight=weight, rest=own - base @ (base.T @ own), base=base)
+
+    def columns(self, names: Sequence[str]) -> FloatArray:
+        """Return whitened regressors, shape (K, r)."""
+        pairs = list(zip(self.blocks, self.weight, strict=True))
+        every = [np.concatenate([block.regressor(name) * w for block, w in pairs]) for name in names]
+        return np.stack(every, axis=1) if every else np.zeros((self.rest.size, 0))
+
+    def gain(self, names: Sequence[str]) -> float:
+        """Return twice the log-likelihood that regressors gain together."""
+        columns = self.columns(names)
+        columns -= self.base @ (self.base.T @ columns)
+        solution = np.linalg.lstsq(columns, self.rest, rcond=_ALIKE)[0]
+        return float(self.rest @ (columns @ solution))
+
+    def cycles(self, omega: FloatArray) -> FloatArray:
+        """Return the gain of a cycle of each angular frequency, rad/sample, shape of `omega`."""
+        blocks = tuple(block.lowest(_OF_CYCLES // len(self.blocks)) for block in self.blocks)
+        sizes = [block.ordinates.size for block in self.blocks]
+        starts = np.cumsum([0, *sizes[:-1]])
+        rows = np.concatenate([s + np.arange(b.ordinates.size) for s, b in zip(starts, blocks, strict=True)])
+        weight = tuple(w[: b.ordinates.size] for w, b in zip(self.weight, blocks, strict=True))
+        near = Whitened(blocks=blocks, weight=weight, rest=self.rest[rows], base=self.base[rows])
+        return np.array([near.gain(_pair(w)) for w in omega.tolist()])
+
+    def step(self) -> tuple[float, float]:
+        """Return the place of the step that gains most, in samples of the record, and its gain."""
+        first, best = 0, (0.0, 0.0)
+        for block, weight in zip(self.blocks, self.weight, strict=True):
+            rows = slice(first, first + weight.size)
+            best = max(best, _best_step(block, weight, self.rest[rows], self.base[rows]), key=lambda b: b[1])
+            first += weight.size
+        return best
+
+
+def _pair(omega: float) -> tuple[str, str]:
+    return f"cos:{omega!r}", f"sin:{omega!r}"
+
+
+def _weight(block: Block, spectrum: FloatArray) -> FloatArray:
+    """Return 1/sqrt(S) of each ordinate; less where missing samples took of it, 0 where it is left out."""
+    share = 1.0 if block.loss is None else 1 - block.loss
+    weight: FloatArray = np.repeat(np.sqrt(share / spectrum), block.bins.count)
+    return weight if block.kept is None else np.where(block.kept, weight, 0.0)
+
+
+def _best_step(block: Block, weight: FloatArray, rest: FloatArray, base: FloatArray) -> tuple[float, float]:
+    """Return place and gain of the best step inside one block.
+
+    A step's ordinates are sines of its place, so sine transforms give its products with everything
+    at all places at once.
+    """
+    from scipy.fft import dct, dst
+
+    n, count = block.bins.n, weight.size
+    places = max(_PLACES, 2 * count)
+    half = np.pi / (2 * n) * np.arange(1, count + 1)
+    size = np.sqrt(2 / n) / (2 * np.sin(half)) * weight
+
+    def along(values: FloatArray) -> FloatArray:
+        """Return sum of values_k sin(pi k j / places) at j = 1 … places-1; shape (…, places-1)."""
+        padded = np.zeros((*values.shape[:-1], places - 1))
+        padded[..., :count] = values
+        return np.asarray(dst(padded, type=1, axis=-1) / 2)
+
+    # sin² = (1 - cos of twice the angle) / 2
+    square = np.zeros(places + 1)
+    square[2 : 2 * count + 1 : 2] = size**2
+    cosines = (dct(square, type=1) + square[-1]) / 2
+    power = 0.5 * (np.sum(size**2) - cosines[1:-1])
+    left = power - np.sum(along((base * size[:, None]).T) ** 2, axis=0)
+    product = along(rest * size)
+    gain = np.where(left > _ALIKE * power + 1e-300, product**2 / np.maximum(left, 1e-300), 0.0)
+    clear = int(_CLEAR * places) + 1
+    gain[:clear] = gain[gain.size - clear :] = 0.0
+    at = int(np.argmax(gain))
+    return block.offset + (at + 1) * n / places, float(gain[at])

@@ -1,0 +1,7 @@
+"""fleet: the logs of many units -> what the sensor model is like, and which unit is odd."""
+
+from imucal.fleet.log_value import LogValue
+from imucal.fleet.population import Population, population
+from imucal.fleet.trend import Trend, trend
+
+__all__ = ["LogValue", "Population", "Trend", "population", "trend"]

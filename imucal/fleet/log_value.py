@@ -1,0 +1,170 @@
+"""What each log says of one coefficient: an estimate with limits, a bound, or a variance with its error."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from imucal.arrays import BoolArray, FloatArray, IntArray
+
+#: Logarithms above this are as large as they need to be; keeps their exponentials finite.
+_LARGEST = 50.0
+#: An estimate is taken as normal in the logarithm up to this standard error; with a variance, up to that.
+_NARROW, _NARROW_VARIANCE = 0.3, 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogValue:
+    """What one log of one unit says of a coefficient.
+
+    Attributes
+    ----------
+    unit
+        Which unit was recorded, such as its serial number.
+    value
+        The coefficient; None where the log only bounds it.
+    low, high
+        Its limits at `level`; `low` is 0 and `high` the upper limit where it is bounded.
+    variance, variance_sd
+        The estimate of the squared coefficient that may be negative, and its standard deviation. A weak
+        term's likelihood is far closer to normal in the variance than its limits can say.
+    temperature_c, days
+        Temperature in °C, and age in days since any epoch, for `imucal.fleet.trend`; nan where unknown.
+    level
+        Confidence level of the limits.
+
+    Raises
+    ------
+    ValueError
+        If the limits are out of order, not positive, or a variance comes without its deviation.
+    """
+
+    unit: str
+    value: float | None
+    low: float
+    high: float
+    variance: float | None = None
+    variance_sd: float | None = None
+    temperature_c: float = math.nan
+    days: float = math.nan
+    level: float = 0.95
+
+    def __post_init__(self) -> None:
+        inside = self.value is None or 0 <= self.low <= self.value <= self.high
+        if not (inside and 0 < self.high < math.inf and 0 < self.level < 1 and self.value != 0):
+            msg = (
+                f"{self.unit}: limits must hold a positive value, got {self.low} ≤ {self.value} ≤ {self.high}"
+            )
+            raise ValueError(msg)
+        told = 1.0 if self.variance_sd is None else self.variance_sd
+        if (self.variance is None) != (self.variance_sd is None) or not told > 0:
+            msg = f"{self.unit}: a variance needs a positive standard deviation"
+            raise ValueError(msg)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogValues:
+    """The logs of a fleet as columns; logarithms are natural.
+
+    Attributes
+    ----------
+    names
+        The units, in the order of their first log.
+    unit
+        Index of each log's unit.
+    centre, deviation
+        Logarithm of the estimate and its standard error; infinite where the log only bounds it.
+    variance, variance_sd
+        As in `LogValue`; nan where the log has none and its limits speak.
+    bound
+        Upper limit over its normal quantile, both squared: the deviation of a bounded variance.
+    low_sd, high_sd
+        Standard errors below and above the estimate.
+    """
+
+    names: tuple[str, ...]
+    unit: IntArray
+    centre: FloatArray
+    deviation: FloatArray
+    variance: FloatArray
+    variance_sd: FloatArray
+    bound: FloatArray
+    low_sd: FloatArray
+    high_sd: FloatArray
+
+    @classmethod
+    def of(cls, logs: Sequence[LogValue]) -> "LogValues":
+        """Return the columns of `logs`."""
+        from scipy.special import ndtri
+
+        z = ndtri((1 + _column(log.level for log in logs)) / 2)
+        value, low, high = (
+            _column(log.value for log in logs),
+            _column(log.low for log in logs),
+            _column(log.high for log in logs),
+        )
+        centre = np.log(np.where(np.isnan(value), high / 2, value))
+        high_sd = np.maximum((np.log(high) - centre) / z, 1e-9)
+        told = ~np.isnan(value) & (low > 0)
+        low_sd = np.where(told, np.maximum((centre - np.log(np.where(told, low, 1.0))) / z, 1e-9), high_sd)
+        names = tuple(dict.fromkeys(log.unit for log in logs))
+        place = {name: i for i, name in enumerate(names)}
+        return cls(
+            names=names,
+            unit=np.array([place[log.unit] for log in logs], dtype=np.int64),
+            centre=centre,
+            deviation=np.where(told, (high_sd + low_sd) / 2, np.inf),
+            variance=_column(log.variance for log in logs),
+            variance_sd=_column(log.variance_sd for log in logs),
+            bound=np.where(np.isnan(value), high**2 / z, np.nan),
+            low_sd=low_sd,
+            high_sd=high_sd,
+        )
+
+    def log_likelihood(self, which: BoolArray, theta: FloatArray) -> FloatArray:
+        """Return the log-likelihoods of logs at logarithms of the coefficient, shape (logs, theta)."""
+        rows = np.flatnonzero(which)
+        centre, bound, variance, sd = (
+            column[rows, None] for column in (self.centre, self.bound, self.variance, self.variance_sd)
+        )
+        square = np.exp(2 * np.minimum(theta, _LARGEST))
+        side = np.where(theta >= centre, self.high_sd[rows, None], self.low_sd[rows, None])
+        score = np.where(np.isnan(bound), (theta - centre) / side, square / np.where(bound > 0, bound, 1.0))
+        score = np.where(np.isnan(variance), score, (square - variance) / sd)
+        result: FloatArray = -0.5 * score**2
+        return result
+
+    def log_deviation(self, theta: float) -> FloatArray:
+        """Return the standard error of each log in the logarithm, were its coefficient exp(theta)."""
+        sd = np.where(np.isnan(self.variance_sd), self.bound, self.variance_sd)
+        weak = np.where(np.isnan(sd), self.deviation, sd / (2 * math.exp(2 * theta)))
+        result: FloatArray = np.where(self.narrow, self.deviation, weak)
+        return result
+
+    def unit_variances(self) -> tuple[FloatArray, FloatArray]:
+        """Return the squared coefficient of each unit from all of its logs, and its standard deviation."""
+        square = np.exp(2 * self.centre)
+        own = np.where(np.isnan(self.bound), square, 0.0)
+        error = np.where(np.isnan(self.bound), 2 * square * self.deviation, self.bound)
+        own = np.where(np.isnan(self.variance), own, self.variance)
+        error = np.where(np.isnan(self.variance_sd), error, self.variance_sd)
+        weights = np.bincount(self.unit, error**-2)
+        return np.bincount(self.unit, own * error**-2) / weights, 1 / np.sqrt(weights)
+
+    def without(self, unit: int) -> "LogValues":
+        """Return the logs of the other units."""
+        keep = self.unit != unit
+        columns = {f.name: getattr(self, f.name)[keep] for f in fields(self) if f.name != "names"}
+        columns["unit"] = columns["unit"] - (columns["unit"] > unit)
+        return LogValues(names=self.names[:unit] + self.names[unit + 1 :], **columns)
+
+    @property
+    def narrow(self) -> BoolArray:
+        """Return which logs are normal in the logarithm."""
+        result: BoolArray = self.deviation <= np.where(np.isnan(self.variance), _NARROW, _NARROW_VARIANCE)
+        return result
+
+
+def _column(values: Iterable[float | None]) -> FloatArray:
+    return np.array([math.nan if value is None else value for value in values], dtype=np.float64)

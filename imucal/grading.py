@@ -1,0 +1,190 @@
+"""The verdict: is a recording stationary noise, in one sentence; everything that must decide by it asks here.
+
+The table, the page, report.json, the exit codes and the exports say or follow the same `NoiseVerdict`.
+A finding decides by its level, unless `OTHERWISE` says more of its code; the gravest decides.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from imucal.findings import Finding, Level
+
+#: good: stationary noise; look: it may be, see the findings first; not-noise: the numbers are wrong.
+Grade: TypeAlias = Literal["good", "look", "not-noise"]
+
+#: Grades, the gravest last.
+GRADES: tuple[Grade, ...] = ("good", "look", "not-noise")
+
+#: What a finding says of the numbers, by its level.
+BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
+
+#: Codes and levels for which the level would say too much: what was read is whole, the noise untouched.
+OTHERWISE: Mapping[tuple[str, Level], Grade] = {
+    ("other-vectors", "warning"): "good",
+    ("unindexed", "warning"): "good",
+    ("index", "warning"): "good",
+}
+
+#: Codes that, said of the whole log, concern the noise of every axis.
+OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate"})
+
+#: What the sentence says of a code; the code itself, its hyphens as blanks, where it is not here.
+PHRASES: Mapping[str, str] = {
+    "absurd-rate": "the sampling rate is absurd",
+    "bad-rows": "rows that are not numbers",
+    "clock-jump": "a jump of the clock",
+    "clocks-differ": "clocks that differ",
+    "coarse-lsb": "coarse steps",
+    "damaged": "damage to the log",
+    "duplicate-axes": "two axes hold the same samples",
+    "extra-samples": "samples too many",
+    "file-missing": "a missing file",
+    "gaps": "missing samples",
+    "log-time-used": "stamps that can't be used",
+    "model-misfit": "a model that doesn't describe the data",
+    "motion": "the IMU was moved",
+    "no-data": "no data",
+    "no-result": "no result",
+    "not-finite": "samples that are no numbers",
+    "poor-fit": "a model that doesn't describe the curve",
+    "rate-differs": "a rate other than the log's own",
+    "rate-given": "a rate other than the log's own",
+    "second-opinion": "a second opinion that disagrees",
+    "short-times": "short times left out",
+    "step": "a jump of the level",
+    "stuck": "a stuck value",
+    "swapped-sensors": "gyroscope and accelerometer are swapped",
+    "temperature": "the temperature",
+    "tone": "a tone",
+    "touch": "something touched or shook the IMU",
+    "truncated": "a log that was cut off",
+    "two-maxima": "two explanations",
+    "unit-assumed": "an assumed unit",
+    "unit-suspect": "a unit that looks wrong",
+    "verified": "an exact likelihood that disagrees",
+    "wal-ignored": "a database that was not closed",
+    "warm-up": "a warm-up",
+}
+
+#: So many reasons are named; the others are counted.
+_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseVerdict:
+    """What to think of a recording.
+
+    Attributes
+    ----------
+    grade
+        ``good``, ``look`` or ``not-noise``.
+    sentence
+        The same in one sentence, with its reasons.
+    """
+
+    grade: Grade
+    sentence: str
+
+    @property
+    def usable(self) -> bool:
+        """Whether a filter may be given the numbers: they are those of noise at rest."""
+        return self.grade != "not-noise"
+
+
+def grade_of(finding: Finding) -> Grade:
+    """Return what one finding says of the numbers."""
+    return OTHERWISE.get((finding.code, finding.level), BY_LEVEL[finding.level])
+
+
+def judge_findings(
+    findings: Iterable[Finding], axes: Sequence[str], *, errors: Mapping[str, float] | None = None
+) -> NoiseVerdict:
+    """Return the verdict on a recording.
+
+    Parameters
+    ----------
+    findings
+        All that are known of the log and its axes.
+    axes
+        Names of all axes, such as ``gyro_x``; those without a result too.
+    errors
+        Relative half-width of the interval of N, by axis, where one is known.
+    """
+    grave = [finding for finding in findings if grade_of(finding) != "good"]
+    grade: Grade = max(map(grade_of, grave), key=GRADES.index, default="good")
+    decisive = [finding for finding in grave if grade_of(finding) == grade]
+    reasons = _reasons(decisive, axes)
+    sound, left = _untouched(grave, axes), _untouched(decisive, axes)
+    noise = _noise(sound, len(axes), errors or {})
+    if grade == "good":
+        sentence = f"Good: {noise or 'no finding speaks against it'}"
+    elif grade == "look":
+        sentence = f"Look first: {reasons}{f'; {noise}' if sound else ''}"
+    else:
+        rest = f"look at {_listed(left, axes)} first" if left else "do not use these numbers"
+        sentence = f"Not noise: {reasons}; {noise if sound else rest}"
+    return NoiseVerdict(grade=grade, sentence=sentence)
+
+
+def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:
+    """Return the axes about whose noise none of the findings speaks."""
+    return [name for name in axes if not any(_concerns(finding, name) for finding in grave)]
+
+
+def _concerns(finding: Finding, axis: str) -> bool:
+    """Return whether a finding that is not good speaks of the noise of an axis."""
+    if finding.axis is None:
+        return finding.code in OF_ALL_AXES
+    return _within(axis, finding.axis)
+
+
+def _noise(sound: Sequence[str], count: int, errors: Mapping[str, float]) -> str:
+    """Return ``6 of 6 axes are stationary noise, N to ±0.4 %``, with the widest of the intervals of N."""
+    if not count:
+        return ""
+    text = f"{len(sound)} of {count} {'axis is' if count == 1 else 'axes are'} stationary noise"
+    known = [errors[name] for name in sound if name in errors]
+    return f"{text}, N to ±{percent(max(known))}" if known else text
+
+
+def percent(fraction: float) -> str:
+    """Return a positive fraction in percent with two digits, such as ``0.43 %`` or ``12 %``."""
+    return f"{float(f'{100 * fraction:.2g}'):g} %"
+
+
+def _reasons(findings: Sequence[Finding], axes: Sequence[str]) -> str:
+    """Return the phrases of some findings with their axes; of many the first ones and a number."""
+    places: dict[str, list[str]] = {}
+    for finding in findings:
+        phrase = PHRASES.get(finding.code, finding.code.replace("-", " "))
+        places.setdefault(phrase, []).append(finding.axis or "")
+    phrases = [_placed(phrase, names, axes) for phrase, names in places.items()]
+    more = len(phrases) - _NAMED
+    return ", ".join(phrases[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _placed(phrase: str, names: Sequence[str], axes: Sequence[str]) -> str:
+    """Return a phrase with the axes that it is about."""
+    given = [name for name in dict.fromkeys(names) if name]
+    about = [axis for axis in axes if any(_within(axis, name) for name in given)]
+    about += [name for name in given if not any(_within(axis, name) for axis in axes)]
+    return f"{phrase} on {_listed(about, axes)}" if about else phrase
+
+
+def _listed(about: Sequence[str], axes: Sequence[str]) -> str:
+    """Return ``gyro, accel_x and accel_y``: a sensor's name for all of its axes."""
+    *first, last = dict.fromkeys(_shortest(name, about, axes) for name in about)
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _shortest(name: str, about: Sequence[str], axes: Sequence[str]) -> str:
+    """Return the sensor of an axis where all axes of it are meant, else the axis."""
+    sensor = name.partition("_")[0]
+    family = {axis for axis in axes if _within(axis, sensor)}
+    return sensor if len(family) > 1 and family <= set(about) else name
+
+
+def _within(axis: str, name: str) -> bool:
+    """Return whether an axis is the one of a name, or belongs to the sensor of that name."""
+    return axis == name or axis.startswith(f"{name}_")

@@ -1,0 +1,153 @@
+"""Data that are not noise at rest: exit code 4, no export, one line when quiet, a report that says so."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucal.arrays import FloatArray
+from tests.cli.run import run
+
+RATE, N = 50.0, 1000
+#: As short a way to a result as there is.
+QUICK = ("--model", "N", "--no-report")
+
+
+def moved(rows: FloatArray) -> None:
+    """Put it down after 1 s."""
+    rows[:50, 1:] += np.sin(np.arange(50) / 8)[:, None]
+
+
+def knocked(rows: FloatArray) -> None:
+    """Knock on the table."""
+    rows[500:520, 1:4] *= 6
+
+
+def swapped(rows: FloatArray) -> None:
+    """Take one sensor for the other."""
+    rows[:, 1:] = rows[:, [4, 5, 6, 1, 2, 3]]
+
+
+def dead(rows: FloatArray) -> None:
+    """Leave an axis unfilled."""
+    rows[:, 2] = 0
+
+
+def absurd(rows: FloatArray) -> None:
+    """Write stamps in ms where the heading says s."""
+    rows[:, 0] *= 1000
+
+
+def fine(rows: FloatArray) -> None:
+    """Change nothing."""
+
+
+def write(path: Path, change: Callable[[FloatArray], None]) -> None:
+    """Write a log of an IMU at rest, changed."""
+    rng = np.random.default_rng(11)
+    rows = rng.standard_normal((N, 7)) * [0, 1e-3, 1e-3, 1e-3, 2e-2, 2e-2, 2e-2]
+    rows[:, 0] = np.arange(N) / RATE
+    rows[:, 6] += 9.81
+    change(rows)
+    head = "t [s],gx [rad/s],gy [rad/s],gz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
+    np.savetxt(path, rows, delimiter=",", fmt="%.9g", header=head, comments="")
+
+
+WRONG = [
+    (moved, "the IMU was moved; do not use these numbers"),
+    (swapped, "gyroscope and accelerometer are swapped; do not use these numbers"),
+    (dead, "no (data|result) on gyro_y; 5 of 6 axes are stationary noise"),
+    (absurd, "the sampling rate is absurd; do not use these numbers"),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), WRONG, ids=[change.__name__ for change, _ in WRONG])
+def test_fit_and_adev_end_with_code_4_and_one_line(
+    change: Callable[[FloatArray], None], said: str, tmp_path: Path
+) -> None:
+    """Both print their results and write nothing here; --force takes the log as it is."""
+    write(tmp_path / "log.csv", change)
+    for command in (("fit", "log.csv", *QUICK), ("adev", "log.csv")):
+        done = run(*command, "-q", cwd=tmp_path)
+        assert done.returncode == 4
+        (line,) = done.stderr.splitlines()
+        ended = "(nothing was written|the curves were printed); record again at rest, or --force"
+        assert re.fullmatch(f"Error: log.csv: not noise: {said}(, N to .*)?; {ended}", line)
+        assert done.stdout
+    forced = run("adev", "log.csv", "-q", "--force", cwd=tmp_path)
+    assert (forced.returncode, forced.stderr, forced.stdout) == (0, "", done.stdout)
+    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+
+
+def test_a_log_that_is_not_noise_is_not_exported(tmp_path: Path) -> None:
+    """One line, and no file; --force writes it."""
+    write(tmp_path / "log.csv", dead)
+    command = ("export", "log.csv", "-q", "--to", "kalibr", "-o", "imu.yaml")
+    done = run(*command, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (4, "")
+    assert done.stderr.count("\n") == 1
+    assert "nothing was exported" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+    assert run(*command, "--force", cwd=tmp_path).returncode == 0
+    assert (tmp_path / "imu.yaml").exists()
+
+
+def test_the_report_is_written_and_says_so(tmp_path: Path) -> None:
+    """JSON, page and table begin with it; no export is suggested; the gate stays shut."""
+    write(tmp_path / "log.csv", moved)
+    done = run("fit", "log.csv", "--model", "N", cwd=tmp_path)
+    said = "Not noise: the IMU was moved; do not use these numbers"
+    assert done.returncode == 4
+    assert done.stdout.splitlines()[0] == said
+    assert "imucal export" not in done.stderr
+    assert done.stderr.splitlines()[-1] == (
+        "Error: log.csv: not noise: the IMU was moved; do not use these numbers; log-imucal says so; "
+        "record again at rest, or --force"
+    )
+    report = json.loads((tmp_path / "log-imucal" / "report.json").read_text(encoding="utf-8"))
+    assert (report["verdict"], report["verdict_sentence"]) == ("not-noise", said)
+    page = (tmp_path / "log-imucal" / "report.html").read_text(encoding="utf-8")
+    assert f'<p class="verdict not-noise">{said}</p>' in page
+    assert f"<p>{said}. No filter should be given its numbers.</p>" in page
+
+    done = run("export", "log-imucal", "--to", "vins", "-o", "x.yaml", cwd=tmp_path)
+    assert done.returncode == 4
+    assert not (tmp_path / "x.yaml").exists()
+    done = run("export", "log-imucal", "--to", "vins", "-o", "x.yaml", "--force", cwd=tmp_path)
+    assert (done.returncode, (tmp_path / "x.yaml").exists()) == (0, True)
+    gate = run("check", "log-imucal", "--baseline", "log-imucal", "--json", "-q", cwd=tmp_path)
+    assert gate.returncode == 1
+    assert json.loads(gate.stdout)["noise"] == {"verdict": "not-noise", "sentence": said}
+
+
+def test_json_goes_to_standard_output_all_the_same(tmp_path: Path) -> None:
+    """A script that reads it sees the verdict too; adev's JSON agrees with fit's."""
+    write(tmp_path / "log.csv", dead)
+    grades = []
+    for command in (("fit", "log.csv", *QUICK), ("adev", "log.csv")):
+        done = run(*command, "-q", "--json", cwd=tmp_path)
+        assert done.returncode == 4
+        grades.append(json.loads(done.stdout)["verdict"])
+    assert grades == ["not-noise", "not-noise"]
+
+
+def test_noise_at_rest_is_good(tmp_path: Path) -> None:
+    """The same log unchanged: code 0, the verdict first, nothing when quiet."""
+    write(tmp_path / "log.csv", fine)
+    done = run("fit", "log.csv", *QUICK, "-q", "--strict", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("Good: 6 of 6 axes are stationary noise, N to ±")
+    done = run("adev", "log.csv", cwd=tmp_path)
+    assert done.stderr.splitlines()[-1] == "Good: 6 of 6 axes are stationary noise"
+
+
+def test_a_strict_run_says_what_it_found(tmp_path: Path) -> None:
+    """The code alone would leave a script guessing."""
+    write(tmp_path / "log.csv", knocked)
+    done = run("fit", "log.csv", *QUICK, "-q", "--strict", cwd=tmp_path)
+    assert done.returncode == 4
+    (line,) = done.stderr.splitlines()
+    assert line == "Error: log.csv: touch found, and --strict allows no warning"

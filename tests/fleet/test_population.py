@@ -1,0 +1,198 @@
+"""The population of a fleet: exact limits, a slow witness, laws, coverage and odd units."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+from scipy.special import ndtr, ndtri
+
+from imucal.fleet import LogValue, population
+from imucal.fleet.log_value import LogValues
+from imucal.fleet.outliers import adjusted, leave_one_out
+from imucal.fleet.population import _log_posterior
+from imucal.fleet.unit_likelihood import place_of, unit_likelihoods
+from tests.fleet.simulated import strong_fleet, weak_fleet
+
+
+@pytest.mark.parametrize("units", [3, 5, 20])
+def test_exact_units_have_the_noncentral_t_bound(units: int) -> None:
+    """With units that are known exactly: mean plus k standard deviations, Student's t for the median."""
+    logs = strong_fleet(np.random.default_rng(units), units=units, tau=0.02, error=1e-6)
+    y = np.log([log.value or math.nan for log in logs])
+    mean, sd = float(y.mean()), float(y.std(ddof=1))
+    found = population(logs)
+    factor = stats.nct.ppf(0.95, units - 1, ndtri(0.95) * math.sqrt(units)) / math.sqrt(units)
+    assert math.log(found.tolerance or 0.0) == pytest.approx(mean + factor * sd, abs=0.02 * factor * sd)
+    half = stats.t.ppf(0.975, units - 1) * sd / math.sqrt(units)
+    assert math.log(found.median.high) == pytest.approx(mean + half, abs=0.02 * half)
+    assert math.log(found.median.low) == pytest.approx(mean - half, abs=0.02 * half)
+    assert found.prediction is not None
+    reach = stats.t.ppf(0.975, units - 1) * sd * math.sqrt(1 + 1 / units)
+    assert math.log(found.prediction[1]) == pytest.approx(mean + reach, abs=0.03 * reach)
+
+
+def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) -> float:
+    """Return the log-posterior by nested quadrature of each unit's and each log's own effect."""
+    total = 2 * math.log(tau)
+    place = place_of(values)
+    s2 = unit_likelihoods(values, omega, place).deviation ** 2
+    total += 0.5 * math.log(float(np.sum(1 / (s2 + tau**2) ** 2)))
+    theta = np.linspace(mu - 6, mu + 3, 1801)
+    scatter = _normal(theta[:, None] - theta, omega) if omega else None
+    for unit in range(len(values.names)):
+        likelihood = np.ones(theta.size)
+        for row in np.exp(values.log_likelihood(values.unit == unit, theta)):
+            likelihood *= row if scatter is None else integrate.simpson(scatter * row, x=theta, axis=1)
+        total += math.log(integrate.simpson(likelihood * _normal(theta - mu, tau), x=theta))
+    return total
+
+
+def _normal(x: np.ndarray, sd: float) -> np.ndarray:
+    return np.exp(-0.5 * (x / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
+
+
+@pytest.mark.parametrize("omega", [0.0, 0.2])
+def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
+    """Differences over mu and tau, for a fleet of told, weakly told and bounded units."""
+    rng = np.random.default_rng(41)
+    told = strong_fleet(rng, units=2, logs=2, tau=0.3, error=0.05, omega=0.2)
+    weak = weak_fleet(rng, units=3, tau=0.3, error=0.8)
+    values = LogValues.of([*told, *(replace(log, unit=f"w{log.unit}") for log in weak)])
+    units = unit_likelihoods(values, omega, place_of(values))
+    taus, mus = np.array([0.2, 0.5]), np.array([-0.2, 0.0, 0.3])
+    fast = _log_posterior(units, taus, np.tile(mus, (2, 1)))
+    slow = np.array([[_slow_log_posterior(values, omega, t, m) for m in mus] for t in taus])
+    assert fast - fast[0, 0] == pytest.approx(slow - slow[0, 0], abs=0.03)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e3])
+def test_the_unit_of_measurement_does_not_matter(factor: float) -> None:
+    """All coefficients in another unit: the same spread, everything else in that unit."""
+    logs = strong_fleet(np.random.default_rng(43), units=8, logs=2, tau=0.2, error=0.05, omega=0.1)
+    scaled = [
+        replace(log, value=(log.value or 0.0) * factor, low=log.low * factor, high=log.high * factor)
+        for log in logs
+    ]
+    one, other = population(logs), population(scaled)
+    assert one.spread is not None
+    assert other.spread is not None
+    assert other.median.value == pytest.approx(one.median.value * factor, rel=1e-6)
+    assert other.spread.value == pytest.approx(one.spread.value, rel=1e-6)
+    assert other.tolerance == pytest.approx((one.tolerance or 0.0) * factor, rel=1e-6)
+
+
+def test_the_order_of_the_logs_does_not_matter() -> None:
+    """Shuffled logs give the same numbers, and the units in their new order."""
+    rng = np.random.default_rng(44)
+    logs = weak_fleet(rng, units=6, logs=2, tau=0.3, error=0.5)
+    one, other = population(logs), population(logs[::-1])
+    assert other.tolerance == pytest.approx(one.tolerance, rel=1e-9)
+    assert [u.unit for u in other.units] == [u.unit for u in one.units][::-1]
+
+
+def test_intervals_cover() -> None:
+    """Forty fleets of 10 units with 3 logs: median, spreads and bound, each in about 95 % of them."""
+    rng = np.random.default_rng(4501)
+    tau, omega = 0.2, 0.1
+    held = np.zeros(4)
+    for _ in range(40):
+        found = population(strong_fleet(rng, units=10, logs=3, tau=tau, error=0.05, omega=omega))
+        assert found.spread is not None
+        assert found.within is not None
+        held += [
+            found.median.low <= 1 <= found.median.high,
+            found.spread.low <= tau <= found.spread.high,
+            found.within.low <= omega <= found.within.high,
+            (found.tolerance or 0.0) >= math.exp(ndtri(0.95) * tau),
+        ]
+    assert (held >= 34).all()
+
+
+def test_a_weak_term_is_pooled_without_bias() -> None:
+    """Two thirds of the units only bound it; their likelihoods still tell the median and the spread."""
+    rng = np.random.default_rng(4502)
+    found = [population(weak_fleet(rng, units=20, tau=0.3, error=0.8)) for _ in range(6)]
+    assert np.mean([f.median.low <= 1 <= f.median.high for f in found]) > 0.6
+    assert np.mean([math.log(f.median.value) for f in found]) == pytest.approx(0, abs=0.15)
+    assert np.mean([u.value is None for f in found for u in f.units]) > 0.5
+    assert all(any(x.code == "weak-term" for x in f.findings) for f in found[:1])
+
+
+def test_an_odd_unit_is_found_and_others_are_not() -> None:
+    """Six spreads off, also in a fleet whose units are mostly bounded; clean fleets have none."""
+    rng = np.random.default_rng(46)
+    for logs, factor in (
+        (strong_fleet(rng, units=20, tau=0.1, error=0.02), math.exp(0.6)),
+        (weak_fleet(rng, units=20, tau=0.2, error=0.8), 10.0),
+    ):
+        assert not any(u.odd for u in population(logs).units)
+        odd = LogValue(unit="odd", value=factor, low=0.9 * factor, high=1.1 * factor)
+        found = population([*logs, odd])
+        assert [u.unit for u in found.units if u.odd] == ["odd"]
+
+
+def test_leave_one_out_is_the_plain_t_test() -> None:
+    """With equal weights: each unit against the mean and standard deviation of the others."""
+    y = np.random.default_rng(47).standard_normal(7)
+    p = leave_one_out(y, np.full(7, 1e-9), 1.0)
+    others = np.delete(y, 2)
+    t = (y[2] - others.mean()) / (others.std(ddof=1) * math.sqrt(1 + 1 / 6))
+    assert p[2] == pytest.approx(2 * stats.t.sf(abs(t), 5), rel=1e-6)
+
+
+def test_p_values_are_adjusted_as_scipy_does() -> None:
+    """Benjamini and Hochberg's procedure."""
+    p = np.random.default_rng(48).random(30) ** 2
+    assert adjusted(p) == pytest.approx(stats.false_discovery_control(p))
+
+
+def test_few_units_have_no_spread_and_it_is_said() -> None:
+    """One or two units: what they are, and what is missing."""
+    found = population(strong_fleet(np.random.default_rng(49), units=2, tau=0.1, error=0.1))
+    assert found.spread is None
+    assert found.tolerance is None
+    assert found.prediction is None
+    (finding,) = found.findings
+    assert finding.text.startswith("2 units: the spread between units")
+    assert found.median.low < found.median.value < found.median.high
+
+
+def test_a_prediction_holds_the_next_unit() -> None:
+    """Its mean content is the level."""
+    rng = np.random.default_rng(50)
+    inside = []
+    for _ in range(25):
+        found = population(strong_fleet(rng, units=8, tau=0.2, error=0.02))
+        assert found.prediction is not None
+        low, high = np.log(found.prediction) / 0.2
+        inside.append(ndtr(high) - ndtr(low))
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"value": 2.0},
+        {"low": -1.0},
+        {"high": math.inf},
+        {"value": 0.0, "low": 0.0},
+        {"variance": 1.0},
+        {"variance": 1.0, "variance_sd": 0.0},
+        {"level": 1.0},
+    ],
+)
+def test_impossible_values_are_refused(wrong: dict[str, float]) -> None:
+    """With the unit and what was expected."""
+    with pytest.raises(ValueError, match="u1: "):
+        LogValue(unit="u1", **({"value": 1.0, "low": 0.5, "high": 1.5} | wrong))
+
+
+def test_no_logs_and_impossible_shares_are_refused() -> None:
+    """In a sentence."""
+    with pytest.raises(ValueError, match="at least one log"):
+        population([])
+    logs = strong_fleet(np.random.default_rng(51), units=3, tau=0.1, error=0.1)
+    with pytest.raises(ValueError, match="between 0 and 1, got 95"):
+        population(logs, content=95)

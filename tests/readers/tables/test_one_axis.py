@@ -1,0 +1,114 @@
+"""Logs of one axis, such as a fibre-optic gyroscope's on a bench, and columns that are named twice."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucal.errors import ChoiceError
+from imucal.readers import read
+
+N = 400
+RATES = np.random.default_rng(20_301).normal(0, 0.02, (N, 3))
+TIMES = np.arange(N) / 100
+DEG = math.radians(1)
+
+
+def write(folder: Path, header: str, *columns: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Path:
+    """Write columns as a CSV."""
+    rows = [",".join(map(repr, row)) for row in np.column_stack(columns).tolist()]
+    path = folder / "log.csv"
+    path.write_text("\n".join([*([header] if header else []), *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "options", "name"),
+    [
+        ("t,gz_dps", {}, "gyro_z"),
+        ("time (s),Gyroscope Y (deg/s)", {}, "gyro_y"),
+        ("t,gx", {"gyro_unit": "deg/s"}, "gyro_x"),
+        ("", {"columns": "t=0,gz=1", "gyro_unit": "deg/s"}, "gyro_z"),
+        ("a,b", {"columns": "t=a,gx=b", "gyro_unit": "deg/s"}, "gyro_x"),
+    ],
+)
+def test_a_time_and_one_axis(header: str, options: dict[str, str], name: str, tmp_path: Path) -> None:
+    """By the header or by a columns text: the samples of that axis, in SI, and no other."""
+    recording = read(write(tmp_path, header, TIMES, RATES[:, 2]), **options)  # type: ignore[arg-type]
+    (series,) = recording.series
+    assert series.name == name
+    assert series.rate_hz == pytest.approx(100)
+    np.testing.assert_allclose(series.samples, RATES[:, 2] * DEG, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("header", "columns"), [("gz_dps", None), ("", "gz=0")])
+def test_one_column_alone(header: str, columns: str | None, tmp_path: Path) -> None:
+    """Without a time the rate must be given."""
+    path = write(tmp_path, header, RATES[:, 2])
+    unit = None if header else "deg/s"
+    with pytest.raises(ChoiceError, match="give the sampling rate"):
+        read(path, columns=columns, gyro_unit=unit)
+    (series,) = read(path, columns=columns, gyro_unit=unit, rate_hz=100.0).series
+    np.testing.assert_allclose(series.samples, RATES[:, 2] * DEG, rtol=1e-14)
+
+
+def test_two_axes_and_one(tmp_path: Path) -> None:
+    """Some axes of each sensor; those that were not found are said."""
+    path = write(tmp_path, "t,gx_dps,gz_dps,az_g,humidity", TIMES, *RATES.T, RATES[:, 0])
+    recording = read(path)
+    assert [series.name for series in recording.series] == ["gyro_x", "gyro_z", "accel_z"]
+    np.testing.assert_allclose(recording.axis("accelerometer", "z").samples, RATES[:, 2] * 9.80665)
+    said = [(finding.code, finding.axis, finding.text) for finding in recording.findings]
+    left = "was found in the table; columns that were not read: 4 humidity."
+    assert ("axis-missing", "gyro", f"Only x and z of the gyroscope {left}") in said
+    assert ("axis-missing", "accel", f"Only z of the accelerometer {left}") in said
+
+
+def test_gravity_along_one_axis_is_no_proof_of_a_unit(tmp_path: Path) -> None:
+    """A lone axis may be tilted: 1.0 may be a g or not."""
+    path = write(tmp_path, "t,az", TIMES, RATES[:, 0] + 1)
+    with pytest.raises(ChoiceError, match=r"unit of the accelerometer is open.*without all three axes"):
+        read(path)
+    assert read(path, accel_unit="g").series[0].samples.mean() == pytest.approx(9.80665, rel=1e-3)
+
+
+def test_a_single_axis_beside_a_whole_sensor_is_left_to_the_user(tmp_path: Path) -> None:
+    """``az`` beside a gyroscope may be an azimuth: a finding shows the columns, its text reads them."""
+    path = write(tmp_path, "t,gx_dps,gy_dps,gz_dps,az", TIMES, *RATES.T, RATES[:, 0])
+    recording = read(path)
+    assert [series.name for series in recording.series] == ["gyro_x", "gyro_y", "gyro_z"]
+    (finding,) = [finding for finding in recording.findings if finding.code == "sensor-missing"]
+    assert (finding.level, finding.axis) == ("warning", "accel")
+    assert finding.text == "No accelerometer was found in the table; columns that were not read: 4 az."
+    ready = finding.advice.removesuffix(".").rpartition(" ")[2]
+    assert ready == "t=0,g=1:4,az=4"
+    assert read(path, columns=ready, accel_unit="m/s^2").series[3].name == "accel_z"
+
+
+def test_axes_of_mixed_units_or_numbers_are_no_log_of_single_axes(tmp_path: Path) -> None:
+    """Nobody knows which unit is wrong, or from which number the axes count."""
+    for header in ("t,xRate (rad/s),yRate (deg/s)", "t,gyro_1,gyro_2"):
+        with pytest.raises(ChoiceError, match="x, y and z of one sensor are needed"):
+            read(write(tmp_path, header, TIMES, RATES[:, 0], RATES[:, 1]))
+
+
+@pytest.mark.parametrize("columns", ["t=0,g=1+1+1", "t=0,g=1+2+1", "t=0,g=1:4,a=1:4"])
+def test_a_column_named_twice_is_refused(columns: str, tmp_path: Path) -> None:
+    """It would be scaled as often as it is named; the text in the message reads it."""
+    path = write(tmp_path, "", TIMES, *RATES.T)
+    with pytest.raises(ChoiceError, match="column 1 is named twice; a log of one axis is such as t=0,gz=1"):
+        read(path, columns=columns, gyro_scale=0.5, accel_scale=0.5)
+    (series,) = read(path, columns="t=0,gz=1", gyro_scale=0.5).series
+    assert np.array_equal(series.samples, RATES[:, 0] * 0.5)
+
+
+def test_arrays_of_one_axis(tmp_path: Path) -> None:
+    """NPZ with a time and one rate, and a plain NPY of one column."""
+    np.savez(tmp_path / "log.npz", t=TIMES, gz_dps=RATES[:, 2])
+    (series,) = read(tmp_path / "log.npz").series
+    assert series.name == "gyro_z"
+    np.testing.assert_allclose(series.samples, RATES[:, 2] * DEG, rtol=1e-14)
+    np.save(tmp_path / "log.npy", RATES[:, 2])
+    (series,) = read(tmp_path / "log.npy", columns="gz=0", gyro_unit="rad/s", rate_hz=50.0).series
+    assert np.array_equal(series.samples, RATES[:, 2])

@@ -1,0 +1,322 @@
+"""Several logs: parts of one recording are joined, what does not belong together is refused."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucal.errors import ChoiceError
+from imucal.readers import read
+from imucal.readers.join_checks import series_of
+from imucal.recording import Recording
+from tests.cli.run import run
+from tests.readers.logs import Samples, imu_messages, samples, write_bag, write_db3, write_mcap
+
+TRUTH = samples(900, seed=41)
+EUROC = (
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+)
+
+
+def part(first: int, last: int, *, later_s: float = 0.0, scale: float = 1.0) -> Samples:
+    """Return some of the samples, perhaps at another time or in another unit."""
+    chosen, shift = slice(first, last), round(later_s * 1e9)
+    return Samples(
+        stamps=TRUTH.stamps[chosen] + shift,
+        log=TRUTH.log[chosen] + shift,
+        gyro=TRUTH.gyro[chosen] * scale,
+        accel=TRUTH.accel[chosen],
+    )
+
+
+def table(path: Path, chosen: Samples, header: str = EUROC, *, seconds: bool = False) -> Path:
+    """Write samples as a CSV; `seconds` from the first of them instead of ns since 1970."""
+    lines = [header] if header else []
+    for stamp, row in zip(chosen.stamps.tolist(), chosen.all.tolist(), strict=True):
+        time = repr((stamp - int(TRUTH.stamps[0])) / 1e9) if seconds else str(stamp)
+        lines.append(",".join([time, *map(repr, row)]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def rows(recording: Recording) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return the samples, shape (n, 6)."""
+    return np.array([series.samples for series in recording.series]).T
+
+
+def refusal(paths: Sequence[Path]) -> str:
+    """Return the message with which logs are refused; it lists them and says what to do."""
+    with pytest.raises(ChoiceError) as caught:
+        read(*paths)
+    message = str(caught.value)
+    for path in paths:
+        assert f"\n  {path.name}  " in message
+    assert message.endswith("or say that they are parts of one recording")
+    return message
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "csv", "db3"])
+def test_units_that_were_recorded_together_are_refused(kind: str, tmp_path: Path) -> None:
+    """Three units with overlapping stamps were read as one at three times the rate."""
+    paths = []
+    for i in range(3):
+        chosen = part(300 * i, 300 * i + 300, later_s=-3.0 * i)
+        if kind == "mcap":
+            paths.append(write_mcap(tmp_path / f"unit{i}.mcap", imu_messages(chosen)))
+        elif kind == "bag":
+            paths.append(write_bag(tmp_path / f"unit{i}.bag", imu_messages(chosen, ros1=True)))
+        elif kind == "db3":
+            paths.append(write_db3(tmp_path / f"unit{i}", imu_messages(chosen)))
+        else:
+            paths.append(table(tmp_path / f"unit{i}.csv", chosen))
+    message = refusal(paths)
+    assert "unit0" in message
+    assert "3 logs are not seen to be one recording: " in message
+    assert "overlap in time by 3 s" in message
+    joined = read(*paths, join=True)
+    assert joined.series[0].rate_hz == pytest.approx(100)
+    assert joined.series[0].n == 900
+    (finding,) = [finding for finding in joined.findings if finding.code == "joined"]
+    assert finding.level == "warning"
+    assert "overlap in time by 3 s. They stand one behind the other" in finding.text
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
+def test_a_folder_of_unrelated_logs_is_refused(kind: str, tmp_path: Path) -> None:
+    """Without a metadata.yaml a folder is no bag; its logs are listed."""
+    folder = tmp_path / "bench"
+    folder.mkdir()
+    for i in range(2):
+        chosen = part(300 * i, 300 * i + 300, later_s=100.0 * i)
+        if kind == "mcap":
+            write_mcap(folder / f"imu_{i}.mcap", imu_messages(chosen))
+        elif kind == "bag":
+            write_bag(folder / f"imu_{i}.bag", imu_messages(chosen, ros1=True))
+        else:
+            inner = write_db3(tmp_path / f"imu_{i}", imu_messages(chosen))
+            next(inner.glob("*.db3")).rename(folder / f"imu_{i}.db3")
+    with pytest.raises(ChoiceError) as caught:
+        read(folder)
+    assert f"imu_1.{kind} starts 100 s after the end of imu_0.{kind}" in str(caught.value)
+    joined = read(folder, join=True)
+    assert np.array_equal(rows(joined), TRUTH.all[:600])
+    (gap,) = joined.series[0].clock.gaps
+    assert gap.missing == 10_000
+
+
+@pytest.mark.parametrize(
+    ("names", "why"),
+    [
+        (("morning.mcap", "evening.mcap"), "their names are no series: they differ in more than a number"),
+        (("unit1.mcap", "unit2.mcap"), "their names number devices, not parts"),
+        (("rest_imu1.mcap", "rest_imu2.mcap"), "their names number devices, not parts"),
+        (("sn_0017.mcap", "sn_0018.mcap"), "their names number devices, not parts"),
+    ],
+)
+def test_logs_that_only_follow_each_other_are_refused(
+    names: tuple[str, str], why: str, tmp_path: Path
+) -> None:
+    """A bench that logs one unit after the other leaves no pause either."""
+    paths = [
+        write_mcap(tmp_path / name, imu_messages(part(300 * i, 300 * i + 300)))
+        for i, name in enumerate(names)
+    ]
+    assert f"recording: {why}; found" in refusal(paths)
+    assert np.array_equal(rows(read(*paths, join=True)), TRUTH.all[:600])
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("bag_0.mcap", "bag_1.mcap", "bag_2.mcap"),
+        ("imu_0.mcap", "imu_1.mcap", "imu_2.mcap"),
+        ("2024-01-31-23-59-58_0.bag", "2024-02-01-00-00-01_1.bag", "2024-02-01-00-00-04_2.bag"),
+        ("log_0001.csv", "log_0002.csv", "log_0003.csv"),
+        ("imu.csv.2", "imu.csv.1", "imu.csv"),
+        ("20240131T235958.csv", "20240201T000001.csv", "20240201T000004.csv"),
+        ("rest_9.csv", "rest_10.csv", "rest_11.csv"),
+    ],
+)
+def test_true_splits_join_by_themselves(names: tuple[str, ...], tmp_path: Path) -> None:
+    """Splits of rosbag2 and rosbag, rotated tables: no sample and no time is lost, and it is said."""
+    paths = []
+    for i, name in enumerate(names):
+        chosen, path = part(300 * i, 300 * i + 300), tmp_path / name
+        if ".csv" in name:
+            table(path, chosen)
+        elif name.endswith(".bag"):
+            write_bag(path, imu_messages(chosen, ros1=True))
+        else:
+            write_mcap(path, imu_messages(chosen))
+        paths.append(path)
+    recording = read(*sorted(paths))
+    assert np.array_equal(rows(recording), TRUTH.all)
+    clock = recording.series[0].clock
+    assert (len(clock.segments), clock.missing) == (1, 0)
+    assert clock.rate_hz == pytest.approx(100)
+    assert len({id(series.clock) for series in recording.series}) == 1
+    (finding,) = [finding for finding in recording.findings if finding.code == "joined"]
+    assert (finding.level, finding.text) == (
+        "info", f"3 logs are joined as one recording: {', '.join(names)}."
+    )  # fmt: skip
+
+
+def test_what_is_missing_between_parts_is_a_gap(tmp_path: Path) -> None:
+    """At the stamp of the first sample behind it, however many parts stand before."""
+    pieces = [(0, 200), (210, 300), (300, 450), (457, 900)]
+    paths = [write_mcap(tmp_path / f"log_{i}.mcap", imu_messages(part(*p))) for i, p in enumerate(pieces)]
+    clock = read(*paths).series[0].clock
+    assert [(round(gap.start_s * 100), gap.missing) for gap in clock.gaps] == [(200, 10), (450, 7)]
+    assert clock.duration_s == pytest.approx(9.0)
+
+
+def test_other_topics_frames_columns_and_units_are_refused(tmp_path: Path) -> None:
+    """Each is named as it is in each log."""
+    first = write_mcap(tmp_path / "a_0.mcap", imu_messages(part(0, 300)))
+    topic = write_mcap(tmp_path / "a_1.mcap", imu_messages(part(300, 600), topic="/imu2/data"))
+    assert "their topics differ (/imu/data and /imu2/data)" in refusal([first, topic])
+    frame = write_mcap(tmp_path / "a_2.mcap", imu_messages(part(300, 600), frames=("imu_b",)))
+    message = refusal([first, frame])
+    assert "their frames differ (imu and imu_b)" in message
+    assert "/imu/data, frame imu_b" in message
+    head = "t,gx,gy,gz,ax,ay,az"
+    plain = table(tmp_path / "b_0.csv", part(0, 300), head, seconds=True)
+    other = table(tmp_path / "b_1.csv", part(300, 600), "t,wx,wy,wz,ax,ay,az", seconds=True)
+    names = "gx, gy, gz, ax, ay, az and wx, wy, wz, ax, ay, az"
+    assert f"their columns differ ({names})" in refusal([plain, other])
+    same = table(tmp_path / "b_2.csv", part(300, 600), head, seconds=True)
+    assert read(plain, same).series[0].n == 600
+
+
+def test_other_scales_are_refused(tmp_path: Path) -> None:
+    """Rates in another unit, gravity of another size, steps of another range."""
+    first = write_mcap(tmp_path / "a_0.mcap", imu_messages(part(0, 300)))
+    degrees = write_mcap(tmp_path / "a_1.mcap", imu_messages(part(300, 600, scale=180 / np.pi)))
+    message = refusal([first, degrees])
+    assert "the gyroscope of a_0.mcap and that of a_1.mcap differ in scale: the noise of one is 5" in message
+    chosen = part(300, 600)
+    in_g = Samples(stamps=chosen.stamps, log=chosen.log, gyro=chosen.gyro, accel=chosen.accel / 9.80665)
+    message = refusal([first, write_mcap(tmp_path / "a_2.mcap", imu_messages(in_g))])
+    assert "differ in scale: a usual magnitude of 9.8" in message
+    stepped = []
+    for i, step in enumerate((1e-3, 2e-3)):
+        chosen = part(300 * i, 300 * i + 300)
+        gyro = np.round(chosen.gyro / step) * step
+        counts = Samples(stamps=chosen.stamps, log=chosen.log, gyro=gyro, accel=chosen.accel)
+        stepped.append(write_mcap(tmp_path / f"b_{i}.mcap", imu_messages(counts)))
+    assert "differ in scale: steps of 0.001 and 0.002 rad/s" in refusal(stepped)
+
+
+def test_moving_while_a_part_is_recorded_is_no_other_scale(tmp_path: Path) -> None:
+    """A split in which the sensor is turned has more of everything, and the same gravity."""
+    chosen = part(300, 600)
+    turn = 0.5 * np.sin(np.arange(300) / 20)[:, None] * [1.0, 0.2, 0.1]
+    moved = Samples(stamps=chosen.stamps, log=chosen.log, gyro=chosen.gyro + turn, accel=chosen.accel + turn)
+    paths = [
+        write_mcap(tmp_path / "a_0.mcap", imu_messages(part(0, 300))),
+        write_mcap(tmp_path / "a_1.mcap", imu_messages(moved)),
+    ]
+    assert read(*paths).series[0].n == 600
+
+
+def test_times_that_start_again_are_refused(tmp_path: Path) -> None:
+    """Each table from zero: nobody knows whether they follow each other or ran together."""
+    paths = []
+    for i in range(2):
+        path = tmp_path / f"log_{i}.csv"
+        table(path, part(300 * i, 300 * i + 300, later_s=-3.0 * i), "t,gx,gy,gz,ax,ay,az", seconds=True)
+        paths.append(path)
+    assert "log_0.csv and log_1.csv overlap in time by 3 s" in refusal(paths)
+    joined = read(*paths, join=True)
+    assert np.array_equal(rows(joined), TRUTH.all[:600])
+    assert len(joined.series[0].clock.segments) == 1
+
+
+def test_logs_without_stamps_are_refused(tmp_path: Path) -> None:
+    """Nothing says that one goes on where the other ends; joined they are one sample apart."""
+    paths = []
+    for i in range(2):
+        chosen = part(300 * i, 300 * i + 300)
+        lines = ["gx,gy,gz,ax,ay,az", *(",".join(map(repr, row)) for row in chosen.all.tolist())]
+        path = tmp_path / f"log_{i}.csv"
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        paths.append(path)
+    with pytest.raises(ChoiceError, match=r"log_0\.csv has no stamps that say when it was recorded"):
+        read(*paths, rate_hz=100.0, gyro_unit="rad/s")
+    joined = read(*paths, rate_hz=100.0, gyro_unit="rad/s", join=True)
+    assert np.array_equal(rows(joined), TRUTH.all[:600])
+    assert joined.series[0].clock.missing == 0
+
+
+def test_one_sensor_each_of_different_times_is_refused(tmp_path: Path) -> None:
+    """A gyroscope's file and an accelerometer's of another day are no pair."""
+    stamps = TRUTH.stamps.tolist()
+    for name, values, later in (("gyro", TRUTH.gyro, 0), ("accel", TRUTH.accel, 3_600_000_000_000)):
+        unit = "rad/s" if name == "gyro" else "m/s^2"
+        lines = [f"time_ns,{name}_x ({unit}),{name}_y ({unit}),{name}_z ({unit})"]
+        both = zip(stamps, values.tolist(), strict=True)
+        lines += [f"{stamp + later},{','.join(map(repr, row))}" for stamp, row in both]
+        (tmp_path / f"{name}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    paths = [tmp_path / "gyro.csv", tmp_path / "accel.csv"]
+    with pytest.raises(ChoiceError, match="not recorded at the same time; expected one recording"):
+        read(*paths)
+    assert read(paths[0]).series[0].n == 900
+
+
+def test_large_parts_lie_in_a_temporary_file(tmp_path: Path) -> None:
+    """Above the limit of memory the joined samples are mapped from one, and are the same."""
+    pieces = [part(300 * i, 300 * i + 300) for i in range(3)]
+    paths = [write_mcap(tmp_path / f"log_{i}.mcap", imu_messages(p)) for i, p in enumerate(pieces)]
+    recording = read(*paths, memory_limit=10_000)
+    assert np.array_equal(rows(recording), TRUTH.all)
+    base = recording.series[0].samples
+    while isinstance(base.base, np.ndarray):
+        base = base.base
+    assert type(base.base).__name__ in {"mmap", "memoryview"}
+
+
+@pytest.mark.parametrize(
+    ("name", "series"),
+    [
+        ("bag_12.db3.zstd", "bag"),
+        ("imu.csv.1", "imu"),
+        ("imu.csv", "imu"),
+        ("2024-01-02 log.txt", " log"),
+        ("run.b_1.csv", "run.b"),
+    ],
+)
+def test_the_series_of_a_name(name: str, series: str) -> None:
+    """What is left without numbers and the endings of formats."""
+    assert series_of(name) == series
+
+
+def test_what_the_message_says_works(tmp_path: Path) -> None:
+    """--join, or one log at a time, in the commands that read logs."""
+    for i in range(2):
+        write_mcap(tmp_path / f"unit{i}.mcap", imu_messages(part(450 * i, 450 * i + 450)))
+    for command in ("adev", "fit"):
+        done = run(command, "unit0.mcap", "unit1.mcap", cwd=tmp_path)
+        assert done.returncode == 3
+        assert "unit0.mcap: 2 logs are not seen to be one recording" in done.stderr
+        assert done.stderr.endswith("or say that they are parts of one recording\nSay it with --join.\n")
+    assert run("adev", "unit0.mcap", "unit1.mcap", "--join", "-q", cwd=tmp_path).returncode == 0
+    assert run("adev", "unit0.mcap", "-q", cwd=tmp_path).returncode == 0
+    done = run(
+        "fit", "unit0.mcap", "unit1.mcap", "--join", "--json", "--no-report", "--model", "N", cwd=tmp_path
+    )
+    assert done.returncode == 0
+    assert '"join": true' in done.stdout
+
+
+def test_info_describes_the_logs_of_a_folder_one_by_one(tmp_path: Path) -> None:
+    """Not as one log of twice the rate."""
+    folder = tmp_path / "bench"
+    folder.mkdir()
+    for i in range(2):
+        write_mcap(folder / f"unit{i}.mcap", imu_messages(part(450 * i, 450 * i + 450, later_s=-4.5 * i)))
+    done = run("info", "bench", cwd=tmp_path)
+    assert done.stdout.count("/imu/data  sensor_msgs/msg/Imu") == 2
+    assert "200 Hz" not in done.stdout
+    assert "2 logs without a metadata.yaml" in done.stdout

@@ -1,0 +1,128 @@
+"""The verdict: every code by its level or the table, and a sentence that a person would say."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import imucal
+from imucal.checking.limits import FINDING_CODES
+from imucal.findings import Finding, Level
+from imucal.grading import BY_LEVEL, OF_ALL_AXES, OTHERWISE, PHRASES, Grade, grade_of, judge_findings, percent
+
+LEVELS: tuple[Level, ...] = ("info", "warning", "error")
+AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
+
+
+def finding(code: str, level: Level = "warning", axis: str | None = None) -> Finding:
+    """Return a finding."""
+    return Finding(level=level, code=code, text="Seen.", axis=axis)
+
+
+def sentence(*findings: Finding, errors: dict[str, float] | None = None) -> str:
+    """Return the verdict's sentence about six axes."""
+    return judge_findings(findings, AXES, errors=errors).sentence
+
+
+@pytest.mark.parametrize("code", sorted(FINDING_CODES))
+def test_every_code_decides_by_the_table_or_by_its_level(code: str) -> None:
+    """The whole table, and nothing beside it: info is good, warning look, error not noise."""
+    by_level: dict[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
+    readable = {("other-vectors", "warning"), ("unindexed", "warning"), ("index", "warning")}
+    for level in LEVELS:
+        expected = "good" if (code, level) in readable else by_level[level]
+        assert grade_of(finding(code, level)) == expected
+        assert judge_findings([finding(code, level)], AXES).grade == expected
+
+
+def test_the_tables_know_codes_that_exist_only() -> None:
+    """A code that is no longer made leaves them."""
+    assert {code for code, _ in OTHERWISE} | set(PHRASES) | OF_ALL_AXES <= FINDING_CODES
+    assert set(BY_LEVEL) == set(LEVELS)
+
+
+def test_every_code_of_the_source_is_known() -> None:
+    """Each string that the package gives as a code, so that no finding can escape the table."""
+    found: set[object] = set()
+    for path in Path(imucal.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.Call) and ast.unparse(node.func) == "Finding"):
+                continue
+            given = next(keyword.value for keyword in node.keywords if keyword.arg == "code")
+            if not isinstance(given, ast.Subscript | ast.Call):  # report.json's own, read back
+                found |= {each.value for each in ast.walk(given) if isinstance(each, ast.Constant)}
+    assert len(found) > 40
+    assert found <= FINDING_CODES
+
+
+def test_a_good_recording_says_how_well_n_is_known() -> None:
+    """By the widest of its intervals."""
+    errors = dict.fromkeys(AXES, 0.002) | {"accel_z": 0.00432}
+    assert sentence(errors=errors) == "Good: 6 of 6 axes are stationary noise, N to ±0.43 %"
+    assert sentence() == "Good: 6 of 6 axes are stationary noise"
+    one = judge_findings([], ["gyro_x"], errors={"gyro_x": 0.12})
+    assert one.sentence == "Good: 1 of 1 axis is stationary noise, N to ±12 %"
+    assert judge_findings([], []).sentence == "Good: no finding speaks against it"
+
+
+def test_remarks_change_nothing() -> None:
+    """What is good to know is no reason."""
+    assert sentence(finding("delay", "info"), finding("tone", "info", "gyro_x")).startswith("Good: 6 of 6")
+
+
+def test_a_warning_names_its_axes() -> None:
+    """The others are counted, with their own N; a sensor stands for its three axes."""
+    errors = dict.fromkeys(AXES, 0.002) | {"gyro_x": 0.5}
+    found = [finding("tone", axis="gyro_x"), finding("warm-up", axis="accel")]
+    assert sentence(*found, errors=errors) == (
+        "Look first: a tone on gyro_x, a warm-up on accel; 2 of 6 axes are stationary noise, N to ±0.2 %"
+    )
+    found = [finding("spikes", axis=axis) for axis in ("gyro_x", "gyro_y", "gyro_z", "accel_y")]
+    assert sentence(*found).startswith("Look first: spikes on gyro and accel_y; 2 of 6")
+
+
+def test_a_warning_of_the_log_leaves_the_axes_alone() -> None:
+    """Missing samples are no fault of the noise; a touch is one of all axes."""
+    assert sentence(finding("gaps")) == "Look first: missing samples; 6 of 6 axes are stationary noise"
+    assert sentence(finding("touch")) == "Look first: something touched or shook the IMU"
+
+
+def test_many_reasons_are_counted() -> None:
+    """Three are named."""
+    found = [finding(code) for code in ("gaps", "damaged", "truncated", "clock-jump", "bad-rows")]
+    assert sentence(*found).startswith(
+        "Look first: missing samples, damage to the log, a log that was cut off and 2 more; "
+    )
+
+
+def test_a_moved_recording_is_not_noise() -> None:
+    """An error about the log leaves no axis; warnings do not stand beside it."""
+    moved = finding("motion", "error")
+    assert sentence(moved, finding("gaps")) == "Not noise: the IMU was moved; do not use these numbers"
+    assert not judge_findings([moved], AXES).usable
+    assert judge_findings([finding("gaps")], AXES).usable
+
+
+def test_a_dead_axis_leaves_the_others() -> None:
+    """They are counted; of six dead ones none is left."""
+    errors = dict.fromkeys(AXES, 0.002)
+    assert sentence(finding("no-data", "error", "accel_z"), errors=errors) == (
+        "Not noise: no data on accel_z; 5 of 6 axes are stationary noise, N to ±0.2 %"
+    )
+    found = [finding("no-data", "error", "accel_z"), finding("unit-suspect", axis="gyro")]
+    found += [finding("tone", axis="accel_x"), finding("spikes", axis="accel_y")]
+    assert sentence(*found) == "Not noise: no data on accel_z; look at gyro, accel_x and accel_y first"
+    dead = [finding("stuck", "error", axis) for axis in AXES]
+    assert sentence(*dead) == "Not noise: a stuck value on gyro and accel; do not use these numbers"
+
+
+def test_an_axis_that_is_not_listed_is_named_still() -> None:
+    """A sensor without any axis in the log."""
+    verdict = judge_findings([finding("no-data", axis="accel")], AXES[:3])
+    assert verdict.sentence == "Look first: no data on accel; 3 of 3 axes are stationary noise"
+
+
+@pytest.mark.parametrize(("fraction", "text"), [(0.00432, "0.43 %"), (0.2, "20 %"), (1.234, "120 %")])
+def test_a_fraction_reads_in_percent(fraction: float, text: str) -> None:
+    """Two digits, no exponent."""
+    assert percent(fraction) == text
