@@ -37,7 +37,7 @@ _OPTIONS = (
     (r"one of these topics|topics are named|two topics|one for each sensor|no message '|name of a topic",
      "--topic NAME"),
     (r"columns text|give the columns|give columns", "--columns TEXT"),
-    (r"time unit", "--time-unit UNIT"),
+    (r"give the time unit|is no time unit", "--time-unit UNIT"),
     (r"sampling rate|and the rate\b", "--rate HZ"),
     (r"(no )?unit of the gyroscope|'[^']*' of the gyroscope", "--gyro-unit UNIT"),
     (r"(no )?unit of the accelerometer|'[^']*' of the accelerometer", "--accel-unit UNIT"),

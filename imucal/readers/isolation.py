@@ -101,7 +101,7 @@ class _Child:
                 return bool(done), result
             self.end()
             if late.is_set():
-                return False, f"reading it takes more than {seconds:.0f} s"
+                return False, f"reading it takes more than {seconds:.0f} s, so it is damaged"
             return False, "reading it ends the process or takes too much memory"
 
     def _started(self) -> subprocess.Popen[bytes]:

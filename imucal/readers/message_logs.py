@@ -93,18 +93,27 @@ def read_logs(containers: Sequence[Container], path: Path, options: ReadOptions,
 
 def _describe(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> LogContents:
     topics = find_topics(containers, options)
+    contents = [_contents(containers, topic, options) for topic in topics]
+    if not any(entry.sensors for entry in contents):
+        contents = [_proposed(entry, topic) for entry, topic in zip(contents, topics, strict=True)]
     starts = [c.start_ns for c in containers if c.start_ns is not None]
     ends = [c.end_ns for c in containers if c.end_ns is not None]
     return LogContents(
         path=str(path),
         format=form,
         size_bytes=sum(container.size for container in containers),
-        topics=tuple(_contents(containers, topic, options) for topic in topics),
+        topics=tuple(contents),
         start_ns=min(starts, default=None),
         duration_s=(max(ends) - min(starts)) / 1e9 if starts and ends else None,
         compression=", ".join(sorted({container.compression for container in containers})),
         findings=tuple(finding for container in containers for finding in container.findings),
     )
+
+
+def _proposed(contents: TopicContents, topic: Topic) -> TopicContents:
+    """Return a topic with the fields that it may be read by, as its note."""
+    text = "" if contents.note or not topic.count else topic.leaves.proposal()
+    return replace(contents, note=f"may be read by a fields text such as {text!r}") if text else contents
 
 
 def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:

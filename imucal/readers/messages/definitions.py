@@ -185,6 +185,8 @@ class Definitions:
             if candidate in self._defined or (self._standard and self._take_standard(candidate)):
                 return candidate
         msg = f"type {kind} is not defined"
+        if self._standard:
+            msg += f"; give its .msg file too, {name.rpartition('/')[2]}.msg"
         raise DefinitionError(msg)
 
     def _take_standard(self, name: str) -> bool:

@@ -19,6 +19,8 @@ from imucal.units import TIME_UNITS_NS, parse_sample_unit, parse_time_unit
 #: Fields that a message shows, and lists of JSON that are looked into.
 MOST = 60
 
+#: What names an axis at the end of a path.
+_AXIS = re.compile(r"(\[\d+\]|\.[xyzXYZ])$")
 _INDEX = re.compile(r"\[\d+\]")
 
 #: Names of the parts of a time.
@@ -143,7 +145,7 @@ class Leaves:
         """Return a fields text for these fields, by their names; empty where none is named as a sensor."""
         parts = []
         for sensor in Sensor:
-            found = next((text for stem, text in self._triads() if _NAMES[sensor].search(stem)), "")
+            found = next((text for stem, text in self._triads() if _sensor(stem) is sensor), "")
             if found:
                 parts.append(f"{sensor.short}={found}")
         return " ".join(parts)
@@ -164,15 +166,25 @@ class Leaves:
                     yield stem.lower(), stem if whole else ",".join(axes)
 
 
+def _sensor(stem: str) -> Sensor | None:
+    """Return the sensor that the name of a vector tells, its unit before its words."""
+    unit = _tail_unit(stem)
+    if unit is not None:
+        return unit[0]
+    return next((sensor for sensor, words in _NAMES.items() if words.search(stem)), None)
+
+
 def _unit(sensor: Sensor, paths: Sequence[str]) -> str | None:
-    """Return the unit that the names of a sensor's fields end in: deg/s of ``gyro_x_dps``."""
-    units = set()
-    for path in paths:
-        words = path.rpartition(".")[2].split("_")
-        tails = ("_".join(words[-size:]) for size in (3, 2, 1) if len(words) > size)
-        found = next((unit for tail in tails if (unit := parse_sample_unit(tail))), None)
-        units.add(found[1] if found is not None and found[0] is sensor else None)
-    return units.pop() if len(units) == 1 else None
+    """Return the unit that the names of a sensor's fields end in: deg/s of ``gyro_x_dps``, ``gyro_dps.x``."""
+    found = {_tail_unit(_AXIS.sub("", path)) for path in paths}
+    unit = found.pop() if len(found) == 1 else None
+    return unit[1] if unit is not None and unit[0] is sensor else None
+
+
+def _tail_unit(name: str) -> tuple[Sensor, str] | None:
+    words = name.rpartition(".")[2].split("_")
+    tails = ("_".join(words[-size:]) for size in (3, 2, 1) if len(words) > size)
+    return next((unit for tail in tails if (unit := parse_sample_unit(tail))), None)
 
 
 def leaves_of_tree(tree: object, path: str = "") -> Iterable[Leaf]:

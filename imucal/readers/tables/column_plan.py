@@ -19,7 +19,7 @@ from imucal.readers.tables.columns import (
     pick,
     triad_of,
 )
-from imucal.readers.tables.columns_text import ColumnsError, ColumnSpec, parse_columns_text
+from imucal.readers.tables.columns_text import ColumnsError, ColumnSpec, list_columns, parse_columns_text
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, parse_column
@@ -102,7 +102,8 @@ def make_plan(
     except ColumnsError as error:
         if error.example:
             raise
-        raise error.with_example(_proposal(table, options)) from None
+        found = list_columns(table.headers, table.cells)
+        raise ColumnsError(path, error.problem, found, _proposal(table, options)) from None
 
 
 def works(table: NamedTable, options: ReadOptions, text: str) -> bool:

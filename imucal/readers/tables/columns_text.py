@@ -53,7 +53,7 @@ class ColumnsError(ChoiceError):
     """
 
     def __init__(self, path: str, problem: str, found: str, example: str = "") -> None:
-        self.path, self.problem, self.found, self.example = path, problem, found, example
+        self.problem, self.example = problem, example
         how = (
             f"such as {example} (places from 0 with the end left out, or three names joined by +)"
             if example
@@ -62,10 +62,6 @@ class ColumnsError(ChoiceError):
         super().__init__(
             f"{path}: {problem}; found columns: {found}; say which are which by a columns text {how}"
         )
-
-    def with_example(self, example: str) -> "ColumnsError":
-        """Return the same error with a columns text that works."""
-        return ColumnsError(self.path, self.problem, self.found, example)
 
 
 def list_columns(

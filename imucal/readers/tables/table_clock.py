@@ -34,8 +34,8 @@ from imucal.units import TIME_UNITS_NS
 #: A unit is that of a time where it gives the rate that the user gave, within this share.
 _AS_GIVEN = 0.1
 
-#: A rate that ns can tell, in Hz, and a time that 64 bits can hold, in ns: about 30 years.
-_FASTEST, _LONGEST_NS = 1e8, 1e18
+#: A rate that no sensor exceeds, in Hz, and a time that 64 bits can hold, in ns: about 30 years.
+_FASTEST, _LONGEST_NS = 1e6, 1e18
 
 #: Share of repeated rows up to which they are samples sent twice; beyond, the sensor is slower than the log.
 _SENT_TWICE = 0.1
