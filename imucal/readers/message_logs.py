@@ -1,6 +1,7 @@
 """Logs of messages -> Recording: choose topics, decode them, and give each sensor its clock."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -92,7 +93,8 @@ def read_logs(containers: Sequence[Container], path: Path, options: ReadOptions,
 
 
 def _describe(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> LogContents:
-    topics = find_topics(containers, options)
+    with _naming(path):
+        topics = find_topics(containers, options)
     contents = [_contents(containers, topic, options) for topic in topics]
     if not any(entry.sensors for entry in contents):
         contents = [_proposed(entry, topic) for entry, topic in zip(contents, topics, strict=True)]
@@ -142,9 +144,10 @@ def _contents(containers: Sequence[Container], topic: Topic, options: ReadOption
 
 def _read(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> Recording:
     _refuse_options(path, options)
-    topics = find_topics(containers, options)
-    choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
-    streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
+    with _naming(path):
+        topics = find_topics(containers, options)
+        choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
+        streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
     decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
     work = RecordingBuilder(path=str(path), format=form)
     work.findings += [finding for container in containers for finding in container.findings]
@@ -166,6 +169,18 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         topics=[choice.topic.name for choice in choices],
         message_types=[choice.topic.type for choice in choices],
     )
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the log in errors that know only its topics."""
+    try:
+        yield
+    except ReadError as error:
+        if str(error).startswith(str(path)):
+            raise
+        msg = f"{path}: {error}"
+        raise type(error)(msg) from error
 
 
 def _add_temperature(

@@ -1,6 +1,7 @@
 """Protobuf messages, by the schema in the log and the package `protobuf`, which is an extra."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import count
 from typing import Any
 
 from imucal.readers.containers import Channel
@@ -10,6 +11,8 @@ from imucal.readers.messages.tree_messages import Parse
 
 #: A message that nests deeper than this refers to itself.
 _DEEP = 8
+#: Messages within messages that are looked into.
+_MANY = 2000
 
 #: Type of a number -> NumPy code, by the names of the package's constants.
 _CODES = {"DOUBLE": "f8", "FLOAT": "f4", "INT32": "i4", "INT64": "i8", "UINT32": "u4", "UINT64": "u8",
@@ -28,7 +31,7 @@ def parser_of(channel: Channel) -> Parse:
 
 def leaves_of(channel: Channel) -> list[Leaf]:
     """Return the numbers that the messages of a channel hold."""
-    return list(_leaves(_descriptor(channel), "", 0))
+    return list(_leaves(_descriptor(channel), "", 0, count()))
 
 
 def fields_of(channel: Channel) -> list[Field]:
@@ -55,15 +58,15 @@ def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an ex
         raise DefinitionError(msg) from error
 
 
-def _leaves(descriptor: Any, prefix: str, depth: int) -> Iterable[Leaf]:  # noqa: ANN401 - as above
+def _leaves(descriptor: Any, prefix: str, depth: int, steps: Iterator[int]) -> Iterable[Leaf]:  # noqa: ANN401
     from google.protobuf.descriptor import FieldDescriptor as Kinds
 
     names = {getattr(Kinds, f"TYPE_{name}"): name.lower() for name in _CODES}
     for field in descriptor.fields:
         path = prefix + field.name
         if field.message_type is not None:
-            if depth < _DEEP:
+            if depth < _DEEP and next(steps) < _MANY:
                 own = f"{path}[0]." if field.is_repeated else f"{path}."
-                yield from _leaves(field.message_type, own, depth + 1)
+                yield from _leaves(field.message_type, own, depth + 1, steps)
         elif field.type in names:
             yield Leaf(path, names[field.type] + ("[]" if field.is_repeated else ""))

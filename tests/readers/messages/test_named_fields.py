@@ -12,6 +12,8 @@ import pytest
 
 from imucal.errors import ChoiceError, ImucalError
 from imucal.readers import describe, read
+from imucal.readers.containers import Channel
+from imucal.readers.messages import protobuf_messages
 from imucal.readers.messages.fields_text import parse_fields_text
 from imucal.readers.messages.leaves import Leaf, Leaves
 from imucal.recording import Recording
@@ -313,20 +315,50 @@ def test_protobuf_by_named_fields(tmp_path: Path) -> None:
     is_near(read(path, fields=fields, **SCALES), 6e-4)
 
 
-def test_a_damaged_protobuf_schema(tmp_path: Path) -> None:
-    """Why it can't be read is said; the file is one of many ways to damage."""
-    path = protobuf_log(tmp_path, standard=True)
+@pytest.mark.parametrize(
+    ("write", "fields"),
+    [
+        (lambda folder: protobuf_log(folder, standard=True), "gyro=raw"),
+        (several, "gyro=imus[1].rate accel=imus[1].force"),
+        (lambda folder: counts(folder, "int16[]"), "gyro=g accel=a"),
+        (lambda folder: json_log(folder, lambda i: {"g": DEG[i].tolist()}), "gyro=g"),
+    ],
+    ids=["protobuf", "list of structures", "sequence", "JSON"],
+)
+def test_damaged_logs(write: Callable[[Path], Path], fields: str, tmp_path: Path) -> None:
+    """Schemas, definitions and messages of any damage: samples, or a message that names the log."""
+    path = write(tmp_path)
     whole = path.read_bytes()
-    rng = np.random.default_rng(3)
-    for _ in range(40):
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
         data = bytearray(whole)
-        for place in rng.integers(0, len(data), 20):
+        for place in rng.integers(0, len(data), 1 + int(rng.integers(20))):
             data[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(data)
-        try:
-            read(path, fields="gyro=raw")
-        except ImucalError as error:
-            assert str(error).startswith(str(path))  # noqa: PT017 - the message is the point
+        for action in (lambda path: read(path, fields=fields, **SCALES), describe):
+            try:
+                action(path)
+            except ImucalError as error:
+                assert str(error).startswith(str(path))  # noqa: PT017 - the message is the point
+
+
+def test_a_schema_that_holds_itself() -> None:
+    """Many fields of its own type: not all are looked into."""
+    pb = pytest.importorskip("google.protobuf.descriptor_pb2")
+    kinds = pb.FieldDescriptorProto
+    file = pb.FileDescriptorProto(name="a.proto", package="a")
+    one = file.message_type.add(name="A")
+    for number in range(1, 60):
+        one.field.add(
+            name=f"f{number}",
+            number=number,
+            type=kinds.TYPE_MESSAGE,
+            type_name=".a.A",
+            label=kinds.LABEL_OPTIONAL,
+        )
+    schema = pb.FileDescriptorSet(file=[file]).SerializeToString()
+    channel = Channel(key=1, topic="/a", type="a.A", encoding="protobuf", schema=schema)
+    assert protobuf_messages.leaves_of(channel) == []
 
 
 def test_info_lists_the_fields(tmp_path: Path) -> None:
