@@ -16,6 +16,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 from imucal._version import __version__
+from imucal.resources import limit_pools
 
 if TYPE_CHECKING:
     from imucal.allan import AllanCurve, Spectrum, allan_curve, spectrum
@@ -24,10 +25,12 @@ if TYPE_CHECKING:
     from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, WriteError
     from imucal.findings import Finding
     from imucal.fitting import fit
+    from imucal.fitting.decomposition import Decomposition, decompose
     from imucal.fitting.noise_fit import NoiseFit
     from imucal.fleet import LogValue, Population, population
     from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
+    from imucal.noise.transforms import avar_from_acvf, avar_from_psd
     from imucal.pipeline import Settings, characterize
     from imucal.planning import plan
     from imucal.readers import read
@@ -43,6 +46,7 @@ __all__ = [
     "ChoiceError",
     "Clock",
     "DataError",
+    "Decomposition",
     "Finding",
     "ImucalError",
     "LogValue",
@@ -59,8 +63,11 @@ __all__ = [
     "WriteError",
     "__version__",
     "allan_curve",
+    "avar_from_acvf",
+    "avar_from_psd",
     "characterize",
     "compare",
+    "decompose",
     "export",
     "fit",
     "load_report",
@@ -80,9 +87,11 @@ _HOMES = {
     "imucal.errors": ("ChoiceError", "DataError", "ImucalError", "ReadError", "WriteError"),
     "imucal.findings": ("Finding",),
     "imucal.fitting": ("NoiseFit", "fit"),
+    "imucal.fitting.decomposition": ("Decomposition", "decompose"),
     "imucal.fleet": ("LogValue", "Population", "population"),
     "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
+    "imucal.noise.transforms": ("avar_from_acvf", "avar_from_psd"),
     "imucal.pipeline": ("Settings", "characterize"),
     "imucal.planning": ("plan",),
     "imucal.readers": ("read",),
@@ -91,6 +100,9 @@ _HOMES = {
     "imucal.report.exports": ("export",),
     "imucal.screening": ("screen",),
 }
+
+# Now, as the libraries beneath ask only once how many threads they may start.
+limit_pools()
 
 
 def __getattr__(name: str) -> object:

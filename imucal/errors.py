@@ -7,6 +7,7 @@
     │   └── ChoiceError   several topics, sensors or columns fit, or none does; lists what was found
     ├── DataError      4  the data can't be analysed: no IMU samples, too short, not finite
     ├── WriteError     5  the output can't be written
+    ├── SettingError   2  an environment variable of imucal's is wrong
     └── LimitsError    2  the limits file of a check is wrong (2 is usage, as for a wrong option)
 
 A message reads *where: what was found, what was expected, what to do*.
@@ -46,5 +47,11 @@ class WriteError(ImucalError):
 
 class LimitsError(ImucalError):
     """The limits file of a check can't be read, or asks what can't be checked."""
+
+    exit_code = 2
+
+
+class SettingError(ImucalError):
+    """An environment variable that sets imucal up holds what it can't."""
 
     exit_code = 2

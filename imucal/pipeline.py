@@ -7,12 +7,15 @@ from typing import TypeAlias
 import numpy as np
 
 from imucal._version import __version__
-from imucal.allan import AllanCurve, allan_curve, spectrum
+from imucal.allan import allan_curve, spectrum
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting import FitSettings, NoiseFit, fit, fit_axis
+from imucal.fitting import FitSettings, NoiseFit, fit_axis
+from imucal.fitting.ambiguity import ambiguity_findings
 from imucal.fitting.cross_checks import second_opinion
+from imucal.fitting.curve_opinion import fit_of_curve
+from imucal.fitting.robust import clean
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
@@ -125,14 +128,22 @@ def _characterize_axis(
     curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
     at_samples = _same_clock(series, finite, temperature)
     result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
+    density = spectrum(finite)
     found = result.findings + findings_or_why_not(
         lambda: resolution_findings(result, finite.duration_s),
         what="How long a record would do is not known",
         code="record-length",
     )
+    found += findings_or_why_not(
+        lambda: ambiguity_findings(result, density, series.name),
+        what="What the curve can't tell is not known",
+        code="spectral-ambiguity",
+    )
     if settings.second_opinion and settings.method == "mle":
-        found += _second_opinion(finite, result, curve)
-    findings = [finding for finding in screened if finding.axis == series.name]
+        found += _second_opinion(finite, result, at_samples, spikes=not settings.clean)
+    # Of a step the fit says more: it has taken it out.
+    taken_out = {finding.code for finding in found} & {"step"}
+    findings = [f for f in screened if f.axis == series.name and f.code not in taken_out]
     findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
     return AxisReport(
@@ -144,21 +155,23 @@ def _characterize_axis(
         mean=mean,
         std=std,
         gaps=finite.clock.gaps,
-        spectrum=spectrum(finite),
+        spectrum=density,
         overview=Overview.of(finite),
         fit=result,
         findings=_without_repeats(findings),
     )
 
 
-def _second_opinion(series: AxisSeries, first: NoiseFit, curve: AllanCurve) -> tuple[Finding, ...]:
+def _second_opinion(
+    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None, *, spikes: bool
+) -> tuple[Finding, ...]:
     """Return where a fit of the curve disagrees; that it can't be made costs no axis its result."""
     if not first.model.terms:
         return ()
 
     def judge() -> tuple[Finding, ...]:
-        other = fit(series, model=str(first.model), method="gmwm", level=first.level, curve=curve)
-        return second_opinion(first, other)
+        samples = series if spikes else clean(series)[0]
+        return second_opinion(first, fit_of_curve(samples, first, temperature))
 
     return findings_or_why_not(
         judge, what="The Allan curve gives no second opinion", code="second-opinion", axis=series.name

@@ -177,6 +177,11 @@ class Source:
     message_types: tuple[str, ...] = ()
     decisions: tuple[tuple[str, str], ...] = ()
 
+    @property
+    def name(self) -> str:
+        """The file's or folder's own name, without the way to it."""
+        return self.path.rstrip("/").rsplit("/", 1)[-1] or self.path
+
     def __post_init__(self) -> None:
         # A name of bytes that are no text can be opened, but not written to a report.
         plain = self.path.encode("utf-8", "backslashreplace").decode()

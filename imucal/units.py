@@ -127,6 +127,19 @@ DATASHEET_UNITS: dict[str, float] = {
 }
 
 
+def duration(seconds: float) -> str:
+    """Return a length of time as people say it: ``7.5 s``, ``12 min``, ``3 h 2 min``, ``2 d 5 h``."""
+    if float(f"{seconds:.3g}") < 60:
+        return f"{seconds:.3g} s"
+    if seconds < _HOUR - 0.5:
+        (whole, rest), units = divmod(round(seconds), 60), ("min", "s")
+    elif seconds < 48 * _HOUR - 30:
+        (whole, rest), units = divmod(round(seconds / 60), 60), ("h", "min")
+    else:
+        (whole, rest), units = divmod(round(seconds / _HOUR), 24), ("d", "h")
+    return f"{whole} {units[0]} {rest} {units[1]}" if rest else f"{whole} {units[0]}"
+
+
 def datasheet_unit(name: str) -> DatasheetUnit:
     """Return the data-sheet unit of that name."""
     return DatasheetUnit(name, DATASHEET_UNITS[name])

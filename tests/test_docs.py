@@ -140,6 +140,15 @@ def test_every_export_is_in_the_table() -> None:
     assert rows == set(TARGETS)
 
 
+def test_what_was_read_of_each_program_is_in_the_table() -> None:
+    """Word for word as the format says it."""
+    from imucal.report.exports import TARGETS
+
+    page = (DOCS / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
+    for target in TARGETS.values():
+        assert f"| {target.name} | {target.source} | " in page
+
+
 def test_every_exit_code_is_in_the_table() -> None:
     """Those of the errors, and those of the command line itself."""
     from imucal import errors

@@ -18,6 +18,8 @@ BELOW: dict[str, set[str]] = {
     "_version": set(),
     "atomic": {"errors"},
     "clock": set(),
+    "printable": set(),
+    "resources": {"errors"},
     "recording": {"arrays", "clock", "errors", "findings"},
     "powerlaw": {"arrays"},
     "side_work": {"errors", "findings"},

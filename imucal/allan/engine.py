@@ -12,9 +12,10 @@ from imucal.allan.curve import AllanCurve
 from imucal.allan.estimators import Estimator, estimator_named
 from imucal.allan.gaps import longest_run, run_variances, window_variances
 from imucal.allan.variance import variances
-from imucal.arrays import IntArray, memory_limit
+from imucal.arrays import IntArray
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
+from imucal.resources import memory_limit
 
 _DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?")
 

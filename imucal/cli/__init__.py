@@ -3,6 +3,7 @@
 import difflib
 import errno
 import importlib
+import io
 import os
 import re
 import shlex
@@ -16,6 +17,7 @@ from click.shell_completion import CompletionItem
 
 from imucal._version import __version__
 from imucal.errors import ChoiceError, DataError, ImucalError, WriteError
+from imucal.printable import printable
 
 __all__ = ["COMMANDS", "main", "options_for"]
 
@@ -23,6 +25,7 @@ __all__ = ["COMMANDS", "main", "options_for"]
 COMMANDS: dict[str, tuple[str, str]] = {
     "fit": ("imucal.cli.fit", "Fit a noise model to every axis of a log and write a report."),
     "info": ("imucal.cli.info", "Say what is in a log: topics, rates, duration, units, gaps."),
+    "decompose": ("imucal.cli.decompose", "Draw what the bias of every axis did: its smoothed parts."),
     "adev": ("imucal.cli.adev", "Print the Allan deviations of every axis as CSV or JSON."),
     "simulate": ("imucal.cli.simulate", "Write a log of known truth (CSV, MCAP, ROS 1 or ROS 2 bag)."),
     "plan": ("imucal.cli.plan", "Say how long to record for a wanted precision."),
@@ -152,7 +155,9 @@ def _explain(error: BaseException) -> int:
     """Print what went wrong, without a traceback; return the exit code."""
     match error:
         case click.ClickException():
-            error.show()
+            said = io.StringIO()
+            error.show(said)
+            click.echo(printable(said.getvalue()), err=True, nl=False)
             return error.exit_code
         case ChoiceError():
             hint = options_for(str(error))
@@ -170,7 +175,7 @@ def _explain(error: BaseException) -> int:
             what = f"{type(error).__name__}: {error}"
             message = f"Error: internal error ({what}). Please report it; IMUCAL_DEBUG=1 shows where."
             code = 70
-    click.echo(message, err=True)
+    click.echo(printable(message), err=True)
     return code
 
 

@@ -4,10 +4,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import click
-
 from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
+from imucal.cli._echo import echo, echo_json
+from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import say
+from imucal.cli._terminal import fitted, width
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS
 
@@ -33,20 +34,18 @@ def fit_curves(
     if settings.method == "mle":
         say("A table holds no samples: fitting the curve by gmwm instead of mle.", quiet=quiet)
         settings = replace(settings, method="gmwm")
-    results = []
     curves = read_adev_table(path) if is_adev_table(path) else read_curve(path, rate_hz=rate_hz)
-    for named in curves:
-        result = fit_axis(named.curve, settings)
-        results.append((named, result))
-        for finding in (*named.findings, *result.findings):
-            say(
-                f"{finding.level} [{finding.code}] {named.name}: {finding.text} {finding.advice}".rstrip(),
-                quiet=quiet,
-            )
+    results = [(named, fit_axis(named.curve, settings)) for named in curves]
+    found = [
+        replace(finding, axis=named.name)
+        for named, result in results
+        for finding in (*named.findings, *result.findings)
+    ]
+    print_findings(found, quiet=quiet)
     if as_json:
-        click.echo(json.dumps([_document(named, result) for named, result in results], indent=1))
+        echo_json(json.dumps([_document(named, result) for named, result in results], indent=1))
     else:
-        click.echo("\n\n".join(_table(named, result) for named, result in results))
+        echo("\n\n".join(_table(named, result) for named, result in results))
 
 
 def _unit(named: NamedCurve, symbol: str) -> str:
@@ -69,7 +68,7 @@ def _table(named: NamedCurve, result: NoiseFit) -> str:
         if estimate.correlation_time:
             time = estimate.correlation_time
             lines.append(f"      T = {time.value:.4g}  [{time.low:.4g}, {time.high:.4g}]  s")
-    return "\n".join(lines)
+    return "\n".join(part for line in lines for part in fitted(line, width(), indent=6))
 
 
 def _document(named: NamedCurve, result: NoiseFit) -> dict[str, object]:

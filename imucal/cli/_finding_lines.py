@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from imucal.findings import Finding, Level
+from imucal.printable import printable
 
 _STYLES: dict[Level, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 
@@ -41,7 +42,8 @@ def print_findings(findings: Sequence[Finding], *, quiet: bool, verbose: bool = 
     for line in _lines(findings, verbose=verbose):
         text = Text(line.level, style=_STYLES[line.level])
         where = f" {' '.join(line.axes)}" if line.axes else ""
-        text.append(f" [{line.code}]{where}: {line.text}{line.tail}", style="not bold default")
+        said = printable(f" [{line.code}]{where}: {line.text}{line.tail}")
+        text.append(said, style="not bold default")
         console.print(text)
 
 

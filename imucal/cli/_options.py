@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import click
 
+from imucal.cli._echo import echo
+from imucal.cli._param_type import ParamType
 from imucal.cli._progress import axes_progress, reading_progress
 from imucal.recording import AxisSeries, Recording, Sensor
-from imucal.units import SAMPLE_UNITS, parse_sample_unit
+from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
 
 if TYPE_CHECKING:
     from imucal.pipeline import Settings
@@ -50,7 +52,7 @@ quiet_option = click.option(
 def say(text: str, *, quiet: bool = False) -> None:
     """Print a line for people, on standard error, so that standard output holds results only."""
     if not quiet:
-        click.echo(text, err=True)
+        echo(text, err=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,7 +136,7 @@ class LogRequest:
         return {name: value for name, value in asked.items() if value}
 
 
-class Duration(click.ParamType[float]):
+class Duration(ParamType[float]):
     """Seconds, or a number with s, min, m, h or d."""
 
     name = "duration"
@@ -155,7 +157,7 @@ class Duration(click.ParamType[float]):
         return seconds
 
 
-class UnitName(click.ParamType[str]):
+class UnitName(ParamType[str]):
     """A unit of one sensor's samples, in a spelling that can't be meant otherwise."""
 
     name = "unit"
@@ -319,7 +321,7 @@ def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> N
         for series in group:
             sensors[series.sensor.short] = sensors.get(series.sensor.short, "") + series.axis
         names = ", ".join(f"{sensor} {axes}" for sensor, axes in sensors.items())
-        samples = f"{clock.n} samples at {clock.rate_hz:.6g} Hz, {describe_duration(clock.duration_s)}"
+        samples = f"{clock.n} samples at {clock.rate_hz:.6g} Hz, {duration(clock.duration_s)}"
         say(f"Read {Path(source.path).name} ({source.format}): {names}: {samples}", quiet=quiet)
     if verbose:
         for topic, kind in zip(source.topics, source.message_types, strict=False):
@@ -342,10 +344,3 @@ def as_typed(path: Path) -> str:
     """Return a path as a shell takes it for one argument: quoted where it needs to be, never an option."""
     text = str(path)
     return shlex.quote(f"./{text}" if text.startswith("-") else text)
-
-
-def describe_duration(seconds: float) -> str:
-    """Return a duration as people say it: ``45.2 s``, ``7.5 min``, ``2.80 h``."""
-    if seconds < 2 * 60:
-        return f"{seconds:.4g} s"
-    return f"{seconds / 60:.4g} min" if seconds < 2 * 3600 else f"{seconds / 3600:.4g} h"

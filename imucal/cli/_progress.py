@@ -20,6 +20,13 @@ def axes_progress(*, quiet: bool) -> Iterator[Callable[[int, int, str], None] | 
 
 
 @contextmanager
+def smoothing_progress(axis: str, *, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """Show how much of an axis has been decomposed, on a terminal; nothing elsewhere."""
+    with _bar(f"decomposing {axis}", "TaskProgressColumn", quiet=quiet) as update:
+        yield update and (lambda done, total: update(completed=done, total=total))
+
+
+@contextmanager
 def _bar(text: str, *columns: str, quiet: bool) -> Iterator[Callable[..., None] | None]:
     """Yield what updates a bar with some of rich's columns, or None where nobody watches."""
     if quiet or not sys.stderr.isatty():

@@ -6,20 +6,24 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
+from imucal.cli._terminal import FULL
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
-from imucal.units import pretty
+from imucal.report.sheet_units import SheetUnits, sheet_units
+from imucal.units import duration, pretty
 
-#: Two columns and the space between them make 80.
+#: Two columns and the space between them make 80; a narrower table has one column after the other.
 _COLUMN, _SPACE = 39, 2
 _Block = list[str]
 
 
-def summary_table(report: Report, *, datasheet: bool, encoding: str | None = None) -> str:
-    """Return the table as text of at most 80 columns, without a newline at its end.
+def summary_table(
+    report: Report, *, datasheet: bool, encoding: str | None = None, columns: int = FULL
+) -> str:
+    """Return the table as text of at most 80 columns, or 40, without a newline at its end.
 
     Parameters
     ----------
@@ -30,30 +34,38 @@ def summary_table(report: Report, *, datasheet: bool, encoding: str | None = Non
     encoding
         Of the place it is printed to; by default standard output's. Where it can't hold signs
         such as √ the units are written in ASCII.
+    columns
+        Of the terminal; with less than 80 the sensors stand one after the other, 39 columns wide.
     """
     plain = not _can_print(encoding or sys.stdout.encoding or "ascii")
-    columns = []
+    sensors = []
     for sensor in Sensor:
         axes = [axis for axis in report.axes if axis.sensor is sensor]
         if axes:
-            columns.append(dict(_blocks(axes, datasheet=datasheet, plain=plain)))
-    lines = _verdict(report, plain=plain)
-    for key in _order(columns):
-        sides = [column.get(key, []) for column in columns]
-        lines += [_side_by_side(row) for row in zip_longest(*sides, fillvalue="")]
-        lines.append("")
+            units = sheet_units(report, sensor) if datasheet else None
+            sensors.append(dict(_blocks(axes, units, plain=plain)))
+    lines = [*_wrapped(_verdict(report, plain=plain), columns), ""]
+    for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:
+        for key in _order(beside):
+            sides = [sensor.get(key, []) for sensor in beside]
+            lines += [_side_by_side(row) for row in zip_longest(*sides, fillvalue="")]
+            lines.append("")
     levels = {axis.fit.level for axis in report.axes}
     shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
-    lines.append(f"[low, high]: {shown} interval; < high: not shown by the data, upper bound")
+    legend = f"[low, high]: {shown} interval; < high: not shown by the data, upper bound"
+    lines += _wrapped(legend, columns)
     return "\n".join(lines)
 
 
-def _verdict(report: Report, *, plain: bool) -> list[str]:
-    """Return the verdict's sentence and an empty line; a number keeps its unit."""
-    sentence = report.verdict.sentence.replace("±", "+-") if plain else report.verdict.sentence
-    kept = sentence.replace(" %", "\N{NO-BREAK SPACE}%")
-    lines = textwrap.wrap(kept, 2 * _COLUMN + _SPACE)
-    return [*(line.replace("\N{NO-BREAK SPACE}", " ") for line in lines), ""]
+def _verdict(report: Report, *, plain: bool) -> str:
+    sentence = report.verdict.sentence
+    return sentence.replace("±", "+-") if plain else sentence
+
+
+def _wrapped(text: str, columns: int) -> list[str]:
+    """Break a text into lines; a number keeps its unit: lines break after commas and before brackets."""
+    kept = re.sub(r"(?<=\d) (?=[A-Za-z%])", "\N{NO-BREAK SPACE}", text)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, columns)]
 
 
 def _can_print(encoding: str) -> bool:
@@ -78,9 +90,9 @@ def _side_by_side(row: Sequence[str]) -> str:
     return (" " * _SPACE).join(f"{text:{_COLUMN}}" for text in row).rstrip()
 
 
-def _blocks(axes: list[AxisReport], *, datasheet: bool, plain: bool) -> Iterator[tuple[str, _Block]]:
-    """Yield each block of a sensor's column with its key."""
-    sensor, unit = axes[0].sensor, numbers.datasheet if datasheet else numbers.si
+def _blocks(axes: list[AxisReport], units: SheetUnits | None, *, plain: bool) -> Iterator[tuple[str, _Block]]:
+    """Yield each block of a sensor's column with its key, in data-sheet units or, with None, in SI."""
+    sensor, unit = axes[0].sensor, units.estimate if units else numbers.si
     yield "", _heading(axes)
     for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
         found = [(axis, e) for axis in axes for e in axis.fit.estimates if e.key == key]
@@ -92,7 +104,11 @@ def _blocks(axes: list[AxisReport], *, datasheet: bool, plain: bool) -> Iterator
         if times:
             yield f"{key} T", _block(f"{key}  correlation time", times, plain=plain)
     lowest = [
-        (axis, numbers.minimum(axis)[datasheet], f"at {numbers.seconds(axis.fit.curve.minimum[1])}")
+        (
+            axis,
+            units.minimum(axis) if units else numbers.minimum(axis)[0],
+            f"at {numbers.seconds(axis.fit.curve.minimum[1])}",
+        )
         for axis in axes
     ]
     yield "minimum", _block("minimum of the curve", lowest, plain=plain)
@@ -103,13 +119,11 @@ def _heading(axes: list[AxisReport]) -> _Block:
     lines = [str(axes[0].sensor).upper()]
     clocks: dict[str, list[str]] = {}
     for axis in axes:
-        text = f"{axis.rate_hz:.6g} Hz, {axis.samples} samples, {numbers.hours(axis.duration_s)}"
+        text = f"{axis.rate_hz:.6g} Hz, {axis.samples} samples, {duration(axis.duration_s)}"
         clocks.setdefault(text, []).append(axis.axis)
     for text, names in clocks.items():
         shown = text if len(clocks) == 1 else f"{','.join(names)}: {text}"
-        # A number keeps its unit: lines break after commas and before brackets.
-        kept = re.sub(r"(?<=\d) (?=[A-Za-z])", "\N{NO-BREAK SPACE}", shown)
-        lines += [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, _COLUMN)]
+        lines += _wrapped(shown, _COLUMN)
     return lines
 
 

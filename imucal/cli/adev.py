@@ -8,8 +8,10 @@ import click
 from imucal._version import __version__
 from imucal.allan.confidence import EDF_METHODS
 from imucal.allan.estimators import ESTIMATORS
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -17,7 +19,7 @@ from imucal.grading import judge_findings
 from imucal.recording import AxisSeries, Recording
 
 
-class Taus(click.ParamType[str | tuple[float, ...]]):
+class Taus(ParamType[str | tuple[float, ...]]):
     """A set of averaging times by name, or a list of durations."""
 
     name = "taus"
@@ -107,9 +109,9 @@ def command(
             "level": level,
             "axes": axes,
         }
-        click.echo(json.dumps(document, indent=1, allow_nan=False))
+        echo_json(json.dumps(document, indent=1, allow_nan=False))
     else:
-        click.echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
+        echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
     print_findings(findings, quiet=request.quiet, verbose=request.verbose)
     say(verdict.sentence, quiet=request.quiet or not verdict.usable)
     refuse(verdict, recording.source.path, "the curves were printed", force=force)

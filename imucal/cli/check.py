@@ -9,11 +9,12 @@ import click
 
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
+from imucal.cli._terminal import FULL, width
 
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
-_WIDTH = 80
 
 
 @click.command(
@@ -100,12 +101,12 @@ def command(
             scratch.write_text(junit_xml(result), encoding="utf-8")
         say(str(junit), quiet=request.quiet)
     if as_json:
-        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        click.echo(_table(result))
+        echo(_table(result))
     if github:
         for line in github_annotations(result, file=str(limits_file or "")):
-            click.echo(line, err=as_json)
+            echo(line, err=as_json)
     if not result.passed:
         click.get_current_context().exit(1)
 
@@ -126,7 +127,7 @@ def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
 
 
 def _table(result: CheckResult) -> str:
-    """Return the verdicts as lines of at most 80 columns, and what they come to."""
+    """Return the verdicts as lines that fit the terminal, and what they come to."""
     where = max((len(row.where) for row in result.rows), default=0)
     rule = min(max((len(row.rule) for row in result.rows), default=0), 32)
     lines = [line for row in result.rows for line in _lines(row, where, rule)]
@@ -140,14 +141,24 @@ def _table(result: CheckResult) -> str:
     note = ""
     if result.count("undecided"):
         note = "; undecided counts as failed" if result.undecided_fails else "; undecided doesn't fail"
-    return "\n".join([*lines, f"{last}: {counts} (intervals at {result.level:.0%}{note})"])
+    return "\n".join([*lines, *_total(last, f"{counts} (intervals at {result.level:.0%}{note})")])
+
+
+def _total(styled: str, text: str) -> list[str]:
+    """Return the last line, broken where it must be; the colour of its first word takes no room."""
+    word = click.unstyle(styled)
+    first, *rest = textwrap.wrap(f"{word}: {text}", width())
+    return [first.replace(word, styled, 1), *rest]
 
 
 def _lines(row: Row, where: int, rule: int) -> list[str]:
     verdict = click.style(f"{row.verdict:<9}", fg=_COLOURS[row.verdict])
     start = 9 + 1 + where + 1
-    if row.measured is not None and len(row.rule) <= rule:
+    if row.measured is not None and start + rule + 1 + len(row.measured.text()) <= width():
         return [f"{verdict} {row.where:<{where}} {row.rule:<{rule}} {row.measured.text()}"]
+    if row.measured is not None and width() < FULL:
+        place, *more = textwrap.wrap(f"{row.where:<{where}} {row.rule}", width() - 10)
+        return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, row.measured.text()))]
     text = row.text.partition(": ")[2]  # without the place, which has its column
-    first, *rest = textwrap.wrap(text, _WIDTH - start) or [""]
+    first, *rest = textwrap.wrap(text, width() - start) or [""]
     return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import click
 
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import Number, quiet_option, say, shown
 from imucal.cli._report_input import read_report
+from imucal.cli._terminal import FULL, width
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
@@ -68,9 +70,9 @@ def command(
     """
     result = compare(read_report(a), read_report(b), alpha=alpha, tolerance=tolerance)
     if as_json:
-        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        click.echo(_table(result, datasheet=datasheet))
+        echo(_table(result, datasheet=datasheet))
     for name, path in (("A", result.a), ("B", result.b)):
         say(f"{name}: {path}", quiet=quiet)
     for note in result.notes:
@@ -120,28 +122,37 @@ def _estimate(estimate: Estimate | None) -> dict[str, object] | None:
 
 
 def _table(result: Comparison, *, datasheet: bool) -> str:
+    narrow = width() < FULL
     header = f"{'axis':<8}{'term':<6}{'unit':<17}{'A':>11}{'B':>11}{'B/A':>8}{'p':>9}  outcome"
-    lines = [header, *(_line(difference, datasheet=datasheet) for difference in result.differences)]
+    lines = [] if narrow else [header]
+    for difference in result.differences:
+        lines += _lines(difference, datasheet=datasheet, narrow=narrow)
     beyond = f" beyond {result.tolerance:.3g} of A" if result.tolerance else ""
     count = len(result.significant)
     verdict = (
         f"{count} of {result.tested} terms differ{beyond}" if count else f"no significant difference{beyond}"
     )
+    tests = f"(p adjusted for {result.tested} tests, alpha {result.alpha:g})"
     verdict = click.style(verdict, fg="red" if count else "green", bold=True)
-    return "\n".join([*lines, f"{verdict} (p adjusted for {result.tested} tests, alpha {result.alpha:g})"])
+    return "\n".join([*lines, *([verdict, tests] if narrow else [f"{verdict} {tests}"])])
 
 
-def _line(difference: Difference, *, datasheet: bool) -> str:
+def _lines(difference: Difference, *, datasheet: bool, narrow: bool) -> list[str]:
+    """Return a difference as a row of the table; as two lines where the terminal is narrow."""
     unit = DatasheetUnit(difference.unit, 1.0)
     if datasheet and difference.unit != "s":
         unit = TERMS[difference.symbol].datasheet_unit(difference.sensor)
     ratio = "" if difference.ratio is None else f"{difference.ratio:.4g}"
     p = "" if difference.p_adjusted is None else _probability(difference.p_adjusted)
-    numbers = f"{_cell(difference.a, unit):>11}{_cell(difference.b, unit):>11}{ratio:>8}{p:>9}"
+    a, b = _cell(difference.a, unit), _cell(difference.b, unit)
     outcome = (
         click.style(difference.outcome, fg="red") if difference.outcome == "differs" else difference.outcome
     )
-    return f"{difference.axis:<8}{difference.key:<6}{unit.name:<17}{numbers}  {outcome}"
+    if narrow:
+        first = f"{difference.axis:<8}{difference.key:<6}{outcome}{f', p {p}' if p else ''}"
+        return [first, f"  {a} -> {b} {unit.name}"]
+    numbers = f"{a:>11}{b:>11}{ratio:>8}{p:>9}"
+    return [f"{difference.axis:<8}{difference.key:<6}{unit.name:<17}{numbers}  {outcome}"]
 
 
 def _probability(p: float) -> str:

@@ -7,10 +7,13 @@ from typing import TypedDict, get_args
 import click
 from click.shell_completion import CompletionItem
 
+from imucal.cli._echo import echo
 from imucal.cli._options import LogRequest, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.cli._report_input import load_report, report_or_log
 from imucal.cli._verdict_line import force_option, refuse
 from imucal.errors import WriteError
+from imucal.recording import Sensor
 from imucal.report.exports import INFLATABLE, TARGETS, AxisPolicy, Unidentified, export, find_target, render
 from imucal.report.result import Report
 
@@ -24,7 +27,7 @@ class _Options(TypedDict):
     topic: str | None
 
 
-class TargetName(click.ParamType[str]):
+class TargetName(ParamType[str]):
     """A downstream format, or all."""
 
     name = "target"
@@ -33,9 +36,10 @@ class TargetName(click.ParamType[str]):
         if value == "all":
             return "all"
         try:
-            return find_target(str(value)).name
+            find_target(str(value))
         except ValueError as error:
             self.fail(f"{error}, all", param, ctx)
+        return str(value)
 
     def shell_complete(
         self,
@@ -53,7 +57,7 @@ class TargetName(click.ParamType[str]):
         ]
 
 
-class Inflation(click.ParamType[dict[str, float]]):
+class Inflation(ParamType[dict[str, float]]):
     """``white=2,walk=10``."""
 
     name = "inflation"
@@ -165,7 +169,7 @@ def command(
         "unidentified": unidentified,
         "topic": rostopic,
     }
-    names = tuple(dict.fromkeys(TARGETS if "all" in targets else targets))
+    names = tuple(TARGETS) if "all" in targets else _names(targets, quiet=request.quiet)
     texts = [render(report, name, **options) for name in names]  # so that a refusal leaves no file
     if out == Path("-"):
         if len(names) > 1:
@@ -173,11 +177,21 @@ def command(
             raise click.BadParameter(msg, param_hint="'-o'")
         click.echo(texts[0], nl=False)
     elif len(names) == 1:
-        click.echo(str(export(report, names[0], out or Path(), **options)[0]))
+        echo(str(export(report, names[0], out or Path(), **options)[0]))
     else:
         for name in names:
-            click.echo(str(export(report, name, _folder(out or _FOLDER), **options)[0]))
+            echo(str(export(report, name, _folder(out or _FOLDER), **options)[0]))
     _say_bounds(report, quiet=request.quiet)
+    _say_missing(report, quiet=request.quiet)
+
+
+def _names(asked: tuple[str, ...], *, quiet: bool) -> tuple[str, ...]:
+    """Return the formats' own names, each once; say which one another name stands for."""
+    found = {name: find_target(name) for name in asked}
+    for name, target in found.items():
+        if not target.is_called(name):
+            say(f"{name}: written as {target.name} ({target.title})", quiet=quiet)
+    return tuple(dict.fromkeys(target.name for target in found.values()))
 
 
 def _folder(path: Path) -> Path:
@@ -199,5 +213,15 @@ def _say_bounds(report: Report, *, quiet: bool) -> None:
             say(
                 f"{symbol} was not identified on {', '.join(axes)}; where a file needs it, its upper bound "
                 "stands there, with a comment (--unidentified refuse to refuse)",
+                quiet=quiet,
+            )
+
+
+def _say_missing(report: Report, *, quiet: bool) -> None:
+    """Say on standard error which half of the numbers the files lack."""
+    for sensor in Sensor:
+        if not any(axis.sensor is sensor for axis in report.axes):
+            say(
+                f"there is no {sensor} in this log; its numbers are left out, as the comment says",
                 quiet=quiet,
             )

@@ -5,8 +5,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
+from imucal.cli._param_type import ParamType
+from imucal.cli._terminal import width
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.noise import parse_structure, structure_text
@@ -14,10 +17,11 @@ from imucal.noise import parse_structure, structure_text
 if TYPE_CHECKING:
     from imucal.findings import Finding
 
-_FORMATS = ("png", "svg", "pdf")
+#: Pictures that can be written.
+FORMATS = ("png", "svg", "pdf")
 
 
-class TauSet(click.ParamType[str]):
+class TauSet(ParamType[str]):
     """A set of averaging times by its name."""
 
     name = "taus"
@@ -29,7 +33,7 @@ class TauSet(click.ParamType[str]):
         return text
 
 
-class Structure(click.ParamType[str]):
+class Structure(ParamType[str]):
     """The terms of a model, or auto."""
 
     name = "structure"
@@ -88,7 +92,7 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 @shown(
     "--format",
     "formats",
-    type=click.Choice(_FORMATS),
+    type=click.Choice(FORMATS),
     multiple=True,
     default=("png",),
     help="Pictures; may be repeated.",
@@ -122,9 +126,10 @@ def command(
     """Fit a noise model to every axis of LOG and write a report.
 
     LOG is a CSV, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, MAT or ULog file, or
-    - for text on standard input. Several LOGs are read as one recording with gaps. The table on
-    standard output holds the noise terms of each axis with their intervals; the report folder
-    holds report.json, report.html and the pictures. Both begin with a verdict: good, look first, or
+    - for text on standard input. Several LOGs are read as one recording where each goes on where
+    the one before ends (splits of a bag, rotated tables), or with --join. The table on standard
+    output holds the noise terms of each axis with their intervals; the report folder holds
+    report.json, report.html and the pictures. Both begin with a verdict: good, look first, or
     not noise, which ends with exit code 4.
     """
     from imucal.cli._curve_fit import fit_curves, is_curve_table
@@ -165,9 +170,9 @@ def command(
         check_folder(folder)
     report = request.characterise(settings)
     if as_json:
-        click.echo(dumps(to_document(report)), nl=False)
+        echo_json(dumps(to_document(report)), nl=False)
     else:
-        click.echo(summary_table(report, datasheet=datasheet))
+        echo(summary_table(report, datasheet=datasheet, columns=width()))
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
     missing: list[Finding] = []
     if not no_report:
@@ -183,10 +188,10 @@ def command(
         refuse_warnings((*report.all_findings, *missing), report.source.path)
 
 
-def report_folder(log: str) -> Path:
-    """Return where the report of a log goes: ``<log name>-imucal`` in the current folder."""
+def report_folder(log: str, what: str = "imucal") -> Path:
+    """Return where the files of a log go: ``<log name>-imucal`` in the current folder."""
     name = "stdin" if log == "-" else Path(log).resolve().name
     stem = name
     while (suffix := Path(stem).suffix) and suffix.lstrip(".").isalnum() and not suffix[1:].isdigit():
         stem = Path(stem).stem
-    return Path(f"{stem or name}-imucal")
+    return Path(f"{stem or name}-{what}")

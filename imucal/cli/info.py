@@ -10,18 +10,21 @@ from typing import Any, TypeAlias
 import click
 
 from imucal.cli import options_for
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import suggestion
-from imucal.cli._options import describe_duration, reading_options
+from imucal.cli._options import reading_options
+from imucal.cli._terminal import FULL, width
 from imucal.errors import ImucalError
 from imucal.findings import Finding
+from imucal.printable import printable
 from imucal.readers import LogContents, TopicContents, describe, logs_of, read
 from imucal.readers.read_options import options_of
 from imucal.recording import Recording
+from imucal.units import duration
 
 #: What ``--json`` prints follows this.
 SCHEMA = "imucal/info/1"
 
-_WIDTH = 80
 STANDARD_INPUT = "-"
 #: When several logs are read as one.
 _JOINED_WHERE = "Together they are read only where each goes on where the one before ends, or with --join."
@@ -81,13 +84,13 @@ def command(
         if as_json:
             entries.append(_document(contents, found))
         else:
-            click.echo("\n".join(_lines(contents, found, looked=wanted, verbose=verbose)))
+            echo("\n".join(_lines(contents, found, looked=wanted, verbose=verbose)))
     for folder, parts in folders.items() if not as_json else ():
         text = f"{folder}: {len(parts)} logs without a metadata.yaml that says they are one recording."
-        click.echo("\n".join([*_wrapped(f"{text} {_JOINED_WHERE}"), ""]))
+        echo("\n".join([*_wrapped(f"{text} {_JOINED_WHERE}"), ""]))
     if as_json:
         document = {"schema": SCHEMA, "logs": entries}
-        click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+        echo_json(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def _read_topics(contents: LogContents, reading: dict[str, Any]) -> dict[str, TopicReading]:
@@ -208,17 +211,21 @@ def _head(contents: LogContents) -> Iterator[str]:
     if contents.size_bytes is not None:
         yield _size(contents.size_bytes)
     if contents.duration_s is not None:
-        yield describe_duration(contents.duration_s)
+        yield duration(contents.duration_s)
     if contents.start_ns is not None and contents.start_ns > _NO_DATE:
         yield f"from {_date(contents.start_ns)}"
 
 
 def _table(topics: list[TopicContents]) -> Iterator[str]:
     """Yield a line a topic, and a second one for a note or for a name that does not fit."""
-    rows = [(topic.name, topic.type, *_figures(topic)) for topic in topics]
+    rows = [(_one_line(topic.name), _one_line(topic.type), *_figures(topic)) for topic in topics]
     heads = ("topic", "type", "messages", "rate", "duration", "sensors")
+    if width() < FULL:
+        for topic in topics:
+            yield from _topic_lines(topic)
+        return
     widths = [max(len(heads[i]), *(len(row[i]) for row in rows)) for i in range(6)]
-    spare = _WIDTH - 2 - 2 * 5 - sum(widths[2:])
+    spare = width() - 2 - 2 * 5 - sum(widths[2:])
     widths[1] = min(widths[1], max(spare - min(widths[0], spare // 2), 8))
     widths[0] = min(widths[0], max(spare - widths[1], 8))
     yield _row(heads, widths)
@@ -228,6 +235,19 @@ def _table(topics: list[TopicContents]) -> Iterator[str]:
         yield _row((*fitted, *row[2:]), widths)
         for text in [*long, *([topic.note] if topic.note else [])]:
             yield from _wrapped(text, indent=6)
+
+
+def _one_line(text: str) -> str:
+    return printable(text).replace("\n", "\\n")
+
+
+def _topic_lines(topic: TopicContents) -> Iterator[str]:
+    """Yield a topic's lines for a narrow terminal."""
+    count, rate, length, sensors = _figures(topic)
+    figures = ", ".join(filter(None, (f"{count} messages", rate, length, sensors)))
+    for text, indent in ((topic.name, 2), (topic.type, 4), (figures, 4), (topic.note, 6)):
+        if text:
+            yield from _wrapped(_one_line(text), indent=indent)
 
 
 def _row(cells: tuple[str, ...], widths: list[int]) -> str:
@@ -240,8 +260,8 @@ def _row(cells: tuple[str, ...], widths: list[int]) -> str:
 def _figures(topic: TopicContents) -> tuple[str, str, str, str]:
     count = "?" if topic.count is None else str(topic.count)
     rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
-    duration = "" if topic.duration_s is None else describe_duration(topic.duration_s)
-    return count, rate, duration, ", ".join(sensor.short for sensor in topic.sensors)
+    length = "" if topic.duration_s is None else duration(topic.duration_s)
+    return count, rate, length, ", ".join(sensor.short for sensor in topic.sensors)
 
 
 def _what_was_read(topic: TopicContents, found: TopicReading | None, said: set[_Words]) -> Iterator[str]:
@@ -300,7 +320,7 @@ def _wrapped(text: str, *, indent: int = 0) -> list[str]:
         own = indent + len(line) - len(line.lstrip())
         lines += textwrap.wrap(
             line,
-            _WIDTH,
+            width(),
             initial_indent=" " * own if line.strip() else "",
             subsequent_indent=" " * (own + 2),
             break_on_hyphens=False,

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import click
 
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.cli._report_input import is_report, read_report
+from imucal.cli._terminal import FULL, fitted, width
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
@@ -19,7 +22,7 @@ from imucal.units import DatasheetUnit
 SCHEMA = "imucal/planning/1"
 
 
-class Fraction(click.ParamType[float]):
+class Fraction(ParamType[float]):
     """A positive fraction: 0.1 or 10%."""
 
     name = "fraction"
@@ -97,9 +100,9 @@ def command(
         duration_s=duration,
     )
     if as_json:
-        click.echo(json.dumps(to_document(result), indent=2, allow_nan=False))
+        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        click.echo(_table(result, datasheet=datasheet))
+        echo(_table(result, datasheet=datasheet))
     if any(need.bounded for axis in result.axes for need in axis.needs):
         say("< value: not seen; the time is for a term as large as its bound", quiet=quiet)
     if not as_json and any(_may_be_missed(need) for axis in result.axes for need in axis.needs):
@@ -158,12 +161,17 @@ def _table(result: Plan, *, datasheet: bool) -> str:
     percent = f"{100 * result.precision:.3g} %"
     spread = "1 sd" if result.level == ONE_DEVIATION else f"{100 * result.level:.4g} %"
     durations = {axis.duration_s for axis in result.axes}
-    lines = [f"Record length for ±{percent} ({spread}) of each term"]
+    lines = fitted(f"Record length for ±{percent} ({spread}) of each term", width(), indent=2)
+    narrow = width() < FULL
     for axis in result.axes:
         title = f"{axis.axis or axis.model}  at {axis.rate_hz:.6g} Hz"
         if axis.duration_s is not None:
             title += f", {describe_time(axis.duration_s)}"
-        lines += ["", title, f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}"]
+        lines += ["", *fitted(title, width(), indent=2)]
+        if narrow:
+            lines += [line for need in axis.needs for line in _pair(axis, need, datasheet=datasheet)]
+            continue
+        lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}")
         if durations != {None}:
             lines[-1] += f"{'this tells':>17}"
         lines += [_line(axis, need, datasheet=datasheet) for need in axis.needs]
@@ -179,12 +187,22 @@ def _line(axis: AxisPlan, need: Need, *, datasheet: bool) -> str:
     unit = _unit(axis.sensor, need, datasheet=datasheet)
     value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
     line = f"  {need.name:<10}{value:>12}  {unit.name:<18}{describe_time(need.needed_s):>19}"
-    if need.reached is None:
-        return line
-    reached = f"±{100 * need.reached:.2g} %" if need.reached < 1 else "nothing"
-    if need.reached < 1 and _may_be_missed(need):
-        reached += f" ({math.floor(10 * (need.shown or 0.0))} of 10)"
-    return f"{line}{reached:>17}"
+    return line if need.reached is None else f"{line}{_reached(need):>17}"
+
+
+def _pair(axis: AxisPlan, need: Need, *, datasheet: bool) -> list[str]:
+    """Return the two lines of a narrow terminal."""
+    unit = _unit(axis.sensor, need, datasheet=datasheet)
+    tells = "" if need.reached is None else f", this tells {_reached(need)}"
+    first = f"  {need.name:<10}{'< ' if need.bounded else ''}{need.value * unit.factor:.4g} {unit.name}"
+    return [first, f"    needs {describe_time(need.needed_s)}{tells}"]
+
+
+def _reached(need: Need) -> str:
+    if need.reached is None or need.reached >= 1:
+        return "nothing"
+    often = f" ({math.floor(10 * (need.shown or 0.0))} of 10)" if _may_be_missed(need) else ""
+    return f"±{100 * need.reached:.2g} %{often}"
 
 
 def _may_be_missed(need: Need) -> bool:

@@ -7,7 +7,9 @@ from typing import Any
 
 import click
 
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import RATE, Duration, Number, quiet_option, say, shown
+from imucal.cli._param_type import ParamType
 from imucal.noise import NoiseModel
 from imucal.units import G0
 
@@ -15,7 +17,7 @@ from imucal.units import G0
 _MOST = 1e9
 
 
-class Model(click.ParamType[NoiseModel]):
+class Model(ParamType[NoiseModel]):
     """A noise model text with values."""
 
     name = "model"
@@ -29,7 +31,7 @@ class Model(click.ParamType[NoiseModel]):
             self.fail(str(error), param, ctx)
 
 
-class Gap(click.ParamType[tuple[float, float]]):
+class Gap(ParamType[tuple[float, float]]):
     """START:LENGTH, each a duration."""
 
     name = "gap"
@@ -150,9 +152,9 @@ def command(
         "seed": seed,
     }
     if as_json:
-        click.echo(json.dumps(truth, indent=2))
+        echo_json(json.dumps(truth, indent=2))
     else:
-        click.echo(str(out))
+        echo(str(out))
     say(
         f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}",
         quiet=quiet or not as_json,

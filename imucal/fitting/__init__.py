@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucal.allan import AllanCurve, allan_curve
+from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.arrays import FloatArray
+from imucal.fitting.ambiguity import ambiguity_findings, unseen_spectrum
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.robust import clean as clean_spikes
 from imucal.fitting.settings import CRITERIA, METHODS, WEIGHTS, FitSettings, load_method
@@ -79,7 +80,11 @@ def fit(
         clean=clean,
         verify=verify,
     )
-    return fit_axis(series, settings, temperature=temperature, curve=curve)
+    result = fit_axis(series, settings, temperature=temperature, curve=curve)
+    if isinstance(series, AllanCurve) or settings.method == "mle":
+        return result
+    found = ambiguity_findings(result, spectrum(series), series.name)
+    return replace(result, findings=result.findings + found)
 
 
 def fit_axis(
@@ -89,10 +94,14 @@ def fit_axis(
     temperature: FloatArray | None = None,
     curve: AllanCurve | None = None,
 ) -> NoiseFit:
-    """Fit a noise model to one axis; as `fit`, with the settings in one piece."""
+    """Fit a noise model to one axis; as `fit`, with the settings in one piece.
+
+    It is the caller who holds a fit of the curve against the spectrum (`ambiguity_findings`).
+    """
     method = load_method(settings.method)
     if isinstance(series, AllanCurve):
-        return method(None, series, settings, None)
+        result = method(None, series, settings, None)
+        return replace(result, findings=(*result.findings, unseen_spectrum()))
     temperature = _at_finite(temperature, series)
     series = series.finite()
     cleaned, findings = clean_spikes(series) if settings.clean else (series, ())

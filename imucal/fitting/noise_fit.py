@@ -152,6 +152,12 @@ class NoiseFit:
         ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
     findings
         What the fit showed.
+    noise_share
+        Share of each of the curve's Allan variances that is the model's noise, and not an output filter's
+        or a line's doing, shape (k,); None where neither was found.
+    taken_out
+        Regressors that were taken out of the samples with the fit -> their coefficients in U; the names
+        are those of `imucal.fitting.spectral.regressors`.
     """
 
     method: str
@@ -170,6 +176,8 @@ class NoiseFit:
     criterion: str = "given"
     findings: tuple[Finding, ...] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
+    noise_share: FloatArray | None = None
+    taken_out: Mapping[str, float] = field(default_factory=dict)
 
     def __getitem__(self, key: str) -> Estimate:
         for estimate in self.estimates:

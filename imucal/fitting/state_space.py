@@ -151,17 +151,25 @@ def state_space(model: NoiseModel, *, rate_hz: float, n: int) -> StateSpace:
     for term in model.terms:
         if term.symbol == "K" and variances["K"] * n**2 < _UNSEEN_WALK * white:
             continue
-        states += _states(term, tau0, n)
+        states += term_states(term, tau0, n)
     decay, drive, start = np.array(states).reshape(-1, 3).T.copy()
     if not white:
-        white = _unseen_white(model, rate_hz, n, float(drive.max(initial=0.0)) or 1.0)
+        white = unseen_white(model, rate_hz, n, float(drive.max(initial=0.0)) or 1.0)
     return StateSpace(decay=decay, drive=drive, start=start, quantized=bool(quantization), white=white)
 
 
-def _states(term: NoiseTerm, tau0: float, n: int) -> list[tuple[float, float, float]]:
-    """Return decay, drive and start of each state of a walk, flicker or a Gauss-Markov term."""
+def term_states(term: NoiseTerm, tau0: float, n: int) -> list[tuple[float, float, float]]:
+    """Return decay, drive and start of each state of a walk, flicker or a Gauss-Markov term.
+
+    None of white noise, quantization and a ramp. As in `StateSpace`; flicker is a bank for `n` samples.
+
+    Raises
+    ------
+    ValueError
+        If the term has no states.
+    """
     if not isinstance(term, PowerLawTerm | GaussMarkov | RateRamp):
-        msg = f"the exact likelihood has no state for {term.symbol} ({term.names[0]}); leave it out"
+        msg = f"the state space has no state for {term.symbol} ({term.names[0]}); leave it out"
         raise ValueError(msg)  # noqa: TRY004 - it is the model that is wrong, not a type
     if not term.coefficient > 0:
         return []
@@ -207,7 +215,7 @@ def profile(
     return value, size[: 0 if regressors is None else regressors.shape[1]]
 
 
-def _unseen_white(model: NoiseModel, rate_hz: float, n: int, largest: float) -> float:
+def unseen_white(model: NoiseModel, rate_hz: float, n: int, largest: float) -> float:
     """Return a variance of white noise that can't be told from none.
 
     The precision of the states needs some; a 1e-7 of the least density changes the likelihood of a

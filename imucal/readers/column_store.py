@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray, memory_limit
+from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ReadError
 from imucal.recording import Sensor
+from imucal.resources import memory_limit
 
 #: Bytes written before their pages are given back to the system.
 _FLUSH = 1 << 25

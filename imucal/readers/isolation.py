@@ -18,8 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO, ParamSpec, TypeVar, cast
 
-from imucal.arrays import memory_limit
 from imucal.errors import ReadError
+from imucal.resources import memory_limit
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")

@@ -111,16 +111,28 @@ def _scale_differs(sensor: Sensor, first: FloatArray, other: FloatArray) -> str:
     steps = converter_step(first), converter_step(other)
     if steps[0] and steps[1] and _apart(steps[0], steps[1]) > _SAME_STEP:
         return f"steps of {steps[0]:.4g} and {steps[1]:.4g} {sensor.unit}"
-    if sensor is Sensor.ACCELEROMETER and first.shape[1] == other.shape[1] == 3:
-        sizes = [float(np.median(np.sqrt((rows**2).sum(axis=1)))) for rows in (first, other)]
-        if max(sizes) > _NO_GRAVITY and _apart(*sizes) > _SAME_GRAVITY:
-            return f"a usual magnitude of {sizes[0]:.4g} and {sizes[1]:.4g} {sensor.unit}"
-    if sensor is Sensor.GYROSCOPE and min(first.shape[0], other.shape[0]) > 1:
-        noises = [np.median(np.abs(np.diff(rows, axis=0)), axis=0) for rows in (first, other)]
-        if all(min(noise) > 0 for noise in noises):
-            ratios = [_apart(*pair) for pair in zip(*noises, strict=True)]
-            if any(all(_apart(ratio, unit) < _LIKE_UNIT for ratio in ratios) for unit in _UNIT_FACTORS):
-                return f"the noise of one is {ratios[0]:.3g} times that of the other, as in another unit"
+    if first.shape[1] != other.shape[1]:
+        return ""
+    return (_gravity_differs if sensor is Sensor.ACCELEROMETER else _noise_differs)(first, other)
+
+
+def _gravity_differs(first: FloatArray, other: FloatArray) -> str:
+    """Return how the usual magnitudes of three axes differ; turning the sensor leaves them alone."""
+    one, two = (float(np.median(np.sqrt((rows**2).sum(axis=1)))) for rows in (first, other))
+    if first.shape[1] < 3 or max(one, two) < _NO_GRAVITY or _apart(one, two) < _SAME_GRAVITY:
+        return ""
+    return f"a usual magnitude of {one:.4g} and {two:.4g} {Sensor.ACCELEROMETER.unit}"
+
+
+def _noise_differs(first: FloatArray, other: FloatArray) -> str:
+    """Return that the noise of all axes differs by the factor of two units; motion does not so on each."""
+    if min(first.shape[0], other.shape[0]) < 2:
+        return ""
+    noises = [np.median(np.abs(np.diff(rows, axis=0)), axis=0) for rows in (first, other)]
+    ratios = [_apart(float(one), float(two)) for one, two in zip(*noises, strict=True)]
+    for factor in _UNIT_FACTORS:
+        if all(_apart(ratio, factor) < _LIKE_UNIT for ratio in ratios):
+            return f"the noise of one is {ratios[0]:.3g} times that of the other, as in another unit"
     return ""
 
 

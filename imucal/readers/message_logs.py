@@ -28,7 +28,7 @@ from imucal.readers.messages import (
     stream_of,
 )
 from imucal.readers.messages.fields_text import parse_fields_text
-from imucal.readers.messages.frames import first_frame
+from imucal.readers.messages.frames import first_frames
 from imucal.readers.messages.leaves import MOST
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.readers.tables.columns import Triad
@@ -152,12 +152,11 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     work = RecordingBuilder(path=str(path), format=form)
     work.findings += [finding for container in containers for finding in container.findings]
     work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
+    work.decisions += first_frames(containers, choices)
     for choice, decoding in zip(choices, decodings, strict=True):
         work.findings += _loss_findings(decoding.losses)
         if not decoding.columns.n:
             raise _empty(path, choice, decoding.losses, work.findings)
-        frame = first_frame(containers, choice.topic)
-        work.decisions += [("frame", frame)] if frame else []
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
     _add_temperature(work, containers, topics, choices[0])
     _refuse_damage(path, work.findings, options)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from imucal.arrays import FloatArray, memory_limit
 from imucal.clock import Clock, Segment
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
@@ -15,6 +14,7 @@ from imucal.readers.join_checks import overlap, span_ns, why_not_one
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import read_many
 from imucal.recording import AxisSeries, Recording, Temperature
+from imucal.resources import memory_limit
 
 #: Two parts of one recording may differ this much in their measured rates.
 _SAME_RATE = 0.01
@@ -161,8 +161,8 @@ def _temperature(
         return None
     own = [one.clock for one in found]
     clock = clocks.get(tuple(map(id, own))) or _clock(own, in_order=in_order)
-    samples: list[FloatArray] = join_rows([[one.samples for one in found]])
-    return Temperature(samples=samples[0], clock=clock)
+    (samples,) = join_rows([[one.samples for one in found]])
+    return Temperature(samples=samples, clock=clock)
 
 
 def _clock(clocks: Sequence[Clock], *, in_order: bool) -> Clock:

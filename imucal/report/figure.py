@@ -7,7 +7,9 @@ outlives a call. Sizes are chosen so that the smallest text has 9 px at a width 
 import io
 from typing import TYPE_CHECKING, Any
 
+from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.printable import printable
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.figure_allan import MARKERS, draw_allan, draw_allan_overview
@@ -15,6 +17,8 @@ from imucal.report.figure_parts import LEGEND_SIZE, SMALL_SIZE, TITLE_SIZE, dash
 from imucal.report.figure_psd import draw_psd, draw_psd_overview
 from imucal.report.palette import AXES, FADED, INK
 from imucal.report.result import AxisReport, Report
+from imucal.report.sheet_units import SheetUnits, sheet_units
+from imucal.units import duration
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,12 +37,12 @@ _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 def axis_figure(report: Report, axis: AxisReport) -> "Figure":
     """Return the Allan deviation and the psd of one axis, with all that the fit says about them."""
     figure, left, right = _figure(report, rows=4)
-    fit = axis.fit
+    fit, units = axis.fit, sheet_units(report, axis.sensor)
     structure = str(fit.model) or "no term shown"
     _head(figure, axis_title(axis), f"{_recording_text(axis)}   ·   model {structure} ({fit.method.upper()})")
-    entries = draw_allan(left, axis)
+    entries = draw_allan(left, axis, units)
     names = {str(entry.get_label()) for entry in entries}
-    entries += [entry for entry in draw_psd(right, axis) if str(entry.get_label()) not in names]
+    entries += [entry for entry in draw_psd(right, axis, units) if str(entry.get_label()) not in names]
     figure.legend(
         handles=entries,
         loc="lower center",
@@ -65,11 +69,12 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     if not axes:
         msg = f"the report has no {sensor} axis"
         raise ValueError(msg)
-    rows = _rows(axes)
+    units = sheet_units(report, sensor)
+    rows = _rows(axes, units)
     figure, left, right = _figure(report, rows=len(rows) + 2)
     _head(figure, str(sensor).capitalize(), _recording_text(axes[0]))
-    draw_allan_overview(left, axes)
-    draw_psd_overview(right, axes)
+    draw_allan_overview(left, axes, units)
+    draw_psd_overview(right, axes, units)
     _write_table(figure, axes, rows)
     return figure
 
@@ -110,9 +115,9 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
         figure.add_axes((place, bottom / height, width, _PLOT_HEIGHT / height))
         for place, width in (_LEFT, _RIGHT)
     ]
-    path = report.source.path
-    shown = path if len(path) <= 90 else f"…{path[-89:]}"
-    # A dollar sign in a path starts no formula.
+    name = printable(report.source.name)
+    shown = name if len(name) <= 90 else f"…{name[-89:]}"
+    # A dollar sign in a name starts no formula.
     style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
     figure.text(0.012, 0.07 / height, shown, **style)
     figure.text(0.988, 0.07 / height, f"imucal {report.version}", ha="right", **style)
@@ -128,22 +133,27 @@ def _head(figure: "Figure", title: str, subtitle: str) -> None:
 
 def _recording_text(axis: AxisReport) -> str:
     count = f"{axis.samples:,}".replace(",", " ")
-    return f"{numbers.hours(axis.duration_s)} at {axis.rate_hz:.6g} Hz   ·   {count} samples"
+    return f"{duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz   ·   {count} samples"
 
 
-def _rows(axes: list[AxisReport]) -> list[tuple[str, list[str]]]:
+def _rows(axes: list[AxisReport], units: SheetUnits) -> list[tuple[str, list[str]]]:
     """Return the rows under an overview: a name, and a text for each axis."""
     estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
     rows = []
     for key in dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol):
-        texts = []
-        for axis in axes:
-            found = next((e for e in axis.fit.estimates if e.key == key), None)
-            text = estimate_text(found, axis.sensor) if found else "–"
-            texts.append(text.removeprefix(f"{key} ").replace("\n", ",  "))
-        rows.append((key, texts))
-    lowest = [numbers.comfortable(numbers.minimum(axis)[1]) for axis in axes]
-    return [*rows, ("minimum", [numbers.with_interval(quantity) for quantity in lowest])]
+        found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
+        rows.append((key, _row(found, axes[0].sensor, units)))
+    lowest = [units.minimum(axis) for axis in axes]
+    shared = numbers.engineering_exponent(lowest)
+    return [*rows, ("minimum", [numbers.with_interval(each, exponent=shared) for each in lowest])]
+
+
+def _row(found: list[Estimate | None], sensor: Sensor, units: SheetUnits) -> list[str]:
+    """Return a term of each axis in one unit, with one power of ten."""
+    shared = numbers.engineering_exponent(units.estimate(e, sensor) for e in found if e)
+    texts = [estimate_text(e, sensor, units, exponent=shared) if e else "–" for e in found]
+    keys = [f"{e.key} " if e else "" for e in found]
+    return [text.removeprefix(key).replace("\n", ",  ") for text, key in zip(texts, keys, strict=True)]
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:

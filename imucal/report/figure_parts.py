@@ -15,7 +15,7 @@ from imucal.report import numbers
 from imucal.report.log_ticks import draw_ticks
 from imucal.report.palette import FRAME, INK
 from imucal.report.result import AxisReport
-from imucal.units import pretty
+from imucal.report.sheet_units import SheetUnits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -118,19 +118,16 @@ def drawn_terms(axis: AxisReport) -> list[Drawn]:
     return found
 
 
-def estimate_text(estimate: Estimate, sensor: Sensor) -> str:
+def estimate_text(
+    estimate: Estimate, sensor: Sensor, units: SheetUnits, *, exponent: int | None = None
+) -> str:
     """Return ``N 0.4125 ± 0.0016 deg/√h``; a Gauss-Markov term has its T on a second line."""
-    quantity = numbers.comfortable(numbers.datasheet(estimate, sensor))
-    text = f"{estimate.key} {numbers.with_uncertainty(quantity)}"
+    quantity = units.estimate(estimate, sensor)
+    text = f"{estimate.key} {numbers.with_uncertainty(quantity, exponent=exponent)}"
     if estimate.correlation_time is None:
         return text
     time = numbers.with_uncertainty(numbers.correlation_time(estimate.correlation_time))
     return f"{text}\nT {time}"
-
-
-def density_unit(sensor: Sensor) -> str:
-    """Return the unit of the root of a psd, such as ``rad/s/√Hz``."""
-    return pretty(f"{sensor.unit}/sqrt(Hz)")
 
 
 def _bound(estimate: Estimate) -> NoiseTerm | None:

@@ -11,7 +11,6 @@ from imucal.report.figure_parts import (
     LEGEND_SIZE,
     Drawn,
     dashes,
-    density_unit,
     drawn_terms,
     limits,
     style_axes,
@@ -19,6 +18,9 @@ from imucal.report.figure_parts import (
 from imucal.report.labels import Label, place_labels
 from imucal.report.palette import AXES, DATA, INK, LEFT_OUT, MODEL, UNUSED
 from imucal.report.result import AxisReport
+from imucal.report.sheet_units import SheetUnits
+from imucal.report.smooth_spectrum import smooth_spectrum
+from imucal.units import pretty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,55 +29,59 @@ if TYPE_CHECKING:
 _NAMED_LINES = 3
 
 
-def draw_psd(axes: "Axes", axis: AxisReport) -> list[Any]:
-    """Draw one axis's spectrum, model and terms; return the entries of the legend."""
-    frequency, root = axis.spectrum.frequency, np.sqrt(axis.spectrum.psd)
+def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
+    """Draw one axis's spectrum, model and terms in data-sheet units; return the entries of the legend."""
+    smooth, factor = smooth_spectrum(axis), units.density.factor
+    frequency, root = smooth.frequency, smooth.root * factor
     style_axes(
         axes,
         x="frequency (Hz)",
-        y=f"√PSD, two-sided ({density_unit(axis.sensor)})",
+        y=f"√PSD, two-sided ({pretty(units.density.name)})",
         x_limits=limits(frequency, below=1.3, above=1.3),
         y_limits=limits(root, below=2.0, above=2.2),
     )
     if not frequency.size:
         axes.text(0.5, 0.5, "no samples, no spectrum", transform=axes.transAxes, ha="center", color=INK)
         return []
+    band: dict[str, Any] = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2}
+    axes.fill_between(frequency, smooth.low * factor, smooth.high * factor, **band)
     axes.plot(frequency, root, color=DATA.light, linewidth=1.0, zorder=4)
-    grid = np.geomspace(frequency[0], frequency[-1], 200)
+    grid = np.geomspace(axis.spectrum.frequency[0], axis.spectrum.frequency[-1], 200)
     for drawn in drawn_terms(axis):
-        _term(axes, axis, drawn, grid)
+        _term(axes, axis, drawn, grid, factor)
     if axis.fit.model.terms:
-        model = np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz))
+        model = np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz)) * factor
         axes.plot(grid, model, color=MODEL.light, linewidth=1.8, zorder=6)
     entries = _unused_band(axes, axis)
-    labels = _lines(axes, axis, entries) + _response(axes, axis)
+    labels = _lines(axes, axis, entries, factor) + _response(axes, axis)
     place_labels(axes, labels, obstacles=[(frequency, root, 2.0)], fontsize=LEGEND_SIZE)
     return entries
 
 
-def draw_psd_overview(axes: "Axes", reports: list[AxisReport]) -> None:
+def draw_psd_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits) -> None:
     """Draw the spectra and models of a sensor's axes."""
-    values, places = [np.zeros(0)], [np.zeros(0)]
+    values, places, factor = [np.zeros(0)], [np.zeros(0)], units.density.factor
     for axis in reports:
-        frequency, root, stroke = axis.spectrum.frequency, np.sqrt(axis.spectrum.psd), AXES[axis.axis]
+        smooth, stroke = smooth_spectrum(axis), AXES[axis.axis]
+        frequency, root = smooth.frequency, smooth.root * factor
         if not frequency.size:
             continue
         axes.plot(frequency, root, color=stroke.light, linewidth=0.8, alpha=0.55)
-        model = np.sqrt(axis.fit.model.psd(frequency, rate_hz=axis.fit.rate_hz))
+        model = np.sqrt(axis.fit.model.psd(frequency, rate_hz=axis.fit.rate_hz)) * factor
         axes.plot(frequency, model, color=stroke.light, linewidth=1.6, **dashes(stroke))
         values.append(root)
         places.append(frequency)
     style_axes(
         axes,
         x="frequency (Hz)",
-        y=f"√PSD, two-sided ({density_unit(reports[0].sensor)})",
+        y=f"√PSD, two-sided ({pretty(units.density.name)})",
         x_limits=limits(np.concatenate(places), below=1.3, above=1.3),
         y_limits=limits(np.concatenate(values), below=2.0, above=2.2),
     )
 
 
-def _term(axes: "Axes", axis: AxisReport, drawn: Drawn, grid: FloatArray) -> None:
-    density = np.sqrt(drawn.term.psd(grid, 1 / axis.fit.rate_hz))
+def _term(axes: "Axes", axis: AxisReport, drawn: Drawn, grid: FloatArray, factor: float) -> None:
+    density = np.sqrt(drawn.term.psd(grid, 1 / axis.fit.rate_hz)) * factor
     stroke = TERMS[drawn.estimate.symbol].stroke
     if drawn.estimate.value is not None and np.any(density > 0):
         axes.plot(grid, density, color=stroke.light, linewidth=1.1, zorder=3, **dashes(stroke))
@@ -98,13 +104,13 @@ def _unused_band(axes: "Axes", axis: AxisReport) -> list[Any]:
     return made[:1]
 
 
-def _lines(axes: "Axes", axis: AxisReport, entries: list[Any]) -> list[Label]:
+def _lines(axes: "Axes", axis: AxisReport, entries: list[Any], factor: float) -> list[Label]:
     """Mark the spectral lines that the fit left out; return names for the strongest."""
     lines = axis.fit.goodness.lines
     if not lines:
         return []
     at = [line.frequency_hz for line in lines]
-    heights = [_height(axis, line) for line in lines]
+    heights = [_height(axis, line) * factor for line in lines]
     entries += axes.plot(
         at,
         heights,

@@ -18,7 +18,8 @@ from imucal.report.page_downstream import downstream_section
 from imucal.report.page_summary import findings_section, summary_section
 from imucal.report.page_words import glossary_section, method_section
 from imucal.report.result import AxisReport, Report
-from imucal.units import pretty
+from imucal.report.sheet_units import sheet_units
+from imucal.units import duration, pretty
 
 
 def render_page(report: Report) -> str:
@@ -27,11 +28,11 @@ def render_page(report: Report) -> str:
         ("summary", "Summary", summary_section(report)),
         ("findings", "Findings", findings_section(report)),
         ("downstream", "Which number goes where", downstream_section(report)),
-        *((axis.name, axis_title(axis), _axis_section(axis)) for axis in report.axes),
+        *((axis.name, axis_title(axis), _axis_section(report, axis)) for axis in report.axes),
         ("terms", "What the terms mean", glossary_section()),
         ("method", "How the numbers were made", method_section(report)),
     ]
-    name = report.source.path.rstrip("/").rsplit("/", 1)[-1] or report.source.path
+    name = report.source.name
     links = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in sections]
     bodies = [
         element(
@@ -73,21 +74,21 @@ def _lead(report: Report) -> Markup:
     """Return one line on what was recorded."""
     texts = []
     for axis in report.axes:
-        text = f"{axis.sensor}: {numbers.hours(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
+        text = f"{axis.sensor}: {duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
         if text not in texts:
             texts.append(text)
     return element("p", " · ".join(texts) or "No axis could be analysed.", class_="lead")
 
 
-def _axis_section(axis: AxisReport) -> Markup:
+def _axis_section(report: Report, axis: AxisReport) -> Markup:
     """Return the plots of one axis, each with a caption, and the curve as a table."""
     where = axis_title(axis)
     tau = axis.fit.curve.minimum[1]
-    sheet, plain = numbers.minimum(axis)[::-1]
+    sheet, plain = sheet_units(report, axis.sensor).minimum(axis), numbers.minimum(axis)[0]
     curve = join(
         [
             f"Allan deviation of {where.lower()}: its minimum is ",
-            both_units(numbers.with_interval(numbers.comfortable(sheet)), numbers.with_interval(plain)),
+            both_units(numbers.with_interval(sheet), numbers.with_interval(plain)),
             f" at {numbers.seconds(tau)}. Model {str(axis.fit.model) or 'without a term'}.",
         ]
     )

@@ -86,10 +86,8 @@ def place_labels(
     """
     if not labels:
         return []
-    figure = axes.get_figure(root=True)
-    if figure is None:
-        msg = "axes must belong to a figure"
-        raise ValueError(msg)
+    # The figure of a figure is itself; of a subfigure, the whole.
+    figure = axes.figure.figure
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     scale = figure.dpi / 72
     room = _Room(

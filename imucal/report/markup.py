@@ -4,6 +4,8 @@ from collections.abc import Iterable
 from html import escape
 from typing import TypeAlias
 
+from imucal.printable import printable
+
 _VOID = frozenset({"br", "hr", "input", "link", "meta"})
 
 
@@ -56,7 +58,7 @@ def table(caption: Child, head: Iterable[Markup], body: Iterable[Markup], *, cla
 
 
 def _escaped(child: str) -> str:
-    return child if isinstance(child, Markup) else escape(child, quote=False)
+    return child if isinstance(child, Markup) else escape(printable(child), quote=False)
 
 
 def _attribute(name: str, value: str | bool | None) -> str:  # noqa: FBT001 - as HTML has them

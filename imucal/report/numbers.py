@@ -88,22 +88,6 @@ def minimum(axis: AxisReport) -> tuple[Quantity, Quantity]:
     return quantity, quantity.scaled(unit.factor, unit.name)
 
 
-def comfortable(quantity: Quantity) -> Quantity:
-    """Return accelerations below 0.1 mg in µg; everything else as it is."""
-    if quantity.unit == "mg" and quantity.size < 0.1:
-        return quantity.scaled(1e3, "ug")
-    return quantity
-
-
-def hours(seconds: float) -> str:
-    """Return a duration in hours with three digits, such as ``3.00 h``; a short one in s as well."""
-    value = seconds / 3600
-    if value <= 0:
-        return "0 h"
-    text = f"{value:.{max(0, 2 - math.floor(math.log10(value)))}f} h"
-    return text if value >= 0.1 else f"{seconds:.3g} s ({text})"
-
-
 def alternatives(estimate: Estimate) -> str:
     """Return ``or GM`` where another term may stand in this one's place; else nothing."""
     return f"or {' or '.join(estimate.alternatives)}" if estimate.alternatives else ""
@@ -171,9 +155,12 @@ def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
     return value, f"[{_fixed(scaled.low, places)}, {high}]"
 
 
-def with_uncertainty(quantity: Quantity) -> str:
-    """Return ``0.2013 ± 0.0003 deg/√h``, ``12.1 [11.2, 13.9] deg/h`` or ``< 0.12 deg/h/√h``."""
-    exponent = power_of_ten(quantity)
+def with_uncertainty(quantity: Quantity, *, exponent: int | None = None) -> str:
+    """Return ``0.2013 ± 0.0003 deg/√h``, ``12.1 [11.2, 13.9] deg/h`` or ``< 0.12 deg/h/√h``.
+
+    `exponent` is the power of ten that it shares with others of its row; its own where none is given.
+    """
+    exponent = power_of_ten(quantity) if exponent is None else exponent
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
     value, interval = compact(scaled)
     if interval and _symmetric(scaled):
@@ -183,9 +170,9 @@ def with_uncertainty(quantity: Quantity) -> str:
     return _finish(f"{value} {interval}".rstrip(), exponent, quantity.unit)
 
 
-def with_interval(quantity: Quantity) -> str:
-    """Return ``0.2013 [0.2010, 0.2016] deg/√h`` or ``< 0.12 deg/h/√h``."""
-    exponent = power_of_ten(quantity)
+def with_interval(quantity: Quantity, *, exponent: int | None = None) -> str:
+    """Return ``0.2013 [0.2010, 0.2016] deg/√h`` or ``< 0.12 deg/h/√h``; `exponent` as above."""
+    exponent = power_of_ten(quantity) if exponent is None else exponent
     value, interval = compact(quantity, exponent=exponent)
     return _finish(f"{value} {interval}".rstrip(), exponent, quantity.unit)
 

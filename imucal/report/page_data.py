@@ -13,6 +13,8 @@ from imucal.report.figure_allan import shown_points
 from imucal.report.figure_parts import drawn_terms
 from imucal.report.palette import DATA, LEFT_OUT, MODEL, UNUSED
 from imucal.report.result import AxisReport, Overview, Report
+from imucal.report.sheet_units import SheetUnits, sheet_units
+from imucal.report.smooth_spectrum import smooth_spectrum
 from imucal.units import pretty
 
 #: Points of a smooth line, per plot.
@@ -35,7 +37,7 @@ def page_data(report: Report) -> str:
             "unused": [UNUSED, "#5d6873"],
             "line": [LEFT_OUT, "#ff7b86"],
         },
-        "axes": {axis.name: _axis(axis) for axis in report.axes},
+        "axes": {axis.name: _axis(axis, sheet_units(report, axis.sensor)) for axis in report.axes},
     }
     text = json.dumps(document, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return text.replace("<", "\\u003c")
@@ -69,8 +71,8 @@ def _running_median(values: FloatArray) -> FloatArray:
     return np.where(count > 0, middle[np.arange(values.size), np.maximum(count - 1, 0) // 2], np.nan)
 
 
-def _axis(axis: AxisReport) -> dict[str, object]:
-    level, density = TERMS["B"].datasheet_unit(axis.sensor), TERMS["N"].datasheet_unit(axis.sensor)
+def _axis(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
+    level, density = units.level, units.density
     return {
         "units": {
             "si": [pretty(axis.unit), 1, pretty(f"{axis.unit}/sqrt(Hz)"), 1],
@@ -79,7 +81,7 @@ def _axis(axis: AxisReport) -> dict[str, object]:
         "level": f"{100 * axis.fit.level:.4g}",
         "model": str(axis.fit.model),
         "curve": _curve(axis),
-        "fine": _fine(axis),
+        "fine": _fine(axis, units),
         "psd": _psd(axis),
         "raw": _raw(axis),
     }
@@ -100,7 +102,7 @@ def _curve(axis: AxisReport) -> dict[str, object]:
     }
 
 
-def _fine(axis: AxisReport) -> dict[str, object]:
+def _fine(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
     """Return the model and its terms as smooth lines, and where each coefficient is read."""
     curve, rate = axis.fit.curve, axis.fit.rate_hz
     shown = shown_points(curve)
@@ -115,7 +117,7 @@ def _fine(axis: AxisReport) -> dict[str, object]:
         at = drawn.tau_s
         if at is None:
             at = float(m[np.argmax(line / np.where(total > 0, total, math.inf))] / rate)
-        si, sheet = numbers.si(estimate, axis.sensor), numbers.datasheet(estimate, axis.sensor)
+        si, sheet = numbers.si(estimate, axis.sensor), units.estimate(estimate, axis.sensor)
         terms.append(
             {
                 "key": estimate.key,
@@ -123,7 +125,7 @@ def _fine(axis: AxisReport) -> dict[str, object]:
                 "name": TERMS[estimate.symbol].name(axis.sensor),
                 "bounded": estimate.value is None,
                 "si": numbers.with_interval(si),
-                "sheet": numbers.with_interval(numbers.comfortable(sheet)),
+                "sheet": numbers.with_interval(sheet),
                 "adev": _round(line, 4),
                 "root": _round(np.sqrt(drawn.term.psd(grid, 1 / rate)), 4),
                 "at": [float(f"{at:.4g}"), float(f"{drawn.height:.4g}")],
@@ -139,12 +141,14 @@ def _fine(axis: AxisReport) -> dict[str, object]:
 
 
 def _psd(axis: AxisReport) -> dict[str, object]:
-    spectrum, fit = axis.spectrum, axis.fit
+    smooth, fit = smooth_spectrum(axis), axis.fit
     response = fit.response
     return {
-        "f": _round(spectrum.frequency, 4),
-        "root": _round(np.sqrt(spectrum.psd), 4),
-        "model": _round(np.sqrt(fit.model.psd(spectrum.frequency, rate_hz=fit.rate_hz)), 4),
+        "f": _round(smooth.frequency, 4),
+        "root": _round(smooth.root, 4),
+        "low": _round(smooth.low, 4),
+        "high": _round(smooth.high, 4),
+        "model": _round(np.sqrt(fit.model.psd(smooth.frequency, rate_hz=fit.rate_hz)), 4),
         "band": plain(fit.goodness.band_hz),
         "lines": [[line.frequency_hz, plain(line.amplitude)] for line in fit.goodness.lines],
         "filter": response and [response.kind, plain(response.cutoff_hz)],

@@ -9,6 +9,7 @@ from imucal.report import numbers
 from imucal.report.exports.config_numbers import Choices, Number, Numbers
 from imucal.report.markup import Markup, both_units, element, join, row, table
 from imucal.report.result import Report
+from imucal.report.sheet_units import sheet_units
 from imucal.units import pretty
 
 #: PX4's EKF2 runs at this period, in s, whatever the rate of the IMU.
@@ -196,17 +197,19 @@ def _two_floors(report: Report) -> Markup:
     body = []
     for axis in report.axes:
         estimate = axis.fit["B"]
-        sheet, plain = numbers.datasheet(estimate, axis.sensor), numbers.si(estimate, axis.sensor)
-        low = numbers.minimum(axis)
+        units = sheet_units(report, axis.sensor)
+        sheet, plain = units.estimate(estimate, axis.sensor), numbers.si(estimate, axis.sensor)
+        low = (numbers.minimum(axis)[0], units.minimum(axis))
         pairs = (
             (sheet, plain),
             (sheet.scaled(0.664, sheet.unit), plain.scaled(0.664, plain.unit)),
             (low[1], low[0]),
             (low[1].scaled(1 / 0.664, low[1].unit), low[0].scaled(1 / 0.664, low[0].unit)),
         )
+        powers = [numbers.engineering_exponent(side) for side in zip(*pairs, strict=True)]
         cells = [
-            both_units(numbers.with_interval(numbers.comfortable(one)), numbers.with_interval(other))
-            for one, other in pairs
+            both_units(*(numbers.with_interval(q, exponent=e) for q, e in zip(pair, powers, strict=True)))
+            for pair in pairs
         ]
         body.append(row(element("th", axis.name, scope="row"), *(element("td", cell) for cell in cells)))
     note = (

@@ -12,7 +12,8 @@ from imucal.report import numbers
 from imucal.report.markup import Markup, both_units, element, join, row, table
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
-from imucal.units import pretty
+from imucal.report.sheet_units import SheetUnits, sheet_units
+from imucal.units import duration, pretty
 
 #: Level, code, advice and the part worth keeping: what findings have in common.
 _Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
@@ -26,7 +27,7 @@ def summary_section(report: Report) -> Markup:
     for sensor in Sensor:
         axes = [axis for axis in report.axes if axis.sensor is sensor]
         if axes:
-            tables.append(_sensor_table(sensor, axes))
+            tables.append(_sensor_table(sensor, axes, sheet_units(report, sensor)))
     return join(tables)
 
 
@@ -83,19 +84,19 @@ def _sentence(text: str) -> str:
     return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
-def _sensor_table(sensor: Sensor, axes: list[AxisReport]) -> Markup:
+def _sensor_table(sensor: Sensor, axes: list[AxisReport], units: SheetUnits) -> Markup:
     first = axes[0]
     head = [element("td"), *(element("th", axis.axis, scope="col") for axis in axes)]
     estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
     keys = dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol)
     body = []
     for key in keys:
-        body += _term_rows(key, axes, sensor)
+        body += _term_rows(key, axes, units)
     body.append(
         _row(
             "minimum",
             "of the curve",
-            [(numbers.minimum(axis), _at(axis)) for axis in axes],
+            [((numbers.minimum(axis)[0], units.minimum(axis)), _at(axis)) for axis in axes],
         )
     )
     body.append(_text_row("model", axes, lambda axis: str(axis.fit.model) or "none shown"))
@@ -103,17 +104,18 @@ def _sensor_table(sensor: Sensor, axes: list[AxisReport]) -> Markup:
     rates = " / ".join(dict.fromkeys(f"{axis.rate_hz:.6g}" for axis in axes))
     samples = f"{first.samples:,}".replace(",", "\N{NO-BREAK SPACE}")
     caption = (
-        f"{str(sensor).capitalize()}: {numbers.hours(first.duration_s)} at {rates} Hz, {samples} samples, "
+        f"{str(sensor).capitalize()}: {duration(first.duration_s)} at {rates} Hz, {samples} samples, "
         f"{100 * first.fit.level:.4g} % intervals"
     )
     return table(caption, [row(*head)], body, class_="summary")
 
 
-def _term_rows(key: str, axes: list[AxisReport], sensor: Sensor) -> list[Markup]:
+def _term_rows(key: str, axes: list[AxisReport], units: SheetUnits) -> list[Markup]:
+    sensor = axes[0].sensor
     found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
     symbol = next(e.symbol for e in found if e)
     cells = [
-        ((numbers.si(e, sensor), numbers.datasheet(e, sensor)), numbers.alternatives(e)) if e else None
+        ((numbers.si(e, sensor), units.estimate(e, sensor)), numbers.alternatives(e)) if e else None
         for e in found
     ]
     if symbol != "GM":

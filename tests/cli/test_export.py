@@ -93,12 +93,25 @@ def test_what_cannot_be_done_is_one_message(
     assert [path.name for path in tmp_path.iterdir()] == [still]
 
 
-def test_a_report_without_an_accelerometer_is_refused(tmp_path: Path) -> None:
-    """The message says what was found."""
+def test_a_report_without_an_accelerometer_gives_its_half(tmp_path: Path) -> None:
+    """The file has the gyroscope's keys, and standard error says so; with all, every format of it."""
     name = write_report(tmp_path, report=small_report())
-    done = run("export", name, "--to", "vins", cwd=tmp_path)
-    assert done.returncode == 4
-    assert "no accelerometer, which vins needs; found gyro_x" in done.stderr
+    done = run("export", name, "--to", "kalibr", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "there is no accelerometer in this log; its numbers are left out" in done.stderr
+    data = yaml.safe_load((tmp_path / "kalibr_imu.yaml").read_text())
+    assert {key for key in data if "noise" in key} == {"gyroscope_noise_density"}
+
+
+def test_another_name_is_answered_by_the_formats_own(still: str, tmp_path: Path) -> None:
+    """Nav2 reads what ros writes; a hyphen more or less is the same name."""
+    done = run("export", still, "--to", "nav2", "-o", "-", cwd=tmp_path)
+    assert "nav2: written as ros (ROS sensor_msgs/Imu covariances)" in done.stderr
+    assert "angular_velocity_covariance" in yaml.safe_load(done.stdout)
+    assert "written as" not in run("export", still, "--to", "Lio_Sam", "-o", "-", cwd=tmp_path).stderr
+    assert (
+        run("export", still, "--to", "nav2", "--to", "ros", "-o", "a", cwd=tmp_path).stdout.count("\n") == 1
+    )
 
 
 def test_something_else_than_a_report_is_refused(tmp_path: Path) -> None:

@@ -6,19 +6,25 @@ import numpy as np
 import pytest
 
 from imucal.allan import allan_curve
+from imucal.arrays import FloatArray
+from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting import FitSettings, cross_checks
+from imucal.fitting import fit as fit_samples
 from imucal.fitting.cross_checks import _distance, second_opinion
+from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.moments import fit_gmwm
+from imucal.fitting.moments.av_search import Weight
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.spectral import fit_mle
 from imucal.noise.model import NoiseModel
-from imucal.recording import AxisSeries
+from imucal.pipeline import characterize
+from imucal.recording import AxisSeries, Recording, Source
 from tests.fitting.moments.curves import simulated_curve
 
 
-@pytest.fixture(scope="module")
-def fit() -> NoiseFit:
+@pytest.fixture(scope="module", name="fit")
+def fit_of_white_noise_and_walk() -> NoiseFit:
     """Return a fit of N + K, K to 15 %."""
     curve = simulated_curve("N=1 + K=3e-3", 50_000, np.random.default_rng(31))
     return fit_gmwm(None, curve, FitSettings(model="N + K"))
@@ -132,3 +138,98 @@ def test_a_maximum_half_a_standard_error_away_is_near(
         "The exact state-space likelihood has its maximum "
         f"{distance[worst]:.2g} standard errors away at most ({worst})."
     )
+
+
+def _opinion(samples: FloatArray, rate_hz: float) -> tuple[NoiseFit, tuple[Finding, ...]]:
+    """Return the default fit of samples, and where the curve of what it fitted disagrees."""
+    series = AxisSeries.from_samples(samples, rate_hz=rate_hz)
+    first = fit_mle(series, allan_curve(series), FitSettings())
+    return first, second_opinion(first, fit_of_curve(series, first))
+
+
+@pytest.mark.parametrize("name", ["mean of 4", "held", "resonance"])
+def test_the_curve_is_fitted_as_before_the_filter(name: str) -> None:
+    """Two records behind each; 24 of 1 000 000 samples a row: `tests/benchmarks/disturbances.py filters`."""
+    from scipy.signal import lfilter
+
+    model, pole = NoiseModel.parse("N=1e-4 + B=3e-5 + K=3e-6"), 0.95 * np.exp(0.4j * np.pi)
+    for seed in (33, 34):
+        rng = np.random.default_rng(seed)
+        if name == "held":
+            samples = np.repeat(model.simulate(15_000, rate_hz=25.0, rng=rng), 4)
+        else:
+            samples = model.simulate(61_000, rate_hz=100.0, rng=rng)
+            denominator = np.array([1.0, -2 * pole.real, abs(pole) ** 2])
+            resonance = lfilter([denominator.sum()], denominator, samples - samples[0])
+            mean = np.convolve(samples, np.full(4, 0.25), "valid")
+            samples = (mean if name == "mean of 4" else resonance)[1000:]
+        first, findings = _opinion(samples, 100.0)
+        assert findings == ()
+        assert first.noise_share is not None
+        assert first.noise_share[-1] == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_share_of_the_noise_is_that_of_the_allan_variances() -> None:
+    """Of white noise averaged over four samples, by its autocovariance; and of a line, by its amplitude."""
+    rng = np.random.default_rng(35)
+    n = 60_000
+    white = rng.standard_normal(n + 3)
+    first, _ = _opinion(np.convolve(white, np.full(4, 0.25), "valid"), 1.0)
+    assert first.noise_share is not None
+    weights = np.full(4, 0.25)
+    covariance = np.convolve(weights, weights[::-1])
+    for m, share in zip(first.curve.m.tolist(), first.noise_share.tolist(), strict=True):
+        if 4 <= m <= 64:
+            lag = np.arange(-3, 4)
+            window = np.concatenate([np.full(m, -1.0), np.ones(m)]) / m
+            spread = np.convolve(window, window[::-1])
+            middle = spread.size // 2
+            held = sum(c * spread[middle + k] for c, k in zip(covariance, lag, strict=True)) / 2
+            assert share == pytest.approx(1 / m / held, rel=0.2 / m + 2e-3)
+    amplitude, omega = 0.3, 0.37
+    first, _ = _opinion(white[:n] + amplitude * np.sin(omega * np.arange(n)), 1.0)
+    assert first.noise_share is not None
+    m = first.curve.m[:6].astype(np.float64)
+    line = amplitude**2 * np.sin(omega * m / 2) ** 4 / (m * np.sin(omega / 2)) ** 2
+    np.testing.assert_allclose(first.noise_share[:6], (1 / m) / (1 / m + line), rtol=0.03)
+
+
+def test_what_the_fit_took_out_is_not_in_the_second_curve() -> None:
+    """A cycle and a step would have the curve disagree on K."""
+    t = np.arange(60_000) / 10
+    noise = NoiseModel.parse("N=1e-4 + K=1e-6").simulate(t.size, rate_hz=10.0, rng=np.random.default_rng(36))
+    first, findings = _opinion(noise + 3e-4 * np.sin(t / 150) + 5e-4 * (t > 2000), 10.0)
+    assert {"cycle", "step"} <= {finding.code for finding in first.findings}
+    assert findings == ()
+
+
+@pytest.mark.parametrize("seed", [37, 38])
+def test_a_tone_far_above_the_noise_costs_no_result(seed: int) -> None:
+    """5e-3 at rate/4 over white noise of 1.5e-4, 2732 samples at 40 Hz, once ended in an internal error."""
+    rng = np.random.default_rng(seed)
+    samples = 1.5e-4 * rng.standard_normal(2732) + 5e-3 * np.sin(
+        np.pi / 2 * np.arange(2732) + rng.uniform(0, 6)
+    )
+    series = AxisSeries.from_samples(samples, rate_hz=40.0)
+    report = characterize(Recording(source=Source(path="made", format="made"), series=(series,)))
+    (axis,) = report.axes
+    assert axis.fit["N"].low < 1.5e-4 / np.sqrt(40) < axis.fit["N"].high
+    assert {"line", "tone"} & {finding.code for finding in axis.findings}
+    by_curve = fit_samples(series, model="N", method="gmwm")
+    assert by_curve.goodness.statistic > 3 or by_curve.findings
+
+
+def test_a_curve_of_lines_alone_gives_no_second_opinion() -> None:
+    """The message says how few averaging times show the noise."""
+    series = AxisSeries.from_samples(np.random.default_rng(39).standard_normal(3000), rate_hz=10.0)
+    first = fit_mle(series, allan_curve(series), FitSettings())
+    drowned = replace(first, noise_share=np.where(first.curve.m < 4, 1.0, 0.1))
+    with pytest.raises(DataError, match="all but 2 averaging times, expected at least 4; record for longer"):
+        fit_of_curve(series, drowned)
+
+
+def test_a_covariance_of_no_noise_is_a_sentence() -> None:
+    """What the likelihood of a tone once gave: a negative variance, or none at all."""
+    for broken in (-1.0, np.nan):
+        with pytest.raises(DataError, match="is not that of any noise; expected noise, look at the samples"):
+            Weight.of_covariance(np.diag([1.0, broken]))

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
+from imucal.fitting import fit
 from imucal.fitting.robust import _baseline, clean, find_spikes, resolution_effect, step_size
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
@@ -212,3 +213,30 @@ def test_a_grid_has_values_that_stand_four_times_on_average(copies: int, *, foun
     """And at least three of them."""
     assert (step_size(np.repeat(np.arange(3.0), copies)) is not None) == found
     assert step_size(np.repeat(np.arange(2.0), copies)) is None
+
+
+@pytest.mark.parametrize("draw", ["standard_t", "laplace"])
+@pytest.mark.parametrize("n", [20_000, 200_000])
+def test_the_tail_of_the_noise_itself_is_no_spike(draw: str, n: int) -> None:
+    """Student's t with 4 degrees of freedom and Laplace noise keep their variance; a wild sample goes."""
+    rng = np.random.default_rng(14)
+    samples = rng.standard_t(4, n) if draw == "standard_t" else rng.laplace(size=n)
+    assert spikes(samples).sum() <= 2
+    samples[777] = 500.0
+    assert spikes(samples)[777]
+
+
+def test_tails_heavier_than_any_noise_are_cut() -> None:
+    """A Student's t with 2 degrees of freedom has no variance to estimate."""
+    samples = np.random.default_rng(15).standard_t(2, 100_000)
+    assert 0.001 < spikes(samples).mean() < 0.05
+
+
+def test_heavy_tails_leave_n_as_it_is() -> None:
+    """Of 6 records the mean N is the deviation, to three standard errors; its intervals hold it."""
+    rng = np.random.default_rng(16)
+    truth = np.sqrt(2.0)
+    fits = [fit(_series(rng.standard_t(4, 50_000) * 10.0), model="N")["N"] for _ in range(6)]
+    values = np.array([found.value for found in fits], dtype=np.float64)
+    assert values.mean() == pytest.approx(truth, rel=3 * 0.015)
+    assert sum(found.low < truth < found.high for found in fits) >= 4

@@ -24,7 +24,9 @@ from imucal.planning import plan
 from imucal.recording import AxisSeries, Sensor
 from imucal.report.figure_parts import estimate_text
 from imucal.report.page_words import glossary_section
+from imucal.report.sheet_units import sheet_units
 from tests.noise.contract import missing
+from tests.report.synthetic import consumer_report
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,7 +196,9 @@ def test_units_page_and_pictures_take_it_from_the_class() -> None:
     assert "a cycle of the surroundings" in page
     assert "second-order Gauss-Markov" in page
     estimate = Estimate(key="S", symbol="S", status="estimated", value=1e-5, low=0.9e-5, high=1.1e-5)
-    assert estimate_text(estimate, Sensor.GYROSCOPE).startswith("S 2.06")
+    assert estimate_text(
+        estimate, Sensor.GYROSCOPE, sheet_units(consumer_report(), Sensor.GYROSCOPE)
+    ).startswith("S 2.06")
 
 
 def test_what_is_forgotten_is_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,6 +33,9 @@ def forgotten(target: Target) -> list[str]:
         "its module has no docstring that says what the consumer does with the numbers": (
             not getattr(module, "__doc__", None)
         ),
+        "its source does not say what was read: source, documentation, or no program": (
+            not re.match("(source|documentation|no program): ", target.source)
+        ),
         "no row in the table of docs/which-number-goes-in-my-config.md": (
             f"| `{target.name}` |" not in PAGE.read_text(encoding="utf-8")
         ),
@@ -60,7 +63,9 @@ def test_a_format_is_complete(name: str) -> None:
 def test_what_a_new_format_lacks_is_said() -> None:
     """A line in the table alone: one sentence for each thing that is missing."""
     _nothing.__module__ = "a.module.without.docstring"
-    fake = Target(name="fake", title="", file_name="", heading="", kind="", formulas=(), body=_nothing)
+    fake = Target(
+        name="fake", title="", file_name="", heading="", source="", kind="", formulas=(), body=_nothing
+    )
     assert forgotten(fake) == [
         "fake: no file_name: name the file that a folder gets",
         "fake: no title in its Target",
@@ -68,6 +73,7 @@ def test_what_a_new_format_lacks_is_said() -> None:
         "fake: no formulas in its Target",
         "fake: its kind does not say whether the numbers are continuous or discrete",
         "fake: its module has no docstring that says what the consumer does with the numbers",
+        "fake: its source does not say what was read: source, documentation, or no program",
         "fake: no row in the table of docs/which-number-goes-in-my-config.md",
         "fake: nothing reads it back: add the consumer's parser to READERS in tests/report/downstream.py",
     ]

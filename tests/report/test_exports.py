@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +17,27 @@ from hypothesis import strategies as st
 from imucal.errors import DataError, WriteError
 from imucal.findings import Finding
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import BiasInstability, GaussMarkov
+from imucal.noise.terms import AngleRandomWalk, BiasInstability, GaussMarkov
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.document import to_document
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
+from imucal.report.exports.config_numbers import Choices, Numbers
 from imucal.report.exports.kalman import flicker_bank
+from imucal.report.exports.kf_gins import cover
 from imucal.report.exports.target import comment, decimal, real
 from imucal.report.json_file import dumps, from_document
 from imucal.report.result import Report
-from tests.report.downstream import READERS, opencv
-from tests.report.synthetic import axis_report, consumer_report, small_report
+from tests.report.downstream import READERS, Recovered, opencv
+from tests.report.synthetic import axis_report, small_report
+from tests.report.synthetic import consumer_report as make_consumer_report
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+_AXES: tuple[Axis, ...] = ("x", "y", "z")
+#: Reports don't change, so that one of each will do.
+consumer_report = cache(make_consumer_report)
 
 
+@cache
 def _plain_report() -> Report:
     """Six axes of N + B + K, all identified, small enough for numbers with an exponent."""
     scales: dict[Axis, float] = {"x": 1.0, "y": 2.0, "z": 3.0}
@@ -47,6 +55,18 @@ def _expected(report: Report, key: str, symbol: str) -> float:
     return max(estimate.high if estimate.value is None else estimate.value for estimate in found)
 
 
+#: What a format has in place of N and K.
+_SYMBOLS = {"ros": {"N"}, "carla": {"N"}, "dlio": {"N~"}}
+
+
+def _agree(report: Report, recovered: Recovered) -> None:
+    """Hold what was read to the report: to rounding, and three digits where a comment says it."""
+    for (key, symbol), value in recovered.items():
+        if symbol != "T":
+            rel = 1e-12 if symbol.isalpha() else 6e-3
+            assert value == pytest.approx(_expected(report, key, symbol[0]), rel=rel), (key, symbol)
+
+
 @pytest.mark.parametrize("make", [_plain_report, consumer_report])
 @pytest.mark.parametrize("target", READERS)
 def test_a_consumer_reads_the_fits_own_numbers(
@@ -57,10 +77,11 @@ def test_a_consumer_reads_the_fits_own_numbers(
     (path,) = export(report, target, tmp_path)
     assert path == tmp_path / TARGETS[target].file_name
     recovered = READERS[target](path)
-    for (key, symbol), value in recovered.items():
-        if symbol != "T":
-            assert value == pytest.approx(_expected(report, key, symbol), rel=1e-12), (key, symbol)
-    assert {symbol for _, symbol in recovered} >= ({"N"} if target == "ros" else {"N", "K"})
+    _agree(report, recovered)
+    assert {key.split("_")[0] for key, _ in recovered} == (
+        {"gyro"} if target == "dlio" else {"gyro", "accel"}
+    )
+    assert {symbol for _, symbol in recovered} >= _SYMBOLS.get(target, {"N", "K"})
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -108,6 +129,34 @@ def test_a_bound_is_written_and_said() -> None:
     assert "not identified, so the 95% upper bound is written: K of accel_y, K of gyro_y" in text
 
 
+def test_a_bound_says_how_far_it_lies_above_what_the_curve_leaves_room_for() -> None:
+    """The largest K under the curve, by hand: its line touches the curve where they are closest."""
+    report = consumer_report()
+    curve = report.axes[1].fit.curve
+    exact = (2 * curve.m.astype(float) ** 2 + 1) / (6 * curve.m * 200.0)
+    largest = np.sqrt(np.min(curve.avar / exact))
+    number = Numbers(report=report, choices=Choices(), target="x").of(report.axes[1], "K")
+    assert number.excess == pytest.approx(4.1e-7 / largest)
+    assert f"{4.1e-7 / largest:.2g} x the largest that fits under the measured curve" in number.note
+    assert Numbers(report=report, choices=Choices(), target="x").of(report.axes[0], "K").excess is None
+
+
+def test_a_number_comes_with_its_interval_and_with_what_may_stand_in_its_place() -> None:
+    """The limits are the fit's, inflated as the number is; "B or GM" stands beside the value."""
+    report = _plain_report()
+    axis = report.axes[2]
+    estimates = tuple(
+        replace(e, alternatives=("GM",)) if e.symbol == "B" else replace(e, low=2.5e-5, high=3.5e-5)
+        for e in axis.fit.estimates
+    )
+    axes = (*report.axes[:2], replace(axis, fit=replace(axis.fit, estimates=estimates)), *report.axes[3:])
+    doubtful = replace(report, axes=axes)
+    assert "N of gyro_z, 95% 5e-05 to 7e-05" in render(doubtful, "kalibr", inflate={"white": 2.0})
+    assert "B of gyro_z, 95% " in render(doubtful, "matlab")
+    assert "B or GM: this record can't tell which" in render(doubtful, "matlab")
+    assert "or: [GM]" in render(doubtful, "yaml")
+
+
 def test_a_bound_is_refused_on_request() -> None:
     """``refuse`` names the axis, the term, its bound and the ways out."""
     with pytest.raises(DataError) as error:
@@ -119,10 +168,30 @@ def test_a_bound_is_refused_on_request() -> None:
     assert render(consumer_report(), "kalibr", unidentified="refuse", axis_policy="x")
 
 
-@pytest.mark.parametrize("target", TARGETS)
-def test_a_missing_sensor_is_an_error(target: str) -> None:
-    """No format can do with one gyroscope axis; the message says what was found."""
-    with pytest.raises(DataError, match=rf"no (accelerometer|gyro_y), which {target} needs; found gyro_x;"):
+@pytest.mark.parametrize("sensor", list(Sensor))
+@pytest.mark.parametrize("target", READERS)
+def test_the_half_of_a_log_of_one_sensor_is_written_and_said(
+    target: str, sensor: Sensor, tmp_path: Path
+) -> None:
+    """The consumer's parser reads that sensor's numbers and no other's; the comment names what is missing."""
+    whole = _plain_report()
+    report = replace(whole, axes=tuple(axis for axis in whole.axes if axis.sensor is sensor))
+    (path,) = export(report, target, tmp_path)
+    recovered = READERS[target](path)
+    _agree(report, recovered)
+    nothing = target == "dlio" and sensor is ACCEL
+    assert {key.split("_")[0] for key, _ in recovered} == (set() if nothing else {sensor.short})
+    missing = next(other for other in Sensor if other is not sensor)
+    assert f"NO {missing} in this log: its numbers are left out" in path.read_text()
+
+
+@pytest.mark.parametrize("target", [name for name, target in TARGETS.items() if target.per_axis])
+def test_a_missing_axis_is_an_error(target: str) -> None:
+    """A format with a number for each axis can't do with one of them; the message says what was found."""
+    if target == "yaml":
+        assert "gyroscope" in yaml.safe_load(render(small_report(), target))["imu"]
+        return
+    with pytest.raises(DataError, match=rf"no gyro_y, which {target} needs; found gyro_x;"):
         render(small_report(), target)
 
 
@@ -171,17 +240,56 @@ def test_a_file_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("asked", "name"),
-    [("SDF", "gazebo"), ("VINS-Fusion", "vins"), ("orb_slam3", "orbslam3"), ("FAST-LIO2", "fast-lio")],
+    [
+        ("SDF", "gazebo"),
+        ("VINS-Fusion", "vins"),
+        ("orb_slam3", "orbslam3"),
+        ("FAST-LIO2", "fast-lio"),
+        ("nav2", "ros"),
+        ("robot_localization", "ros"),
+    ],
 )
 def test_formats_answer_to_the_names_people_use(asked: str, name: str) -> None:
     """Case, hyphens and underscores don't matter; well-known other names work."""
     assert find_target(asked).name == name
 
 
-def test_an_unknown_format_is_suggested() -> None:
-    """A near miss gets the name that was meant."""
-    with pytest.raises(ValueError, match=r"no downstream format 'kalbir'; did you mean kalibr\? there are"):
-        find_target("kalbir")
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("kalbir", "kalibr"),
+        ("kalib", "kalibr"),
+        ("gazeboo", "gazebo"),
+        ("basald", "basalt"),
+        ("ardupliot", "ardupilot"),
+        ("openvisn", "openvins"),
+    ],
+)
+def test_a_slip_is_suggested(typed: str, meant: str) -> None:
+    """One letter missing, too much or wrong, or two that changed places: the name that was meant."""
+    with pytest.raises(
+        ValueError, match=rf"no downstream format '{typed}'; did you mean {meant}\? there are"
+    ):
+        find_target(typed)
+
+
+@pytest.mark.parametrize(
+    "other",
+    ["lvi-sam", "dlo", "orbslam2", "okvis", "fast-livo", "rtabmap", "vio", "openvslam", "px5", "isaac"],
+)
+def test_another_program_is_not_taken_for_one_of_ours(other: str) -> None:
+    """The list is all that is offered, and what is known of the name."""
+    with pytest.raises(ValueError, match=f"no downstream format '{other}'") as error:
+        find_target(other)
+    assert "did you mean" not in str(error.value)
+
+
+def test_a_name_that_means_several_is_answered() -> None:
+    """Isaac is two programs."""
+    with pytest.raises(
+        ValueError, match="'isaac'; Isaac ROS is isaac-ros, Isaac Sim is isaac-sim; there are"
+    ):
+        find_target("isaac")
 
 
 @pytest.mark.parametrize(
@@ -242,20 +350,36 @@ def test_a_topic_can_be_given_or_is_said_to_be_missing() -> None:
     assert 'rostopic: "/my/imu"  # as given' in render(table, "kalibr", topic="/my/imu")
 
 
-def test_sensors_of_two_rates_keep_their_own() -> None:
-    """Discrete numbers use the sensor's own rate; the one rate in a file is the gyroscope's."""
-    fast = tuple(
-        axis_report(GYRO, axis.axis, "N=1e-5 + B=1e-5 + K=1e-7", rate_hz=400.0)
-        for axis in _plain_report().axes[:3]
+@cache
+def _two_rates() -> Report:
+    """Return a gyroscope at 200 Hz and an accelerometer at 100, as of a RealSense."""
+    models = ("N=1e-3 + B=1e-5 + K=1e-5", "N=2e-3 + B=1e-5 + K=2e-5", "N=3e-3 + B=1e-5 + K=3e-5")
+    slow = tuple(
+        axis_report(ACCEL, axis, model, rate_hz=100.0) for axis, model in zip(_AXES, models, strict=True)
     )
-    report = replace(_plain_report(), axes=(*fast, *_plain_report().axes[3:]))
-    data = yaml.safe_load(render(report, "fast-lio"))["mapping"]
-    assert data["gyr_cov"] == pytest.approx(1e-5**2 * 400)
-    assert data["acc_cov"] == pytest.approx(3e-3**2 * 200)
-    text = render(report, "kalibr")
-    assert yaml.safe_load(text)["update_rate"] == 400
-    assert "the rates differ: f is each sensor's own" in text
-    assert "the rates differ" not in render(_plain_report(), "kalibr")
+    return replace(_plain_report(), axes=(*_plain_report().axes[:3], *slow))
+
+
+@pytest.mark.parametrize("target", READERS)
+def test_every_number_is_for_the_rate_that_the_file_says(target: str, tmp_path: Path) -> None:
+    """A reader knows one rate, that of the file, and finds N and K of both sensors with it."""
+    report = _two_rates()
+    (path,) = export(report, target, tmp_path)
+    _agree(report, READERS[target](path))
+    own = "the rates differ: f is each sensor's own" in path.read_text()
+    one = "the rates differ: every number is for one stream at f = 200 Hz" in path.read_text()
+    assert (own, one) == (TARGETS[target].own_rates, not TARGETS[target].own_rates)
+    assert "the rates differ" not in render(_plain_report(), target)
+
+
+def test_sensors_of_two_rates_in_the_formats_that_know_two() -> None:
+    """By hand: the variance of a sample at its own rate; the steps of a state space."""
+    ros = yaml.safe_load(render(_two_rates(), "ros"))
+    assert ros["angular_velocity_covariance"][0] == pytest.approx(1e-5**2 * 200)
+    assert ros["linear_acceleration_covariance"][8] == pytest.approx(3e-3**2 * 100)
+    assert yaml.safe_load(render(_two_rates(), "gm"))["axes"]["accel_x"]["rate_hz"] == 100
+    fast = yaml.safe_load(render(_two_rates(), "fast-lio"))["mapping"]
+    assert fast["acc_cov"] == pytest.approx(3e-3**2 * 200)
 
 
 def test_one_axis_a_sensor_is_enough_where_one_is_asked_for() -> None:
@@ -283,6 +407,26 @@ def test_opencv_files_start_with_their_directive(tmp_path: Path) -> None:
         opencv(tmp_path / "a.yaml")
 
 
+def test_the_old_loader_of_orbslam3_gets_its_integer(tmp_path: Path) -> None:
+    """It wants IMU.Frequency as an integer, the new one as a real: the comment holds the other line."""
+    text = render(_plain_report(), "orbslam3")
+    (tmp_path / "new.yaml").write_text(text)
+    new = opencv(tmp_path / "new.yaml")
+    assert new.getNode("IMU.Frequency").isReal()
+    lines = [line for line in text.splitlines() if not line.startswith("IMU.Frequency")]
+    old = "\n".join(lines).replace("# IMU.Frequency: ", "IMU.Frequency: ")
+    (tmp_path / "old.yaml").write_text(old)
+    storage = opencv(tmp_path / "old.yaml")
+    node = storage.getNode("IMU.Frequency")
+    assert (node.isInt(), int(node.real())) == (True, 200)
+
+
+@pytest.mark.parametrize("target", ["lio-sam", "fast-lio", "fast-livo2", "point-lio"])
+def test_the_wrapper_for_ros_2_is_told_of(target: str) -> None:
+    """As the comment says, the keys stand under the node's parameters there."""
+    assert "ROS 2: put" in render(_plain_report(), target)
+
+
 def test_gazebo_takes_a_gauss_markov_term_where_no_walk_was_found(tmp_path: Path) -> None:
     """Gazebo's steady state is stddev * sqrt(T/2): sigma sqrt(2/T) gives back sigma."""
     sigma, time = 4e-5, 90.0
@@ -293,19 +437,70 @@ def test_gazebo_takes_a_gauss_markov_term_where_no_walk_was_found(tmp_path: Path
     assert recovered["gyro_x", "T"] == time
     assert recovered["gyro_x", "K"] * math.sqrt(time / 2) == pytest.approx(sigma)
     assert recovered["gyro_y", "T"] == 3600
+    assert "K of gyro_z, 95% 2.593e-07 to 3.47e-07; T is nominal; a Gauss-Markov term (T 1500 s) is left" in (
+        render(consumer_report(), "gazebo")
+    )
+
+
+def _slow_report(gyro: str, accel: str) -> Report:
+    """Six axes of two models; the terms that they lack are bounded."""
+    models = ((GYRO, gyro), (ACCEL, accel))
+    bounds = {
+        text: {symbol: bound for symbol, bound in (("B", 1e-6), ("K", 1e-7)) if f"{symbol}=" not in text}
+        for _, text in models
+    }
+    axes = tuple(
+        axis_report(sensor, axis, text, bounds=bounds[text]) for sensor, text in models for axis in _AXES
+    )
+    return replace(_plain_report(), axes=axes)
 
 
 def test_kf_gins_takes_the_steady_state_of_gauss_markov_terms() -> None:
     """A term's sigma stands in gbstd (deg/h) and abstd (mGal), its T in corrtime (h)."""
-    axes = tuple(
-        axis_report(sensor, axis, f"N=1e-4 + GM(sigma={sigma}, T=7200.0)", bounds={"B": 1e-6, "K": 1e-7})
-        for sensor, sigma in ((GYRO, 4e-5), (ACCEL, 5e-4))
-        for axis in ("x", "y", "z")
-    )
-    data = yaml.safe_load(render(replace(_plain_report(), axes=axes), "kf-gins"))["imunoise"]
+    report = _slow_report("N=1e-4 + GM(sigma=4e-5, T=7200.0)", "N=1e-4 + GM(sigma=5e-4, T=7200.0)")
+    data = yaml.safe_load(render(report, "kf-gins"))["imunoise"]
     assert data["corrtime"] == 2
     assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3)
     assert data["abstd"] == pytest.approx([50.0] * 3)
+
+
+def test_a_short_term_of_one_sensor_does_not_shorten_the_others_walk() -> None:
+    """With T of a gyroscope's walk at that of the accelerometer's term, its bias was 19 times too small."""
+    report = _slow_report("N=1e-4 + K=1e-6", "N=1e-3 + GM(sigma=3e-4, T=10.0)")
+    data = yaml.safe_load(render(report, "kf-gins"))["imunoise"]
+    assert data["corrtime"] == 1
+    assert data["gbstd"] == pytest.approx([1e-6 * math.sqrt(1800) * 180 / math.pi * 3600] * 3)
+
+
+@pytest.mark.parametrize(
+    ("model", "time", "said"),
+    [
+        ("N=1e-3 + GM(sigma=3e-4, T=10.0)", 3600.0, "white noise at this corrtime"),
+        ("N=1e-3 + GM(sigma=3e-4, T=1500.0)", 3600.0, "never too small, but up to 2.4 x too large"),
+        ("N=1e-3 + GM(sigma=3e-4, T=3600.0)", 3600.0, "Gauss-Markov term of gyro_x: sigma 0.0003, T 3600 s"),
+        ("N=1e-3 + K=1e-6", 7200.0, "never too small, but up to 2 x too large"),
+    ],
+)
+def test_the_cover_at_a_common_time_is_nowhere_below_what_was_measured(
+    model: str, time: float, said: str
+) -> None:
+    """Its psd over that of N and the slow process: at least 1, and where the times are one, 1."""
+    report = _slow_report(model, model)
+    numbers = Numbers(report=report, choices=Choices(), target="kf-gins")
+    axis = report.axes[0]
+    slow = numbers.slow(axis)
+    found = cover(numbers, axis, slow, time)
+    f = np.geomspace(1e-6, 90.0, 300)
+
+    def psd(white: float, sigma: float, correlation_time: float) -> np.ndarray:
+        terms = (AngleRandomWalk(value=white), GaussMarkov(sigma=sigma, T=correlation_time))
+        return np.asarray(NoiseModel(terms=terms).psd(f, rate_hz=200.0))
+
+    ratio = psd(found.white, found.sigma, time) / psd(1e-3, slow.sigma, slow.correlation_time)
+    assert ratio.min() > 1 - 1e-6
+    assert said in " ".join(found.notes)
+    if time == slow.correlation_time:
+        assert ratio.max() == pytest.approx(1)
 
 
 def test_px4_numbers_outside_its_range_are_said() -> None:

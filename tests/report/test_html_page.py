@@ -267,7 +267,7 @@ def test_the_caption_of_the_raw_signal_counts_the_gaps(count: int, text: str) ->
 def _page(axis: AxisReport) -> html.HtmlElement:
     """Return the sections of one axis, without the megabytes of the script."""
     report = replace(consumer_report(), axes=(axis,))
-    sections = (summary_section(report), _axis_section(axis), method_section(report))
+    sections = (summary_section(report), _axis_section(report, axis), method_section(report))
     return html.document_fromstring("".join(sections))
 
 

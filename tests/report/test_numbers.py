@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from imucal.fitting.noise_fit import Estimate
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.numbers import Quantity, compact, decimals, with_interval, with_uncertainty
+from imucal.report.numbers import Quantity, compact, decimals, with_uncertainty
+from imucal.report.sheet_units import sheet_units
+from imucal.units import duration
 from tests.report.synthetic import consumer_report
 
 
@@ -123,11 +125,25 @@ def test_data_sheet_units_are_those_of_the_field() -> None:
     sheet = numbers.datasheet(floor, Sensor.ACCELEROMETER)
     assert sheet.unit == "mg"
     assert sheet.value == pytest.approx(1.0)
-    assert numbers.comfortable(sheet) is sheet
-    small = numbers.comfortable(sheet.scaled(0.05, "mg"))
-    assert small.unit == "ug"
-    assert small.value == pytest.approx(50.0)
-    assert with_interval(small).endswith("µg")
+
+
+@pytest.mark.parametrize(("times", "unit"), [(1.0, "ug"), (20.0, "mg")])
+def test_a_sensor_has_one_unit_for_its_levels(times: float, unit: str) -> None:
+    """Micro-g where the floors of all axes are below 0.1 mg: B, sigma and minimum alike, of each axis."""
+    report = consumer_report()
+    accel = [axis for axis in report.axes if axis.sensor is Sensor.ACCELEROMETER]
+    loud = accel[0].fit.curve
+    loud = replace(loud, avar=loud.avar * times**2)
+    first = replace(accel[0], fit=replace(accel[0].fit, curve=loud))
+    units = sheet_units(replace(report, axes=(first, *accel[1:])), Sensor.ACCELEROMETER)
+    assert units.level.name == unit
+    factor = (1e6 if unit == "ug" else 1e3) / 9.80665
+    assert units.level.factor == pytest.approx(factor)
+    for axis in accel:
+        assert {units.minimum(axis).unit, units.estimate(axis.fit["B"], axis.sensor).unit} == {unit}
+        assert units.minimum(axis).value == pytest.approx(axis.fit.curve.minimum[0] * factor)
+        assert units.estimate(axis.fit["N"], axis.sensor).unit == "m/s/sqrt(h)"
+    assert sheet_units(report, Sensor.GYROSCOPE).level.name == "deg/h"
 
 
 def test_minimum_carries_the_interval_of_its_point() -> None:
@@ -142,16 +158,23 @@ def test_minimum_carries_the_interval_of_its_point() -> None:
 @pytest.mark.parametrize(
     ("seconds", "text"),
     [
-        (10920, "3.03 h"),
-        (360, "0.100 h"),
-        (10, "10 s (0.00278 h)"),
-        (1e6, "278 h"),
-        (0, "0 h"),
+        (0, "0 s"),
+        (7.512, "7.51 s"),
+        (20, "20 s"),
+        (59.97, "1 min"),
+        (720, "12 min"),
+        (740.4, "12 min 20 s"),
+        (3599.6, "1 h"),
+        (10800, "3 h"),
+        (10920, "3 h 2 min"),
+        (47.9 * 3600, "47 h 54 min"),
+        (50 * 3600, "2 d 2 h"),
+        (3 * 86400, "3 d"),
     ],
 )
-def test_durations_are_in_hours(seconds: float, text: str) -> None:
-    """Recordings at rest last for hours; a short one says its seconds too."""
-    assert numbers.hours(seconds) == text
+def test_durations_are_as_people_say_them(seconds: float, text: str) -> None:
+    """Two units at most, the smaller one left out where it is nought."""
+    assert duration(seconds) == text
 
 
 @pytest.mark.parametrize(("value", "text"), [(2621.44, "2620 s"), (0.005, "0.005 s"), (41.3, "41.3 s")])
@@ -241,4 +264,3 @@ def test_a_minimum_of_which_nothing_is_known_has_no_interval() -> None:
         with np.errstate(divide="ignore"):
             plain, _ = numbers.minimum(replace(axis, fit=replace(axis.fit, curve=curve)))
         assert plain.low == plain.value == plain.high
-    assert numbers.hours(359) == "359 s (0.0997 h)"

@@ -20,6 +20,9 @@ from imucal.recording import AxisSeries
 #: Averaging times that a fit uses lie at least so far apart; closer ones say almost the same.
 _LEAST_RATIO = 1.9
 
+#: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
+_LIGHTEST = -1.2
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AvarPoints:
@@ -153,7 +156,7 @@ def _excess_kurtosis(series: AxisSeries) -> float:
     """Return the excess kurtosis of the white part; 0 where it does not differ from 0 for sure.
 
     Differences of neighbours hold white noise twice and hardly anything else, and their excess
-    kurtosis is half of it.
+    kurtosis is half of it. What has lighter tails than a uniform distribution is a tone, no noise.
     """
     steps = np.diff(series.samples)
     if steps.size < 100:
@@ -165,4 +168,4 @@ def _excess_kurtosis(series: AxisSeries) -> float:
     excess = float(np.mean(np.square(square / variance))) - 3.0
     # Neighbouring differences share a sample: their squares correlate by 1/4.
     deviation = np.sqrt(24 / steps.size * 1.5)
-    return 2 * excess if abs(excess) > 4 * deviation else 0.0
+    return max(2 * excess, _LIGHTEST) if abs(excess) > 4 * deviation else 0.0

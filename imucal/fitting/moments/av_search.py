@@ -41,7 +41,14 @@ class Weight:
         """
         from scipy.linalg import solve_triangular
 
-        deviation = np.sqrt(np.diag(covariance))
+        variance = np.diag(covariance)
+        if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
+            msg = (
+                "the covariance of the Allan variances is not that of any noise; expected noise, look at the "
+                "samples"
+            )
+            raise DataError(msg)
+        deviation = np.sqrt(variance)
         correlation = covariance / np.outer(deviation, deviation) + 1e-6 * np.eye(deviation.size)
         try:
             factor = np.linalg.cholesky(correlation)

@@ -10,7 +10,7 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.lines import find_lines
+from imucal.fitting.spectral.lines import find_lines, with_sines, without_strong_lines
 from imucal.fitting.spectral.missing import complete
 from imucal.fitting.spectral.regressors import regressor_ordinates
 from imucal.recording import AxisSeries
@@ -157,10 +157,11 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Se
     for run in runs:
         quick = _quick(series, run)
         block = _transform(series, quick, _bins(quick.size, len(runs)), scale, temperature)
-        kept, found = find_lines(block.ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
-        blocks.append(block if kept is None else replace(block, kept=kept))
+        ordinates, sines = without_strong_lines(block.ordinates, block.bins)
+        kept, found = find_lines(ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
+        blocks.append(replace(block, ordinates=ordinates, kept=kept))
         if block.bins.n > longest:
-            lines, longest = found, block.bins.n
+            lines, longest = with_sines(found, sines, scale=scale, rate_hz=series.rate_hz), block.bins.n
     return SeriesBlocks(
         blocks=tuple(blocks), scale=scale, lines=lines, findings=_gap_findings(series, runs, lost)
     )

@@ -32,7 +32,7 @@ _LAGS = np.geomspace(3e-4, 0.1, 16)
 _FEWEST_PERIODS, _MOST_PERIODS = 2.0, 24.0
 _SPACING, _FINE = 0.25, 1 / 64
 #: What a shape must gain beyond the price of its parameters, in twice the log-likelihood.
-_MARGIN = 10.0
+_MARGIN = 5.0
 #: A shape that gains less at the spectrum of the fit without it is not fitted: chance gives so much.
 _WORTH_A_FIT = 15.0
 #: Most shapes that are taken out.
@@ -75,8 +75,11 @@ class Disturbance:
 _AT_ONCE = Disturbance(kind="temperature", names=("temperature",), parameters=1)
 
 
-def find_disturbances(blocks: Sequence[Block]) -> tuple[Disturbance, ...]:
-    """Return what the data ask to be taken out beside the ramp, the strongest first."""
+def find_disturbances(blocks: Sequence[Block], *, steps: bool = True) -> tuple[Disturbance, ...]:
+    """Return what the data ask to be taken out beside the ramp, the strongest first.
+
+    Without `steps` none are looked for: a level that jumps to and fro is not a few of them.
+    """
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
     found: list[Disturbance] = []
@@ -84,7 +87,8 @@ def find_disturbances(blocks: Sequence[Block]) -> tuple[Disturbance, ...]:
     while len(found) < _MOST:
         names = tuple(name for one in found for name in one.names)
         whitened = Whitened.by(low, base.spectrum, ("R", *names))
-        candidates = [one for one in _candidates(whitened, length, found) if not set(one.names) & set(names)]
+        kinds = _candidates(whitened, length, found, steps=steps)
+        candidates = [one for one in kinds if not set(one.names) & set(names)]
         if not candidates:
             break
         fits = _fits(low, [(*names, *one.names) for one in candidates])
@@ -131,9 +135,11 @@ def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]]) -> _Fits:
     return _Fits(ordinates=ordinates, candidates=candidates, maximum=every.take(best))
 
 
-def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -> Iterator[Disturbance]:
+def _candidates(
+    whitened: Whitened, length: int, found: Sequence[Disturbance], *, steps: bool
+) -> Iterator[Disturbance]:
     """Yield the best shape of each kind that may be worth a fit."""
-    kinds = [_best_cycle(whitened, length), _best_step(whitened)]
+    kinds = [_best_cycle(whitened, length), *([_best_step(whitened)] if steps else [])]
     once = {one.kind for one in found}
     if "warm-up" not in once:
         kinds.append(_best_of(whitened, _warm_ups(length)))

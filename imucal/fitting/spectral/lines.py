@@ -5,11 +5,15 @@ its surroundings, belongs to a line (a motor, mains, a clock); it and its neighb
 The lowest ordinates are never left out: they carry the random walk and the drift.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from imucal.allan.dct import DctBins
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Line
+from imucal.fitting.spectral.regressors import cycle_ordinates
 
 #: Chance that a record without lines has one found.
 _CHANCE = 0.01
@@ -22,10 +26,33 @@ _MEDIAN_EFFICIENCY = 0.5
 _MEDIAN = 0.4549
 #: Ordinates on each side that a line must stand out of, and the least of them as a share of the frequency.
 _NEAR, _NEAR_SHARE = 64, 1 / 800
+#: Lines that are taken out as sines, at most; ordinates on each side that one is fitted to; and what may be
+#: left of its power.
+_MOST_SINES, _ABOUT, _REMAINS = 16, 200, 0.1
 #: A line's tail is left out until it is this part of the level.
 _TAIL = 0.05
 #: Fewest neighbours left out on each side, and most, as a share of the frequency.
 _LEAST, _MOST = 3, 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sine:
+    """A steady line: cosine cos(omega (t + 1/2)) + sine sin(omega (t + 1/2)), omega in rad/sample."""
+
+    omega: float
+    cosine: float
+    sine: float
+
+    @property
+    def amplitude(self) -> float:
+        """Of the sine, in the ordinates' unit."""
+        return float(np.hypot(self.cosine, self.sine))
+
+    def ordinates(self, n: int, count: int) -> FloatArray:
+        """Return its ordinates k = 1 … count in `n` samples."""
+        theta = np.pi / n * np.arange(1, count + 1, dtype=np.float64)
+        phase = float(np.arctan2(-self.sine, self.cosine))
+        return self.amplitude * cycle_ordinates(n, theta, self.omega, phase)
 
 
 def find_lines(
@@ -150,3 +177,69 @@ def _describe(
         amplitude = scale * float(np.sqrt(2 * power / bins.n))
         lines.append(Line(frequency_hz=(top + 1) * rate_hz / (2 * bins.n), amplitude=amplitude))
     return tuple(sorted(lines, key=lambda line: -line.amplitude))
+
+
+def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, tuple[Sine, ...]]:
+    """Return the ordinates less the sines whose tails reach farther than may be left out, and these.
+
+    Each is fitted by least squares to the ordinates about it, where the noise is white enough. A line
+    that is no steady sine, so that hardly anything of it goes, stays.
+    """
+    found: list[Sine] = []
+    for _ in range(_MOST_SINES):
+        square = ordinates * ordinates
+        level, sureness = _level(square, None, bins)
+        peaks = np.maximum.reduceat(square, bins.first - 1)
+        at = int(np.argmax(np.where(bins.first > _LOWEST, peaks / level, 0.0)))
+        first, stop = int(bins.first[at]) - 1, int(bins.first[at] + bins.count[at]) - 1
+        top = first + int(np.argmax(square[first:stop]))
+        excess = square[top] / level[at]
+        sure = excess > float(_limit(sureness[[at]], _CHANCE / max(square.size, 1))[0])
+        if not sure or np.sqrt(excess / _TAIL) / np.pi <= max(_LEAST, _MOST * top) or top < _LOWEST:
+            break
+        sine = _fitted_sine(ordinates, bins.n, top)
+        rest = ordinates - sine.ordinates(bins.n, ordinates.size)
+        near = slice(max(top - _LEAST, 0), top + _LEAST + 1)
+        if np.sum(rest[near] ** 2) > _REMAINS * np.sum(square[near]):
+            break
+        found.append(sine)
+        ordinates = rest
+    return ordinates, tuple(found)
+
+
+def _fitted_sine(ordinates: FloatArray, n: int, top: int) -> Sine:
+    """Return the sine nearest to the ordinates about index `top`."""
+    from scipy.optimize import minimize_scalar
+
+    first = max(top - _ABOUT, 0)
+    seen = ordinates[first : top + _ABOUT + 1]
+    theta = np.asarray(np.pi / n * np.arange(first + 1, first + 1 + seen.size), dtype=np.float64)
+
+    def columns(omega: float) -> FloatArray:
+        return np.stack([cycle_ordinates(n, theta, omega, phase) for phase in (0.0, -np.pi / 2)], axis=1)
+
+    def misfit(place: float) -> float:
+        matrix = columns(np.pi / n * place)
+        return float(np.sum((seen - matrix @ np.linalg.lstsq(matrix, seen, rcond=None)[0]) ** 2))
+
+    grid = top + 1 + np.linspace(-1, 1, 17)
+    nearest = grid[int(np.argmin([misfit(place) for place in grid.tolist()]))]
+    place = float(
+        minimize_scalar(
+            misfit, bounds=(nearest - 0.15, nearest + 0.15), method="bounded", options={"xatol": 1e-7}
+        ).x
+    )
+    omega = np.pi / n * place
+    cosine, sine = np.linalg.lstsq(columns(omega), seen, rcond=None)[0].tolist()
+    return Sine(omega=omega, cosine=cosine, sine=sine)
+
+
+def with_sines(
+    lines: tuple[Line, ...], sines: Sequence[Sine], *, scale: float, rate_hz: float
+) -> tuple[Line, ...]:
+    """Return all lines, the strongest first; what was left of a sine is no line of its own."""
+    unit = rate_hz / (2 * np.pi)
+    whole = [Line(frequency_hz=sine.omega * unit, amplitude=sine.amplitude * scale) for sine in sines]
+    places = np.array([line.frequency_hz for line in whole])
+    others = [line for line in lines if not np.any(np.abs(line.frequency_hz / places - 1) < _MOST)]
+    return tuple(sorted((*whole, *others), key=lambda line: -line.amplitude))

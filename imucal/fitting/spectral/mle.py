@@ -15,18 +15,20 @@ from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered, wi
 from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.disturbance_findings import disturbance_findings, with_exact_steps
-from imucal.fitting.spectral.disturbances import find_disturbances
-from imucal.fitting.spectral.estimates import Problem, covariance_of, model_of
+from imucal.fitting.spectral.disturbances import Disturbance, find_disturbances
+from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.hull import hull_estimates
+from imucal.fitting.spectral.noise_share import noise_share
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.structures import Structure, all_structures
+from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.fitting.spectral.transform import bin_blocks
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
-from imucal.side_work import findings_or_why_not
+from imucal.side_work import findings_or_why_not, try_side_work
 
 #: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
 #: shorter is the sensor's output filter.
@@ -46,6 +48,7 @@ class View:
     blocks: SeriesBlocks
     band: Band
     ordinates: Ordinates
+    whole: Ordinates
     common: tuple[str, ...]
     findings: tuple[Finding, ...]
 
@@ -150,7 +153,28 @@ def fit_mle(
         criterion=settings.chosen_by,
         findings=tuple(findings),
         settings=_settings(band, view.common),
+        noise_share=_noise_share(view, fitted, curve, series.rate_hz),
+        taken_out=_taken_out(view, fitted),
     )
+
+
+def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) -> FloatArray | None:
+    """Return the share of noise in each Allan variance, by the longest block; None where it is all noise."""
+    if not (view.blocks.lines or view.band.poles or view.band.fraction < 1):
+        return None
+    sizes = [block.bins.n for block in view.blocks.blocks]
+    longest = int(np.argmax(sizes))
+    stops = np.cumsum([block.bins.size for block in view.blocks.blocks])
+    own = np.arange(stops[-1])
+    bins = view.blocks.blocks[longest].bins
+    part = view.whole.take((own >= stops[longest] - bins.size) & (own < stops[longest]))
+    return noise_share(part, bins, fitted, view.band, view.blocks.lines, m=curve.m, rate_hz=rate_hz)
+
+
+def _taken_out(view: View, fitted: Fitted) -> dict[str, float]:
+    """Return the coefficient of each regressor beside the ramp, in U."""
+    beta = dict(zip(view.ordinates.names, fitted.maximum.beta[0].tolist(), strict=True))
+    return {name: beta[name] * view.blocks.scale for name in view.common}
 
 
 def spectral_view(
@@ -158,7 +182,7 @@ def spectral_view(
 ) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
-    found = with_exact_steps(find_disturbances(blocks.blocks), series)
+    found, findings = _disturbances(series, blocks)
     common = tuple(name for one in found for name in one.names)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common, given=structure)
@@ -166,9 +190,32 @@ def spectral_view(
         blocks=blocks,
         band=band,
         ordinates=whole.below(band.fraction),
+        whole=whole,
         common=common,
-        findings=blocks.findings + disturbance_findings(found, series, blocks.scale),
+        findings=blocks.findings + findings,
     )
+
+
+def _disturbances(
+    series: AxisSeries, blocks: SeriesBlocks
+) -> tuple[tuple[Disturbance, ...], tuple[Finding, ...]]:
+    """Return what is to be taken out with the fit, and what to say of it and of two levels."""
+    levels, no_levels = try_side_work(
+        lambda: find_telegraph(series),
+        None,
+        what="No look for two levels",
+        code="not-checked",
+        axis=series.name,
+    )
+    found, no_shapes = try_side_work(
+        lambda: with_exact_steps(find_disturbances(blocks.blocks, steps=levels is None), series),
+        (),
+        what="No look for steps and cycles",
+        code="not-checked",
+        axis=series.name,
+    )
+    said = telegraph_finding(levels, series) + disturbance_findings(found, series, blocks.scale)
+    return found, said + no_levels + no_shapes
 
 
 def _richest(structure: Structure | None, max_gm: int) -> Structure:

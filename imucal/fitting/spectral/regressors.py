@@ -44,8 +44,8 @@ def regressor_ordinates(
         "R": lambda: ramp_ordinates(n, count),
         "exp": lambda: exponential_ordinates(n, count, value, offset),
         "step": lambda: step_ordinates(n, count, value - offset),
-        "cos": lambda: cycle_ordinates(n, count, value, value * offset),
-        "sin": lambda: cycle_ordinates(n, count, value, value * offset - np.pi / 2),
+        "cos": lambda: cycle_ordinates(n, _angles(n, count), value, value * offset),
+        "sin": lambda: cycle_ordinates(n, _angles(n, count), value, value * offset - np.pi / 2),
     }
     return closed[kind]()
 
@@ -78,14 +78,17 @@ def step_ordinates(n: int, count: int, place: float) -> FloatArray:
     return ordinates
 
 
-def cycle_ordinates(n: int, count: int, omega: float, phase: float) -> FloatArray:
-    """Return the ordinates k = 1 … count of cos(omega (t + 1/2) + phase), t = 0 … n-1.
+def _angles(n: int, count: int) -> FloatArray:
+    return np.asarray(np.pi / n * np.arange(1, count + 1, dtype=np.float64))
+
+
+def cycle_ordinates(n: int, theta: FloatArray, omega: float, phase: float) -> FloatArray:
+    """Return the ordinates at angles `theta` = pi k/n of cos(omega (t + 1/2) + phase), t = 0 … n-1.
 
     With D(a) = sin(n a/2) / sin(a/2), Dirichlet's kernel:
     sqrt(2/n)/2 sum over a = omega ± theta of D(a) cos(n a/2 + phase).
     """
-    theta = np.pi / n * np.arange(1, count + 1, dtype=np.float64)
-    total = np.zeros(count)
+    total = np.zeros(theta.size)
     for angle in (omega + theta, omega - theta):
         kernel = n * np.sinc(n * angle / (2 * np.pi)) / np.sinc(angle / (2 * np.pi))
         total += kernel * np.cos(n * angle / 2 + phase)

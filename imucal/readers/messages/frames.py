@@ -5,12 +5,19 @@ from collections.abc import Iterator, Sequence
 from imucal.readers.containers import Channel, Container
 from imucal.readers.containers.container import Batch
 from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.messages.choice import Choice
 from imucal.readers.messages.topics import Topic
 
 #: Bytes of a ROS 1 header, and of a ROS 2 header with its encapsulation, before the frame's length.
 _BEFORE = {"ros1": 12, "cdr": 12}
 #: A longer name is a damaged one.
 _LONGEST = 256
+
+
+def first_frames(containers: Sequence[Container], choices: Sequence[Choice]) -> list[tuple[str, str]]:
+    """Return the frames of what was chosen as decisions of a recording; none of a topic without a frame."""
+    frames = (first_frame(containers, choice.topic) for choice in choices)
+    return [("frame", frame) for frame in frames if frame]
 
 
 def first_frame(containers: Sequence[Container], topic: Topic) -> str:
@@ -32,8 +39,9 @@ def _first_payload(container: Container, channel: Channel) -> Iterator[bytes]:
     for task in container.tasks(frozenset([channel.key])):
         try:
             for key, batch in task.load(scratch):
-                if key == channel.key and batch.n:
-                    yield _start(batch.checked())
+                checked = batch.checked() if key == channel.key else batch
+                if key == channel.key and checked.n:
+                    yield _start(checked)
                     return
         except DamagedError:
             continue

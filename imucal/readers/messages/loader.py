@@ -1,6 +1,5 @@
 """Chunks -> columns: every chunk into its own rows, in parallel where the container allows it."""
 
-import os
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ from imucal.readers.containers import Batch, Container, Loss, Task
 from imucal.readers.files import DamagedError, Scratch
 from imucal.readers.messages.message_types import ImuFields
 from imucal.readers.read_options import Progress
+from imucal.resources import threads as allowed_threads
 
 #: More threads gain nothing: the interpreter's lock is held in between.
 _MAX_THREADS = 4
@@ -159,7 +159,7 @@ class _Run:
     def go(self) -> list[Decoding]:
         if self.allocates and sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
             keep_freed_memory()
-        threads = min(_MAX_THREADS, os.cpu_count() or 1, len(self.jobs)) if self.parallel else 1
+        threads = min(_MAX_THREADS, allowed_threads(), len(self.jobs)) if self.parallel else 1
         if threads > 1:
             self._in_threads(threads)
         else:

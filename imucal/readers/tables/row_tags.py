@@ -102,19 +102,30 @@ def _placed(triad: Triad) -> tuple[Triad | None, Triad | None]:
 
 def _refuse_instances(table: NamedTable, gyro: Triad | None, accel: Triad | None) -> None:
     """Refuse rows of several sensors in one table: the column I of ArduPilot's IMU message."""
-    triads = [triad for triad in (gyro, accel) if triad is not None]
-    filled = [bool(cell) for cell in table.cells(triads[0].indices[0])]
-    for column in table.columns:
-        name = column.header.strip().strip("\"'").lstrip("#%").strip()
-        if name.lower() not in _INSTANCE and name.lower().rpartition(".")[2] not in _INSTANCE:
+    first = gyro or accel
+    columns = [column for column in table.columns if _plain(column.header) in _INSTANCE]
+    for column in columns if first is not None else ():
+        devices = _devices(table.cells(column.index), table.cells(first.indices[0] if first else 0))
+        if len(devices) < 2:
             continue
-        cells = [cell.strip("\"'") for cell in table.cells(column.index)]
-        # Rows of other sensors lack the samples; they are none of these.
-        own = {cell for cell, is_sample in zip(cells, filled, strict=False) if cell and is_sample}
-        if 1 < len(own) <= _MOST and (all(map(str.isdigit, own)) or not any(map(is_number, own))):
-            shown = sorted(own, key=lambda cell: (int(cell) if cell.isdigit() else 0, cell))
-            plain = column.header.strip().strip("\"'")
-            at = plain if re.fullmatch(r"\w+", plain) else str(column.index)
-            texts = [columns_text(table.time, gyro, accel, f"@{at}:{cell}") for cell in shown[:_SHOWN]]
-            problem = f"rows of {len(own)} sensors, told apart by column {name} ({', '.join(shown)})"
-            raise table.ask(problem, example=" or ".join(texts))
+        name = column.header.strip().strip("\"'")
+        at = name if re.fullmatch(r"\w+", name) else str(column.index)
+        texts = [columns_text(table.time, gyro, accel, f"@{at}:{cell}") for cell in devices[:_SHOWN]]
+        problem = f"rows of {len(devices)} sensors, told apart by column {name} ({', '.join(devices)})"
+        raise table.ask(problem, example=" or ".join(texts))
+
+
+def _plain(header: str) -> str:
+    """Return the last part of a name: ``frame_id`` of ``header.frame_id``."""
+    return header.strip().strip("\"'").lstrip("#%").strip().lower().rpartition(".")[2]
+
+
+def _devices(cells: Sequence[str], samples: Sequence[str]) -> list[str]:
+    """Return the numbers or names of several devices in the rows that hold samples; none of a single one."""
+    pairs = zip(cells, samples, strict=False)
+    found = {cell.strip("\"'") for cell, sample in pairs if cell and sample}
+    if not 1 < len(found) <= _MOST:
+        return []
+    if all(map(str.isdigit, found)):
+        return sorted(found, key=int)
+    return [] if any(map(is_number, found)) else sorted(found)

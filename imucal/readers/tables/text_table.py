@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
-from imucal.arrays import FloatArray, memory_limit
+from imucal.arrays import FloatArray
 from imucal.errors import DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import keep_freed_memory
@@ -23,6 +23,7 @@ from imucal.readers.tables.text import TextSource
 from imucal.readers.tables.text_layout import lay_out
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording
+from imucal.resources import memory_limit
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 

@@ -1,6 +1,6 @@
 """The downstream files of filters and simulators; one file a format, one table of them."""
 
-import difflib
+import re
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -8,33 +8,41 @@ from pathlib import Path
 from imucal.atomic import replacing
 from imucal.errors import WriteError
 from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Choices, Numbers, Unidentified
-from imucal.report.exports.target import Target
+from imucal.report.exports.target import Target, name_key
 from imucal.report.result import Report
 
 __all__ = ["INFLATABLE", "TARGETS", "AxisPolicy", "Unidentified", "export", "find_target", "render"]
 
-#: The modules of this folder that each hold one format, in the order of the list that users see.
-_FORMATS = (
+#: The modules of this folder that hold formats, in the order of the list that users see.
+_MODULES = (
     "kalibr",
-    "openvins",
-    "vins",
-    "orbslam3",
+    "visual",
     "gtsam",
-    "lio_sam",
-    "fast_lio",
+    "lidar",
     "ros",
-    "px4",
+    "autopilots",
     "gazebo",
-    "isaac_ros",
-    "euroc",
+    "simulators",
     "kf_gins",
     "matlab",
     "kalman",
+    "generic_yaml",
 )
-_FOUND: list[Target] = [import_module(f"{__name__}.{module}").TARGET for module in _FORMATS]
+_FOUND: list[Target] = [
+    target for module in _MODULES for target in import_module(f"{__name__}.{module}").TARGETS
+]
 
 #: Name of a downstream format -> how its file is written.
 TARGETS: dict[str, Target] = {target.name: target for target in _FOUND}
+
+#: Programs that a slip of the pen does not turn into one of ours -> what to say of them.
+_OTHERS = {
+    "isaac": "Isaac ROS is isaac-ros, Isaac Sim is isaac-sim",
+    "orbslam2": "ORB-SLAM2 uses no IMU",
+    "okvis": "OKVIS2 is okvis2; the first OKVIS has the same keys under imu_params",
+    "fastlivo": "FAST-LIVO2 is fast-livo2",
+    "msckf": "MSCKF-VIO is msckf-vio, OpenVINS is openvins",
+}
 
 #: Words in the comment of every file.
 _OURS = "written by imucal "
@@ -48,12 +56,15 @@ def find_target(name: str) -> Target:
     ValueError
         If there is no such format; the message suggests the nearest.
     """
-    by_key = {_key(each): target for target in TARGETS.values() for each in (target.name, *target.aliases)}
-    found = by_key.get(_key(name))
+    by_key = {
+        name_key(each): target for target in TARGETS.values() for each in (target.name, *target.aliases)
+    }
+    found = by_key.get(name_key(name))
     if found is None:
-        near = difflib.get_close_matches(_key(name), by_key, n=1)
-        hint = f"did you mean {by_key[near[0]].name}? " if near else ""
-        msg = f"no downstream format {name!r}; {hint}there are {', '.join(TARGETS)}"
+        near = [target.name for key, target in by_key.items() if _is_slip(name_key(name), key)]
+        meant = f"did you mean {near[0]}? " if near else ""
+        said = f"{_OTHERS[name_key(name)]}; " if name_key(name) in _OTHERS else meant
+        msg = f"no downstream format {name!r}; {said}there are {', '.join(TARGETS)}"
         raise ValueError(msg)
     return found
 
@@ -154,5 +165,17 @@ def _make_folder(path: Path) -> None:
         raise WriteError(msg) from error
 
 
-def _key(name: str) -> str:
-    return "".join(sign for sign in name.lower() if sign.isalnum())
+def _is_slip(typed: str, name: str) -> bool:
+    """Return whether one letter is missing, too much, wrong, or two have changed places.
+
+    More is another program: LVI-SAM is not LIO-SAM. So is another digit, and a short name leaves no
+    room for slips: DLO is not DLIO.
+    """
+    if min(len(typed), len(name)) < 5 or re.sub(r"\D", "", typed) != re.sub(r"\D", "", name):
+        return False
+    start = 0
+    while typed[start : start + 1] == name[start : start + 1] != "":
+        start += 1
+    rest, wanted = typed[start:], name[start:]
+    swapped = rest[1::-1] + rest[2:]
+    return wanted in {rest[1:], swapped} or rest == wanted[1:] or rest[1:] == wanted[1:]

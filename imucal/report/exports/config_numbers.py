@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
 
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Estimate
@@ -74,7 +76,14 @@ class Number:
     bounded
         Those of `axes` whose upper bound stands in for a value.
     level
-        Confidence level of the bound.
+        Confidence level of the bound and of the interval.
+    interval
+        The coefficient's limits, inflation included; None for a bound or for several axes.
+    excess
+        A bound over the largest coefficient whose line stays below the measured Allan curve; None for
+        a value or for several axes.
+    alternatives
+        Symbols of terms that may stand in this one's place: the record can't tell which.
     """
 
     symbol: str
@@ -82,25 +91,32 @@ class Number:
     axes: tuple[str, ...]
     bounded: tuple[str, ...]
     level: float
+    interval: tuple[float, float] | None = None
+    excess: float | None = None
+    alternatives: tuple[str, ...] = ()
 
     @property
     def note(self) -> str:
-        """Where the number comes from, for a comment beside it."""
-        origin = f"{self.symbol} of {', '.join(self.axes)}"
+        """Where the number comes from and how well it is known, for a comment beside it."""
+        return f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}{self._ambiguity()}"
+
+    def _certainty(self) -> str:
+        level = f"{self.level:.0%}"
+        if self.interval:
+            return f", {level} {self.interval[0]:.4g} to {self.interval[1]:.4g}"
         if not self.bounded:
-            return origin
-        if self.bounded == self.axes:
-            return f"{origin}, UPPER BOUND ({self.level:.0%}): the data do not show this term"
-        return f"{origin}; UPPER BOUND ({self.level:.0%}) on {', '.join(self.bounded)}"
+            return ""
+        if self.bounded != self.axes:
+            return f"; UPPER BOUND ({level}) on {', '.join(self.bounded)}"
+        excess = (
+            f"; {self.excess:.2g} x the largest that fits under the measured curve" if self.excess else ""
+        )
+        return f", UPPER BOUND ({level}): the data do not show this term{excess}"
 
-
-class Densities(NamedTuple):
-    """N and K of both sensors, continuous, by the user's axis policy."""
-
-    accel_n: Number
-    accel_k: Number
-    gyro_n: Number
-    gyro_k: Number
+    def _ambiguity(self) -> str:
+        if not self.alternatives:
+            return ""
+        return f"; {' or '.join((self.symbol, *self.alternatives))}: this record can't tell which"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,12 +151,27 @@ class Numbers:
     """A report as a file format sees it.
 
     Every method raises `DataError` where the report has no number to give: a sensor or an axis is
-    missing, or a term was not identified and the user refused its bound.
+    missing, or a term was not identified and the user refused its bound. A log of one sensor gives a
+    format the half that is about it, so formats go over `sensors`.
     """
 
     report: Report
     choices: Choices
     target: str
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors of the log, the gyroscope first."""
+        return tuple(sensor for sensor in Sensor if any(axis.sensor is sensor for axis in self.report.axes))
+
+    @property
+    def stream_hz(self) -> float:
+        """The one rate of a file that has but one: the gyroscope's, else the accelerometer's.
+
+        A program with one rate reads both sensors as one stream of messages, the slower one
+        interpolated. N and K are densities and stay; what is discrete belongs to the stream.
+        """
+        return self.rate_hz(self.sensors[0])
 
     def axes(self, sensor: Sensor) -> tuple[AxisReport, ...]:
         """Return the axes of a sensor; at least one."""
@@ -179,6 +210,7 @@ class Numbers:
             axes=tuple(name for number in numbers for name in number.axes),
             bounded=tuple(name for number in numbers for name in number.bounded),
             level=numbers[0].level,
+            alternatives=tuple(dict.fromkeys(each for number in numbers for each in number.alternatives)),
         )
 
     def each(self, sensor: Sensor, symbol: str) -> tuple[Number, Number, Number]:
@@ -192,12 +224,16 @@ class Numbers:
         if estimate.value is None:
             self._refuse_bound(axis, estimate)
         coefficient = estimate.high if estimate.value is None else estimate.value
+        bounded, factor = estimate.value is None, self.choices.factor(symbol)
         return Number(
             symbol=symbol,
-            value=self._positive(coefficient * self.choices.factor(symbol), symbol, axis.name),
+            value=self._positive(coefficient * factor, symbol, axis.name),
             axes=(axis.name,),
-            bounded=(axis.name,) if estimate.value is None else (),
+            bounded=(axis.name,) if bounded else (),
             level=axis.fit.level,
+            interval=None if bounded else (estimate.low * factor, estimate.high * factor),
+            excess=_excess(axis, estimate) if bounded else None,
+            alternatives=estimate.alternatives,
         )
 
     def gauss_markov(self, axis: AxisReport) -> tuple[float, float] | None:
@@ -211,15 +247,6 @@ class Numbers:
             return None
         correlation_time, sigma = max(terms)
         return sigma * self.choices.factor("GM"), correlation_time
-
-    def densities(self) -> Densities:
-        """Return N and K of both sensors, which most formats hold."""
-        return Densities(
-            accel_n=self.one(Sensor.ACCELEROMETER, "N"),
-            accel_k=self.one(Sensor.ACCELEROMETER, "K"),
-            gyro_n=self.one(Sensor.GYROSCOPE, "N"),
-            gyro_k=self.one(Sensor.GYROSCOPE, "K"),
-        )
 
     def slow(self, axis: AxisReport) -> SlowNoise:
         """Return the process that best stands for what is slower than white noise.
@@ -236,6 +263,13 @@ class Numbers:
                 number=None,
                 note=f"Gauss-Markov term of {axis.name}: sigma {sigma:.4g}, T {time:.4g} s",
             )
+        walk = self.walk(axis)
+        if term is None:
+            return walk
+        return replace(walk, note=f"{walk.note}; a Gauss-Markov term (T {term[1]:.4g} s) is left out")
+
+    def walk(self, axis: AxisReport) -> SlowNoise:
+        """Return the random walk of an axis, or its bound, as a process with a nominal T."""
         walk = self.of(axis, "K")
         note = f"{walk.note}; T is nominal"
         return SlowNoise(driving=walk.value, correlation_time=NOMINAL_TIME_S, number=walk, note=note)
@@ -280,6 +314,14 @@ class Numbers:
             "use a log that holds both sensors with all their axes"
         )
         return DataError(msg)
+
+
+def _excess(axis: AxisReport, estimate: Estimate) -> float | None:
+    """Return how far a bound lies above the largest coefficient that fits under the measured curve."""
+    curve = axis.fit.curve
+    unit = TERMS[estimate.symbol].of(1.0).avar(curve.m.astype(np.float64), 1 / axis.fit.rate_hz)
+    below = float(np.sqrt(np.min(curve.avar / unit, initial=np.inf)))
+    return estimate.high / below if 0 < below < math.inf else None
 
 
 def _require(value: str, choices: tuple[str, ...], what: str) -> None:

@@ -3,7 +3,7 @@
 ``stddev`` is discrete; ``dynamic_bias_stddev`` is, despite its name, the density of the noise that
 drives the bias: its steady state is ``dynamic_bias_stddev * sqrt(T / 2)``. ``precision`` belongs to
 the quantized model alone and isn't written.
-Source: Gazebo, ``src/GaussianNoiseModel.cc`` (gz-sensors); SDFormat, ``noise.sdf``.
+Both sensors are sampled at ``update_rate``, so that ``stddev`` belongs to it for both.
 """
 
 import math
@@ -13,7 +13,6 @@ from xml.etree import ElementTree as ET
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers, SlowNoise
 from imucal.report.exports.target import Body, Target, plain, real
-from imucal.report.result import AxisReport
 
 _ELEMENTS = {Sensor.GYROSCOPE: "angular_velocity", Sensor.ACCELEROMETER: "linear_acceleration"}
 
@@ -23,15 +22,15 @@ def _body(numbers: Numbers) -> Body:
     link = ET.SubElement(ET.SubElement(root, "model", name="imu"), "link", name="imu_link")
     sensor_element = ET.SubElement(link, "sensor", name="imu", type="imu")
     ET.SubElement(sensor_element, "always_on").text = "true"
-    ET.SubElement(sensor_element, "update_rate").text = real(numbers.rate_hz(Sensor.GYROSCOPE))
+    ET.SubElement(sensor_element, "update_rate").text = real(numbers.stream_hz)
     imu = ET.SubElement(sensor_element, "imu")
     used: list[Number] = []
-    for sensor, name in _ELEMENTS.items():
-        element = ET.SubElement(imu, name)
+    for sensor in numbers.sensors:
+        element = ET.SubElement(imu, _ELEMENTS[sensor])
         for axis in numbers.triad(sensor):
             white, slow = numbers.of(axis, "N"), numbers.slow(axis)
             used += [white] if slow.number is None else [white, slow.number]
-            _noise(ET.SubElement(element, axis.axis), axis, white, slow)
+            _noise(ET.SubElement(element, axis.axis), numbers.stream_hz, white, slow)
     ET.indent(root)
     return used, [ET.tostring(root, encoding="unicode")]
 
@@ -41,11 +40,10 @@ def _layout(head: Sequence[str], body: Sequence[str]) -> str:
     return "\n".join(['<?xml version="1.0"?>', "<!--", said, "-->", *body]) + "\n"
 
 
-def _noise(parent: ET.Element, axis: AxisReport, white: Number, slow: SlowNoise) -> None:
+def _noise(parent: ET.Element, rate_hz: float, white: Number, slow: SlowNoise) -> None:
     notes = f" {white.note} | {slow.note} "
     parent.append(ET.Comment(_xml_safe(notes)))
     noise = ET.SubElement(parent, "noise", type="gaussian")
-    rate_hz = float(f"{axis.rate_hz:.9g}")
     values = {
         "mean": 0.0,
         "stddev": white.value * math.sqrt(rate_hz),
@@ -63,21 +61,24 @@ def _xml_safe(text: str) -> str:
     return text.replace("--", "- -")
 
 
-TARGET = Target(
-    name="gazebo",
-    title="Gazebo / SDF imu sensor",
-    file_name="gazebo_imu.sdf",
-    heading="Gazebo / SDF imu sensor",
-    kind="stddev is discrete, right for update_rate only; dynamic_bias_stddev is a continuous density",
-    formulas=(
-        "stddev = N * sqrt(f)",
-        "dynamic_bias_stddev = K, with a nominal correlation time of 3600 s",
-        "on an axis with a Gauss-Markov term (sigma, T) and no random walk: sigma * sqrt(2 / T), and T",
+TARGETS = (
+    Target(
+        name="gazebo",
+        title="Gazebo / SDF imu sensor",
+        file_name="gazebo_imu.sdf",
+        heading="Gazebo / SDF imu sensor",
+        source="source: gz-sensors src/GaussianNoiseModel.cc; SDFormat noise.sdf",
+        kind="stddev is discrete, right for update_rate only; dynamic_bias_stddev is a continuous density",
+        formulas=(
+            "stddev = N * sqrt(f)",
+            "dynamic_bias_stddev = K, with a nominal correlation time of 3600 s",
+            "on an axis with a Gauss-Markov term (sigma, T) and no random walk: sigma * sqrt(2 / T), and T",
+        ),
+        body=_body,
+        notes=("bias_mean, bias_stddev: the turn-on bias needs many starts, not one log; set yours",),
+        layout=_layout,
+        carries="N K GM",
+        per_axis=True,
+        aliases=("sdf", "gz", "ignition"),
     ),
-    body=_body,
-    notes=("bias_mean, bias_stddev: the turn-on bias needs many starts, not one log; set yours",),
-    layout=_layout,
-    carries="N K GM",
-    per_axis=True,
-    aliases=("sdf", "gz", "ignition"),
 )

@@ -1,74 +1,86 @@
 """GTSAM: ``PreintegrationCombinedParams`` as a Python module to import or paste.
 
 Continuous covariances: GTSAM divides by dt itself. With the C++ library the setters have the same
-names. Source: GTSAM, ``gtsam/navigation/PreintegrationCombinedParams.h``.
+names. GTSAM 4.2 adds the covariance of the bias at the start of each integration, the identity if it
+isn't set, which drowns the sensor's own noise; 4.3 has no such setter. It is set to zero where it
+exists: the bias's own uncertainty is the estimator's to carry.
 """
 
 from imucal.recording import Sensor
-from imucal.report.exports.config_numbers import Number, Numbers
+from imucal.report.exports.config_numbers import Numbers
+from imucal.report.exports.keyed import DENSITY_SQUARED, Entry, entries, four, lines
 from imucal.report.exports.target import Body, Target, real
 from imucal.units import G0
 
 #: Covariance of the integration itself: GTSAM's own default of 1 would drown the sensor's.
 _INTEGRATION = 1e-8
 
-_FUNCTION = '''
+_KEYS = four(
+    "accelerometerCovariance biasAccCovariance gyroscopeCovariance biasOmegaCovariance", DENSITY_SQUARED
+)
+
+_HEAD = '''
 
 def imu_params(gravity: float = {gravity}) -> gtsam.PreintegrationCombinedParams:
     """Return the parameters for a navigation frame whose z axis points up."""
     identity = np.eye(3)
-    params = gtsam.PreintegrationCombinedParams.MakeSharedU(gravity)
-    params.setAccelerometerCovariance(accelerometerCovariance * identity)
-    params.setGyroscopeCovariance(gyroscopeCovariance * identity)
-    params.setIntegrationCovariance(integrationCovariance * identity)
-    params.setBiasAccCovariance(biasAccCovariance * identity)
-    params.setBiasOmegaCovariance(biasOmegaCovariance * identity)
-    return params
-'''
+    params = gtsam.PreintegrationCombinedParams.MakeSharedU(gravity)'''
+_TAIL = """    params.setIntegrationCovariance(integrationCovariance * identity)
+    # GTSAM 4.2 and earlier: the identity by default, which drowns the noise above.
+    for name in ("setBiasAccOmegaInit", "setBiasAccOmegaInt"):
+        if hasattr(params, name):
+            getattr(params, name)(np.zeros((6, 6)))
+    return params"""
 
 
 def _body(numbers: Numbers) -> Body:
-    values = numbers.densities()
-    lines = [
+    found = entries(numbers, _KEYS)
+    text = [
         "",
         "import gtsam",
         "import numpy as np",
         "",
-        _assignment("accelerometerCovariance", values.accel_n, "(m/s^2)^2/Hz"),
-        _assignment("gyroscopeCovariance", values.gyro_n, "(rad/s)^2/Hz"),
-        _assignment("biasAccCovariance", values.accel_k, "(m/s^3)^2/Hz"),
-        _assignment("biasOmegaCovariance", values.gyro_k, "(rad/s^2)^2/Hz"),
+        *lines(found, "{name} = {value}  # {remark}"),
         f"integrationCovariance = {real(_INTEGRATION)}  # of the integration's rounding, not of the sensor",
         *_correlation_times(numbers),
+        _HEAD.format(gravity=real(G0)),
+        *(_setter(entry) for entry in found),
+        _TAIL,
     ]
-    lines.append(_FUNCTION.format(gravity=real(G0)).rstrip())
-    return values, lines
+    return [entry.number for entry in found], text
 
 
-def _assignment(name: str, number: Number, unit: str) -> str:
-    return f"{name} = {real(number.value**2)}  # {unit}; {number.note}"
+def _setter(entry: Entry) -> str:
+    return f"    params.set{entry.name[0].upper()}{entry.name[1:]}({entry.name} * identity)"
 
 
 def _correlation_times(numbers: Numbers) -> list[str]:
     """Return the correlation times of Gauss-Markov biases, for versions and forks of GTSAM that have them."""
-    lines = []
+    found_lines = []
     for key, sensor in (("tauAcc", Sensor.ACCELEROMETER), ("tauGyro", Sensor.GYROSCOPE)):
+        if sensor not in numbers.sensors:
+            continue
         found = [
             (term[1], axis.name) for axis in numbers.axes(sensor) if (term := numbers.gauss_markov(axis))
         ]
         if found:
             time, name = max(found)
-            lines.append(f"{key} = {real(time)}  # s, Gauss-Markov bias of {name}; unused by the walk below")
-    return lines
+            found_lines.append(
+                f"{key} = {real(time)}  # s, Gauss-Markov bias of {name}; unused by the walk below"
+            )
+    return found_lines
 
 
-TARGET = Target(
-    name="gtsam",
-    title="GTSAM PreintegrationCombinedParams (Python)",
-    file_name="gtsam_imu_params.py",
-    heading="GTSAM PreintegrationCombinedParams",
-    kind="continuous-time covariances (densities squared), SI; GTSAM makes them discrete with dt",
-    formulas=("covariance = N^2, bias covariance = K^2, each times the identity; no factor of the rate",),
-    body=_body,
-    carries="N K GM",
+TARGETS = (
+    Target(
+        name="gtsam",
+        title="GTSAM PreintegrationCombinedParams (Python)",
+        file_name="gtsam_imu_params.py",
+        heading="GTSAM PreintegrationCombinedParams",
+        source="source: gtsam/navigation/PreintegrationCombinedParams.h; run: gtsam 4.2 and 4.3",
+        kind="continuous-time covariances (densities squared), SI; GTSAM makes them discrete with dt",
+        formulas=("covariance = N^2, bias covariance = K^2, each times the identity; no factor of the rate",),
+        body=_body,
+        carries="N K GM",
+    ),
 )

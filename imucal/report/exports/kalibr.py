@@ -1,37 +1,68 @@
-"""Kalibr's ``imu.yaml``.
+"""Kalibr's ``imu.yaml`` and OpenVINS' ``kalibr_imu_chain.yaml``: Kalibr's numbers, with the IMU's intrinsics.
 
-Continuous densities; Kalibr divides by sqrt(dt) itself and refuses a value that is not positive.
-Its ``*_random_walk`` is K, not the angle random walk.
-Source: Kalibr, ``aslam_offline_calibration/kalibr/python/kalibr_common/ConfigReader.py``.
+Continuous densities; Kalibr divides by sqrt(dt) itself and refuses a value that is not positive. Its
+``*_random_walk`` is K, not the angle random walk.
 """
 
-from imucal.recording import Sensor
-from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.target import Body, Target, plain, quoted, real
+import numpy as np
 
+from imucal.report.exports.config_numbers import Numbers
+from imucal.report.exports.keyed import four, yaml_body
+from imucal.report.exports.target import Target, matrix, opencv_yaml, plain, quoted, real
+
+#: The four keys, as EuRoC and Kimera-VIO have them too.
+KEYS = four(
+    "accelerometer_noise_density accelerometer_random_walk gyroscope_noise_density gyroscope_random_walk"
+)
 FORMULA = "noise_density = N (white noise), random_walk = K (of the bias); no factor of the rate"
 
 
-def _body(numbers: Numbers) -> Body:
-    values = numbers.densities()
+def _topic(numbers: Numbers) -> str:
     name, remark = numbers.topic()
-    lines = [
-        f"accelerometer_noise_density: {real(values.accel_n.value)}  # m/s^2/sqrt(Hz); {values.accel_n.note}",
-        f"accelerometer_random_walk: {real(values.accel_k.value)}  # m/s^3/sqrt(Hz); {values.accel_k.note}",
-        f"gyroscope_noise_density: {real(values.gyro_n.value)}  # rad/s/sqrt(Hz); {values.gyro_n.note}",
-        f"gyroscope_random_walk: {real(values.gyro_k.value)}  # rad/s^2/sqrt(Hz); {values.gyro_k.note}",
-        f"rostopic: {quoted(name)}  # {plain(remark)}",
-        f"update_rate: {real(numbers.rate_hz(Sensor.GYROSCOPE))}  # Hz, of the gyroscope",
-    ]
-    return values, lines
+    return f"rostopic: {quoted(name)}  # {plain(remark)}"
 
 
-TARGET = Target(
-    name="kalibr",
-    title="Kalibr imu.yaml",
-    file_name="kalibr_imu.yaml",
-    heading="Kalibr imu.yaml",
-    kind="continuous-time densities, SI; Kalibr makes them discrete with update_rate",
-    formulas=(FORMULA,),
-    body=_body,
+def _rate(numbers: Numbers) -> str:
+    return f"update_rate: {real(numbers.stream_hz)}  # Hz, of the {numbers.sensors[0]}"
+
+
+def _intrinsics(numbers: Numbers) -> list[str]:
+    unit, zero = np.eye(3).tolist(), np.zeros((3, 3)).tolist()
+    lines = [f"  {_topic(numbers)}", "  time_offset: 0.0", f"  {_rate(numbers)}", '  model: "kalibr"']
+    for key, rows in (("Tw", unit), ("R_IMUtoGYRO", unit), ("Ta", unit), ("R_IMUtoACC", unit), ("Tg", zero)):
+        lines += [f"  {key}:", *matrix(rows, "    ")]
+    return lines
+
+
+TARGETS = (
+    Target(
+        name="kalibr",
+        title="Kalibr imu.yaml",
+        file_name="kalibr_imu.yaml",
+        heading="Kalibr imu.yaml",
+        source="source: aslam_offline_calibration/kalibr/python/kalibr_common/ConfigReader.py",
+        kind="continuous-time densities, SI; Kalibr makes them discrete with update_rate",
+        formulas=(FORMULA,),
+        body=yaml_body(KEYS, below=lambda numbers: (_topic(numbers), _rate(numbers))),
+    ),
+    Target(
+        name="openvins",
+        title="OpenVINS kalibr_imu_chain.yaml",
+        file_name="kalibr_imu_chain.yaml",
+        heading="OpenVINS kalibr_imu_chain.yaml",
+        source="source: config/euroc_mav/kalibr_imu_chain.yaml, ov_core/src/utils/opencv_yaml_parse.h",
+        kind="continuous-time densities, SI; OpenVINS makes them discrete with the stamps of the messages",
+        formulas=(FORMULA,),
+        body=yaml_body(
+            KEYS,
+            above=("imu0:", "  T_i_b:", *matrix(np.eye(4).tolist(), "    ")),
+            below=_intrinsics,
+            indent="  ",
+        ),
+        notes=(
+            "matrices: identity (no intrinsics are measured at rest); T_i_b, Tw, Ta, Tg are yours to set",
+        ),
+        layout=opencv_yaml,
+        aliases=("ovins",),
+    ),
 )

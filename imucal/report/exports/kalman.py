@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator
 
 from imucal.noise.terms import GaussMarkov
-from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.target import Body, Target, real
 from imucal.report.result import AxisReport
@@ -31,7 +30,7 @@ def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMa
 
 
 def _body(numbers: Numbers) -> Body:
-    axes = [axis for sensor in Sensor for axis in numbers.triad(sensor)]
+    axes = [axis for sensor in numbers.sensors for axis in numbers.triad(sensor)]
     used = [numbers.of(axis, symbol) for axis in axes for symbol in ("N", "K")]
     lines = ["axes:"]
     for axis in axes:
@@ -79,19 +78,23 @@ def _state(name: str, term: GaussMarkov, rate_hz: float) -> str:
     return f"      - {{term: {name}, {body}}}"
 
 
-TARGET = Target(
-    name="gm",
-    title="state space: phi and q for a Kalman filter",
-    file_name="state_space.yaml",
-    heading="state-space noise model",
-    kind="discrete: x[t+1] = phi x[t] + q w[t], w standard normal; right for the rate of each axis only",
-    formulas=(
-        "white = N * sqrt(f); random walk: phi = 1, q = K / sqrt(f)",
-        "Gauss-Markov: phi = exp(-1/(f T)), q = sigma * sqrt(1 - phi^2)",
-        "flicker B: Gauss-Markov states with log-spaced T, sigma = B * sqrt(ln(ratio of T) / pi)",
+TARGETS = (
+    Target(
+        name="gm",
+        title="state space: phi and q for a Kalman filter",
+        file_name="state_space.yaml",
+        heading="state-space noise model",
+        source="no program: the equations are in the file",
+        kind="discrete: x[t+1] = phi x[t] + q w[t], w standard normal; right for the rate of each axis only",
+        formulas=(
+            "white = N * sqrt(f); random walk: phi = 1, q = K / sqrt(f)",
+            "Gauss-Markov: phi = exp(-1/(f T)), q = sigma * sqrt(1 - phi^2)",
+            "flicker B: Gauss-Markov states with log-spaced T, sigma = B * sqrt(ln(ratio of T) / pi)",
+        ),
+        body=_body,
+        carries="N B GM K",
+        per_axis=True,
+        own_rates=True,
+        aliases=("gaussmarkov", "statespace"),
     ),
-    body=_body,
-    carries="N B GM K",
-    per_axis=True,
-    aliases=("gaussmarkov", "statespace"),
 )

@@ -24,6 +24,11 @@ _POLICIES = {
 }
 
 
+def name_key(name: str) -> str:
+    """Return the letters and digits of a name, small: what tells names apart."""
+    return "".join(sign for sign in name.lower() if sign.isalnum())
+
+
 def real(value: float) -> str:
     """Return a number with a decimal point that reads back exactly: ``200.0``, ``1.0e-05``.
 
@@ -75,6 +80,12 @@ def below_comment(head: Sequence[str], body: Sequence[str]) -> str:
     return "\n".join([*comment(head), *body]) + "\n"
 
 
+def beside_json(head: Sequence[str], body: Sequence[str]) -> str:
+    """Return the text of a JSON object, which has no comments: they are a list under a key of our own."""
+    said = ",\n".join(f"    {quoted(plain(line))}" for line in head)
+    return "\n".join(["{", '  "_imucal": [', said, "  ],", *body, "}"]) + "\n"
+
+
 def opencv_yaml(head: Sequence[str], body: Sequence[str]) -> str:
     """Return the text of a YAML file for OpenCV, which wants a directive on the first line."""
     return "%YAML:1.0\n" + below_comment(head, body)
@@ -94,6 +105,9 @@ class Target:
         Name of the file where the user gives a folder.
     heading
         The consumer and its file, for the comment.
+    source
+        What was read to know what the consumer does with the numbers: files of its source, or its
+        documentation; and what was run.
     kind
         Continuous or discrete, in words.
     formulas
@@ -104,6 +118,8 @@ class Target:
         Symbols of the terms the format has a place for.
     per_axis
         Whether the format holds a number for each axis.
+    own_rates
+        Whether each sensor has a rate of its own; else the numbers are for one stream of both.
     notes
         What else the comment says.
     layout
@@ -116,14 +132,20 @@ class Target:
     title: str
     file_name: str
     heading: str
+    source: str
     kind: str
     formulas: tuple[str, ...]
     body: Callable[[Numbers], Body]
     carries: str = "N K"
     per_axis: bool = False
+    own_rates: bool = False
     notes: tuple[str, ...] = ()
     layout: Callable[[Sequence[str], Sequence[str]], str] = below_comment
     aliases: tuple[str, ...] = ()
+
+    def is_called(self, name: str) -> bool:
+        """Return whether this is its own name, whatever the case and the signs between letters."""
+        return name_key(name) == name_key(self.name)
 
     def render(self, numbers: Numbers) -> str:
         """Return the text of the file; raises `DataError` where a number is missing."""
@@ -141,7 +163,8 @@ class Target:
         lines = [
             f"{self.heading}, written by imucal {report.version}",
             f"source log: {report.source.path} ({report.source.format}{topics})",
-            *(_sensor_line(numbers, sensor) for sensor in Sensor if _has(numbers, sensor)),
+            *(_sensor_line(numbers, sensor) for sensor in numbers.sensors),
+            *(_missing_line(sensor) for sensor in Sensor if sensor not in numbers.sensors),
             f"kind: {self.kind}",
             *(f"formula: {formula}" for formula in self.formulas),
             f"axes: {axes}",
@@ -153,18 +176,20 @@ class Target:
             lines.append(f"not identified, so the {level:.0%} upper bound is written: {', '.join(bounds)}")
         if _rates_differ(numbers):
             lines.append(
-                "the rates differ: f is each sensor's own; a single rate in the file is the gyroscope's"
+                "the rates differ: f is each sensor's own"
+                if self.own_rates
+                else f"the rates differ: every number is for one stream at f = {numbers.stream_hz:.9g} Hz"
             )
         return [*lines, *_left_out(report.axes, self.carries), *_warnings(numbers)]
 
 
-def _has(numbers: Numbers, sensor: Sensor) -> bool:
-    return any(axis.sensor is sensor for axis in numbers.report.axes)
+def _missing_line(sensor: Sensor) -> str:
+    return f"NO {sensor} in this log: its numbers are left out, and the program needs them from another"
 
 
 def _rates_differ(numbers: Numbers) -> bool:
     """Return whether both sensors are there and their rates are more than 0.1 % apart."""
-    rates = [numbers.rate_hz(sensor) for sensor in Sensor if _has(numbers, sensor)]
+    rates = [numbers.rate_hz(sensor) for sensor in numbers.sensors]
     return max(rates) > 1.001 * min(rates)
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from imucal.allan.dct import dct_bins, dct_ordinates
-from imucal.fitting.spectral.lines import _level, find_lines
+from imucal.fitting.noise_fit import Line
+from imucal.fitting.spectral.lines import _level, find_lines, with_sines, without_strong_lines
 from imucal.noise.model import NoiseModel
 
 N = 60_000
@@ -77,3 +78,58 @@ def test_the_level_is_as_sure_as_half_the_ordinates_it_is_made_of() -> None:
     assert level[-20] == pytest.approx(1.0)
     # With nothing kept there is still a level, of one degree of freedom.
     assert _level(np.ones(999), np.arange(999) < 1, bins)[1][-1] == 1.0
+
+
+@pytest.mark.parametrize("name", ["mean of 8", "Butterworth 2", "resonance"])
+def test_a_filter_s_edges_and_peaks_are_no_lines(name: str) -> None:
+    """Of 12 records behind each of three filters none has a line; a line on top of them is still found."""
+    from scipy.signal import butter, lfilter
+
+    pole = 0.95 * np.exp(0.4j * np.pi)
+    numerator, denominator = {
+        "mean of 8": (np.full(8, 1 / 8), np.ones(1)),
+        "Butterworth 2": butter(2, 0.2),
+        "resonance": (np.ones(1), np.array([1.0, -2 * pole.real, abs(pole) ** 2])),
+    }[name]
+    for seed in range(40, 52):
+        samples = lfilter(numerator, denominator, noise(seed))[1000:]
+        bins = dct_bins(samples.size)
+        assert find_lines(dct_ordinates(samples), bins, scale=1.0, rate_hz=1.0)[0] is None
+    samples += samples.std() * np.sin(1.1 * np.arange(samples.size))
+    _, lines = find_lines(dct_ordinates(samples), bins, scale=1.0, rate_hz=1.0)
+    assert lines[0].frequency_hz == pytest.approx(1.1 / (2 * np.pi), abs=1e-4)
+
+
+@pytest.mark.parametrize("omega", [0.5 * np.pi, 1.2345])
+def test_a_line_far_above_the_noise_leaves_the_noise_as_it_is(omega: float) -> None:
+    """Its tail would reach over a large part of the spectrum: it is taken out as the sine that it is."""
+    n = 4000
+    white = np.random.default_rng(60).standard_normal(n)
+    ordinates = dct_ordinates(white + 50 * np.cos(omega * (np.arange(n) + 0.5) + 1))
+    rest, (sine,) = without_strong_lines(ordinates, dct_bins(n))
+    assert sine.amplitude == pytest.approx(50, rel=4 / np.sqrt(n) / 50 * np.sqrt(2))
+    assert sine.omega == pytest.approx(omega, abs=5 * np.sqrt(24) / 50 / n**1.5)
+    # Next to it three ordinates' worth of noise is fitted with the sine.
+    far = np.abs(np.arange(1, n) - omega * n / np.pi) > 8
+    np.testing.assert_allclose(rest[far], dct_ordinates(white)[far], atol=0.2)
+    assert np.sum((rest - dct_ordinates(white))[~far] ** 2) < 12
+    tone = sine.cosine * np.cos(sine.omega * (np.arange(n) + 0.5)) + sine.sine * np.sin(
+        sine.omega * (np.arange(n) + 0.5)
+    )
+    np.testing.assert_allclose(sine.ordinates(n, n - 1), dct_ordinates(tone), atol=1e-8)
+    left = Line(frequency_hz=10 * omega / (2 * np.pi), amplitude=1.0)
+    (line,) = with_sines((left,), (sine,), scale=2.0, rate_hz=10.0)
+    assert (line.frequency_hz, line.amplitude) == (sine.omega * 10 / (2 * np.pi), 2 * sine.amplitude)
+
+
+def test_noise_and_weak_lines_are_left_as_they_are() -> None:
+    """And so is a strong line that wanders: a sine takes hardly anything of it."""
+    t = np.arange(20_000)
+    rng = np.random.default_rng(61)
+    white = rng.standard_normal(t.size)
+    wandering = 30 * np.sin(1.1 * t + 0.05 * np.cumsum(rng.standard_normal(t.size)))
+    for samples in (white, white + 0.2 * np.sin(1.1 * t), white + wandering):
+        ordinates = dct_ordinates(samples)
+        rest, sines = without_strong_lines(ordinates, dct_bins(t.size))
+        assert sines == ()
+        assert rest is ordinates

@@ -1,0 +1,189 @@
+"""``imucal decompose``: what the bias did in a log."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imucal._version import __version__
+from imucal.cli._finding_lines import print_findings
+from imucal.cli._options import Duration, LogRequest, log_options, say, shown
+from imucal.cli._progress import axes_progress, smoothing_progress
+from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
+from imucal.cli.fit import FORMATS, Structure, report_folder
+from imucal.errors import DataError
+from imucal.recording import AxisSeries, Recording, Sensor
+
+if TYPE_CHECKING:
+    from imucal.fitting.noise_fit import NoiseFit
+
+#: What a fit takes out beside the noise, by the first part of its name.
+_SHAPES = {
+    "exp": "a warm-up",
+    "step": "a step",
+    "cos": "a cycle",
+    "sin": "a cycle",
+    "temperature": "the effect of temperature",
+}
+#: What --axis takes.
+_AXES = tuple(f"{sensor.short}_{axis}" for sensor in Sensor for axis in "xyz")
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  imucal decompose log.mcap
+  imucal decompose log.bag --axis gyro_z --model "N + B + K" -o bias
+  imucal decompose log.csv --every 10s --npz
+  imucal decompose log.mcap --json -q | jq '.axes[].components'
+
+\b
+Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
+analysed (with --strict: or a warning was found), 5 the files can't be
+written, 130 interrupted."""
+)
+@log_options
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder of the files. [default: NAME-decomposed]",
+)
+@click.option(
+    "--axis", "axes", type=click.Choice(_AXES), multiple=True, help="Only this axis; may be repeated."
+)
+@shown(
+    "--model",
+    type=Structure(),
+    default="auto",
+    metavar="TEXT",
+    help='Terms to fit, such as "N + B + K" or "N + 2*GM".',
+)
+@click.option(
+    "--every",
+    type=Duration(),
+    metavar="TIME",
+    help="Time between rows of the CSV. [default: at most 10000 rows]",
+)
+@click.option("--npz", is_flag=True, help="Write NAME.npz too: everything at the samples' rate.")
+@shown(
+    "--format",
+    "formats",
+    type=click.Choice(FORMATS),
+    multiple=True,
+    default=("png",),
+    help="Pictures; may be repeated.",
+)
+@click.option("--no-clean", is_flag=True, help="Take spikes for samples, instead of leaving them out.")
+@click.option("--json", "as_json", is_flag=True, help="Print decomposition.json on standard output.")
+@force_option
+def command(
+    *,
+    request: LogRequest,
+    out: Path | None,
+    axes: tuple[str, ...],
+    model: str,
+    every: float | None,
+    npz: bool,
+    formats: tuple[str, ...],
+    no_clean: bool,
+    as_json: bool,
+    force: bool,
+) -> None:
+    """Draw what the bias of every axis of LOG did.
+
+    The noise model of each axis is fitted; then the bias at every moment, and each of its parts
+    (random walk, flicker, Gauss-Markov, ramp), is estimated from all samples before and after,
+    with its standard error. AXIS.png shows the bias over the samples, AXIS.csv holds it and its
+    parts with their standard errors (_se), decomposition.json says which model was used.
+    """
+    from imucal.pipeline import Settings, characterize
+    from imucal.report.bias_files import SCHEMA, check_folder, write_document
+
+    if every == 0:
+        msg = "0 s between rows are no rows; give a time above 0, such as 10s"
+        raise click.BadParameter(msg, param_hint="'--every'")
+    folder = out or report_folder(request.logs[0], "decomposed")
+    check_folder(folder)
+    recording = _only(request.read(), axes)
+    settings = Settings(model=model, clean=not no_clean, second_opinion=False, reading=request.settings())
+    with axes_progress(quiet=request.quiet) as progress:
+        report = characterize(recording, settings, progress=progress)
+    print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
+    described, failed = [], False
+    for axis in report.axes:
+        try:
+            described.append(
+                _decompose_axis(
+                    recording.axis(axis.sensor, axis.axis), axis.fit, folder,
+                    formats=formats, every_s=every, arrays=npz, clean=not no_clean,
+                    source=recording.source.path, quiet=request.quiet,
+                )
+            )  # fmt: skip
+        except DataError as error:
+            say(f"Error: {error}")
+            failed = True
+    if not described:
+        msg = f"{recording.source.path}: no axis can be decomposed"
+        raise DataError(msg)
+    document: dict[str, object] = {
+        "schema": SCHEMA,
+        "version": __version__,
+        "source": {"path": recording.source.path, "format": recording.source.format},
+        "settings": {**settings.document(), "every_s": every},
+        "axes": described,
+    }
+    path = write_document(document, folder)
+    click.echo(json.dumps(document, indent=1, allow_nan=False) if as_json else _table(described))
+    say(str(path), quiet=request.quiet)
+    refuse(report.verdict, recording.source.path, f"{folder} was written", force=force)
+    if request.strict:
+        refuse_warnings(report.all_findings, recording.source.path)
+    if failed:
+        click.get_current_context().exit(DataError.exit_code)
+
+
+def _only(recording: Recording, axes: tuple[str, ...]) -> Recording:
+    """Return the recording with these axes alone; with all where none is named."""
+    chosen = tuple(series for series in recording.series if not axes or series.name in axes)
+    missing = [name for name in axes if name not in {series.name for series in recording.series}]
+    if missing:
+        found = ", ".join(series.name for series in recording.series) or "none"
+        msg = f"{recording.source.path}: no axis {', '.join(missing)}; found {found}"
+        raise DataError(msg)
+    return replace(recording, series=chosen)
+
+
+def _decompose_axis(
+    series: AxisSeries, fit: "NoiseFit", folder: Path, *, clean: bool, quiet: bool, **asked: Any  # noqa: ANN401
+) -> dict[str, object]:  # fmt: skip
+    """Decompose one axis and write its files; return what is to say about it."""
+    from imucal.fitting.decomposition import decompose
+    from imucal.report.bias_files import axis_document, write_decomposition
+
+    taken = fit.settings.get("regressors")
+    if isinstance(taken, list) and taken:
+        named = dict.fromkeys(_SHAPES[str(name).partition(":")[0]] for name in taken)
+        text = f"the fit took out {' and '.join(named)}; here it is in the bias, as far as the model follows"
+        say(f"{series.name}: {text}", quiet=quiet)
+    with smoothing_progress(series.name, quiet=quiet) as progress:
+        parts = decompose(series, fit, clean=clean, progress=progress)
+    paths = write_decomposition(parts, folder, **asked)
+    for path in paths:
+        say(str(path), quiet=quiet)
+    return axis_document(parts, paths)
+
+
+def _table(axes: list[dict[str, Any]]) -> str:
+    """Return a line for each axis and part: how far it moved, and how well that is known, in SI."""
+    lines = [f"{'axis':<9}{'part':<7}{'least':>12}{'greatest':>12}{'± (1 sd)':>11}  unit"]
+    for axis in axes:
+        for part in axis["components"]:
+            numbers = (
+                f"{part['least'] + 0.0:>12.4g}{part['greatest'] + 0.0:>12.4g}{part['standard_error']:>11.2g}"
+            )
+            lines.append(f"{axis['name']:<9}{part['key']:<7}{numbers}  {axis['unit']}")
+    return "\n".join(lines)

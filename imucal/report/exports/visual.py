@@ -1,0 +1,292 @@
+"""Visual-inertial odometry, but for Kalibr and OpenVINS, which share their keys in a file of their own.
+
+All but VINS take continuous densities, some squared. VINS' covariance propagation takes half of the
+white variance twice (mid-point integration), so that the wanted value is ``N sqrt(2 f)``; the common
+``N sqrt(f)`` is sqrt(2) low. The walk enters once, ``K sqrt(f)``. ORB-SLAM3 multiplies N by, and
+divides K by, the root of ``IMU.Frequency``: a wrong frequency moves them in opposite directions.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from imucal.report.exports.config_numbers import Number, Numbers
+from imucal.report.exports.kalibr import FORMULA, KEYS
+from imucal.report.exports.keyed import (
+    ACCEL,
+    DENSITY_SQUARED,
+    GYRO,
+    SAMPLE,
+    Formula,
+    Key,
+    entries,
+    four,
+    json_object,
+    json_origins,
+    lines,
+    triad,
+    yaml_body,
+)
+from imucal.report.exports.target import (
+    Body,
+    Target,
+    beside_json,
+    comment,
+    opencv_yaml,
+    quoted,
+    real,
+    vector,
+)
+from imucal.units import G0
+
+_PLAIN = "no factor of the rate"
+#: VINS averages two samples but takes half of the variance twice.
+_HALVED_TWICE = Formula(lambda c, f: c * math.sqrt(2 * f), "{u}")
+_OWN_KEYS = "the other keys of this section are yours: the program refuses a file that lacks one"
+
+
+def _identity(*, said: str) -> list[str]:
+    """Return the pose of the IMU in the body, as EuRoC's files spell it."""
+    rows = [vector(row)[1:-1] for row in np.eye(4).tolist()]
+    data = [f"  data: [{rows[0]},", *(f"         {row}," for row in rows[1:-1]), f"         {rows[-1]}]"]
+    return [f"T_BS:  # {said}", "  cols: 4", "  rows: 4", *data]
+
+
+def _gravity(name: str) -> str:
+    return f"{name}: {real(G0)}  # m/s^2, standard gravity; set that of your place"
+
+
+def _orbslam3_rate(numbers: Numbers) -> list[str]:
+    rate = numbers.stream_hz
+    return [
+        f"IMU.Frequency: {real(rate)}  # Hz, of the {numbers.sensors[0]}",
+        '# A config without File.version: "1.0" goes through the old loader, which takes an integer alone:',
+        f"# IMU.Frequency: {round(rate)}",
+    ]
+
+
+def _kimera_tail(numbers: Numbers) -> list[str]:  # noqa: ARG001 - the others depend on them
+    return [
+        "imu_integration_sigma: 1.0e-08  # of the integration's rounding, not of the sensor",
+        "imu_time_shift: 0.0",
+        "do_initial_time_alignment: 0",
+        f"n_gravity: {vector((0.0, 0.0, -G0))}",
+    ]
+
+
+def _euroc(numbers: Numbers) -> Body:
+    found = entries(numbers, KEYS)
+    text = [
+        "sensor_type: imu",
+        f"comment: {quoted(numbers.report.source.path)}",
+        *_identity(said="identity: the body frame is the IMU's; set yours"),
+        f"rate_hz: {real(numbers.stream_hz)}  # of the {numbers.sensors[0]}",
+        *lines(found),
+    ]
+    return [entry.number for entry in found], text
+
+
+def _kimera(numbers: Numbers) -> Body:
+    found = entries(numbers, KEYS)
+    text = [
+        "imu_preintegration_type: 1",
+        *_identity(said="identity: Kimera-VIO takes no other"),
+        f"rate_hz: {real(numbers.stream_hz)}  # of the {numbers.sensors[0]}",
+        *lines(found),
+        *_kimera_tail(numbers),
+    ]
+    return [entry.number for entry in found], text
+
+
+_ROVIO = (
+    Key("vel_{i}", ACCEL, "N", DENSITY_SQUARED),
+    Key("acb_{i}", ACCEL, "K", DENSITY_SQUARED),
+    Key("gyb_{i}", GYRO, "K", DENSITY_SQUARED),
+    Key("att_{i}", GYRO, "N", DENSITY_SQUARED),
+)
+
+
+def _rovio(numbers: Numbers) -> Body:
+    found = entries(numbers, _ROVIO)
+    middle = lines(found, "        {name} {value};  {remark}")
+    text = ["Prediction", "{", "    PredictionNoise", "    {", *middle, "    }", "}"]
+    return [entry.number for entry in found], text
+
+
+def _info(head: Sequence[str], body: Sequence[str]) -> str:
+    return "\n".join([*comment(head, ";"), *body]) + "\n"
+
+
+_BASALT = (
+    Key("accel_noise_std", ACCEL, "N"),
+    Key("gyro_noise_std", GYRO, "N"),
+    Key("accel_bias_std", ACCEL, "K"),
+    Key("gyro_bias_std", GYRO, "K"),
+)
+
+
+def _basalt(numbers: Numbers) -> Body:
+    used, members = list[Number](), [("imu_update_rate", real(numbers.stream_hz))]
+    for key in _BASALT:
+        if key.sensor in numbers.sensors:
+            chosen, values = triad(numbers, key)
+            used += chosen
+            members.append((key.name, values))
+    return used, [*json_origins(number.note for number in used), *json_object("value0", members)]
+
+
+TARGETS = (
+    Target(
+        name="vins",
+        title="VINS-Mono / VINS-Fusion config (IMU part)",
+        file_name="vins_imu.yaml",
+        heading="VINS-Mono / VINS-Fusion config, its IMU part",
+        source="source: vins_estimator/src/factor/integration_base.h",
+        kind="discrete standard deviations per sample, SI, right for the rate f above only",
+        formulas=(
+            "acc_n, gyr_n = N * sqrt(2 f): VINS averages two samples but takes half of the variance twice",
+            "acc_w, gyr_w = K * sqrt(f)",
+        ),
+        body=yaml_body(
+            four("acc_n acc_w gyr_n gyr_w", _HALVED_TWICE, SAMPLE),
+            below=lambda numbers: (_gravity("g_norm"),),  # noqa: ARG005
+        ),
+        layout=opencv_yaml,
+        aliases=("vinsmono", "vinsfusion"),
+    ),
+    Target(
+        name="orbslam3",
+        title="ORB-SLAM3 config (IMU part)",
+        file_name="orbslam3_imu.yaml",
+        heading="ORB-SLAM3 config, its IMU part",
+        source="source: src/Tracking.cc (ParseIMUParamFile), src/Settings.cc, src/ImuTypes.cc",
+        kind="continuous-time densities, SI; ORB-SLAM3 makes them discrete with IMU.Frequency",
+        formulas=(
+            f"Noise = N, Walk = K; {_PLAIN}",
+            "IMU.Frequency must be the true rate: the code takes N * sqrt(f) and K / sqrt(f)",
+        ),
+        body=yaml_body(four("IMU.NoiseAcc IMU.AccWalk IMU.NoiseGyro IMU.GyroWalk"), below=_orbslam3_rate),
+        layout=opencv_yaml,
+        aliases=("orbslam",),
+    ),
+    Target(
+        name="okvis2",
+        title="OKVIS2 config (imu_parameters)",
+        file_name="okvis2_imu.yaml",
+        heading="OKVIS2 config, its imu_parameters",
+        source="source: okvis_ceres/src/ImuError.cpp, okvis_common/src/ViParametersReader.cpp",
+        kind="continuous-time densities, SI; OKVIS2 multiplies their squares by dt",
+        formulas=(f"sigma_a_c, sigma_g_c = N; sigma_aw_c, sigma_gw_c = K; {_PLAIN}",),
+        body=yaml_body(
+            four("sigma_a_c sigma_aw_c sigma_g_c sigma_gw_c"),
+            above=("imu_parameters:",),
+            below=lambda numbers: (f"    {_gravity('g')}",),  # noqa: ARG005
+            indent="    ",
+        ),
+        notes=(f"{_OWN_KEYS} (a_max, g_max, sigma_ba, sigma_bg, a0, g0, T_BS …)",),
+        layout=opencv_yaml,
+    ),
+    Target(
+        name="kimera-vio",
+        title="Kimera-VIO ImuParams.yaml",
+        file_name="ImuParams.yaml",
+        heading="Kimera-VIO ImuParams.yaml",
+        source="source: src/imu-frontend/ImuFrontendParams.cpp, src/imu-frontend/ImuFrontend.cpp",
+        kind="continuous-time densities, SI; squared and handed to GTSAM, which uses the stamps",
+        formulas=(FORMULA,),
+        body=_kimera,
+        notes=("imu_preintegration_type: 1; for 0 the code sets GTSAM's biasAccOmegaInt to the identity",),
+        layout=opencv_yaml,
+        aliases=("kimera",),
+    ),
+    Target(
+        name="msckf-vio",
+        title="MSCKF-VIO (S-MSCKF) node parameters",
+        file_name="msckf_vio_imu.yaml",
+        heading="MSCKF-VIO (S-MSCKF) node parameters, the IMU's",
+        source="source: src/msckf_vio.cpp (loadParameters, processModel)",
+        kind="continuous-time densities, SI; the filter multiplies their squares by dt",
+        formulas=(f"gyro, acc = N; gyro_bias, acc_bias = K; {_PLAIN}",),
+        body=yaml_body(four("acc acc_bias gyro gyro_bias"), above=("noise:",), indent="  "),
+        notes=('load it in the node\'s own namespace: <rosparam command="load" file="…"/> inside its tag',),
+        aliases=("smsckf",),
+    ),
+    Target(
+        name="svo-pro",
+        title="SVO Pro calibration (imu_params)",
+        file_name="svo_pro_imu.yaml",
+        heading="SVO Pro calibration, its imu_params",
+        source="source: svo_common/include/svo/common/imu_calibration.h, svo/src/imu_handler.cpp",
+        kind="continuous-time densities, SI",
+        formulas=(f"sigma_acc_c, sigma_omega_c = N; sigma_acc_bias_c, sigma_omega_bias_c = K; {_PLAIN}",),
+        body=yaml_body(
+            four("sigma_acc_c sigma_acc_bias_c sigma_omega_c sigma_omega_bias_c"),
+            above=("imu_params:",),
+            below=lambda numbers: (
+                f"  imu_rate: {real(numbers.stream_hz)}  # Hz, of the {numbers.sensors[0]}",
+                f"  {_gravity('g')}",
+            ),
+            indent="  ",
+        ),
+        notes=(f"{_OWN_KEYS} (delay_imu_cam, max_imu_delta_t, acc_max, omega_max, sigma_integration)",),
+        aliases=("svo", "rpgsvopro"),
+    ),
+    Target(
+        name="rovio",
+        title="ROVIO rovio.info (PredictionNoise)",
+        file_name="rovio_imu.info",
+        heading="ROVIO rovio.info, its PredictionNoise",
+        source="source: include/rovio/ImuPrediction.hpp, cfg/rovio.info",
+        kind="continuous-time covariances (densities squared), SI; ROVIO scales them with dt",
+        formulas=("vel, att = N^2; acb, gyb = K^2 of each axis (an inflation enters squared)",),
+        body=_rovio,
+        per_axis=True,
+        notes=("include this file at the end of your rovio.info, or copy the lines into it",),
+        layout=_info,
+    ),
+    Target(
+        name="basalt",
+        title="Basalt calibration.json (IMU part)",
+        file_name="basalt_imu.json",
+        heading="Basalt calibration.json, its IMU part",
+        source="source: basalt-headers calibration.hpp, eigen_io.h; src/vi_estimator (bias_weight)",
+        kind="continuous-time densities, SI; Basalt makes them discrete with imu_update_rate",
+        formulas=(f"noise_std = N, bias_std = K of each axis; {_PLAIN}",),
+        body=_basalt,
+        per_axis=True,
+        notes=(
+            "copy the keys into value0 of your calibration; versions before 2020 take one number, not three",
+        ),
+        layout=beside_json,
+    ),
+    Target(
+        name="isaac-ros",
+        title="Isaac ROS Visual SLAM parameters",
+        file_name="isaac_ros_imu.yaml",
+        heading="Isaac ROS Visual SLAM parameters, the IMU's",
+        source="documentation: isaac_ros_visual_slam, parameters",
+        kind="continuous-time densities, SI; the node makes them discrete with calibration_frequency",
+        formulas=(f"noise_density = N, random_walk = K; {_PLAIN}",),
+        body=yaml_body(
+            four("accel_noise_density accel_random_walk gyro_noise_density gyro_random_walk"),
+            above=("/**:", "  ros__parameters:"),
+            below=lambda numbers: (
+                f"    calibration_frequency: {real(numbers.stream_hz)}  # Hz, of the {numbers.sensors[0]}",
+            ),
+            indent="    ",
+        ),
+        aliases=("cuvslam",),
+    ),
+    Target(
+        name="euroc",
+        title="EuRoC (ASL dataset) sensor.yaml",
+        file_name="euroc_sensor.yaml",
+        heading="EuRoC (ASL dataset) sensor.yaml",
+        source="documentation: Burri et al. (2016), The EuRoC micro aerial vehicle datasets",
+        kind="continuous-time densities, SI",
+        formulas=(FORMULA,),
+        body=_euroc,
+        aliases=("asl",),
+    ),
+)

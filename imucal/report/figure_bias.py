@@ -1,0 +1,183 @@
+"""The picture of a decomposition: averaged samples, the smoothed bias, and below it each of its parts."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imucal._version import __version__
+from imucal.arrays import FloatArray
+from imucal.fitting.decomposition import Component, Decomposition
+from imucal.noise.term import Stroke
+from imucal.noise.terms import TERMS
+from imucal.report import numbers
+from imucal.report.figure_parts import LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
+from imucal.report.palette import FADED, FRAME, GRID, INK, MODEL
+from imucal.units import datasheet_unit, duration, pretty
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Inches.
+_WIDTH, _TOP, _PART, _SPACE, _HEAD, _FOOT = 10.0, 3.4, 1.3, 0.36, 0.74, 0.78
+_LEFT, _RIGHT = 0.095, 0.985
+_DPI = 160
+#: Points of a line, and averages of the samples.
+_POINTS, _AVERAGES = 1500, 1000
+#: Seconds below which a time axis is in s, and in min.
+_SECONDS, _MINUTES = 600.0, 2 * 3600.0
+#: Half the width of the band, in standard errors.
+_BAND = 2.0
+
+
+def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
+    """Return the picture of what the bias of an axis did, in the units that data sheets print."""
+    shown = [part for part in parts.components if part.key != "level"]
+    # A single part is the bias itself, but for a level.
+    shown = shown if len(shown) > 1 else []
+    height = _HEAD + _TOP + len(shown) * (_PART + _SPACE) + _FOOT
+    figure = new_figure(_WIDTH, height, _DPI)
+    scale, unit = _unit(parts)
+    divisor, time_unit = _time_unit(float(parts.time_s[-1]))
+    view = _View(parts, scale, divisor)
+    bottom = height - _HEAD - _TOP
+    axes = figure.add_axes((_LEFT, bottom / height, _RIGHT - _LEFT, _TOP / height))
+    entries = _draw_bias(axes, view, f"bias less its mean ({unit})")
+    for part in shown:
+        axes.tick_params(labelbottom=False)
+        bottom -= _PART + _SPACE
+        axes = figure.add_axes((_LEFT, bottom / height, _RIGHT - _LEFT, _PART / height))
+        _draw_part(axes, view, part, unit)
+    axes.set_xlabel(f"time ({time_unit})", fontsize=LABEL_SIZE, color=INK, labelpad=3)
+    _write(figure, parts, source)
+    figure.legend(
+        handles=entries,
+        loc="upper right",
+        bbox_to_anchor=(_RIGHT, 1 - 0.04 / height),
+        ncols=3,
+        fontsize=LEGEND_SIZE,
+        frameon=False,
+        labelcolor=INK,
+        handlelength=2.4,
+        columnspacing=1.4,
+        markerscale=1.8,
+    )
+    return figure
+
+
+def averages(parts: Decomposition, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return averages of `width` neighbouring samples: their middle times in s, the means, the counts.
+
+    Shapes (k,); the last one may be of fewer. Where all samples are missing the mean is NaN.
+    """
+    first = np.arange(0, parts.n, width)
+    seen = np.isfinite(parts.samples)
+    count = np.add.reduceat(seen.astype(np.float64), first)
+    total = np.add.reduceat(np.where(seen, parts.samples, 0.0), first)
+    last = np.minimum(first + width, parts.n) - 1
+    middle = parts.start_s + (first + last) / 2 * parts.series.tau0
+    return middle, np.where(count > 0, total / np.maximum(count, 1.0), np.nan), count
+
+
+class _View:
+    """A decomposition in the picture's units."""
+
+    def __init__(self, parts: Decomposition, scale: float, divisor: float) -> None:
+        self.parts, self.scale, self.divisor = parts, scale, divisor
+        self.place = np.unique(np.linspace(0, parts.n - 1, _POINTS).round().astype(np.int64))
+        self.time = parts.time_s[self.place] / divisor
+        self.mean = float(parts.bias.value.mean())
+
+    def line(self, part: Component, *, centred: bool) -> tuple[FloatArray, FloatArray]:
+        """Return a part's values and standard errors at the drawn places."""
+        off = float(part.value.mean()) if centred else 0.0
+        return (part.value[self.place] - off) * self.scale, part.error[self.place] * self.scale
+
+
+def _unit(parts: Decomposition) -> tuple[float, str]:
+    """Return what samples are multiplied with, and the unit they have then."""
+    name = TERMS["B"].datasheet_unit(parts.series.sensor).name
+    return datasheet_unit(name).factor, pretty(name)
+
+
+def _time_unit(duration_s: float) -> tuple[float, str]:
+    """Return what times are divided by, and their unit then."""
+    if duration_s < _SECONDS:
+        return 1.0, "s"
+    return (60.0, "min") if duration_s < _MINUTES else (3600.0, "h")
+
+
+def _draw_bias(axes: "Axes", view: _View, label: str) -> list[Any]:
+    """Draw averages of the samples and the bias with its band; return the entries of the legend."""
+    parts = view.parts
+    width = max(1, round(parts.n / _AVERAGES))
+    time, mean, count = averages(parts, width)
+    mean = np.where(count >= width / 2, mean, np.nan)
+    seconds = width * parts.series.tau0
+    name = f"samples, mean of {numbers.seconds(seconds)}" if width > 1 else "samples"
+    dot: dict[str, Any] = {"marker": "o", "markersize": 2.2, "markeredgewidth": 0, "linestyle": "none"}
+    dot |= {"color": FADED, "alpha": 0.75}
+    heights = (mean - view.mean) * view.scale
+    (grey,) = axes.plot(time / view.divisor, heights, zorder=3.5, label=name, **dot)
+    value, error = view.line(parts.bias, centred=True)
+    band = _band(axes, view.time, value, error, MODEL)
+    (line,) = axes.plot(
+        view.time, value, color=MODEL.light, linewidth=1.5, zorder=4, label="bias, given all samples"
+    )
+    points = [(mean - view.mean) * view.scale, value - _BAND * error, value + _BAND * error]
+    _style(axes, view, label, points)
+    return [grey, line, band]
+
+
+def _draw_part(axes: "Axes", view: _View, part: Component, unit: str) -> None:
+    """Draw one part with its band, and name it."""
+    symbol = part.key.rstrip("0123456789")
+    stroke = TERMS[symbol].stroke
+    holds_level = symbol == "K"
+    value, error = view.line(part, centred=holds_level)
+    _band(axes, view.time, value, error, stroke)
+    axes.plot(view.time, value, color=stroke.light, linewidth=1.3, zorder=4)
+    _style(axes, view, unit, [value - _BAND * error, value + _BAND * error])
+    name = TERMS[symbol].name(view.parts.series.sensor)
+    text = f"{part.key}  {name}{', less its mean' if holds_level else ''}"
+    place: dict[str, Any] = {"transform": axes.transAxes, "va": "bottom"}
+    axes.text(0.0, 1.04, text, fontsize=LEGEND_SIZE, color=stroke.light, fontweight="bold", **place)
+
+
+def _band(axes: "Axes", time: FloatArray, value: FloatArray, error: FloatArray, stroke: Stroke) -> Any:  # noqa: ANN401
+    return axes.fill_between(
+        time, value - _BAND * error, value + _BAND * error,
+        color=stroke.light, alpha=0.18, linewidth=0, zorder=3, label="± 2 standard errors",
+    )  # fmt: skip
+
+
+def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> None:
+    """Set limits, quiet grid lines and names; limits are round what is drawn."""
+    values = np.concatenate(drawn)
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    room = 0.06 * (high - low) or 1.0
+    axes.set_ylim(low - room, high + room)
+    axes.set_xlim(view.time[0], max(float(view.time[-1]), view.time[0] + 1e-9))
+    axes.set_axisbelow(True)
+    for spine, visible in (("left", True), ("bottom", True), ("top", False), ("right", False)):
+        axes.spines[spine].set_visible(visible)
+        axes.spines[spine].set_color(FRAME)
+    axes.grid(visible=True, color=GRID, linewidth=0.8)
+    axes.tick_params(labelsize=SMALL_SIZE, colors=INK, length=3)
+    axes.set_ylabel(label, fontsize=LABEL_SIZE, color=INK, labelpad=3)
+    axes.yaxis.set_label_coords(-0.06, 0.5)
+
+
+def _write(figure: "Figure", parts: Decomposition, source: str) -> None:
+    """Write title, subtitle and foot."""
+    height, series = figure.get_figheight(), parts.series
+    style: dict[str, Any] = {"color": INK, "va": "top"}
+    title = f"{str(series.sensor).capitalize()} {series.axis}: what the bias did"
+    figure.text(0.012, 1 - 0.10 / height, title, fontsize=TITLE_SIZE, fontweight="bold", **style)
+    count = f"{int(np.isfinite(parts.samples).sum()):,}".replace(",", " ")
+    text = f"{duration(parts.n * series.tau0)} at {series.rate_hz:.6g} Hz   ·   {count} samples   ·   "
+    figure.text(0.012, 1 - 0.42 / height, f"{text}model {parts.model}", fontsize=LEGEND_SIZE, **style)
+    shown = source if len(source) <= 90 else f"…{source[-89:]}"
+    foot: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
+    figure.text(0.012, 0.07 / height, shown, **foot)
+    figure.text(0.988, 0.07 / height, f"imucal {__version__}", ha="right", **foot)

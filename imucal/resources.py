@@ -1,0 +1,116 @@
+"""What may be taken of the machine: memory and threads, as there are, as a container limits them, or as set.
+
+``IMUCAL_MEMORY`` is the memory that one step may take (``500M``, ``2G``), ``IMUCAL_THREADS`` the number of
+threads, also those of the libraries beneath.
+"""
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from imucal.errors import SettingError
+
+MEMORY, THREADS = "IMUCAL_MEMORY", "IMUCAL_THREADS"
+
+#: Memory that one step may take, in bytes, where the machine does not say how much it has.
+_UNKNOWN = 2_000_000_000
+#: The share of the memory that one step may take.
+_SHARE = 4
+_SIZE = re.compile(r"(?P<number>\d+(?:\.\d*)?)\s*(?P<prefix>[kmgt]?)i?b?", re.IGNORECASE)
+_PREFIXES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
+#: What the libraries beneath read when they are loaded.
+_POOLS = (
+    *("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS"),
+    *("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"),
+)
+
+
+def memory_limit() -> int:
+    """Return how many bytes one step may take: ``IMUCAL_MEMORY``, or a quarter of the memory there is.
+
+    There is what the machine has, or what its control group (a container, a job) may take if that is less.
+
+    Raises
+    ------
+    SettingError
+        If ``IMUCAL_MEMORY`` is no size.
+    """
+    text = os.environ.get(MEMORY, "").strip()
+    if not text:
+        sizes = [size for size in (_physical(), *control_group_limits()) if size]
+        return min(sizes) // _SHARE if sizes else _UNKNOWN
+    match = _SIZE.fullmatch(text)
+    size = float(match["number"]) * _PREFIXES[match["prefix"].lower()] if match else 0
+    if size < 1:
+        msg = f"{MEMORY}: found {text!r}, expected a size such as 500M or 2G; set one, or unset it"
+        raise SettingError(msg)
+    return int(size)
+
+
+def threads() -> int:
+    """Return how many threads may work: ``IMUCAL_THREADS``, or the processors that this process may use.
+
+    Raises
+    ------
+    SettingError
+        If ``IMUCAL_THREADS`` is no positive number.
+    """
+    text = os.environ.get(THREADS, "").strip()
+    if not text:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not (text.isascii() and text.isdigit() and int(text)):
+        msg = f"{THREADS}: found {text!r}, expected a number from 1; set one, or unset it"
+        raise SettingError(msg)
+    return int(text)
+
+
+def limit_pools() -> None:
+    """Let the libraries beneath start no more threads than ``IMUCAL_THREADS``; before they are loaded."""
+    text = os.environ.get(THREADS, "").strip()
+    if text.isascii() and text.isdigit() and int(text):
+        for name in _POOLS:
+            os.environ.setdefault(name, text)
+
+
+def _physical() -> int | None:
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return None
+
+
+def control_group_limits(
+    groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")
+) -> list[int]:
+    """Return the limits of memory, in bytes, of this process's control group and those above it.
+
+    Source: Linux, Documentation/admin-guide/cgroup-v1/memory.rst and cgroup-v2.rst.
+    """
+    try:
+        lines = groups.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+    found = [_limit(file) for line in lines for file in _files(line, root)]
+    return [limit for limit in found if limit is not None]
+
+
+def _files(line: str, root: Path) -> Iterator[Path]:
+    """Yield the files that limit a group, such as ``4:memory:/docker/1f`` or ``0::/user.slice``."""
+    _, _, rest = line.partition(":")
+    controllers, _, path = rest.partition(":")
+    if controllers and "memory" not in controllers.split(","):
+        return
+    base, name = (root / "memory", "memory.limit_in_bytes") if controllers else (root, "memory.max")
+    group = PurePosixPath(path.lstrip("/"))
+    for part in (group, *group.parents):
+        yield base / part / name
+
+
+def _limit(file: Path) -> int | None:
+    """Return the number in a file; None for ``max``, or where there is none."""
+    try:
+        text = file.read_text(encoding="ascii").strip()
+    except (OSError, ValueError):
+        return None
+    return int(text) if text.isdigit() and int(text) else None

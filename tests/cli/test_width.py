@@ -1,0 +1,62 @@
+"""Tables fit the terminal: 80 columns where the output goes to a file, 40 on a narrow one."""
+
+from pathlib import Path
+
+import pytest
+
+from imucal.cli._terminal import fitted, width
+from tests.cli.reports import write_report
+from tests.cli.run import SAMPLE_LOGS, run
+
+DOCS = SAMPLE_LOGS.parent / "docs"
+COMMANDS = [
+    ("fit", str(SAMPLE_LOGS / "too_short.db3"), "--model", "N + GM", "--no-report"),
+    ("fit", str(SAMPLE_LOGS / "too_short.db3"), "--model", "N", "--no-report", "--si"),
+    ("info", "log.csv"),
+    ("check", "still-imucal", "--limits", str(DOCS / "limits-example.toml")),
+    ("check", "still-imucal", "--baseline", "other-imucal"),
+    ("compare", "still-imucal", "other-imucal"),
+    ("plan", "still-imucal", "--duration", "3h"),
+    ("fit", "curve.csv"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with two reports, a log with a short name, and a curve."""
+    place = tmp_path_factory.mktemp("width")
+    write_report(place)
+    write_report(place, "other-imucal")
+    (place / "log.csv").write_bytes((SAMPLE_LOGS / "with_gaps.csv").read_bytes())
+    rows = "\n".join(f"{t},{0.1 / t**0.5:.6g}" for t in (1, 2, 4, 8, 16, 32, 64))
+    (place / "curve.csv").write_text(f"tau,adev\n{rows}\n", encoding="utf-8")
+    return place
+
+
+@pytest.mark.parametrize("columns", [40, 80])
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
+def test_every_table_fits(command: tuple[str, ...], columns: int, folder: Path) -> None:
+    """No line is longer than the terminal; what stands in the wide table stands in the narrow one."""
+    done = run(*command, cwd=folder, COLUMNS=str(columns))
+    assert done.returncode in {0, 1}
+    assert done.stdout
+    assert [line for line in done.stdout.splitlines() if len(line) > columns] == []
+    assert "\x1b" not in done.stdout
+    if columns == 40:
+        wide = run(*command, cwd=folder, COLUMNS="200").stdout
+        numbers = [word for word in wide.split() if any(c.isdigit() for c in word)]
+        lost = [word for word in numbers if word not in done.stdout]
+        assert lost == []
+
+
+def test_the_width_is_80_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And 30 at least, below which nothing would stand in a line."""
+    for columns, expected in [("200", 80), ("80", 80), ("55", 55), ("10", 30)]:
+        monkeypatch.setenv("COLUMNS", columns)
+        assert width() == expected
+
+
+def test_a_line_breaks_between_words() -> None:
+    """Only where it must."""
+    assert fitted("one two three", 20, indent=2) == ["one two three"]
+    assert fitted("one two three", 8, indent=2) == ["one two", "  three"]

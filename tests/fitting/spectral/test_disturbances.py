@@ -1,0 +1,177 @@
+"""Cycles, steps, warm-ups and temperatures are found, taken out, and not found where there are none."""
+
+import numpy as np
+import pytest
+
+from imucal.allan import allan_curve
+from imucal.arrays import FloatArray
+from imucal.clock import Clock
+from imucal.fitting import FitSettings, NoiseFit
+from imucal.fitting.curve_opinion import without_disturbances
+from imucal.fitting.spectral import fit_mle
+from imucal.fitting.spectral.blocks import Block, make_blocks
+from imucal.fitting.spectral.disturbances import Disturbance, find_disturbances
+from imucal.fitting.spectral.regressors import lagged
+from imucal.fitting.spectral.whitened import Whitened
+from imucal.recording import Axis, AxisSeries, Sensor
+from tests.fitting.fits import fitted, simulated
+
+N = 60_000
+T = np.arange(N) / 10.0
+#: A walk that is seen, at 10 Hz.
+TRUTH = "N=1e-4 + K=1e-6"
+
+
+def noise(seed: int, text: str = TRUTH) -> FloatArray:
+    """Return 100 min of noise."""
+    return simulated(text, N, seed, rate_hz=10.0)
+
+
+def found(samples: FloatArray, temperature: FloatArray | None = None) -> list[Disturbance]:
+    """Return what is found in samples at 10 Hz, its size in U."""
+    blocks = make_blocks(AxisSeries.from_samples(samples, rate_hz=10.0), temperature)
+    return list(find_disturbances(blocks.blocks))
+
+
+def as_without(fit: NoiseFit, plain: FloatArray) -> bool:
+    """Whether a fit bounds the noise about as the fit of the undisturbed samples does."""
+    other = fitted(plain, rate_hz=10.0)
+    return all(0.5 < fit[key].high / other[key].high < 1.5 for key in ("N", "B", "K"))
+
+
+def sentence(fit: NoiseFit, code: str) -> str:
+    """Return what the one finding of a code says."""
+    (finding,) = [finding for finding in fit.findings if finding.code == code]
+    return finding.text
+
+
+@pytest.mark.parametrize(("periods", "seed"), [(2.6, 1), (7.3, 2), (23.4, 3)])
+def test_a_cycle_is_found_with_its_period_and_amplitude(periods: float, seed: int) -> None:
+    """And K keeps its size; without the cycle's removal it would be several times too large."""
+    cycle = 1e-4 * np.sin(2 * np.pi * periods * np.arange(N) / N + 0.7)
+    fit = fitted(noise(seed) + cycle, rate_hz=10.0)
+    (finding,) = [finding for finding in fit.findings if finding.code == "cycle"]
+    assert finding.level == "warning"
+    words = finding.text.removeprefix("The axis swings with a period of ").split()
+    assert float(words[0]) == pytest.approx(N / 10 / periods, rel=0.06 / periods)
+    assert float(words[3]) == pytest.approx(1e-4, rel=0.35)
+    assert as_without(fit, noise(seed))
+
+
+def test_the_harmonics_of_a_thermostat_are_taken_out_too() -> None:
+    """A triangle has a third and a fifth harmonic; all are in the one finding, the strongest first."""
+    angle = 2 * np.pi * 4.2 * np.arange(N) / N
+    fit = fitted(noise(4) + 1e-3 * np.arcsin(np.sin(angle)) * 2 / np.pi, rate_hz=10.0)
+    text = sentence(fit, "cycle")
+    parts = text.removeprefix("The axis swings with a period of ").split("), ")
+    periods = [float(part.split()[0]) for part in parts]
+    assert periods[:2] == pytest.approx([6000 / 4.2, 2000 / 4.2], rel=0.02)
+    # What is left of the higher harmonics is little beside the walk.
+    assert fit["K"].high < 2e-6
+
+
+@pytest.mark.parametrize(("place", "height", "seed"), [(0.3, 2e-4, 5), (0.77, -2e-4, 6), (0.5, 1e-2, 7)])
+def test_a_step_is_found_and_taken_out(place: float, height: float, seed: int) -> None:
+    """Its time to what the noise leaves open; a high one to the sample; B and K stay what they are."""
+    at = int(place * N)
+    fit = fitted(noise(seed) + height * (np.arange(N) >= at), rate_hz=10.0)
+    (finding,) = [finding for finding in fit.findings if finding.code == "step"]
+    words = finding.text.removeprefix("The level jumps by ").split()
+    assert float(words[0]) == pytest.approx(abs(height), rel=0.35 if abs(height) < 1e-3 else 0.01)
+    assert float(words[3]) == pytest.approx(at / 10, abs=1500 * (1e-5 / height) ** 2 + 0.11)
+    assert finding.keep_s is not None
+    assert finding.keep_s[1] - finding.keep_s[0] == pytest.approx(max(place, 1 - place) * N / 10, abs=30)
+    assert as_without(fit, noise(seed))
+
+
+@pytest.mark.parametrize("lag", [0.0, 60.0])
+def test_a_temperature_is_taken_out_with_its_lag(lag: float) -> None:
+    """A thermostat's cycle that the axis follows 60 s later, and at once; no cycle is said to be there."""
+    rng = np.random.default_rng(8)
+    warm = 25 + np.sin(2 * np.pi * T / 800) + 0.02 * rng.standard_normal(N)
+    fit = fitted(noise(9) + 2e-4 * lagged(warm, 10 * lag), rate_hz=10.0, temperature=warm)
+    text = sentence(fit, "temperature")
+    assert not {"cycle", "step"} & {finding.code for finding in fit.findings}
+    assert float(text.partition("(")[2].split()[0]) == pytest.approx(2e-4, rel=0.2)
+    assert ("with a lag of" in text) == bool(lag)
+    if lag:
+        assert float(text.partition("a lag of ")[2].split()[0]) == pytest.approx(60, rel=0.4)
+    assert as_without(fit, noise(9))
+
+
+def test_what_was_taken_out_can_be_taken_out_of_the_samples() -> None:
+    """What is left is the noise alone, to a part of what was added; scaling all scales all."""
+    plain = noise(10)
+    shape = 1e-3 * np.sin(2 * np.pi * 5.5 * np.arange(N) / N) + 2e-3 * (np.arange(N) > 40_000)
+    for unit in (1.0, 1e-6):
+        series = AxisSeries.from_samples(unit * (plain + shape), rate_hz=10.0)
+        fit = fit_mle(series, allan_curve(series), FitSettings())
+        assert sorted(name.partition(":")[0] for name in fit.taken_out) == ["cos", "sin", "step"]
+        rest = without_disturbances(series, fit).samples / unit - plain
+        assert np.std(rest) < 0.05 * np.std(shape)
+
+
+def test_steps_and_cycles_are_found_across_gaps() -> None:
+    """Of a record with a long gap, each block has its part of the same cycle."""
+    keep = np.ones(N, dtype=np.bool_)
+    keep[25_000:27_000] = False
+    samples = noise(11) + 1e-4 * np.sin(2 * np.pi * 6.7 * np.arange(N) / N) + 3e-4 * (np.arange(N) > 45_000)
+    axis: Axis = "x"
+    series = AxisSeries(
+        sensor=Sensor.GYROSCOPE, axis=axis, samples=samples[keep], clock=Clock.even(N, 10.0).keeping(keep)
+    )
+    shapes = find_disturbances(make_blocks(series).blocks)
+    assert {shape.kind for shape in shapes} == {"cycle", "step"}
+    by_kind = {shape.kind: shape for shape in shapes}
+    assert by_kind["step"].value == pytest.approx(45_000, abs=200)
+    assert by_kind["cycle"].value * N / (2 * np.pi) == pytest.approx(6.7, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "text", ["N=1e-4", TRUTH, "N=1e-4 + B=3e-5 + K=3e-6", "N=1e-4 + GM(sigma=4e-5, T=9)"]
+)
+def test_clean_noise_has_none(text: str) -> None:
+    """Of 6 records of each; in 100 at most one has (`tests/benchmarks/disturbances.py clean`)."""
+    assert sum(bool(found(simulated(text, 20_000, seed, rate_hz=10.0))) for seed in range(20, 26)) == 0
+
+
+def _blocks(seed: int) -> list[Block]:
+    series = AxisSeries.from_samples(simulated("N=1 + K=1e-2", 4000, seed), rate_hz=1.0)
+    return [block.lowest(1200) for block in make_blocks(series).blocks]
+
+
+def test_gains_are_those_of_generalised_least_squares() -> None:
+    """Twice the log-likelihood at a given spectrum, by the normal equations of all regressors."""
+    blocks = _blocks(31)
+    spectrum = 1 + 30 / (1 + np.arange(blocks[0].bins.size))
+    names = ("R", "exp:900.0")
+    tool = Whitened.by(blocks, spectrum, names)
+    weight = 1 / np.repeat(spectrum, blocks[0].bins.count)
+
+    def explained(columns: tuple[str, ...]) -> float:
+        matrix = np.stack([blocks[0].regressor(name) for name in columns], axis=1)
+        right = matrix.T @ (weight * blocks[0].ordinates)
+        return float(right @ np.linalg.solve(matrix.T @ (weight[:, None] * matrix), right))
+
+    for shape in (("step:1234",), ("cos:0.01", "sin:0.01"), ("exp:80.0",)):
+        expected = explained((*names, *shape)) - explained(names)
+        assert tool.gain(shape) == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_search_for_a_step_looks_at_every_place() -> None:
+    """The best of the sine transforms is the best of all places, one by one."""
+    blocks = _blocks(32)
+    tool = Whitened.by(blocks, np.ones(blocks[0].bins.size), ("R",))
+    place, gain = tool.step()
+    every = [tool.gain((f"step:{at}",)) for at in range(30, 3970, 10)]
+    assert gain >= max(every) - 1e-9
+    assert gain == pytest.approx(tool.gain((f"step:{place!r}",)), rel=1e-6)
+
+
+def test_the_search_for_cycles_needs_the_lowest_ordinates_only() -> None:
+    """Its gains are those of all ordinates to a few parts in a thousand."""
+    blocks = _blocks(33)
+    tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
+    omega = 2 * np.pi * np.array([2.0, 7.7, 23.9]) / 4000
+    every = [tool.gain((f"cos:{w!r}", f"sin:{w!r}")) for w in omega.tolist()]
+    assert tool.cycles(omega) == pytest.approx(every, rel=0.01, abs=0.02)

@@ -1,0 +1,88 @@
+"""Two levels are told from Gaussian noise of the same spectrum."""
+
+import numpy as np
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.fitting.spectral.telegraph import _cost, _log_product, find_telegraph
+from imucal.recording import AxisSeries
+from tests.fitting.fits import fitted, simulated
+
+N = 40_000
+
+
+def telegraph(n: int, dwell: float, rng: np.random.Generator) -> FloatArray:
+    """Return +1 and -1 in turn, each for an exponential time."""
+    times = np.cumsum(rng.exponential(dwell, int(3 * n / dwell) + 20))
+    return np.where(np.searchsorted(times, np.arange(n)) % 2, 1.0, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "dwell", "text"),
+    [
+        (0.6, 800.0, "N=1"),
+        (3.0, 300.0, "N=1"),
+        (2.0, 1000.0, "N=1 + B=0.1 + K=2e-3"),
+    ],
+)
+def test_two_levels_are_found(amplitude: float, dwell: float, text: str) -> None:
+    """With their distance and the mean time between jumps, which a record of few jumps leaves open."""
+    rng = np.random.default_rng(71)
+    samples = simulated(text, N, 72) + amplitude * telegraph(N, dwell, rng)
+    found = find_telegraph(AxisSeries.from_samples(1e-4 * samples, rate_hz=10.0))
+    assert found is not None
+    assert found.amplitude == pytest.approx(1e-4 * amplitude, rel=0.15)
+    assert found.dwell_s == pytest.approx(dwell / 10, rel=0.5)
+
+
+def test_the_finding_is_a_warning_and_no_step_is_taken_out() -> None:
+    """A few steps out of fifty would leave the noise as it was."""
+    samples = simulated("N=1", N, 73) + 2 * telegraph(N, 800.0, np.random.default_rng(74))
+    fit = fitted(samples, rate_hz=10.0)
+    (finding,) = [finding for finding in fit.findings if finding.code == "telegraph"]
+    assert finding.level == "warning"
+    assert finding.text.startswith("The level jumps to and fro between two values, ±")
+    assert float(finding.text.partition("±")[2].split()[0]) == pytest.approx(2, rel=0.1)
+    assert not any(finding.code == "step" for finding in fit.findings)
+    assert fit.taken_out == {}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["N=1", "N=1 + K=1e-2", "N=1 + B=0.3 + K=1e-3", "N=1 + GM(sigma=0.6, T=400)", "N=1 + GM(sigma=2, T=800)"],
+)
+def test_gaussian_noise_has_no_levels(text: str) -> None:
+    """Of 4 records of each; also a Gauss-Markov process of the very spectrum of two levels."""
+    for seed in range(80, 84):
+        assert find_telegraph(AxisSeries.from_samples(simulated(text, N, seed), rate_hz=10.0)) is None
+
+
+def test_short_records_are_not_judged() -> None:
+    """Fewer than 256 spans of 8 samples hold too few jumps."""
+    samples = np.repeat([1.0, -1.0], 1000) + 0.1 * np.random.default_rng(75).standard_normal(2000)
+    assert find_telegraph(AxisSeries.from_samples(samples, rate_hz=10.0)) is None
+
+
+def test_the_likelihood_is_that_of_all_paths() -> None:
+    """Summed over each of the 2^6 paths of the hidden level, and in the order of the spans."""
+    means = np.random.default_rng(76).normal(size=(1, 6))
+    parameters = np.array([np.log(0.8), np.log(0.5), np.log(4.0), 0.1])
+    levels, jump = (-0.7, 0.9), 1 / 5
+    total = 0.0
+    for path in np.ndindex(*(2,) * 6):
+        chance = 0.5
+        for place, state in enumerate(path):
+            z = (means[0, place] - levels[state]) / 0.5
+            chance *= 0.95 * np.exp(-(z**2) / 2) / (np.sqrt(2 * np.pi) * 0.5) + 0.05 / (1.6 + 3.0)
+            if place:
+                chance *= 1 - jump if path[place - 1] == state else jump
+        total += chance
+    assert _cost(parameters, means) == pytest.approx(-np.log(total), rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_products_in_pairs_are_products_in_order(count: int) -> None:
+    """Matrices do not commute."""
+    matrices = np.random.default_rng(77).random((3, count, 2, 2))
+    expected = [np.log(0.5 * np.linalg.multi_dot([np.eye(2), np.eye(2), *part]).sum()) for part in matrices]
+    np.testing.assert_allclose(_log_product(matrices), expected, rtol=1e-12)

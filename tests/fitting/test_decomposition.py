@@ -1,0 +1,277 @@
+"""The smoothed parts of a model: against one dense conditioning, their laws, their errors' coverage."""
+
+import re
+import time
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal import DataError, Decomposition, NoiseModel, decompose, fit
+from imucal.arrays import BoolArray, FloatArray
+from imucal.fitting import smoother
+from imucal.fitting.latent_states import LatentStates
+from imucal.recording import AxisSeries
+
+N = 300
+MODELS = [
+    "N=1",
+    "N=1 + R=0.1",
+    "N=1 + K=0.1",
+    "N=1 + K=1e-9",
+    "N=1 + B=0.5",
+    "N=1 + GM(sigma=0.5, T=20)",
+    "N=1 + B=0.5 + K=0.05 + GM(sigma=0.5, T=20)",
+    "N=1 + GM(sigma=0.5, T=20) + GM(sigma=1, T=200) + R=0.01",
+    "Q=1 + N=0.5 + K=0.05 + R=0.01",
+    "Q=1 + K=0.01",
+    "Q=0.3 + N=0.5 + B=0.5",
+]
+
+
+def dense(
+    states: LatentStates, samples: FloatArray, seen: BoolArray
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return each part's conditional mean and standard error by the n × n covariance; O(n³).
+
+    What is flat (a walk's start, level, slope) is a column of generalised least squares.
+    """
+    n, t = samples.size, np.arange(samples.size, dtype=np.float64)
+    lag, least = np.abs(np.subtract.outer(t, t)), np.minimum.outer(t, t)
+    total = np.eye(n) * states.white
+    own = np.zeros((states.size, n, n))
+    columns: list[tuple[str, FloatArray]] = [
+        (name, np.ones(n) if name == "level" else t) for name in states.flat
+    ]
+    for i in range(states.size):
+        if states.quantized and i == 0:
+            total += states.drive[0] * (2 * np.eye(n) - (lag == 1))
+            continue
+        walk = np.isinf(states.start[i])
+        own[i] = states.drive[i] * least if walk else states.start[i] * states.decay[i] ** lag
+        total += own[i]
+        columns += [("K", np.ones(n))] if walk else []
+    inverse = np.linalg.inv(total[np.ix_(seen, seen)])
+    X = np.array([column for _, column in columns]).T
+    spread = np.linalg.inv(X[seen].T @ inverse @ X[seen])
+    beta = spread @ X[seen].T @ inverse @ samples[seen]
+    rest = inverse @ (samples[seen] - X[seen] @ beta)
+    every = {**states.groups, **{name: np.zeros(states.size, dtype=bool) for name in states.flat}}
+    every["bias"] = states.everything
+    found = {}
+    for key, group in every.items():
+        cross = own[group].sum(axis=0) + np.zeros((n, n))
+        used = X * [key in (name, "bias") for name, _ in columns]
+        error = used - cross[:, seen] @ inverse @ X[seen]
+        variance = np.diag(cross) - np.sum((cross[:, seen] @ inverse) * cross[:, seen], axis=1)
+        variance = variance + np.sum((error @ spread) * error, axis=1)
+        found[key] = used @ beta + cross[:, seen] @ rest, np.sqrt(np.maximum(variance, 0.0))
+    return found
+
+
+def _missing(kind: str, rng: np.random.Generator) -> BoolArray:
+    """Return which of N samples are seen."""
+    seen = np.ones(N, dtype=bool)
+    if kind == "scattered":
+        seen = rng.random(N) > 0.2
+        seen[0] = True
+    elif kind == "gap":
+        seen[100:180] = False
+    elif kind == "one, then nothing":
+        seen[1:40] = False
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("length", "kind"),
+    [(256, "scattered"), (16, "none"), (16, "scattered"), (16, "gap"), (16, "one, then nothing")],
+)
+@pytest.mark.parametrize("text", MODELS)
+def test_it_is_one_dense_conditioning(
+    text: str, kind: str, length: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Means and standard errors of every part, over many blocks and two, with samples missing anywhere."""
+    monkeypatch.setattr(smoother, "_WHOLE", length)
+    monkeypatch.setattr(smoother, "_HOLED", length)
+    rng = np.random.default_rng(41)
+    model = NoiseModel.parse(text)
+    samples, seen = model.simulate(N, rate_hz=1.0, rng=rng), _missing(kind, rng)
+    states = LatentStates.of(model, rate_hz=1.0, n=N)
+    found, expected = smoother.smooth(states, samples, seen), dense(states, samples, seen)
+    assert set(found.mean) == set(expected)
+    for key, (mean, error) in expected.items():
+        npt.assert_allclose(found.mean[key], mean, atol=1e-8)
+        npt.assert_allclose(found.error[key], error, atol=1e-8)
+
+
+def _decomposed(text: str, n: int, seed: int, *, rate_hz: float = 10.0) -> Decomposition:
+    model = NoiseModel.parse(text)
+    samples = model.simulate(n, rate_hz=rate_hz, rng=np.random.default_rng(seed))
+    return decompose(AxisSeries.from_samples(samples, rate_hz=rate_hz), model)
+
+
+def test_flicker_by_its_bank_is_nearly_flicker() -> None:
+    """The bias under exact flicker's covariance is the same within a tenth of its standard error."""
+    from imucal.powerlaw import odd_harmonic
+
+    model, rate = NoiseModel.parse("N=1 + B=0.5"), 10.0
+    samples = model.simulate(N, rate_hz=rate, rng=np.random.default_rng(43))
+    bias = decompose(AxisSeries.from_samples(samples, rate_hz=rate), model).bias
+    lag = np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
+    # A level is flat, so any constant may stand for flicker's variance.
+    cross = 0.25 * (40 - 2 / np.pi * odd_harmonic(lag.astype(np.float64)))
+    inverse = np.linalg.inv(cross + rate * np.eye(N))
+    ones = np.ones(N)
+    level = float(ones @ inverse @ samples) / float(ones @ inverse @ ones)
+    exact = level + cross @ inverse @ (samples - level)
+    assert np.max(np.abs(bias.value - exact) / bias.error) < 0.1
+
+
+def test_the_parts_add_up_to_the_samples() -> None:
+    """Level, flicker, Gauss-Markov, ramp and residual: every sample, to rounding; gaps have no residual."""
+    model = NoiseModel.parse("N=1 + B=0.5 + GM(sigma=0.5, T=20) + R=1e-3")
+    samples = 9.81 + model.simulate(3000, rate_hz=10.0, rng=np.random.default_rng(44))
+    keep = np.ones(3000, dtype=bool)
+    keep[1000:1500] = False
+    series = AxisSeries.from_samples(samples, rate_hz=10.0).keeping(keep)
+    parts = decompose(series, model)
+    assert [part.key for part in parts.components] == ["level", "B", "GM", "R"]
+    total = np.sum([part.value for part in parts.components], axis=0)
+    npt.assert_allclose(total, parts.bias.value, atol=1e-9)
+    npt.assert_allclose((total + parts.residual)[keep], samples[keep], atol=1e-9)
+    assert np.isnan(parts.residual[~keep]).all()
+    assert np.isfinite(total).all()
+    npt.assert_allclose(parts.time_s, np.arange(3000) / 10)
+    assert parts["level"].value[0] == pytest.approx(9.81, abs=3 * parts["level"].error[0])
+
+
+def test_in_a_gap_the_walk_is_a_bridge() -> None:
+    """Given its ends, a walk runs straight between them, and is least sure in the middle."""
+    model, keep = NoiseModel.parse("N=0.01 + K=1"), np.ones(1000, dtype=bool)
+    keep[400:600] = False
+    samples = model.simulate(1000, rate_hz=1.0, rng=np.random.default_rng(45))
+    bias = decompose(AxisSeries.from_samples(samples, rate_hz=1.0).keeping(keep), model).bias
+    inside = bias.value[400:600]
+    npt.assert_allclose(np.diff(inside, 2), 0.0, atol=1e-9)
+    # A bridge of 201 steps has the variance t (201 - t)/201.
+    assert int(np.argmax(bias.error)) in range(498, 502)
+    assert bias.error.max() == pytest.approx(np.sqrt(201 / 4), rel=1e-3)
+
+
+def test_units_and_offsets_change_what_they_must() -> None:
+    """Samples and model in other units give parts in those; an offset goes into the level alone."""
+    model, small = NoiseModel.parse("N=1 + B=0.5"), NoiseModel.parse("N=1e-7 + B=5e-8")
+    samples = model.simulate(2000, rate_hz=10.0, rng=np.random.default_rng(46))
+    base = decompose(AxisSeries.from_samples(samples, rate_hz=10.0), model)
+    scaled = decompose(AxisSeries.from_samples(1e-7 * (samples + 50), rate_hz=10.0), small)
+    npt.assert_allclose(scaled["B"].value, 1e-7 * base["B"].value, atol=1e-17)
+    npt.assert_allclose(scaled["level"].value, 1e-7 * (base["level"].value + 50), rtol=1e-9)
+    npt.assert_allclose(scaled.bias.error, 1e-7 * base.bias.error, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "keys"),
+    [
+        ("N=1 + K=0.1", ("K",)),
+        ("N=1 + GM(sigma=1, T=5) + GM(sigma=2, T=300)", ("GM1", "GM2")),
+        ("Q=0.05 + N=1 + B=0.5 + K=0.05", ("bias",)),
+    ],
+)
+def test_standard_errors_cover_what_was_simulated(text: str, keys: tuple[str, ...]) -> None:
+    """Of the true states, 95 % lie within 1.96 standard errors."""
+    model, rng, n = NoiseModel.parse(text), np.random.default_rng(47), 4000
+    inside = []
+    for _ in range(30):
+        truth = {key: np.zeros(n) for key in ("K", "B", "GM1", "GM2", "noise")}
+        gm = 0
+        for term in model.terms:
+            gm += term.symbol == "GM"
+            key = {"GM": f"GM{gm}", "Q": "noise", "N": "noise"}.get(term.symbol, term.symbol)
+            truth[key] += term.simulate(n, 0.1, rng)
+        samples = np.sum(list(truth.values()), axis=0)
+        parts = decompose(AxisSeries.from_samples(samples, rate_hz=10.0), model)
+        truth["bias"] = samples - truth["noise"]
+        inside += [
+            np.abs(parts[key].value - truth[key])[200::400] < 1.96 * parts[key].error[200::400]
+            for key in keys
+        ]
+    # Slow states are nearly one number a record, so that it is records that count: four standard errors.
+    shares = np.mean(inside, axis=1).reshape(30, -1).mean(axis=1)
+    assert shares.mean() == pytest.approx(0.95, abs=4 * shares.std() / np.sqrt(30) + 0.005)
+    assert shares.std() / np.sqrt(30) < 0.03
+
+
+def test_a_fit_is_decomposed_by_its_model() -> None:
+    """By what it found; spikes count as missing, unless they are to stay."""
+    model = NoiseModel.parse("N=1e-3 + K=1e-4")
+    samples = model.simulate(20_000, rate_hz=10.0, rng=np.random.default_rng(48))
+    samples[[0, 5000]] = 5.0
+    series = AxisSeries.from_samples(samples, rate_hz=10.0)
+    found = fit(series, model="N + K")
+    parts = decompose(series, found)
+    assert parts.model == found.model
+    assert parts.start_s == pytest.approx(0.1)
+    assert np.isnan(parts.samples[4999])
+    assert abs(parts.bias.value[4999] - parts.bias.value[4998]) < parts.bias.error[4999]
+    spoilt = decompose(series, found, clean=False)
+    assert spoilt.start_s == 0
+    assert spoilt.samples[5000] == 5.0
+
+
+def test_the_cost_grows_with_the_samples_only() -> None:
+    """Ten times the samples take at most 20 times as long (CPU, best of two)."""
+    seconds = []
+    for n in (20_000, 200_000):
+        runs = []
+        for _ in range(2):
+            samples = np.random.default_rng(49).standard_normal(n)
+            series, begin = AxisSeries.from_samples(samples, rate_hz=1.0), time.process_time()
+            decompose(series, NoiseModel.parse("N=1 + K=1e-3"))
+            runs.append(time.process_time() - begin)
+        seconds.append(min(runs))
+    assert seconds[1] < 20 * seconds[0]
+
+
+def test_progress_is_told() -> None:
+    """Up to all places."""
+    told: list[tuple[int, int]] = []
+    samples = np.random.default_rng(50).standard_normal(1000)
+    series = AxisSeries.from_samples(samples, rate_hz=1.0)
+    decompose(series, NoiseModel.parse("N=1"), progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (1000, 1000)
+
+
+def test_refuses_a_model_of_another_rate() -> None:
+    """A fit of one log and the samples of another are a mistake."""
+    samples = np.random.default_rng(51).standard_normal(2000)
+    found = fit(AxisSeries.from_samples(samples, rate_hz=50.0), model="N")
+    message = "gyro_x: samples at 100 Hz, but the fit is of 50 Hz"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        decompose(AxisSeries.from_samples(samples, rate_hz=100.0), found)
+
+
+@pytest.mark.parametrize("model", ["N=0", "N=0 + R=0"])
+def test_refuses_silence(model: str) -> None:
+    """There is nothing to tell apart."""
+    series = AxisSeries.from_samples(np.arange(9.0), rate_hz=1.0)
+    with pytest.raises(DataError, match="gyro_x: the model has no terms, so there is nothing"):
+        decompose(series, NoiseModel.parse(model))
+
+
+def test_refuses_a_record_of_nearly_nothing() -> None:
+    """Fewer than two samples, or a gap twenty times as long as all of them."""
+    model = NoiseModel.parse("N=1")
+    with pytest.raises(DataError, match=r"^gyro_x: a decomposition needs at least 2 samples, got 1$"):
+        decompose(AxisSeries.from_samples(np.array([1.0, np.nan]), rate_hz=1.0), model)
+    keep = np.zeros(1000, dtype=bool)
+    keep[[0, 1, 999]] = True
+    sparse = AxisSeries.from_samples(np.arange(1000.0), rate_hz=2.0).keeping(keep)
+    message = "gyro_x: 3 samples in 500 s at 2 Hz are mostly gaps; take a part of the record with fewer"
+    with pytest.raises(DataError, match=re.escape(message)):
+        decompose(sparse, model, clean=False)
+
+
+def test_an_unknown_part_is_named() -> None:
+    """With those that there are."""
+    with pytest.raises(KeyError, match="'K'; the decomposition has level, B, bias"):
+        _ = _decomposed("N=1 + B=1", 100, 52)["K"]

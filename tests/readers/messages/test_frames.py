@@ -1,0 +1,45 @@
+"""The frame of a topic, in every container, and where there is none that can be read."""
+
+from pathlib import Path
+
+import pytest
+
+from imucal.readers import read
+from imucal.readers.messages.frames import _frame
+from tests.readers.logs import CONTAINERS, imu_messages, samples, write_mcap
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_every_container_tells_it(container: str, tmp_path: Path) -> None:
+    """It stands among the decisions of a recording."""
+    path = CONTAINERS[container](tmp_path, samples(20))
+    assert dict(read(path).source.decisions)["frame"] == "imu"
+
+
+def test_it_is_a_decision(tmp_path: Path) -> None:
+    """Little and big endian; none where the name is empty."""
+    for frame, little in (("imu_link", True), ("base", False)):
+        messages = imu_messages(samples(20), frames=(frame,), little_endian=little)
+        decisions = dict(read(write_mcap(tmp_path / "log.mcap", messages)).source.decisions)
+        assert decisions["frame"] == frame
+    empty = write_mcap(tmp_path / "log.mcap", imu_messages(samples(20), frames=("",)))
+    assert "frame" not in dict(read(empty).source.decisions)
+
+
+@pytest.mark.parametrize(
+    ("payload", "encoding", "frame"),
+    [
+        (b"\0\1\0\0" + bytes(8) + b"\4\0\0\0imu\0", "cdr", "imu"),
+        (b"\0\0\0\0" + bytes(8) + b"\0\0\0\4imu\0", "cdr", "imu"),
+        (bytes(12) + b"\3\0\0\0imu", "ros1", "imu"),
+        (bytes(12) + b"\3\0\0\0imu", "json", ""),
+        (bytes(12) + b"\3\0\0\0im", "ros1", ""),
+        (bytes(12) + b"\0\0\0\0", "ros1", ""),
+        (bytes(12) + b"\3\0\0", "ros1", ""),
+        (bytes(12) + b"\3\0\0\0\x1b[m", "ros1", ""),
+        (bytes(12) + b"\x2c\1\0\0" + b"x" * 300, "ros1", ""),
+    ],
+)
+def test_what_can_be_no_name_is_none(payload: bytes, encoding: str, frame: str) -> None:
+    """Cut, longer than the message, too long, or not printable."""
+    assert _frame(payload, encoding) == frame

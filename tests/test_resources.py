@@ -1,0 +1,137 @@
+"""Memory and threads: what is set, what the control group allows, what the machine has."""
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from imucal import resources
+from imucal.errors import SettingError
+from imucal.resources import control_group_limits, limit_pools, memory_limit, threads
+from tests.cli.run import run
+from tests.readers.logs import imu_messages, samples, write_mcap
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("1000", 1000),
+        ("2K", 2048),
+        ("500M", 500 << 20),
+        ("1.5G", 3 << 29),
+        ("2 GiB", 2 << 30),
+        ("1gb", 1 << 30),
+    ],
+)
+def test_the_memory_that_is_set(text: str, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It goes before all else."""
+    monkeypatch.setenv("IMUCAL_MEMORY", text)
+    assert memory_limit() == size
+
+
+@pytest.mark.parametrize("text", ["lots", "-1", "0", "0.1", "1 X", "G"])
+def test_a_wrong_memory_is_refused(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message says what it is and how it is written."""
+    monkeypatch.setenv("IMUCAL_MEMORY", text)
+    with pytest.raises(SettingError, match=r"IMUCAL_MEMORY: found .*expected a size such as 500M or 2G"):
+        memory_limit()
+
+
+def test_a_quarter_of_the_least_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the machine, or of the control group; what can't be asked is left out."""
+    monkeypatch.delenv("IMUCAL_MEMORY", raising=False)
+    for physical, groups, limit in (
+        (16 << 30, [], 4 << 30),
+        (16 << 30, [2 << 30, 8 << 30], 512 << 20),
+        (1 << 30, [1 << 62], 256 << 20),
+        (None, [400], 100),
+        (None, [], 2_000_000_000),
+    ):
+        monkeypatch.setattr(resources, "_physical", lambda value=physical: value)
+        monkeypatch.setattr(resources, "control_group_limits", lambda value=groups: value)
+        assert memory_limit() == limit
+
+
+@pytest.mark.parametrize(
+    ("line", "file", "limits"),
+    [
+        ("0::/job/a", "job/a/memory.max", [1000]),
+        ("0::/job/a", "job/memory.max", [1000]),
+        ("0::/", "memory.max", [1000]),
+        ("4:cpu,memory:/docker/1f", "memory/docker/1f/memory.limit_in_bytes", [1000]),
+        ("4:cpu:/docker/1f", "memory/docker/1f/memory.limit_in_bytes", []),
+        ("0::/job/b", "job/a/memory.max", []),
+    ],
+)
+def test_the_limits_of_a_control_group(line: str, file: str, limits: list[int], tmp_path: Path) -> None:
+    """Of both versions, its own or of a group above it."""
+    (tmp_path / "cgroup").write_text(f"9:name=systemd:/\n{line}\n", encoding="utf-8")
+    limit = tmp_path / "root" / file
+    limit.parent.mkdir(parents=True, exist_ok=True)
+    limit.write_text("1000\n", encoding="utf-8")
+    assert control_group_limits(tmp_path / "cgroup", tmp_path / "root") == limits
+    limit.write_text("max\n", encoding="utf-8")
+    assert control_group_limits(tmp_path / "cgroup", tmp_path / "root") == []
+    assert control_group_limits(tmp_path / "none", tmp_path / "root") == []
+
+
+def test_the_threads_that_are_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise the processors that this process may use."""
+    monkeypatch.setenv("IMUCAL_THREADS", "3")
+    assert threads() == 3
+    monkeypatch.delenv("IMUCAL_THREADS")
+    assert 1 <= threads() <= (os.cpu_count() or 1)
+    for text in ("0", "-1", "two", "1.5", "²"):
+        monkeypatch.setenv("IMUCAL_THREADS", text)
+        with pytest.raises(SettingError, match=r"IMUCAL_THREADS: found .*expected a number from 1"):
+            threads()
+
+
+def test_the_libraries_beneath_obey_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the user has set for one of them stays; a wrong number changes nothing."""
+    for name in ("POLARS_MAX_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
+    monkeypatch.setenv("IMUCAL_THREADS", "no")
+    limit_pools()
+    assert "POLARS_MAX_THREADS" not in os.environ
+    monkeypatch.setenv("IMUCAL_THREADS", "2")
+    limit_pools()
+    assert (os.environ["POLARS_MAX_THREADS"], os.environ["OPENBLAS_NUM_THREADS"]) == ("2", "7")
+    for name in ("POLARS_MAX_THREADS", "OMP_NUM_THREADS", "RAYON_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_a_process_starts_no_more_threads(tmp_path: Path) -> None:
+    """Polars reads its limit when it is loaded, which is after this package."""
+    code = "import imucal, polars; print(polars.thread_pool_size())"
+    clean = {name: value for name, value in os.environ.items() if not name.endswith("_THREADS")}
+    done = subprocess.run(  # noqa: S603 - our own interpreter
+        [sys.executable, "-c", code],
+        env={**clean, "IMUCAL_THREADS": "1"}, cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "1"
+
+
+def test_a_log_is_decoded_by_as_many_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One thread is the caller's own; a wrong number is an error of the call, exit code 2."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(600)))
+    started: list[int] = []
+    pool = ThreadPoolExecutor
+
+    def counted(number: int) -> object:
+        started.append(number)
+        return pool(number)
+
+    monkeypatch.setattr("imucal.readers.messages.loader.ThreadPoolExecutor", counted)
+    for number, pools in (("1", set()), ("2", {2})):
+        started.clear()
+        assert run("adev", str(path), "-q", cwd=tmp_path, IMUCAL_THREADS=number).returncode == 0
+        assert set(started) == pools
+    done = run("adev", str(path), cwd=tmp_path, IMUCAL_THREADS="many")
+    assert (done.returncode, done.stderr.partition(":")[0]) == (2, "Error")
+    done = run("adev", str(path), cwd=tmp_path, IMUCAL_MEMORY="much")
+    assert done.returncode == 2
