@@ -153,7 +153,7 @@ def _problem_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[st
     if len({rows[one] for one in single}) > 1:
         return f"{' and '.join(single)} are of different rows, expected the same"
     if key in found and len(found[key]) != 3:
-        return f"{key} names {len(found[key])} columns, expected 3; one axis alone is such as {key}z=1"
+        return f"{key} names {len(found[key])} columns, expected 3; one axis alone is {key}z={found[key][0]}"
     return ""
 
 
@@ -165,7 +165,7 @@ def _named_twice(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows])
             others = uses.setdefault(index, [])
             # A column may be the gyroscope's in some rows and the accelerometer's in others.
             if any(rows[key] is None or other is None or other == rows[key] for other in others):
-                return f"column {index} is named twice; a log of one axis is such as t=0,gz=1"
+                return f"column {index} is named twice; a log of one axis has gz={index} alone"
             others.append(rows[key])
     return ""
 

@@ -18,7 +18,7 @@ from imucal.readers.messages.fields_text import parse_fields_text
 from imucal.readers.messages.leaves import Leaf, Leaves
 from imucal.recording import Recording
 from imucal.units import G0
-from tests.readers.logs import TOPIC, Message, header, samples, store, write_mcap
+from tests.readers.logs import TOPIC, Message, header, samples, store, write_bag, write_db3, write_mcap
 from tests.readers.messages.test_messages import axes, messages_of
 
 TRUTH = samples(120)
@@ -392,3 +392,22 @@ def test_paths(path: str, there: bool) -> None:  # noqa: FBT001 - a parameter of
     """An index is checked where the length is known."""
     leaves = Leaves([Leaf("a", "f8"), Leaf("b", "int16[3]"), Leaf("c", "int16[]"), Leaf("d[0].x", "f8")])
     assert leaves.is_number(path) is there
+
+
+@pytest.mark.parametrize("fields", ["gyro=w accel=imus[0].f", "gyro=w accel=f"])
+def test_other_containers(fields: str, tmp_path: Path) -> None:
+    """A ROS 1 bag and a ROS 2 bag: by the walk, and by the tree of a list of structures."""
+    text = "std_msgs/Header header\nfloat64[3] w\nfloat64[3] f\nOne[] imus"
+    one = "std_msgs/Header header\nfloat64[3] f"
+    for ros1 in (True, False):
+        types = store(ros1=ros1, acme__msg__Raw=text, acme__msg__One=one)
+        messages = []
+        for row, log in enumerate(TRUTH.log.tolist()):
+            top = header(types, int(TRUTH.stamps[row]))
+            inner = types.types["acme/msg/One"](top, TRUTH.accel[row])
+            message = types.types[KIND](top, TRUTH.gyro[row], TRUTH.accel[row], [inner])
+            data = types.serialize_ros1(message, KIND) if ros1 else types.serialize_cdr(message, KIND)
+            messages.append(Message(topic=TOPIC, type=KIND, log=log, data=bytes(data)))
+        path = tmp_path / ("log.bag" if ros1 else "bag")
+        path = (write_bag if ros1 else write_db3)(path, messages, types=types)
+        is_near(read(path, fields=fields, gyro_unit="rad/s"), 0)
