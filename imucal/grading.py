@@ -19,11 +19,12 @@ GRADES: tuple[Grade, ...] = ("good", "look", "not-noise")
 #: What a finding says of the numbers, by its level.
 BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
 
-#: Codes and levels for which the level would say too much: what was read is whole, the noise untouched.
+#: Codes and levels for which the level would say too much: what was found is whole, the noise untouched.
 OTHERWISE: Mapping[tuple[str, Level], Grade] = {
     ("other-vectors", "warning"): "good",
     ("unindexed", "warning"): "good",
     ("index", "warning"): "good",
+    ("not-drawn", "warning"): "good",
 }
 
 #: Codes that, said of the whole log, concern the noise of every axis.
@@ -36,6 +37,7 @@ PHRASES: Mapping[str, str] = {
     "clock-jump": "a jump of the clock",
     "clocks-differ": "clocks that differ",
     "coarse-lsb": "coarse steps",
+    "cycle": "a slow cycle",
     "damaged": "damage to the log",
     "duplicate-axes": "two axes hold the same samples",
     "extra-samples": "samples too many",

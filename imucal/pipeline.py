@@ -17,7 +17,7 @@ from imucal.fitting.cross_checks import second_opinion
 from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.robust import clean
 from imucal.planning import resolution_findings
-from imucal.recording import AxisSeries, Recording, Temperature
+from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.screening import screen
 from imucal.side_work import findings_or_why_not
@@ -85,7 +85,7 @@ def characterize(
     if progress:
         progress(len(recording.series), len(recording.series), "")
     return Report(
-        source=recording.source,
+        source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
         settings=settings.document(),
         version=__version__,

@@ -1,5 +1,6 @@
 """What was measured: sensors, clocks, axes and recordings. Always SI units."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal, TypeAlias
@@ -156,6 +157,58 @@ class Temperature:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LogFileInfo:
+    """A file of a log, so that it can be told from any other.
+
+    Attributes
+    ----------
+    path
+        As it was read.
+    size_bytes
+        Its size.
+    blake2b
+        Its BLAKE2b checksum of 64 bytes in hexadecimal digits, as ``b2sum`` prints it; None where the file
+        could not be read to its end. Source: RFC 7693.
+    """
+
+    path: str
+    size_bytes: int
+    blake2b: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadRange:
+    """Which part of a log was read, over all its axes.
+
+    Attributes
+    ----------
+    from_s
+        What was left out before it, in s from the first sample.
+    duration_s
+        From the first sample to the end of the last, gaps included, in s.
+    start_ns, end_ns
+        The same by the stamps, in ns of their epoch; None where the log has no stamps.
+    """
+
+    from_s: float = 0.0
+    duration_s: float
+    start_ns: int | None = None
+    end_ns: int | None = None
+
+    @classmethod
+    def of(cls, series: Sequence[AxisSeries], *, from_s: float = 0.0) -> "ReadRange":
+        """Return the range of some axes, of which there is one at least."""
+        clocks = [one.clock for one in series]
+        spans = [
+            (c.start_ns, c.start_ns + round(c.duration_s * 1e9)) for c in clocks if c.start_ns is not None
+        ]
+        if not spans:
+            return cls(from_s=from_s, duration_s=max(clock.duration_s for clock in clocks))
+        start, end = min(start for start, _ in spans), max(end for _, end in spans)
+        return cls(from_s=from_s, duration_s=(end - start) / 1e9, start_ns=start, end_ns=end)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
     """Where a recording comes from.
 
@@ -169,6 +222,10 @@ class Source:
         What was read, pairwise; for a table its column names and an empty tuple.
     decisions
         How each choice was made, such as ``("gyroscope unit", "deg/s, from the column header")``.
+    files
+        Size and checksum of each file; empty where they were not asked for.
+    read
+        Which part of the log was read; None for all of it, until a report says which that is.
     """
 
     path: str
@@ -176,6 +233,8 @@ class Source:
     topics: tuple[str, ...] = ()
     message_types: tuple[str, ...] = ()
     decisions: tuple[tuple[str, str], ...] = ()
+    files: tuple[LogFileInfo, ...] = ()
+    read: ReadRange | None = None
 
     @property
     def name(self) -> str:
@@ -233,7 +292,9 @@ class Recording:
             clock = temperature.clock
             first, stop = clock.index_at(start_s), clock.index_at(end_s)
             temperature = Temperature(samples=temperature.samples[first:stop], clock=clock.slice(first, stop))
-        return replace(self, series=series, temperature=temperature)
+        before = self.source.read.from_s if self.source.read is not None else 0.0
+        source = replace(self.source, read=ReadRange.of(series, from_s=before + start_s))
+        return replace(self, source=source, series=series, temperature=temperature)
 
     def axis(self, sensor: str, axis: str) -> AxisSeries:
         """Return one axis, such as ``axis("gyroscope", "x")``.

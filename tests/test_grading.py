@@ -11,6 +11,8 @@ from imucal.findings import Finding, Level
 from imucal.grading import BY_LEVEL, OF_ALL_AXES, OTHERWISE, PHRASES, Grade, grade_of, judge_findings, percent
 
 LEVELS: tuple[Level, ...] = ("info", "warning", "error")
+#: Said of many units together, not of a recording.
+OF_A_FLEET = {"few-units", "weak-term"}
 AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
 
 
@@ -28,9 +30,9 @@ def sentence(*findings: Finding, errors: dict[str, float] | None = None) -> str:
 def test_every_code_decides_by_the_table_or_by_its_level(code: str) -> None:
     """The whole table, and nothing beside it: info is good, warning look, error not noise."""
     by_level: dict[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
-    readable = {("other-vectors", "warning"), ("unindexed", "warning"), ("index", "warning")}
+    untouched = {(each, "warning") for each in ("other-vectors", "unindexed", "index", "not-drawn")}
     for level in LEVELS:
-        expected = "good" if (code, level) in readable else by_level[level]
+        expected = "good" if (code, level) in untouched else by_level[level]
         assert grade_of(finding(code, level)) == expected
         assert judge_findings([finding(code, level)], AXES).grade == expected
 
@@ -46,13 +48,12 @@ def test_every_code_of_the_source_is_known() -> None:
     found: set[object] = set()
     for path in Path(imucal.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not (isinstance(node, ast.Call) and ast.unparse(node.func) == "Finding"):
+            if not (isinstance(node, ast.keyword) and node.arg == "code"):
                 continue
-            given = next(keyword.value for keyword in node.keywords if keyword.arg == "code")
-            if not isinstance(given, ast.Subscript | ast.Call):  # report.json's own, read back
-                found |= {each.value for each in ast.walk(given) if isinstance(each, ast.Constant)}
+            if not isinstance(node.value, ast.Subscript | ast.Call):  # report.json's own, read back
+                found |= {each.value for each in ast.walk(node.value) if isinstance(each, ast.Constant)}
     assert len(found) > 40
-    assert found <= FINDING_CODES
+    assert found - OF_A_FLEET <= FINDING_CODES
 
 
 def test_a_good_recording_says_how_well_n_is_known() -> None:

@@ -147,7 +147,7 @@ def _graded(m: int, last: int, order: int) -> IntArray:
     octaves = np.log2(last / _DENSE)
     out = np.round(_DENSE * 2.0 ** (np.arange(int(octaves * _PER_OCTAVE) + 1) / _PER_OCTAVE))
     near = np.concatenate([np.arange(_DENSE), out]).astype(np.int64)
-    parts = [np.array([0, last]), np.linspace(0, min(last, (order + 1) * m), 129).astype(np.int64)]
+    parts = [np.array([last]), np.linspace(0, min(last, (order + 1) * m), 129).astype(np.int64)]
     for kink in range(order + 1):
         parts += [kink * m + near, kink * m - near]
     lags = np.unique(np.concatenate(parts))

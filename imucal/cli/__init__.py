@@ -15,7 +15,6 @@ from typing import NoReturn
 import click
 from click.shell_completion import CompletionItem
 
-from imucal._version import __version__
 from imucal.errors import ChoiceError, DataError, ImucalError, WriteError
 from imucal.printable import printable
 
@@ -100,8 +99,23 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
 
+def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> None:
+    if wanted and not ctx.resilient_parsing:
+        from imucal.cli._version_line import version_lines
+
+        click.echo(version_lines())
+        ctx.exit()
+
+
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="imucal")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Say which imucal this is.",
+)
 def imucal() -> None:
     """Turn a recording of an IMU at rest into a noise model.
 

@@ -25,24 +25,48 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Number(click.FloatRange):
-    """A finite number in a range: click lets nan and infinity through."""
+    """A finite number in a range: click lets nan and infinity through.
+
+    A `unit` may follow it, and a fraction may be given in percent.
+    """
+
+    def __init__(
+        self,
+        min: float | None = None,  # noqa: A002 - as click calls them
+        max: float | None = None,  # noqa: A002
+        *,
+        min_open: bool = False,
+        max_open: bool = False,
+        unit: str = "",
+        percent: bool = False,
+    ) -> None:
+        super().__init__(min, max, min_open=min_open, max_open=max_open)
+        self.unit, self.percent = unit, percent
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        number = float(super().convert(str(value), param, ctx))  # type: ignore[arg-type] # click's stub is narrow
+        text = str(value).strip()
+        if self.unit:
+            text = re.sub(f"\\s*{self.unit}$", "", text, flags=re.IGNORECASE)
+        try:
+            number = float(text.removesuffix("%")) / (100 if self.percent and text.endswith("%") else 1)
+        except ValueError:
+            number = math.nan
         if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number.", param, ctx)
-        return number
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        if self.percent and 1 < number < 100:
+            self.fail(f"{value!r} is more than all; did you mean {number / 100:g} or {text}%?", param, ctx)
+        return float(super().convert(repr(number), param, ctx))  # type: ignore[arg-type] # click's stub is narrow
 
 
 #: An option whose default stands in its help.
 shown = functools.partial(click.option, show_default=True)
 
 #: Hz: no IMU is slower or faster, and no product of these overflows.
-RATE = Number(1e-6, 1e9)
+RATE = Number(1e-6, 1e9, unit="Hz")
 #: Written like this, averaging times are a set and not a list.
 TAU_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
 #: Beyond these levels an interval is a point or everything.
-LEVEL = Number(0.01, 0.999999)
+LEVEL = Number(0.01, 0.999999, percent=True)
 
 quiet_option = click.option(
     "-q", "--quiet", is_flag=True, help="Print results only: no progress, findings or paths."
@@ -109,10 +133,13 @@ class LogRequest:
     def characterise(self, settings: "Settings") -> "Report":
         """Read and characterise the log, with progress bars where a person watches."""
         from imucal.pipeline import characterize
+        from imucal.readers.checksums import Checksums
 
-        recording = self.read()
-        with axes_progress(quiet=self.quiet) as progress:
-            return characterize(recording, settings, progress=progress)
+        with Checksums([Path(log) for log in self.logs]) as checksums:
+            recording = self.read()
+            with axes_progress(quiet=self.quiet) as progress:
+                report = characterize(recording, settings, progress=progress)
+            return replace(report, source=replace(report.source, files=checksums.files()))
 
     def settings(self) -> dict[str, object]:
         """Return what was asked, for the report: JSON values, defaults left out."""

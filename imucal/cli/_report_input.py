@@ -35,8 +35,8 @@ def load_report(request: LogRequest) -> Report:
 
     Options of reading are refused beside a report: they would change nothing.
     """
-    first = Path(request.logs[0])
-    if not is_report(first):
+    first = next((path for path in map(Path, request.logs) if is_report(path)), None)
+    if first is None:
         return _characterise(request)
     if len(request.logs) > 1:
         msg = f"{first} is a report; give one report, or logs only"

@@ -17,6 +17,8 @@ from imucal.units import duration, pretty
 
 #: Two columns and the space between them make 80; a narrower table has one column after the other.
 _COLUMN, _SPACE = 39, 2
+#: Blanks where no line breaks: of a number and its unit, and of ``3 h 2 min``.
+_KEPT = re.compile(r"(?<=\d) (?=[A-Za-z%])|(?<= h) (?=\d)|(?<= d) (?=\d)|(?<= min) (?=\d)")
 _Block = list[str]
 
 
@@ -38,12 +40,7 @@ def summary_table(
         Of the terminal; with less than 80 the sensors stand one after the other, 39 columns wide.
     """
     plain = not _can_print(encoding or sys.stdout.encoding or "ascii")
-    sensors = []
-    for sensor in Sensor:
-        axes = [axis for axis in report.axes if axis.sensor is sensor]
-        if axes:
-            units = sheet_units(report, sensor) if datasheet else None
-            sensors.append(dict(_blocks(axes, units, plain=plain)))
+    sensors = list(_sensors(report, datasheet=datasheet, plain=plain))
     lines = [*_wrapped(_verdict(report, plain=plain), columns), ""]
     for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:
         for key in _order(beside):
@@ -57,6 +54,15 @@ def summary_table(
     return "\n".join(lines)
 
 
+def _sensors(report: Report, *, datasheet: bool, plain: bool) -> Iterator[dict[str, _Block]]:
+    """Yield the blocks of each sensor that the report has."""
+    for sensor in Sensor:
+        axes = [axis for axis in report.axes if axis.sensor is sensor]
+        if axes:
+            units = sheet_units(report, sensor) if datasheet else None
+            yield dict(_blocks(axes, units, plain=plain))
+
+
 def _verdict(report: Report, *, plain: bool) -> str:
     sentence = report.verdict.sentence
     return sentence.replace("±", "+-") if plain else sentence
@@ -64,7 +70,7 @@ def _verdict(report: Report, *, plain: bool) -> str:
 
 def _wrapped(text: str, columns: int) -> list[str]:
     """Break a text into lines; a number keeps its unit: lines break after commas and before brackets."""
-    kept = re.sub(r"(?<=\d) (?=[A-Za-z%])", "\N{NO-BREAK SPACE}", text)
+    kept = _KEPT.sub("\N{NO-BREAK SPACE}", text)
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, columns)]
 
 

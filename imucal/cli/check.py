@@ -140,7 +140,7 @@ def _table(result: CheckResult) -> str:
     )
     note = ""
     if result.count("undecided"):
-        note = "; undecided counts as failed" if result.undecided_fails else "; undecided doesn't fail"
+        note = "; undecided fails" if result.undecided_fails else "; undecided doesn't fail"
     return "\n".join([*lines, *_total(last, f"{counts} (intervals at {result.level:.0%}{note})")])
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal._version import __version__
+from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import print_findings
 from imucal.cli._options import Duration, LogRequest, log_options, say, shown
 from imucal.cli._progress import axes_progress, smoothing_progress
@@ -137,7 +138,10 @@ def command(
         "axes": described,
     }
     path = write_document(document, folder)
-    click.echo(json.dumps(document, indent=1, allow_nan=False) if as_json else _table(described))
+    if as_json:
+        echo_json(json.dumps(document, indent=1, allow_nan=False))
+    else:
+        echo(_table(described))
     say(str(path), quiet=request.quiet)
     refuse(report.verdict, recording.source.path, f"{folder} was written", force=force)
     if request.strict:

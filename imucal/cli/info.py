@@ -33,7 +33,9 @@ _Words: TypeAlias = tuple[str, str, str]
 #: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
 _NO_DATE = 315_532_800_000_000_000
 #: Logs up to this size are read in full without being asked, in bytes: it takes less than a second.
-_SMALL = 64_000_000
+_SMALL = 1 << 26
+#: And up to so many samples, however well they are packed.
+_MANY = 4_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +79,7 @@ def command(
     folders = {named: parts for named in logs if len(parts := logs_of(Path(named))) > 1}
     for log in (str(log) for named in logs for log in folders.get(named, [named])):
         contents = describe(log, options_of(**reading))
-        small = contents.size_bytes is not None and contents.size_bytes <= _SMALL
+        small = contents.size_bytes is not None and _is_small(contents)
         # Standard input is gone once it was described.
         wanted = (small if gaps is None else gaps) and log != STANDARD_INPUT
         found = _read_topics(contents, reading) if wanted else {}
@@ -91,6 +93,13 @@ def command(
     if as_json:
         document = {"schema": SCHEMA, "logs": entries}
         echo_json(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _is_small(contents: LogContents) -> bool:
+    """Return whether a log is read without being asked: a few bytes may hold very many samples."""
+    samples = sum(topic.count or 0 for topic in contents.imu_topics)
+    size = max(contents.size_bytes or 0, contents.unpacked_bytes or 0)
+    return size <= _SMALL and samples <= _MANY
 
 
 def _read_topics(contents: LogContents, reading: dict[str, Any]) -> dict[str, TopicReading]:
@@ -112,6 +121,7 @@ def _document(contents: LogContents, found: dict[str, TopicReading]) -> dict[str
         "path": contents.path,
         "format": contents.format,
         "compression": contents.compression,
+        "unpacked_bytes": contents.unpacked_bytes,
         "size_bytes": contents.size_bytes,
         "start_ns": contents.start_ns,
         "duration_s": contents.duration_s,

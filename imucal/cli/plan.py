@@ -193,12 +193,13 @@ def _line(axis: AxisPlan, need: Need, *, datasheet: bool) -> str:
 def _pair(axis: AxisPlan, need: Need, *, datasheet: bool) -> list[str]:
     """Return the two lines of a narrow terminal."""
     unit = _unit(axis.sensor, need, datasheet=datasheet)
-    tells = "" if need.reached is None else f", this tells {_reached(need)}"
+    tells = "" if need.reached is None else f", tells {_reached(need)}"
     first = f"  {need.name:<10}{'< ' if need.bounded else ''}{need.value * unit.factor:.4g} {unit.name}"
-    return [first, f"    needs {describe_time(need.needed_s)}{tells}"]
+    return [first, *fitted(f"    needs {describe_time(need.needed_s)}{tells}", width(), indent=6)]
 
 
 def _reached(need: Need) -> str:
+    """Return what a record of the asked length tells, and how often it would show the term."""
     if need.reached is None or need.reached >= 1:
         return "nothing"
     often = f" ({math.floor(10 * (need.shown or 0.0))} of 10)" if _may_be_missed(need) else ""

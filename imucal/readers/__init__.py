@@ -5,6 +5,7 @@ and call the module that knows it.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from imucal.readers.contents import LogContents, TopicContents
@@ -40,6 +41,7 @@ def read(
     join: bool = False,
     strict: bool = False,
     memory_limit: int | None = None,
+    checksums: bool = False,
     progress: Progress | None = None,
 ) -> Recording:
     """Read the IMU samples of a log.
@@ -61,6 +63,9 @@ def read(
         Refuse a damaged log instead of recovering what is whole.
     memory_limit
         Bytes of samples to hold in memory before a temporary file takes them.
+    checksums
+        Also work out size and BLAKE2b checksum of each file, for `imucal.recording.Source.files`; they cost
+        as much as reading the files once more, in a thread of their own.
     progress
         Called with bytes done and bytes in all.
 
@@ -94,7 +99,17 @@ def read(
     if not paths:
         msg = "no log: name at least one file"
         raise ValueError(msg)
-    logs = [log for path in paths for log in logs_of(Path(path))]
+    if checksums:
+        from imucal.readers.checksums import Checksums
+
+        with Checksums([Path(path) for path in paths]) as sums:
+            recording = _read([Path(path) for path in paths], options)
+            return replace(recording, source=replace(recording.source, files=sums.files()))
+    return _read([Path(path) for path in paths], options)
+
+
+def _read(paths: Sequence[Path], options: ReadOptions) -> Recording:
+    logs = [log for path in paths for log in logs_of(path)]
     if len(logs) == 1:
         return load(detect(logs[0])).read(logs[0], options)
     from imucal.readers.split import read_all

@@ -8,7 +8,7 @@ import mmap
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,6 +152,27 @@ class Columns:
     def _keep_first(self, n: int) -> None:
         if n != self.n:
             self._view(self._data[:, :n], tuple(self.vectors), temperature=self.temperature is not None)
+
+
+def map_stream(stream: BinaryIO, size: int) -> mmap.mmap:
+    """Return `size` bytes of a stream, mapped from a temporary file.
+
+    Raises
+    ------
+    ValueError
+        If the stream ends before.
+    ReadError
+        If there is no room for the file.
+    """
+    spill, left = _Spill(), size
+    while left:
+        piece = stream.read(min(left, _FLUSH))
+        if not piece:
+            msg = f"an array ends after {size - left} of {size} bytes"
+            raise ValueError(msg)
+        spill.write(np.frombuffer(piece, dtype=np.uint8))
+        left -= len(piece)
+    return spill.take(np.dtype(np.uint8))[1]
 
 
 def join_rows(pieces: Sequence[Sequence[FloatArray]], *, limit: int | None = None) -> list[FloatArray]:

@@ -14,7 +14,7 @@ import numpy as np
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.noise.terms import TERMS
-from imucal.recording import Sensor, Source
+from imucal.recording import ReadRange, Sensor, Source
 from imucal.report import numbers
 from imucal.report.result import AxisReport, Report
 
@@ -79,6 +79,20 @@ def _source(source: Source) -> dict[str, object]:
         "topics": list(source.topics),
         "message_types": list(source.message_types),
         "decisions": [{"choice": choice, "reason": reason} for choice, reason in source.decisions],
+        "files": [
+            {"path": file.path, "size_bytes": file.size_bytes, "blake2b": file.blake2b}
+            for file in source.files
+        ],
+        "range": None if source.read is None else _range(source.read),
+    }
+
+
+def _range(read: ReadRange) -> dict[str, object]:
+    return {
+        "from_s": plain(read.from_s),
+        "duration_s": plain(read.duration_s),
+        "start_ns": read.start_ns,
+        "end_ns": read.end_ns,
     }
 
 

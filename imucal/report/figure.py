@@ -5,6 +5,7 @@ outlives a call. Sizes are chosen so that the smallest text has 9 px at a width 
 """
 
 import io
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 from imucal.fitting.noise_fit import Estimate
@@ -30,6 +31,10 @@ FORMATS = ("png", "svg", "pdf")
 _WIDTH = 10.0
 _PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
 _DPI = 160
+#: Of the pictures within the page.
+_SMALL_DPI = 110
+#: Grade -> colour of the verdict.
+_GRADES = {"good": "#1d6b35", "look": "#8a5200", "not-noise": "#b00020"}
 #: Left edge and width of the two plots, in parts of the figure.
 _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 
@@ -37,6 +42,7 @@ _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 def axis_figure(report: Report, axis: AxisReport) -> "Figure":
     """Return the Allan deviation and the psd of one axis, with all that the fit says about them."""
     figure, left, right = _figure(report, rows=4)
+    _verdict(figure, report)
     fit, units = axis.fit, sheet_units(report, axis.sensor)
     structure = str(fit.model) or "no term shown"
     _head(figure, axis_title(axis), f"{_recording_text(axis)}   ·   model {structure} ({fit.method.upper()})")
@@ -72,6 +78,7 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     units = sheet_units(report, sensor)
     rows = _rows(axes, units)
     figure, left, right = _figure(report, rows=len(rows) + 2)
+    _verdict(figure, report)
     _head(figure, str(sensor).capitalize(), _recording_text(axes[0]))
     draw_allan_overview(left, axes, units)
     draw_psd_overview(right, axes, units)
@@ -101,6 +108,13 @@ def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     return stream.getvalue()
 
 
+def render_small(figure: "Figure") -> bytes:
+    """Return a picture as WebP without loss, small enough to be part of a page."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="webp", dpi=_SMALL_DPI, pil_kwargs={"lossless": True})
+    return stream.getvalue()
+
+
 def axis_title(axis: AxisReport) -> str:
     """Return ``Gyroscope x``."""
     return f"{str(axis.sensor).capitalize()} {axis.axis}"
@@ -122,6 +136,14 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
     figure.text(0.012, 0.07 / height, shown, **style)
     figure.text(0.988, 0.07 / height, f"imucal {report.version}", ha="right", **style)
     return figure, plots[0], plots[1]
+
+
+def _verdict(figure: "Figure", report: Report) -> None:
+    """Write the verdict at the top right: a picture is passed on without its page."""
+    text, height = report.verdict.sentence, figure.get_figheight()
+    style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": _GRADES[report.verdict.grade], "wrap": False}
+    lines = textwrap.wrap(text, 110)
+    figure.text(0.988, 1 - 0.12 / height, "\n".join(lines), ha="right", va="top", **style)
 
 
 def _head(figure: "Figure", title: str, subtitle: str) -> None:

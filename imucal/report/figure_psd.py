@@ -37,7 +37,7 @@ def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
         axes,
         x="frequency (Hz)",
         y=f"√PSD, two-sided ({pretty(units.density.name)})",
-        x_limits=limits(frequency, below=1.3, above=1.3),
+        x_limits=limits(axis.spectrum.frequency, below=1.3, above=1.3),
         y_limits=limits(root, below=2.0, above=2.2),
     )
     if not frequency.size:
@@ -67,10 +67,11 @@ def draw_psd_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits
         if not frequency.size:
             continue
         axes.plot(frequency, root, color=stroke.light, linewidth=0.8, alpha=0.55)
-        model = np.sqrt(axis.fit.model.psd(frequency, rate_hz=axis.fit.rate_hz)) * factor
-        axes.plot(frequency, model, color=stroke.light, linewidth=1.6, **dashes(stroke))
+        grid = np.geomspace(axis.spectrum.frequency[0], axis.spectrum.frequency[-1], 200)
+        model = np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz)) * factor
+        axes.plot(grid, model, color=stroke.light, linewidth=1.6, **dashes(stroke))
         values.append(root)
-        places.append(frequency)
+        places.append(grid)
     style_axes(
         axes,
         x="frequency (Hz)",

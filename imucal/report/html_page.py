@@ -6,29 +6,44 @@ page carries deflated: two megabytes instead of five.
 
 import base64
 import zlib
+from functools import partial
 from importlib.resources import files
 from string import Template
+from typing import TYPE_CHECKING
 
 from imucal.report import numbers
-from imucal.report.figure import axis_title
+from imucal.report.figure import axis_figure, axis_title, render_small
 from imucal.report.figure_allan import shown_points
-from imucal.report.markup import Markup, both_units, element, join, row, table
+from imucal.report.markup import Markup, both_units, element, join, labelled, row, table
 from imucal.report.page_data import page_data
 from imucal.report.page_downstream import downstream_section
 from imucal.report.page_summary import findings_section, summary_section
 from imucal.report.page_words import glossary_section, method_section
 from imucal.report.result import AxisReport, Report
 from imucal.report.sheet_units import sheet_units
-from imucal.units import duration, pretty
+from imucal.side_work import try_side_work
+from imucal.units import DatasheetUnit, duration, pretty
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.figure import Figure
 
 
-def render_page(report: Report) -> str:
-    """Return the page; the same report always gives the same text."""
+def render_page(report: Report, *, picture: "Callable[[AxisReport], Figure] | None" = None) -> str:
+    """Return the page; the same report always gives the same text.
+
+    `picture` gives an axis's figure where it is drawn already: pages show it where scripts are off.
+    """
+    drawn = picture or partial(axis_figure, report)
     sections = [
         ("summary", "Summary", summary_section(report)),
         ("findings", "Findings", findings_section(report)),
         ("downstream", "Which number goes where", downstream_section(report)),
-        *((axis.name, axis_title(axis), _axis_section(report, axis)) for axis in report.axes),
+        *(
+            (axis.name, axis_title(axis), join([_static(axis, drawn), _axis_section(report, axis)]))
+            for axis in report.axes
+        ),
         ("terms", "What the terms mean", glossary_section()),
         ("method", "How the numbers were made", method_section(report)),
     ]
@@ -47,7 +62,11 @@ def render_page(report: Report) -> str:
     return Template(_part("page.html")).substitute(
         title=element("title", f"{name} – IMU noise report"),
         heading=element("h1", name),
-        verdict=element("p", report.verdict.sentence, class_=f"verdict {report.verdict.grade}"),
+        verdict=element(
+            "p",
+            report.verdict.sentence.replace(" %", "\N{NO-BREAK SPACE}%"),
+            class_=f"verdict {report.verdict.grade}",
+        ),
         lead=_lead(report),
         navigation=element("ul", *links),
         sections=join(bodies),
@@ -84,7 +103,8 @@ def _axis_section(report: Report, axis: AxisReport) -> Markup:
     """Return the plots of one axis, each with a caption, and the curve as a table."""
     where = axis_title(axis)
     tau = axis.fit.curve.minimum[1]
-    sheet, plain = sheet_units(report, axis.sensor).minimum(axis), numbers.minimum(axis)[0]
+    units = sheet_units(report, axis.sensor)
+    sheet, plain = units.minimum(axis), numbers.minimum(axis)[0]
     curve = join(
         [
             f"Allan deviation of {where.lower()}: its minimum is ",
@@ -100,10 +120,13 @@ def _axis_section(report: Report, axis: AxisReport) -> Markup:
         psd += (
             f" Lines left out at {', '.join(f'{line.frequency_hz:.4g} Hz' for line in goodness.lines[:6])}."
         )
-    raw = (
-        f"Raw signal of {where.lower()}, lowest to highest sample of each stretch: mean {axis.mean:.6g} "
-        f"{pretty(axis.unit)}, standard deviation {axis.std:.4g} {pretty(axis.unit)}, "
-        f"{len(axis.gaps) or 'no'} gap{'' if len(axis.gaps) == 1 else 's'}."
+    gaps = f"{len(axis.gaps) or 'no'} gap{'' if len(axis.gaps) == 1 else 's'}."
+    raw = join(
+        [
+            f"Raw signal of {where.lower()}, lowest to highest sample of each stretch: ",
+            both_units(_moments(axis, units.level), _moments(axis, DatasheetUnit(axis.unit, 1.0))),
+            f", {gaps}",
+        ]
     )
     return join(
         [
@@ -112,6 +135,26 @@ def _axis_section(report: Report, axis: AxisReport) -> Markup:
             element("details", element("summary", "The curve as a table"), _curve_table(axis)),
         ]
     )
+
+
+def _moments(axis: AxisReport, unit: DatasheetUnit) -> str:
+    """Return ``mean 420 deg/h, standard deviation 350 deg/h``."""
+    name = pretty(unit.name)
+    mean, std = axis.mean * unit.factor, axis.std * unit.factor
+    return f"mean {mean:.6g} {name}, standard deviation {std:.4g} {name}"
+
+
+def _static(axis: AxisReport, drawn: "Callable[[AxisReport], Figure]") -> Markup:
+    """Return the picture of an axis that stands in for its plots where scripts are off."""
+    where = axis_title(axis).lower()
+    picture, failed = try_side_work(
+        lambda: render_small(drawn(axis)), None, what=f"The picture of {where} is missing", code="not-drawn"
+    )
+    if picture is None:
+        return element("noscript", *(element("p", finding.text, class_="notice") for finding in failed))
+    source = f"data:image/webp;base64,{base64.b64encode(picture).decode('ascii')}"
+    name = f"Allan deviation and power spectral density of {where}"
+    return element("noscript", element("img", src=source, alt=name, width="1100", class_="static"))
 
 
 def _figure(axis: AxisReport, kind: str, caption: str | Markup) -> Markup:
@@ -141,11 +184,18 @@ def _curve_table(axis: AxisReport) -> Markup:
         body.append(
             row(
                 element("th", f"{fit.curve.tau[i]:.6g}", scope="row"),
-                element("td", str(fit.curve.m[i])),
-                *(element("td", f"{value:.4g}") for value in values),
-                element("td", f"{fit.curve.edf[i]:.3g}"),
-                element("td", "yes" if i in used else "no"),
+                *labelled(
+                    titles[1:],
+                    (
+                        str(fit.curve.m[i]),
+                        *(f"{value:.4g}" for value in values),
+                        f"{fit.curve.edf[i]:.3g}",
+                        "yes" if i in used else "no",
+                    ),
+                ),
             )
         )
     caption = f"{axis_title(axis)}: Allan deviation in {pretty(axis.unit)}, {100 * fit.level:.4g} % interval"
-    return table(caption, [row(*(element("th", title, scope="col") for title in titles))], body)
+    return table(
+        caption, [row(*(element("th", title, scope="col") for title in titles))], body, class_="cards"
+    )

@@ -14,7 +14,7 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS
-from imucal.recording import Axis, Sensor, Source
+from imucal.recording import Axis, LogFileInfo, ReadRange, Sensor, Source
 from imucal.report.document import SCHEMA
 from imucal.report.reading import Node
 from imucal.report.result import AxisReport, Overview, Report
@@ -104,6 +104,25 @@ def _source(node: Node) -> Source:
         topics=node["topics"].texts(),
         message_types=node["message_types"].texts(),
         decisions=tuple((d["choice"].text(), d["reason"].text()) for d in node["decisions"]),
+        files=tuple(map(_file, node["files"])) if "files" in node.table() else (),
+        read=node["range"].maybe(_range) if "range" in node.table() else None,
+    )
+
+
+def _file(node: Node) -> LogFileInfo:
+    return LogFileInfo(
+        path=node["path"].text(),
+        size_bytes=node["size_bytes"].count(),
+        blake2b=node["blake2b"].maybe(Node.text),
+    )
+
+
+def _range(node: Node) -> ReadRange:
+    return ReadRange(
+        from_s=node["from_s"].number(),
+        duration_s=node["duration_s"].number(),
+        start_ns=node["start_ns"].maybe(Node.integer),
+        end_ns=node["end_ns"].maybe(Node.integer),
     )
 
 

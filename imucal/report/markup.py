@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 from imucal.printable import printable
 
-_VOID = frozenset({"br", "hr", "input", "link", "meta"})
+_VOID = frozenset({"br", "hr", "img", "input", "link", "meta"})
 
 
 class Markup(str):
@@ -45,8 +45,14 @@ def row(*cells: Markup) -> Markup:
     return element("tr", *cells)
 
 
+def labelled(titles: Iterable[str], cells: Iterable[Child]) -> list[Markup]:
+    """Return cells that carry the titles of their columns, for screens too narrow for a row."""
+    pairs = zip(titles, cells, strict=True)
+    return [element("td", element("span", cell), data_label=title) for title, cell in pairs]
+
+
 def table(caption: Child, head: Iterable[Markup], body: Iterable[Markup], *, class_: str = "") -> Markup:
-    """Return a table with a caption, in a box that scrolls sideways where the screen is narrow."""
+    """Return a table with a caption, in a box that scrolls sideways where it is too wide all the same."""
     inner = element(
         "table",
         element("caption", element("span", caption)),

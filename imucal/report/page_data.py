@@ -6,11 +6,13 @@ import math
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.document import plain
 from imucal.report.figure_allan import shown_points
-from imucal.report.figure_parts import drawn_terms
+from imucal.report.figure_parts import drawn_terms, estimate_text
 from imucal.report.palette import DATA, LEFT_OUT, MODEL, UNUSED
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.report.sheet_units import SheetUnits, sheet_units
@@ -81,6 +83,7 @@ def _axis(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
         "level": f"{100 * axis.fit.level:.4g}",
         "model": str(axis.fit.model),
         "curve": _curve(axis),
+        "minimum": _minimum(axis, units),
         "fine": _fine(axis, units),
         "psd": _psd(axis),
         "raw": _raw(axis),
@@ -100,6 +103,23 @@ def _curve(axis: AxisReport) -> dict[str, object]:
         "edf": _round(curve.edf[shown], 3),
         "used": np.isin(shown, axis.fit.used).astype(int).tolist(),
     }
+
+
+def _minimum(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
+    """Return the curve's lowest point and what its label says."""
+    adev, tau = axis.fit.curve.minimum
+    return {
+        "at": [float(f"{tau:.6g}"), float(f"{adev:.5g}")],
+        "si": f"minimum {numbers.with_interval(numbers.minimum(axis)[0])}",
+        "sheet": f"minimum {numbers.with_interval(units.minimum(axis))}",
+    }
+
+
+def _labels(estimate: Estimate, units: SheetUnits, sensor: Sensor) -> dict[str, str]:
+    """Return what a term's label says, line by line, as in the pictures."""
+    si = f"{estimate.key} {numbers.with_uncertainty(numbers.si(estimate, sensor))}"
+    sheet, *time = estimate_text(estimate, sensor, units).split("\n")
+    return {"si": "<br>".join([si, *time]), "sheet": "<br>".join([sheet, *time])}
 
 
 def _fine(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
@@ -126,6 +146,7 @@ def _fine(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
                 "bounded": estimate.value is None,
                 "si": numbers.with_interval(si),
                 "sheet": numbers.with_interval(sheet),
+                "label": _labels(estimate, units, axis.sensor),
                 "adev": _round(line, 4),
                 "root": _round(np.sqrt(drawn.term.psd(grid, 1 / rate)), 4),
                 "at": [float(f"{at:.4g}"), float(f"{drawn.height:.4g}")],

@@ -7,7 +7,7 @@ from imucal.errors import DataError
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports.config_numbers import Choices, Number, Numbers
-from imucal.report.markup import Markup, both_units, element, join, row, table
+from imucal.report.markup import Markup, both_units, element, join, labelled, row, table
 from imucal.report.result import Report
 from imucal.report.sheet_units import sheet_units
 from imucal.units import pretty
@@ -141,18 +141,16 @@ def downstream_section(report: Report) -> Markup:
         return element("p", f"{report.verdict.sentence}. No filter should be given its numbers.")
     chosen = Numbers(report=report, choices=Choices(), target="the page")
     sensors = [sensor for sensor in Sensor if any(axis.sensor is sensor for axis in report.axes)]
-    head = [
-        element("th", title, scope="col")
-        for title in ("Formula", "Kind", *(str(s).capitalize() for s in sensors), "Asked for by")
-    ]
+    titles = ("Kind", *(str(s).capitalize() for s in sensors), "Asked for by")
+    head = [element("th", title, scope="col") for title in ("Formula", *titles)]
     body = []
     for use in _USES:
-        cells = [element("td", _use_value(chosen, sensor, use)) for sensor in sensors]
-        first = element("th", use.formula, scope="row")
-        body.append(row(first, element("td", use.kind), *cells, element("td", use.consumers)))
-    cells = [element("td", _markov_value(chosen, sensor)) for sensor in sensors]
-    first = element("th", "σ, T", scope="row")
-    body.append(row(first, element("td", _MARKOV[0]), *cells, element("td", _MARKOV[1])))
+        values = [_use_value(chosen, sensor, use) for sensor in sensors]
+        cells = labelled(titles, (use.kind, *values, use.consumers))
+        body.append(row(element("th", use.formula, scope="row"), *cells))
+    values = [_markov_value(chosen, sensor) for sensor in sensors]
+    cells = labelled(titles, (_MARKOV[0], *values, _MARKOV[1]))
+    body.append(row(element("th", "σ, T", scope="row"), *cells))
     rates = ", ".join(f"f = {chosen.rate_hz(s):.6g} Hz ({s})" for s in sensors)
     return join(
         [
@@ -162,7 +160,7 @@ def downstream_section(report: Report) -> Markup:
                 f"the data do not show the term. {rates}. The export command writes these files, with "
                 "the formulas in comments.",
             ),
-            table("Values for filters and simulators", [row(*head)], body, class_="wide"),
+            table("Values for filters and simulators", [row(*head)], body, class_="wide cards"),
             _two_floors(report),
         ]
     )
@@ -211,7 +209,7 @@ def _two_floors(report: Report) -> Markup:
             both_units(*(numbers.with_interval(q, exponent=e) for q, e in zip(pair, powers, strict=True)))
             for pair in pairs
         ]
-        body.append(row(element("th", axis.name, scope="row"), *(element("td", cell) for cell in cells)))
+        body.append(row(element("th", axis.name, scope="row"), *labelled(titles[1:], cells)))
     note = (
         "“Bias instability” has two meanings. B is the coefficient of flicker noise, whose floor lies at "
         "0.664 B. The minimum of the curve holds every term at once; divided by 0.664 it gives an upper "
@@ -222,6 +220,6 @@ def _two_floors(report: Report) -> Markup:
         [
             element("h3", "Bias instability, both ways"),
             element("p", note),
-            table("B and the minimum", [row(*heads)], body, class_="tight"),
+            table("B and the minimum", [row(*heads)], body, class_="tight cards"),
         ]
     )

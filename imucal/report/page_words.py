@@ -6,7 +6,7 @@ import math
 from imucal.fitting.noise_fit import Goodness
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
-from imucal.report.markup import Markup, element, join, row, table
+from imucal.report.markup import Markup, element, join, labelled, row, table
 from imucal.report.result import AxisReport, Report
 from imucal.units import pretty
 
@@ -31,6 +31,12 @@ _CRITERIA = {
 }
 
 
+_FIT_TITLES = (
+    *("Rate", "Gaps", "Model", "Used by the fit"),
+    *("Lines left out", "Output filter", "Misfit", "Also tried"),
+)
+
+
 def glossary_section() -> Markup:
     """Return what the terms are, in both conventions."""
     titles = ("Term", "In the curve", "What it is", "SI", "Data sheets", "Other names")
@@ -41,18 +47,23 @@ def glossary_section() -> Markup:
         body.append(
             row(
                 element("th", element("b", symbol), f" {names}", scope="row"),
-                element("td", term.words.in_the_curve),
-                element("td", term.words.meaning),
-                element("td", " · ".join(pretty(unit) for unit in term.units)),
-                element("td", " · ".join(f"{pretty(u.name)} (×{u.factor:.6g})" for u in sheets)),
-                element("td", term.words.other_names),
+                *labelled(
+                    titles[1:],
+                    (
+                        term.words.in_the_curve,
+                        term.words.meaning,
+                        " · ".join(pretty(unit) for unit in term.units),
+                        " · ".join(f"{pretty(u.name)} (×{u.factor:.6g})" for u in sheets),
+                        term.words.other_names,
+                    ),
+                ),
             )
         )
     return table(
         "The terms, gyroscope · accelerometer",
         [row(*(element("th", t, scope="col") for t in titles))],
         body,
-        class_="wide",
+        class_="wide cards",
     )
 
 
@@ -110,19 +121,9 @@ def _method_paragraphs(axis: AxisReport) -> list[Markup]:
 
 
 def _fit_table(report: Report) -> Markup:
-    titles = (
-        "Axis",
-        "Rate",
-        "Gaps",
-        "Model",
-        "Used by the fit",
-        "Lines left out",
-        "Output filter",
-        "Misfit",
-        "Also tried",
-    )
     body = [_fit_row(axis) for axis in report.axes]
-    return table("The fits", [row(*(element("th", t, scope="col") for t in titles))], body, class_="wide")
+    head = [row(*(element("th", title, scope="col") for title in ("Axis", *_FIT_TITLES)))]
+    return table("The fits", head, body, class_="wide cards")
 
 
 def _misfit(goodness: Goodness) -> str:
@@ -152,4 +153,4 @@ def _fit_row(axis: AxisReport) -> Markup:
         _misfit(goodness),
         ", ".join(others) or "nothing near",
     )
-    return row(element("th", axis.name, scope="row"), *(element("td", cell) for cell in cells))
+    return row(element("th", axis.name, scope="row"), *labelled(_FIT_TITLES, cells))

@@ -96,6 +96,12 @@ class Node:
             self._refuse("a whole number from 0")
         return self.value
 
+    def integer(self) -> int:
+        """Return the value, which must be a whole number."""
+        if isinstance(self.value, bool) or not isinstance(self.value, int):
+            self._refuse("a whole number")
+        return self.value
+
     def pair(self) -> tuple[float, float]:
         """Return a list of two numbers."""
         values = [item.number() for item in self]

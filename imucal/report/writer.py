@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from imucal.errors import WriteError
@@ -99,25 +99,34 @@ def check_folder(out: Path) -> None:
 
 def _renderers(report: Report, formats: Sequence[str], *, html: bool) -> dict[str, Callable[[Report], bytes]]:
     """Return what makes each file of a report, in the order in which they take their places."""
-    from imucal.report.figure import FORMATS
+    from imucal.report.figure import FORMATS, axis_figure, render, sensor_figure
 
     unknown = [form for form in formats if form not in FORMATS]
     if unknown:
         msg = f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}"
         raise ValueError(msg)
+    # One drawing of an axis serves the page and every format.
+    drawn = cache(axis_figure)
+
+    def picture(axis: AxisReport, form: str, told: Report) -> bytes:
+        return render(drawn(told, axis), form, version=told.version)
+
+    def overview(sensor: Sensor, form: str, told: Report) -> bytes:
+        return render(sensor_figure(told, sensor), form, version=told.version)
+
     made: dict[str, Callable[[Report], bytes]] = {_REPORT: lambda told: dumps(to_document(told)).encode()}
     if html:
         from imucal.report.html_page import render_page
 
-        made["report.html"] = lambda told: render_page(told).encode()
+        made["report.html"] = lambda told: render_page(told, picture=partial(drawn, told)).encode()
     for axis in report.axes:
         made[f"{axis.name}.json"] = partial(_axis_json, axis)
         for form in formats:
-            made[f"{axis.name}.{form}"] = partial(_picture, axis, form)
+            made[f"{axis.name}.{form}"] = partial(picture, axis, form)
     for sensor in Sensor:
         if any(axis.sensor is sensor for axis in report.axes):
             for form in formats:
-                made[f"{sensor.short}.{form}"] = partial(_picture, sensor, form)
+                made[f"{sensor.short}.{form}"] = partial(overview, sensor, form)
     return made
 
 
@@ -148,13 +157,6 @@ def _write_all(
 
 def _axis_json(axis: AxisReport, report: Report) -> bytes:
     return dumps(axis_document(report, axis)).encode()
-
-
-def _picture(subject: AxisReport | Sensor, form: str, report: Report) -> bytes:
-    from imucal.report.figure import axis_figure, render, sensor_figure
-
-    draw = sensor_figure(report, subject) if isinstance(subject, Sensor) else axis_figure(report, subject)
-    return render(draw, form, version=report.version)
 
 
 @contextmanager

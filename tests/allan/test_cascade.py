@@ -135,3 +135,16 @@ def test_a_level_keeps_what_its_longest_difference_needs() -> None:
     assert level.terms.tolist() == [34, 30]
     # The second difference of t² at m is 2 m².
     npt.assert_allclose(level.sums(0), [34 * 18.0**2, 30 * 50.0**2])
+
+
+def test_two_samples_have_a_variance() -> None:
+    """Half the square of their difference; a gap between them leaves none."""
+    cascade = _fed(np.array([[1.0, 4.0]]), 2)
+    curve = cascade.curve(0, rate_hz=10.0)
+    assert (curve.m.tolist(), curve.avar.tolist(), curve.n) == ([1], [4.5], 2)
+    apart = Cascade(axes=1)
+    apart.feed(np.array([[1.0]]))
+    apart.gap()
+    apart.feed(np.array([[4.0]]))
+    with pytest.raises(DataError, match="2 samples are too few"):
+        apart.curve(0, rate_hz=10.0)

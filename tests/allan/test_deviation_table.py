@@ -188,3 +188,11 @@ def test_published_curves_of_real_sensors_are_met_at_one_second(device: str) -> 
     assert at_one == pytest.approx(np.exp(np.interp(0, np.log(tau), np.log(adev))), rel=0.04)
     assert fit["N"].value is not None
     assert fit["N"].value < at_one
+
+
+def test_without_a_heading_of_times_the_first_column_is_taken(tmp_path: Path) -> None:
+    """Wherever it stands, one that is called so is taken instead."""
+    for text in ("window,gyro_x\n1,4\n2,3\n", "gyro_x,tau\n4,1\n3,2\n"):
+        (curve,) = read_curve(_write(tmp_path, text))
+        assert curve.name == "gyro_x"
+        assert (curve.curve.tau.tolist(), curve.curve.avar.tolist()) == ([1, 2], [16, 9])

@@ -2,7 +2,7 @@
 
 With `IMUCAL_LINES` naming a folder, each process writes there what its tests ran and how long they
 took. Without it, the plugin only sees to it that Hypothesis draws the same examples each time, and that
-a broken line can not take all memory.
+a broken line can not take all memory, nor more than `IMUCAL_SECONDS` of the processor.
 """
 
 import json
@@ -38,6 +38,8 @@ def pytest_configure() -> None:
     phases = (Phase.explicit, Phase.generate)
     settings.register_profile("mutants", derandomize=True, database=None, deadline=None, phases=phases)
     settings.load_profile("mutants")
+    if seconds := os.environ.get("IMUCAL_SECONDS"):
+        resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), resource.getrlimit(resource.RLIMIT_CPU)[1]))
     if _RECORDER:
         _RECORDER.start()
 

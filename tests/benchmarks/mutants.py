@@ -1,9 +1,10 @@
 """Do the tests notice a broken line? Breaks lines at random in a copy of the tree and runs the tests.
 
 First the whole suite runs once, in the copy, and `coverage` notes which test runs which line. Then each
-mutant meets the tests that run its line, the quickest first and one of each function before the second
-of any, until one fails. A mutant that hangs or can not be imported is caught. What is left alone is
-said in `mutation_points`. The record of the suite is kept, and found again while no file has changed.
+mutant meets all tests that may notice it, in the order of `mutant_tests`, until one fails: a survivor has
+met every one. A mutant that hangs or can not be imported is caught; time is that of the processor, so
+that a busy machine does not look like a hang. What is left alone is said in `mutation_points`. The record
+of the suite is kept, and found again while no file has changed.
 
 Run as ``python -m tests.benchmarks.mutants [--n 100] [--seed 1] [--rooms allan fitting] [--timeout 60]``.
 """
@@ -13,6 +14,7 @@ import contextlib
 import difflib
 import hashlib
 import json
+import math
 import os
 import random
 import re
@@ -22,15 +24,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
 
 from coverage import CoverageData
 
+from tests.benchmarks.mutant_tests import Suite
 from tests.benchmarks.mutation_points import Mutation, changes_nothing, mutated, mutations
 
 ROOT = Path(__file__).parents[2]
@@ -38,8 +39,10 @@ ROOMS = ("readers", "allan", "fitting", "checking", "report")
 #: What the tests need; everything else stays behind.
 _COPIED = ("imucal", "tests", "sample_logs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 _COPIED_TOO = ("pyproject.toml", "mkdocs.yml", "LICENSE")
-#: Recorded seconds of tests a mutant meets in its first and in its second round.
+#: Recorded seconds of tests a mutant meets in its first rounds; the last is of all that are left.
 _ROUNDS = (8.0, 60.0)
+#: A process that waits for others does not take time of the processor: this many times as much is too long.
+_PATIENCE = 6
 _OPTIONS = ("-q", "-p", "tests.benchmarks.mutant_plugin", "-p", "no:cacheprovider", "--tb=no", "--no-header")
 #: Without the options of the project: one process, and the first failure is enough.
 _ALONE = ("-o", "addopts=--import-mode=importlib", "-p", "no:xdist", "-x")
@@ -49,43 +52,6 @@ _SURVIVED = frozenset({0, 5})
 
 #: What pytest printed for the last mutant of a tree.
 _SAID = "said.txt"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Suite:
-    """What the suite does when nothing is broken.
-
-    Attributes
-    ----------
-    lines
-        File -> line -> tests that run it.
-    seconds
-        Test -> how long it took, while it was recorded.
-    """
-
-    lines: dict[str, dict[str, list[str]]]
-    seconds: dict[str, float]
-
-    def tests_of(self, path: str, mutation: Mutation) -> tuple[list[str], bool]:
-        """Return the tests that run a mutant's line, and whether any does.
-
-        A line that runs at import belongs to no test: then they are all tests that use the module.
-        """
-        lines = self.lines.get(path, {})
-        inside = (str(line) for line in range(mutation.first, mutation.line + 1))
-        here = {test for line in inside for test in lines.get(line, ())}
-        tests = here or {test for found in lines.values() for test in found}
-        return self._ordered(tests), bool(here)
-
-    def _ordered(self, tests: Iterable[str]) -> list[str]:
-        """Return the quickest first, and one of each function before the second of any."""
-        met: Counter[str] = Counter()
-        places = []
-        for test in sorted(tests, key=lambda test: (self.seconds[test], test)):
-            function = test.partition("[")[0]
-            places.append((met[function], test))
-            met[function] += 1
-        return [test for _, test in sorted(places, key=lambda place: place[0])]
 
 
 def main() -> None:
@@ -101,7 +67,7 @@ def main() -> None:
         def fate(job: tuple[str, Mutation]) -> tuple[bool, str]:
             copy = copies.get()
             try:
-                return _fate(copy, suite, *job, timeout=options.timeout)
+                return _fate(copy, suite, *job, timeout=options.timeout, most=options.most)
             finally:
                 copies.put(copy)
 
@@ -126,7 +92,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "--tests", nargs="+", default=["tests"], help="those that may notice, for a quick look"
     )
-    parser.add_argument("--timeout", type=float, default=60.0, help="seconds beyond what the tests take")
+    parser.add_argument("--timeout", type=float, default=60.0, help="seconds beyond what tests take")
+    parser.add_argument("--most", type=float, default=math.inf, help="seconds of tests that a mutant meets")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     return parser.parse_args()
 
@@ -175,7 +142,7 @@ def _recorded(folder: Path, chosen: list[str]) -> Suite:
         suite = _record(folder, chosen)
         kept.write_text(json.dumps({"lines": suite.lines, "seconds": suite.seconds}), encoding="utf-8")
     found = json.loads(kept.read_text(encoding="utf-8"))
-    return Suite(lines=found["lines"], seconds=found["seconds"])
+    return Suite(root=ROOT, lines=found["lines"], seconds=found["seconds"])
 
 
 def _record(folder: Path, chosen: list[str]) -> Suite:
@@ -200,10 +167,10 @@ def _record(folder: Path, chosen: list[str]) -> Suite:
             here = tests.setdefault(Path(measured).relative_to(tree).as_posix(), {})
             for line, names in data.contexts_by_lineno(measured).items():
                 here.setdefault(str(line), []).extend(name for name in names if name and name not in failed)
-    return Suite(lines=tests, seconds=seconds)
+    return Suite(root=ROOT, lines=tests, seconds=seconds)
 
 
-def _environment(tree: Path) -> dict[str, str]:
+def _environment(tree: Path, seconds: float = math.inf) -> dict[str, str]:
     data = os.environ.get("IMUCAL_REAL_DATA", str(ROOT.parent / "shared" / "data"))
     return {
         **os.environ,
@@ -211,17 +178,20 @@ def _environment(tree: Path) -> dict[str, str]:
         # Two versions of a file of one size and one second would share their compiled file.
         "PYTHONDONTWRITEBYTECODE": "1",
         "IMUCAL_REAL_DATA": data,
+        **({"IMUCAL_SECONDS": str(math.ceil(seconds))} if math.isfinite(seconds) else {}),
     }
 
 
-def _fate(tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: float) -> tuple[bool, str]:
-    """Break a line, run its tests in two rounds, mend it; return whether one failed, and what to print."""
+def _fate(
+    tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: float, most: float
+) -> tuple[bool, str]:
+    """Break a line, run its tests in rounds, mend it; return whether one failed, and what to print."""
     tests, met = suite.tests_of(path, mutation)
     began = time.monotonic()
     how = "no test runs the line" if not met else "all passed"
     with _broken(tree, path, mutation):
         noticed = False
-        for part in _rounds(tests, suite.seconds):
+        for part in _rounds(tests, suite.seconds, most):
             ended = _run(tree, part, timeout=timeout + 3 * sum(suite.seconds[test] for test in part))
             noticed = ended not in _SURVIVED
             if noticed:
@@ -232,13 +202,13 @@ def _fate(tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: f
     return noticed, f"{path}:{mutation.line} {change} {time.monotonic() - began:.0f} s {how}".rstrip()
 
 
-def _rounds(tests: list[str], seconds: dict[str, float]) -> Iterator[list[str]]:
-    """Split tests into those that take the first seconds and those that follow."""
+def _rounds(tests: list[str], seconds: dict[str, float], most: float) -> Iterator[list[str]]:
+    """Split tests into rounds: a few seconds for what is near, and longer for what is not."""
     rest = list(tests)
-    for limit in _ROUNDS:
+    for limit in (*_ROUNDS, most):
         part: list[str] = []
         spent = 0.0
-        while rest and (spent < limit or not part):
+        while rest and spent < limit:
             spent += seconds[rest[0]]
             part.append(rest.pop(0))
         if part:
@@ -268,15 +238,17 @@ def _run(tree: Path, tests: list[str], *, timeout: float) -> int | None:
         process = subprocess.Popen(  # noqa: S603 - our own tests
             command,
             cwd=tree,
-            env=_environment(tree),
+            env=_environment(tree, timeout),
             stdout=said,
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
     try:
-        return process.wait(timeout)
+        ended = process.wait(_PATIENCE * timeout)
     except subprocess.TimeoutExpired:
         return None
+    else:
+        return None if ended == -signal.SIGXCPU else ended
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

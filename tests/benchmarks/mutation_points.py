@@ -10,6 +10,7 @@ Left alone, because no test could or should notice:
   `_LAYOUT`, for pictures are looked at, not pinned;
 - on which side of a limit such as 0.3 the limit itself falls: binary floats do not hold such a number,
   so that chance alone reaches it. Whole numbers, halves and quarters are broken: counts do reach them;
+- the -1 of a `reshape`: any negative number stands for the side that is left;
 - guards against a division by zero: numbers below 1e-100 or above 1e100;
 - what compiles to the same bytecode.
 """
@@ -77,6 +78,8 @@ _PATH = {
     "missing._SEED": "one seed is as good as another",
     "intervals._ROUNDS": "most rounds of a search for a limit that ends when it is close enough",
     "intervals._CLOSE": "how close is close enough for that search",
+    "intervals._STRIDE": "how fast a search for a limit goes on before it has passed it",
+    "filter_response._CORNERS": "corners of which the best starts a search",
     "av_search._PER_DECADE": "how fine a grid is from which a search is refined",
     "av_search._STARTS": "places of that grid that are refined",
     "av_select._STEPS": "most rounds of a weight that settles after three",
@@ -90,7 +93,6 @@ _PATH = {
     "sqlite_pages._GROUP": "pages of one task",
     "mcap_scan._PART": "bytes of messages loaded at once",
     "mcap_scan._WINDOW": "bytes read at once",
-    "ros1_file._WINDOW": "bytes read at once",
     "column_store._FLUSH": "bytes written before pages are given back",
     "column_store._FIRST": "first size of a column that grows",
     "loader._MAX_THREADS": "threads: the messages come out in the same order",
@@ -249,6 +251,8 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
         case ast.Dict():
             keys = [getattr(key, "value", None) for key in node.keys]
             yield from (value for key, value in zip(keys, node.values, strict=True) if key not in _UNSEEN)
+        case ast.Call(func=ast.Attribute(attr="reshape")):
+            yield from (part for part in (node.func, *node.args) if ast.unparse(part) != "-1")
         case ast.arguments():
             names = [argument.arg for argument in (*node.posonlyargs, *node.args, *node.kwonlyargs)]
             values = [*node.defaults, *node.kw_defaults]

@@ -17,7 +17,7 @@ def test_both_sensors_stand_side_by_side() -> None:
         "Look first: a tone on gyro_x; 3 of 4 axes are stationary noise, N to ±0.39 %",
         "",
         "GYROSCOPE                                ACCELEROMETER",
-        "200 Hz, 2160000 samples, 3.03 h          200 Hz, 2160000 samples, 3.00 h",
+        "200 Hz, 2160000 samples, 3 h 2 min       200 Hz, 2160000 samples, 3 h",
         "",
         "                                         Q  quantization noise  1e-6 m/s",
         "                                         x  2.00  [1.92, 2.08]",
@@ -26,17 +26,17 @@ def test_both_sensors_stand_side_by_side() -> None:
         "x  0.4125  [0.4109, 0.4141]              x  0.06600  [0.06574, 0.06626]",
         "y  0.4469  [0.4452, 0.4487]              y  0.07800  [0.07770, 0.07831]",
         "",
-        "B  bias instability  deg/h               B  bias instability  mg",
-        "x  4.95  [4.76, 5.14]                    x  0.0296  [0.0285, 0.0307]",
-        "y  4.33  [4.17, 4.50]                    y  0.0255  [0.0245, 0.0265]",
+        "B  bias instability  deg/h               B  bias instability  µg",
+        "x  4.95  [4.76, 5.14]                    x  29.6  [28.5, 30.7]",
+        "y  4.33  [4.17, 4.50]                    y  25.5  [24.5, 26.5]",
         "",
         "K  rate random walk  deg/h/√h            K  accel. random walk  1e-3 m/s²/√h",
         "x  13.6   [11.8, 15.7]                   x  0.54    [0.47, 0.62]",
         "y  < 5.1                                 y  < 0.30",
         "",
-        "minimum of the curve  deg/h              minimum of the curve  mg",
-        "x  3.6  [2.8, 5.0]  at 328 s             x  0.019  [0.010, 0.110]  at 2620 s",
-        "y  1.8  [1.1, 4.4]  at 1310 s            y  0.017  [0.009, 0.100]  at 2620 s",
+        "minimum of the curve  deg/h              minimum of the curve  µg",
+        "x  3.6  [2.8, 5.0]  at 328 s             x  19  [10, 110]  at 2620 s",
+        "y  1.8  [1.1, 4.4]  at 1310 s            y  17  [9, 100]  at 2620 s",
         "",
         "[low, high]: 95 % interval; < high: not shown by the data, upper bound",
     ]
@@ -76,11 +76,11 @@ def test_gauss_markov_terms_have_their_correlation_time() -> None:
 
 
 def test_a_heading_keeps_numbers_with_their_units() -> None:
-    """A short log's hours are not torn from their h."""
+    """A long rate is not torn from its Hz, and minutes not from min."""
     report = consumer_report()
-    axes = [replace(axis, rate_hz=508.281, samples=14992, duration_s=29.3) for axis in report.axes]
+    axes = [replace(axis, rate_hz=508.281, samples=14_992_000, duration_s=29_500.0) for axis in report.axes]
     lines = summary_table(replace(report, axes=tuple(axes)), datasheet=True).splitlines()
-    assert [line[:39].rstrip() for line in lines[4:6]] == ["508.281 Hz, 14992 samples, 29.3 s", "(0.00814 h)"]
+    assert [line[:39].rstrip() for line in lines[4:6]] == ["508.281 Hz, 14992000 samples,", "8 h 12 min"]
 
 
 def test_axes_with_different_clocks_are_told_apart() -> None:
@@ -91,6 +91,6 @@ def test_axes_with_different_clocks_are_told_apart() -> None:
     lines = summary_table(report, datasheet=True).splitlines()
     assert lines[2:5] == [
         "GYROSCOPE",
-        "x: 200 Hz, 2160000 samples, 3.03 h",
-        "y: 100 Hz, 2160000 samples, 3.03 h",
+        "x: 200 Hz, 2160000 samples, 3 h 2 min",
+        "y: 100 Hz, 2160000 samples, 3 h 2 min",
     ]

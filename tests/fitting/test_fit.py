@@ -121,3 +121,10 @@ def test_every_method_is_where_the_table_says(method: str) -> None:
     folder, function = METHODS[method]
     offered = importlib.import_module(folder)
     assert function in offered.__all__, f"{method}: {folder}/__init__.py has to offer {function}"
+
+
+def test_what_is_not_asked_for_is_decided_so() -> None:
+    """The defaults of the facade and of the command line."""
+    asked = FitSettings()
+    assert (asked.model, asked.method, asked.level, asked.criterion) == ("auto", "mle", 0.95, "bic")
+    assert (asked.weights, asked.max_gm, asked.clean, asked.verify) == ("full", 2, True, False)

@@ -215,6 +215,15 @@ def test_a_grid_has_values_that_stand_four_times_on_average(copies: int, *, foun
     assert step_size(np.repeat(np.arange(2.0), copies)) is None
 
 
+def test_fewer_than_twenty_samples_are_left_as_they_are() -> None:
+    """They have no baseline and no deviation of their own."""
+    samples = np.array([0.0, 1.0, 50.0] * 6)
+    spike, baseline, deviation = find_spikes(samples)
+    assert not spike.any()
+    assert baseline is samples
+    assert deviation == 0.0
+
+
 @pytest.mark.parametrize("draw", ["standard_t", "laplace"])
 @pytest.mark.parametrize("n", [20_000, 200_000])
 def test_the_tail_of_the_noise_itself_is_no_spike(draw: str, n: int) -> None:

@@ -437,6 +437,10 @@ def test_gazebo_takes_a_gauss_markov_term_where_no_walk_was_found(tmp_path: Path
     assert recovered["gyro_x", "T"] == time
     assert recovered["gyro_x", "K"] * math.sqrt(time / 2) == pytest.approx(sigma)
     assert recovered["gyro_y", "T"] == 3600
+    (path,) = export(report, "gazebo", tmp_path, inflate={"flicker": 3.0, "white": 2.0})
+    recovered = READERS["gazebo"](path)
+    assert recovered["gyro_x", "K"] * math.sqrt(time / 2) == pytest.approx(3 * sigma)
+
     assert "K of gyro_z, 95% 2.593e-07 to 3.47e-07; T is nominal; a Gauss-Markov term (T 1500 s) is left" in (
         render(consumer_report(), "gazebo")
     )

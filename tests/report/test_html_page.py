@@ -1,11 +1,11 @@
 """The page: sound HTML that reads well without scripts, and alive in a real browser."""
 
 import base64
+import itertools
 import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +15,15 @@ from lxml import html
 from imucal.allan.dct import Spectrum
 from imucal.clock import Gap
 from imucal.fitting.noise_fit import Candidate, Line
+from imucal.report.figure_parts import estimate_text
 from imucal.report.html_page import _axis_section, render_page
 from imucal.report.markup import Markup, element
+from imucal.report.numbers import with_interval
 from imucal.report.page_data import page_data, standing_out
 from imucal.report.page_summary import summary_section
 from imucal.report.page_words import method_section
 from imucal.report.result import AxisReport, Overview, Report
+from imucal.report.sheet_units import sheet_units
 from tests.report.browser import Browser
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 
@@ -42,10 +45,10 @@ def test_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
 
 
 def test_page_size_is_that_of_the_script() -> None:
-    """Two megabytes are plotly, deflated; the data of six axes take less than a tenth of that."""
+    """Two megabytes are plotly, deflated; data and pictures of six axes take less than a third of that."""
     report = consumer_report()
     assert len(page_data(report)) < 200_000
-    assert len(render_page(report)) < 2_500_000
+    assert len(render_page(report)) < 2_800_000
 
 
 def test_structure_is_sane_for_screen_readers(page: html.HtmlElement) -> None:
@@ -54,7 +57,7 @@ def test_structure_is_sane_for_screen_readers(page: html.HtmlElement) -> None:
     levels = [int(node.tag[1]) for node in page.xpath("//h1|//h2|//h3|//h4")]
     assert levels[0] == 1
     assert levels.count(1) == 1
-    assert all(after <= before + 1 for before, after in pairwise(levels))
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
     ids = page.xpath("//@id")
     assert len(set(ids)) == len(ids)
     for attribute in ("aria-labelledby", "aria-describedby"):
@@ -133,7 +136,7 @@ def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:
 def test_worst_of_bounds_is_marked() -> None:
     """Where the worst number is only a bound, it says so."""
     page = html.document_fromstring(render_page(small_report()))
-    cells = page.get_element_by_id("downstream").xpath(".//table[1]/tbody/tr[th='K']/td/text()")
+    cells = page.get_element_by_id("downstream").xpath(".//table[1]/tbody/tr[th='K']/td/span/text()")
     assert cells[1] == "≤ 0.0002 "
 
 
@@ -143,7 +146,7 @@ def test_names_of_the_log_can_do_no_harm() -> None:
     evil = "</script><img src=x onerror=alert(1)>&$title.csv"
     report = replace(report, source=replace(report.source, path=evil))
     page = html.document_fromstring(render_page(report))
-    assert not page.xpath("//img")
+    assert {image.get("src")[:16] for image in page.xpath("//img")} == {"data:image/webp;"}
     assert page.xpath("//h1")[0].text_content() == evil.rsplit("/", 1)[-1]
     assert element("b", "<i>", Markup("<u>"), title='"x"') == '<b title="&quot;x&quot;">&lt;i&gt;<u></b>'
 
@@ -227,7 +230,7 @@ def test_six_lines_are_named_and_the_rest_is_counted(count: int, named: str, cou
         candidates=tuple(Candidate(structure=f"M{k}", delta=float(k)) for k in range(6)),
     )
     page = _page(replace(axis, fit=fit, gaps=axis.gaps * 2))
-    cells = page.xpath("//table[caption='The fits']/tbody/tr/td/text()")
+    cells = page.xpath("//table[caption='The fits']/tbody/tr/td/span/text()")
     assert cells[1] == "2, 240 s"
     assert cells[3] == "all"
     assert cells[4].startswith(named)
@@ -389,6 +392,47 @@ def test_hover_says_tau_deviation_interval_and_model(browser: Browser, address: 
     assert re.search(r"model: [\d.]+", text)
 
 
+def test_a_plot_takes_two_stops_of_the_tab_key(browser: Browser, address: str) -> None:
+    """The plot and its buttons; the arrow keys move among these."""
+    _load(browser, address)
+    stops = """
+        return [...document.querySelectorAll('#gyro_x-allan, #gyro_x-allan *')].filter((e) => e.tabIndex >= 0)
+            .map((e) => e.className)
+    """
+    _show(browser, "gyro_x-allan")
+    browser.wait("return document.querySelectorAll('#gyro_x-allan .annotation-text').length > 0")
+    assert browser.run(stops) == ["plot allan js-plotly-plot", "modebar-btn"]
+    browser.run("document.querySelector('#gyro_x-allan .modebar-btn').focus()")
+    first = browser.run("return document.activeElement.getAttribute('aria-label')")
+    browser.press("right")
+    assert browser.run("return document.activeElement.getAttribute('aria-label')") != first
+    assert len(browser.run(stops)) == 2
+
+
+def test_plots_have_the_labels_and_marks_of_the_pictures(browser: Browser, address: str) -> None:
+    """Each term's value with its uncertainty, the minimum with a ring; none covers another."""
+    _load(browser, address)
+    axis = consumer_report().axes[0]
+    units = sheet_units(consumer_report(), axis.sensor)
+    expected = {estimate_text(estimate, axis.sensor, units) for estimate in axis.fit.estimates}
+    expected.add(f"minimum {with_interval(units.minimum(axis))}")
+    _show(browser, "gyro_x-allan")
+    script = """
+        return [...document.querySelectorAll('#gyro_x-allan .annotation')].map((a) => {
+            const box = a.querySelector('.annotation-text-g rect').getBoundingClientRect();
+            const text = a.querySelector('.annotation-text').textContent;
+            return [text, box.left, box.top, box.right, box.bottom];
+        })
+    """
+    browser.wait("return document.querySelectorAll('#gyro_x-allan .annotation').length > 0")
+    found = browser.run(script)
+    assert {text for text, *_ in found} == expected
+    for (_, l1, t1, r1, b1), (_, l2, t2, r2, b2) in itertools.combinations(found, 2):
+        assert r1 <= l2 + 1 or r2 <= l1 + 1 or b1 <= t2 + 1 or b2 <= t1 + 1
+    rings = "document.getElementById('gyro_x-allan').data.filter((t) => t.marker?.symbol === 'circle-open')"
+    assert browser.run(f"return {rings}.length") == 1
+
+
 def test_arrow_keys_step_through_the_points(browser: Browser, address: str) -> None:
     """And what is shown is announced to a screen reader."""
     _load(browser, address)
@@ -435,7 +479,7 @@ def test_dark_and_light_follow_the_system_and_the_switch(browser: Browser, addre
 
 
 def test_narrow_screens_scroll_only_downwards(browser: Browser, address: str) -> None:
-    """On a telephone tables scroll by themselves, the page does not sideways."""
+    """On a telephone no column is out of sight: rows become cards, each figure under its title."""
     _load(browser, address)
     browser.devtools(
         "Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=1, mobile=False
@@ -443,7 +487,29 @@ def test_narrow_screens_scroll_only_downwards(browser: Browser, address: str) ->
     _show(browser, "accel_z-raw")
     assert browser.run("return innerWidth") == 390
     assert browser.run("return document.documentElement.scrollWidth <= innerWidth")
+    wide = "[...document.querySelectorAll('.scroll')].filter((s) => s.scrollWidth > s.clientWidth + 1).length"
+    browser.run("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    assert browser.run(f"return {wide}") == 0
+    cell = "document.querySelector('.cards td')"
+    assert browser.run(f"return getComputedStyle({cell}, '::before').content") == '"Kind"'
     browser.devtools("Emulation.clearDeviceMetricsOverride")
+
+
+def test_pictures_stand_in_where_scripts_are_off(browser: Browser, address: str) -> None:
+    """One an axis, with a text for who can't see it; no empty plot, no switch that does nothing."""
+    browser.devtools("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        browser.open(address)
+        tree = browser.devtools("Accessibility.getFullAXTree")["nodes"]
+    finally:
+        browser.devtools("Emulation.setScriptExecutionDisabled", value=False)
+    images = [node["name"]["value"] for node in tree if node["role"]["value"] == "image"]
+    assert images == [
+        f"Allan deviation and power spectral density of {sensor} {axis}"
+        for sensor in ("gyroscope", "accelerometer")
+        for axis in "xyz"
+    ]
+    assert "radio" not in {n["role"]["value"] for n in tree if not n.get("ignored")}
 
 
 def test_print_shows_every_plot_on_paper(browser: Browser, address: str) -> None:

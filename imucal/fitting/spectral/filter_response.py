@@ -15,6 +15,8 @@ from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 _NUMBER = ("no", "one", "two", "three", "four", "five")
 #: Largest difference of |H|² from a Butterworth filter's that is called one.
 _ALIKE = 0.02
+#: Lowest and highest of the corners that a response may start at, as fractions of the band, and their number.
+_CORNERS = (0.03, 0.97, 24)
 
 #: Poles and zeros of a response.
 Order: TypeAlias = tuple[int, int]
@@ -153,7 +155,7 @@ def _flattest(seen: Ordinates, high: BoolArray, numerator: FloatArray, order: Or
     """Return the best of a row of Butterworth responses, as coefficients of numerator / S."""
     poles, zeros = order
     x, best, solution = seen.lam / seen.top, np.inf, np.zeros(poles + 1)
-    for corner in np.geomspace(0.03, 0.97, 24):
+    for corner in np.geomspace(*_CORNERS):
         # |H|² = (1 - lam/4)^z / ((1 - lam/4)^z + c lam^j), one half at the corner.
         at = float(np.sin(np.pi / 2 * corner)) ** 2
         binomial = np.array([comb(zeros, i) * (-seen.top / 4) ** i for i in range(zeros + 1)])

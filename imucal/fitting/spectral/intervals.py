@@ -19,6 +19,8 @@ RAMP = -1
 #: A limit is found to this part of a standard error.
 _CLOSE = 0.01
 _ROUNDS = 40
+#: A step that ends inside the limit is followed by one that is longer by this factor.
+_STRIDE = 1.7
 
 
 def quantile(level: float) -> float:
@@ -142,7 +144,7 @@ class _ProfileSearch:
             z_inside[out] *= np.where(bracketed[out], 0.5, 1.0)
             inside[ins], z_inside[ins] = u[within], found[within]
             outside[out], z_outside[out] = u[~within], found[~within]
-            step[ins] *= 1.7
+            step[ins] *= _STRIDE
             near = np.abs(found) < _CLOSE * z
             narrow = np.abs(outside[rows] - inside[rows]) < 1e-4 * np.abs(inside[rows])
             limit[rows] = np.where(unlimited, toward[rows] * np.inf, self.from_u(rows, u))

@@ -68,14 +68,12 @@ class ChunkTask:
         def check() -> Batch:
             return _checked(raw, starts, key)
 
-        first = int(starts[0])
-        if not 0 <= first <= len(raw) - _MESSAGE:
-            return check()
-        opcode, length, _ = _RECORD.unpack_from(raw, first)
-        if opcode != records.MESSAGE or length < _MESSAGE - 9:
+        try:
+            # What else the first record may be is no matter: the guards compare it with a message.
+            length: int = _RECORD.unpack_from(raw, int(starts[0]))[1]
+        except struct.error:
             return check()
         head = _RECORD.pack(records.MESSAGE, length, key)
-        first_word, last_word = (int.from_bytes(part, "little") for part in (head[:8], head[3:]))
         return Batch(
             buffer=raw,
             starts=starts,
@@ -83,7 +81,7 @@ class ChunkTask:
             sizes=length - (_MESSAGE - 9),
             log_ns=starts[:0],
             log_at=15,
-            guards=((0, "<u8", first_word), (3, "<u8", last_word)),
+            guards=tuple((at, "<u8", *struct.unpack_from("<Q", head, at)) for at in (0, 3)),
             check=check,
         )
 
@@ -158,7 +156,7 @@ def index_count(file: LogFile, key: int, position: int) -> int:
     """
     head = file.read(position, _INDEX_HEAD)
     opcode, length, channel = _RECORD.unpack_from(head, 0)
-    size = int.from_bytes(head[11:15], "little")
+    size = int.from_bytes(head[11:], "little")
     whole = position + 9 + length <= file.size
     if opcode != records.MESSAGE_INDEX or channel != key or size + 6 != length or size % 16 or not whole:
         msg = "a message index is damaged"
@@ -185,7 +183,7 @@ def walk_records(raw: Bytes) -> dict[int, list[int]]:
     """Return channel -> positions of its Message records, up to the first that is not whole."""
     positions: dict[int, list[int]] = {}
     at, end, head = 0, len(raw), _RECORD.unpack_from
-    while at + 11 <= end:
+    while at + _MESSAGE <= end:
         opcode, length, channel = head(raw, at)
         after = at + 9 + length
         if after > end or not opcode:

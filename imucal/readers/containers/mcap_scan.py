@@ -17,6 +17,8 @@ _PART = 1 << 22
 #: Schemas and channels are read whole; a longer one is damage.
 _MAX_DEFINITION = 1 << 24
 _WINDOW = 1 << 20
+#: Bytes in which the head of a chunk is looked for: names of compressions are short.
+_HEAD_BLOCK = 128
 
 
 @dataclass(slots=True)
@@ -90,21 +92,25 @@ class _Scan:
     def __init__(self, file: LogFile) -> None:
         self.book = Bookkeeping()
         self._file = file
-        self._start, self._data = 0, bytearray()
+        self._start, self._data = 0, file.read(0, min(_WINDOW, file.size))
 
     def _take(self, at: int, size: int) -> memoryview:
-        """Return `size` bytes from `at` on; fewer at the end of the file."""
-        size = min(size, self._file.size - at)
-        if not (self._start <= at and at + size <= self._start + len(self._data)):
+        """Return `size` bytes from `at` on, never before the last place; fewer at the end of the file."""
+        if at + size > self._start + len(self._data):
             self._start = at
             self._data = self._file.read(at, min(max(size, _WINDOW), self._file.size - at))
         return memoryview(self._data)[at - self._start : at - self._start + size]
+
+    def _head(self, at: int) -> tuple[int, int]:
+        """Return opcode and length of the record at `at`."""
+        opcode, length = HEAD.unpack_from(self._take(at, HEAD.size))
+        return opcode, length
 
     def visit_records(self) -> int:
         """Visit the records of the file; return where the last whole one ends."""
         file, at = self._file, len(MAGIC)
         while at + 9 <= file.size:
-            opcode, length = HEAD.unpack_from(self._take(at, 9), 0)
+            opcode, length = self._head(at)
             after = at + 9 + length
             if not opcode or opcode == records.FOOTER:
                 return file.size if opcode else at
@@ -125,7 +131,7 @@ class _Scan:
     def _define_from_summary(self, at: int) -> None:
         """Take definitions that the summary repeats, though its checksum is wrong."""
         while at + 9 <= self._file.size:
-            opcode, length = HEAD.unpack_from(self._take(at, 9), 0)
+            opcode, length = self._head(at)
             if at + 9 + length > self._file.size or opcode not in {records.SCHEMA, records.CHANNEL}:
                 return
             try:
@@ -139,7 +145,7 @@ class _Scan:
         if opcode in {records.SCHEMA, records.CHANNEL} and length <= _MAX_DEFINITION:
             self.book.define(opcode, self._take(at + 9, length))
         elif opcode == records.CHUNK:
-            head = records.chunk_head(self._take(at, min(9 + length, 128)))
+            head = records.chunk_head(self._take(at, min(HEAD.size + length, _HEAD_BLOCK)))
             chunks.append(ChunkIndex(start=at, length=9 + length, compression=head.compression))
         elif opcode == records.MESSAGE_INDEX and chunks:
             chunk = chunks[-1]

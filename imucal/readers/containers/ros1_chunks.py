@@ -67,7 +67,8 @@ class BagChunkTask:
         """Return connection -> entries of its index record."""
         found: dict[int, memoryview] = {}
         try:
-            while at + 8 <= len(region):
+            # The end of the region is no record: it ends the loop as damage does.
+            while True:
                 entry = record(region, at)
                 if entry.opcode != records.INDEX:
                     break
@@ -107,7 +108,7 @@ def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
 def walk(raw: memoryview) -> Iterator[tuple[int, Record]]:
     """Yield opcode and record of each whole record in a chunk."""
     at = 0
-    while at + 8 <= len(raw):
+    while True:
         try:
             entry = record(raw, at)
             opcode = entry.opcode

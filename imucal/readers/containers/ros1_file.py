@@ -3,6 +3,7 @@
 import contextlib
 import struct
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
@@ -19,7 +20,8 @@ from imucal.readers.read_options import Progress
 #: The index section has a few bytes for each chunk and connection; a larger one is damage.
 _MAX_INDEX = 1 << 31
 _PAIR = struct.Struct("<II")
-_WINDOW = 1 << 12
+#: Bytes in which the head of the bag, and that of a chunk, is looked for.
+_HEAD_BLOCK = 1 << 12
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
@@ -89,7 +91,7 @@ class BagFile:
         DamagedError
             If there is none, or it is damaged.
         """
-        head = record(self._file.read(0, min(_WINDOW, self.size)), len(MAGIC)).head
+        head = record(self._file.read(0, min(_HEAD_BLOCK, self.size)), len(MAGIC)).head
         if head.get(b"encryptor"):
             name = head[b"encryptor"].decode("utf-8", "replace")
             msg = f"{self.path}: the bag is encrypted by {name}; expected a plain bag, decrypt it first"
@@ -142,12 +144,12 @@ class BagFile:
         if len(starts) != len(self._chunks):
             msg = "the index lists chunks twice"
             raise DamagedError(msg)
-        ends = dict(zip(starts, [*starts[1:], index], strict=True))
+        if starts and (starts[0] <= len(MAGIC) or starts[-1] >= index):
+            msg = "the index points beyond the file"
+            raise DamagedError(msg)
+        ends = dict(pairwise([*starts, index]))
         for chunk in self._chunks:
             chunk.size = ends[chunk.start] - chunk.start
-            if chunk.size <= 0 or chunk.start < len(MAGIC):
-                msg = "the index points beyond the file"
-                raise DamagedError(msg)
 
     # Without an index
 
@@ -168,15 +170,12 @@ class BagFile:
     def _visit_all(self) -> int:
         """Visit records up to the first that is not whole; return where that is."""
         at = len(MAGIC)
-        while at + 8 <= self.size:
+        while True:
             try:
-                window = self._file.read(at, min(_WINDOW, self.size - at))
-                size = U32.unpack_from(window, 0)[0]
-                if size + 8 > len(window):
-                    window = self._file.read(at, size + 8)
-                entry = record(window, 0)
+                (size,) = U32.unpack(self._file.read(at, U32.size))
+                entry = record(self._file.read(at, size + 8), 0)
                 opcode, after = entry.opcode, at + entry.end
-            except (DamagedError, struct.error):
+            except DamagedError:
                 return at
             if after > self.size:
                 if opcode == records.CHUNK:
@@ -187,7 +186,6 @@ class BagFile:
             elif opcode == records.CONNECTION:
                 self._add_connection(entry.head, self._file.read(at + entry.start, entry.end - entry.start))
             at = after
-        return at
 
     def _add_connection(self, head: dict[bytes, bytes], data: Bytes) -> None:
         """Take a connection record; a damaged one is as good as none."""
@@ -242,7 +240,8 @@ class BagFile:
         if not self._chunks:
             return "none"
         try:
-            window = self._file.read(self._chunks[0].start, min(256, self.size - self._chunks[0].start))
+            at = self._chunks[0].start
+            window = self._file.read(at, min(_HEAD_BLOCK, self.size - at))
             kind = record(window, 0).head.get(b"compression", b"none").decode("ascii", "replace")
         except DamagedError:
             return "unknown"

@@ -11,10 +11,9 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
-from imucal.readers.containers.container import Batch, Loss
+from imucal.readers.containers.container import Batch, Loss, gather
 from imucal.readers.containers.sqlite_rows import LEAF, Rows, parse_rows, varint
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
@@ -207,12 +206,6 @@ def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray
     if count and int(cells.max()) > size - 5:
         msg = "an interior page is damaged"
         raise DamagedError(msg)
-    children = np.append(_u32(data, cells), int.from_bytes(data[8:12].tobytes(), "big"))
+    pages = gather(data.data, np.append(cells, 8), 4).view(">u4").astype(np.int64)
     keys, _ = varint(data, cells + 4)
-    return children, np.append(keys, bound)
-
-
-def _u32(data: NDArray[np.uint8], at: IntArray) -> IntArray:
-    parts = data[at[:, None] + np.arange(4)].astype(np.int64)
-    result: IntArray = (parts[:, 0] << 24) | (parts[:, 1] << 16) | (parts[:, 2] << 8) | parts[:, 3]
-    return result
+    return pages, np.append(keys, bound)

@@ -4,8 +4,7 @@ The head gives the layout, the names of the columns give the sensors, and blocks
 polars into columns. In doubt nothing is guessed: the error shows the columns and a text to choose them.
 """
 
-import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,13 +12,13 @@ from pathlib import Path
 from imucal.errors import ChoiceError, DataError
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.file_sets import is_set, read_set
+from imucal.readers.tables.file_sets import is_set, read_set, unpacked_size
 from imucal.readers.tables.tabular import contents_of, refuse_topics
-from imucal.readers.tables.text import STANDARD_INPUT, TextSource, open_text
-from imucal.readers.tables.text_table import read_table
+from imucal.readers.tables.text import STANDARD_INPUT, LongerError, open_text
+from imucal.readers.tables.text_table import read_head, read_table
 from imucal.recording import Recording
 
-#: Files up to this size are read to be described: they take less than half a second.
+#: Texts up to this size, unpacked, are read to be described: they take less than half a second.
 _SMALL = 64 << 20
 
 
@@ -53,23 +52,32 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
         If it can't be opened, or is no table.
     """
     if is_set(path):
-        compression = "zip" if path.is_file() else "none"
-        return _described(path, None, compression, partial(read, path, options))
+        compression, unpacked = "zip" if path.is_file() else "none", unpacked_size(path)
+        whole = unpacked <= _SMALL
+        contents = _described(path, None, compression, partial(read_set, path, options, heads=not whole))
+        return replace(contents if whole else _of_a_part(contents), unpacked_bytes=unpacked)
     size = path.stat().st_size if str(path) != STANDARD_INPUT and path.is_file() else None
     with open_text(path) as source:
         compression, lines = source.compression, source.head
-    if size is not None and size <= (_SMALL if compression == "none" else _SMALL // 8):
-        return _described(path, size, compression, partial(read, path, options))
-    contents = _described(path, size, compression, partial(_read_head, path, lines, options))
-    # The head tells rate and columns; how many rows there are only reading all of them would tell.
+    if size is not None and size <= _SMALL:
+        try:
+            return _described(path, size, compression, partial(_read_short, path, options))
+        except LongerError:
+            # A few bytes may unpack to very many.
+            pass
+    contents = _described(path, size, compression, partial(read_head, str(path), lines, options, path.name))
+    return replace(_of_a_part(contents), unpacked_bytes=max(size or 0, _SMALL + 1))
+
+
+def _of_a_part(contents: LogContents) -> LogContents:
+    """Return what the head tells: rate and columns, but not how many rows there are."""
     topics = tuple(replace(topic, count=None, duration_s=None) for topic in contents.topics)
     return replace(contents, topics=topics, duration_s=None)
 
 
-def _read_head(path: Path, lines: Sequence[str], options: ReadOptions) -> Recording:
-    text = io.BytesIO(("\n".join(lines) + "\n").encode())
-    with TextSource(str(path), text, size=None, progress=None) as source:
-        return read_table(source, options, name=path.name)
+def _read_short(path: Path, options: ReadOptions) -> Recording:
+    with open_text(path, progress=options.progress, most=_SMALL) as source:
+        return read_table(source, options)
 
 
 def _described(

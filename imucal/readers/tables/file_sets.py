@@ -21,7 +21,7 @@ from imucal.readers.tables.columns import sensor_of_name
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.text import TextSource, open_text
-from imucal.readers.tables.text_table import EXTERNAL, ExternalTime, plan_of_head, read_table
+from imucal.readers.tables.text_table import EXTERNAL, ExternalTime, plan_of_head, read_head, read_table
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
@@ -54,8 +54,26 @@ def is_set(path: Path) -> bool:
         return False
 
 
-def read_set(path: Path, options: ReadOptions) -> Recording:
-    """Read the gyroscope and the accelerometer of a zip or a folder.
+def unpacked_size(path: Path) -> int:
+    """Return how many bytes the tables of a zip, or of a folder, hold unpacked, as they state it.
+
+    Raises
+    ------
+    ReadError
+        If the zip can't be read.
+    """
+    if path.is_dir():
+        return sum(entry.stat().st_size for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return sum(info.file_size for info in archive.infolist() if _is_table(info.filename))
+    except (zipfile.BadZipFile, OSError, ValueError, RuntimeError) as error:
+        msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
+        raise ReadError(msg) from error
+
+
+def read_set(path: Path, options: ReadOptions, *, heads: bool = False) -> Recording:
+    """Read the gyroscope and the accelerometer of a zip or a folder; of `heads` only the first lines.
 
     Raises
     ------
@@ -67,12 +85,12 @@ def read_set(path: Path, options: ReadOptions) -> Recording:
     if path.is_dir():
         entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
         members = [_Member(entry.name, partial(open_text, entry)) for entry in entries]
-        return _read_members(str(path), members, options)
+        return _read_members(str(path), members, options, heads=heads)
     try:
         with zipfile.ZipFile(path) as archive:
             infos = [info for info in archive.infolist() if _is_table(info.filename)]
             members = [_Member(info.filename, partial(_open_member, path, archive, info)) for info in infos]
-            return _read_members(str(path), members, options)
+            return _read_members(str(path), members, options, heads=heads)
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
         msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
         raise ReadError(msg) from error
@@ -87,7 +105,7 @@ def _open_member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) ->
     return TextSource(f"{path}:{info.filename}", raw, size=None, progress=None)
 
 
-def _read_members(path: str, members: Sequence[_Member], options: ReadOptions) -> Recording:
+def _read_members(path: str, members: Sequence[_Member], options: ReadOptions, *, heads: bool) -> Recording:
     chosen = members
     if len(members) != 1:
         both = [_choose(path, members, sensor) for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER)]
@@ -100,8 +118,14 @@ def _read_members(path: str, members: Sequence[_Member], options: ReadOptions) -
         raise ChoiceError(msg)
     parts = []
     for member in chosen:
+        name = PurePath(member.name).name
         with member.open() as source:
-            parts.append(read_table(source, options, name=PurePath(member.name).name))
+            lines = source.head
+            parts.append(
+                read_head(source.name, lines, options, name)
+                if heads
+                else read_table(source, options, name=name)
+            )
     return _merged(parts, [member.name for member in chosen], path)
 
 

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from imucal.errors import ReadError
 from imucal.readers.isolation import isolated
 from imucal.readers.tables.foreign_files import WIDEST, mat_arrays, parquet_columns, parquet_values
+from imucal.readers.tables.npz_members import npz_arrays
+from imucal.resources import memory_limit
 
 #: Arrays whose shapes are kept for a message.
 _SHOWN = 12
@@ -65,14 +67,27 @@ class TableFile:
     rate_hz: float | None = None
     shapes: tuple[str, ...] = ()
 
+    @property
+    def unpacked_bytes(self) -> int:
+        """Bytes of all columns as numbers of eight bytes."""
+        return 8 * sum(column.size for column in self.columns)
+
 
 #: The columns of a file, the sampling rate where it states one, and the shapes of its arrays.
 _Content: TypeAlias = tuple[list[TypedColumn], float | None, tuple[str, ...]]
 _Reader: TypeAlias = Callable[[Path], _Content]
 
 
-def open_table(path: Path) -> TableFile:
+def open_table(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> TableFile:
     """Return the columns of a file.
+
+    Parameters
+    ----------
+    limit
+        Bytes to hold in memory before a temporary file takes them; None for `imucal.resources.memory_limit`.
+    heads_above
+        Bytes above which a file that is unpacked as it is opened is not: only the heads of its columns hold
+        values then.
 
     Raises
     ------
@@ -86,6 +101,7 @@ def open_table(path: Path) -> TableFile:
         msg = f"{path}: can't be opened: {error.strerror or error}"
         raise ReadError(msg) from error
     kind, reader = _reader(path, head)
+    reader = partial(_npz, limit=limit, heads_above=heads_above) if reader is _npz else reader
     columns, rate, shapes = reader(path)
     return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate, shapes=shapes)
 
@@ -128,9 +144,10 @@ def _npy(path: Path) -> _Content:
     return _of_array("", array), None, (_shape("", array),)
 
 
-def _npz(path: Path) -> _Content:
-    with _readable(path, "NPZ"), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        arrays = {name: np.asarray(archive[name]) for name in archive.files}
+def _npz(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> _Content:
+    size = memory_limit() if limit is None else limit
+    with _readable(path, "NPZ"):
+        arrays = npz_arrays(path, limit=size, heads_above=heads_above)
     return _of_arrays(arrays)
 
 

@@ -34,6 +34,10 @@ _DAMAGE = (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeErr
 _LONGEST_LINE = 1 << 20
 
 
+class LongerError(Exception):
+    """A text is longer than was wanted of it. Never leaves the readers."""
+
+
 class TextSource:
     """A log of lines, opened.
 
@@ -51,11 +55,23 @@ class TextSource:
         Whether `head` is all of the log.
     findings
         What reading it has shown so far: a cut end.
+    passed
+        Bytes of unpacked text that were given out as blocks.
     """
 
-    def __init__(self, name: str, raw: BinaryIO, *, size: int | None, progress: Progress | None) -> None:
+    def __init__(
+        self,
+        name: str,
+        raw: BinaryIO,
+        *,
+        size: int | None,
+        progress: Progress | None,
+        most: int | None = None,
+    ) -> None:
         self.name = name
         self.size = size
+        self.passed = 0
+        self._most = most
         self.findings: list[Finding] = []
         self._raw = raw
         self._progress = progress
@@ -127,7 +143,7 @@ class TextSource:
                 raise self._too_long()
             self._report()
             if block:
-                yield block
+                yield self._counted(block)
             if self._ended:
                 return
 
@@ -136,7 +152,7 @@ class TextSource:
         cut = head.rfind(b"\n") + 1
         place = (self._exact or 0) + cut
         if cut:
-            yield head[:cut]
+            yield self._counted(head[:cut])
         size = self._raw.seek(0, io.SEEK_END)
         while place < size:
             stop = min(place + _BLOCK, size)
@@ -148,7 +164,14 @@ class TextSource:
                 return
             place += len(block)
             self._report()
-            yield self._line_ends(block)
+            yield self._counted(self._line_ends(block))
+
+    def _counted(self, block: bytes) -> bytes:
+        """Count a block; refuse it where the text is longer than wanted."""
+        self.passed += len(block)
+        if self._most is not None and self.passed > self._most:
+            raise LongerError
+        return block
 
     def _line_end(self, start: int, stop: int) -> int:
         """Return the end of the last line that ends between two places."""
@@ -220,8 +243,10 @@ class TextSource:
             self._progress(min(done, self.size), self.size)
 
 
-def open_text(path: Path, *, progress: Progress | None = None) -> TextSource:
+def open_text(path: Path, *, progress: Progress | None = None, most: int | None = None) -> TextSource:
     """Open a text log; ``-`` is standard input.
+
+    Of a text that is longer than `most` bytes, unpacked, its blocks raise a LongerError.
 
     Raises
     ------
@@ -239,7 +264,7 @@ def open_text(path: Path, *, progress: Progress | None = None) -> TextSource:
             msg = f"{path}: can't be opened: {error.strerror or error}"
             raise ReadError(msg) from error
         try:
-            source = TextSource(str(path), raw, size=size, progress=progress)
+            source = TextSource(str(path), raw, size=size, progress=progress, most=most)
         except BaseException:
             raw.close()
             raise

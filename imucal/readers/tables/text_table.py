@@ -1,5 +1,6 @@
 """One text table: layout, columns, rows -> Recording."""
 
+import io
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -103,6 +104,13 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, "csv", plan.topics)
+
+
+def read_head(path: str, lines: Sequence[str], options: ReadOptions, name: str) -> Recording:
+    """Read the table that the first lines of a text hold, as `read_table` would read all of it."""
+    text = io.BytesIO(("\n".join(lines) + "\n").encode())
+    with TextSource(path, text, size=None, progress=None) as source:
+        return read_table(source, options, name=name)
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:

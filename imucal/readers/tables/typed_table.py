@@ -7,7 +7,8 @@ accelerometer another.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.findings import Finding
+from imucal.readers.column_store import join_rows
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
@@ -26,7 +28,10 @@ from imucal.readers.tables.table_files import TableFile, TypedColumn, open_table
 from imucal.readers.tables.tabular import assemble, contents_of, refuse_topics
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording, Sensor
+from imucal.resources import memory_limit
 
+#: Tables up to this size are read to be described, in bytes: they take less than half a second.
+_SMALL = 64 << 20
 #: Rows shown to the rules that choose columns.
 _HEAD = 400
 
@@ -52,9 +57,12 @@ def read(path: Path, options: ReadOptions) -> Recording:
         If it holds no samples.
     """
     refuse_topics(path, options, "a table")
-    table = open_table(path)
-    parts = _parts(path, table, options)
-    sensors = [_columns(part, sensor) for part in parts for sensor in part.plan.sensors]
+    table = open_table(path, limit=options.memory_limit)
+    return _read(path, table, _parts(path, table, options), options)
+
+
+def _read(path: Path, table: TableFile, parts: Sequence[_Part], options: ReadOptions) -> Recording:
+    sensors = [_columns(part, sensor, options) for part in parts for sensor in part.plan.sensors]
     decisions = dict.fromkeys(decision for part in parts for decision in part.plan.decisions)
     topics = [topic for part in parts for topic in part.plan.topics]
     dialect = next((part.plan.dialect for part in parts if part.plan.dialect), None)
@@ -72,13 +80,28 @@ def read(path: Path, options: ReadOptions) -> Recording:
 def describe(path: Path, options: ReadOptions) -> LogContents:
     """Return what a table holds."""
     size = path.stat().st_size
-    table = open_table(path)
+    table = open_table(path, heads_above=_SMALL)
+    unpacked = table.unpacked_bytes
     shown = ", ".join(f"{column.name} ({column.size})" for column in table.columns[:60])
     try:
-        return contents_of(read(path, options), path, size=size)
+        parts = _parts(path, table, options)
+        read_parts = parts if unpacked <= _SMALL else [_heads(part) for part in parts]
+        contents = contents_of(_read(path, table, read_parts, options), path, size=size)
     except ImucalError as error:
         topic = TopicContents(name=path.name, type="table", note=f"{error}; columns: {shown}")
         return LogContents(path=str(path), format=table.format, size_bytes=size, topics=(topic,))
+    contents = replace(contents, unpacked_bytes=unpacked)
+    if unpacked <= _SMALL:
+        return contents
+    rows = parts[0].columns[0].size
+    topics = tuple(replace(topic, count=rows, duration_s=None) for topic in contents.topics)
+    return replace(contents, topics=topics, duration_s=None)
+
+
+def _heads(part: _Part) -> _Part:
+    """Return a part of which all that is read are the heads of its columns."""
+    columns = tuple(replace(c, size=len(c.head), values=partial(np.asarray, c.head)) for c in part.columns)
+    return replace(part, columns=columns)
 
 
 def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
@@ -142,11 +165,13 @@ def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions, shap
     return _Part(columns=tuple(columns), plan=plan)
 
 
-def _columns(part: _Part, sensor: SensorPlan) -> SensorColumns:
+def _columns(part: _Part, sensor: SensorPlan, options: ReadOptions) -> SensorColumns:
     indices, at = sensor.triad.indices, part.plan.temperature
+    # Copies, as samples are scaled in place; half of what may be held is for each of two sensors.
+    limit = (options.memory_limit or memory_limit()) // 2
     columns = SensorColumns(
         plan=sensor,
-        axes=[_floats(part.columns[index]) for index in indices],
+        axes=join_rows([[part.columns[index].values()] for index in indices], limit=limit),
         time=_times(part, sensor.time),
         log_time=_times(part, sensor.log_time),
         temperature=_floats(part.columns[at]) if at is not None else None,

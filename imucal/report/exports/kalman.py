@@ -30,7 +30,7 @@ def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMa
 
 
 def _body(numbers: Numbers) -> Body:
-    axes = [axis for sensor in numbers.sensors for axis in numbers.triad(sensor)]
+    axes = [axis for sensor in numbers.sensors for axis in numbers.axes(sensor)]
     used = [numbers.of(axis, symbol) for axis in axes for symbol in ("N", "K")]
     lines = ["axes:"]
     for axis in axes:

@@ -33,6 +33,12 @@
     const known = values.filter((v) => v > 0);
     return [Math.log10(Math.min(...known)) - 0.3, Math.log10(Math.max(...known)) + 0.3];
   };
+  // The axis reaches below the curve to show a read-off, but not by more than a factor of 40.
+  const deep = (adev, labels) => {
+    const [bottom, top] = span(adev);
+    const heights = labels.map((l) => Math.log10(l.y) - 0.2).filter((h) => h > bottom - 1.6);
+    return [Math.min(bottom, ...heights), top];
+  };
   const line = (name, width, dash) => ({ mode: "lines", hoverinfo: "skip", line: { color: colour(name), width, dash } });
 
   function allan(axis) {
@@ -63,25 +69,44 @@
           "<br>model: %{customdata[2]}<br>degrees of freedom: %{customdata[5]}<extra></extra>",
       });
     }
-    for (const term of fine.terms.filter((t) => !t.bounded)) {
+    for (const term of fine.terms) {
       traces.push({
         x: [term.at[0]], y: [term.at[1] * factor], mode: "markers", showlegend: false, legendgroup: term.key,
-        marker: { symbol: "diamond", size: 10, color: colour(term.symbol), line: { color: css("--paper"), width: 1 } },
+        marker: { symbol: term.bounded ? "triangle-down-open" : "diamond", size: 10, color: colour(term.symbol), line: { color: css("--paper"), width: 1 } },
         hovertemplate: `<b>${term.key}</b> ${term.name}<br>${term[root.dataset.units]}<extra></extra>`,
       });
     }
-    return [traces, layout(log("averaging time τ (s)", span(curve.tau)), log(`Allan deviation (${unit})`, span(adev)))];
+    const floor = axis.minimum;
+    traces.push({
+      x: [floor.at[0]], y: [floor.at[1] * factor], mode: "markers", showlegend: false,
+      marker: { symbol: "circle-open", size: 14, color: css("--ink"), line: { width: 1.5 } },
+      hovertemplate: `${floor[root.dataset.units]}<extra></extra>`,
+    });
+    const labels = fine.terms.map((term) => ({
+      text: term.label[root.dataset.units], colour: colour(term.symbol), x: term.at[0], y: term.at[1] * factor,
+      line: { x: fine.tau, y: times(term.adev, factor) },
+    }));
+    labels.push({ text: floor[root.dataset.units], colour: css("--ink"), x: floor.at[0], y: floor.at[1] * factor });
+    const covered = [{ x: curve.tau, y: adev }, { x: fine.tau, y: times(fine.adev, factor) }];
+    return [traces, layout(log("averaging time τ (s)", span(curve.tau)), log(`Allan deviation (${unit})`, deep(adev, labels))), { labels, covered }];
   }
 
   function psd(axis) {
     const [, , unit, factor] = axis.units[root.dataset.units];
     const fine = axis.fine, s = axis.psd;
     const y = times(s.root, factor), model = times(s.model, factor);
-    const traces = [{
+    const low = times(s.low, factor), high = times(s.high, factor);
+    const traces = [
+      { x: s.f, y: low, mode: "lines", line: { width: 0 }, hoverinfo: "skip", showlegend: false },
+      { x: s.f, y: high, mode: "lines", line: { width: 0 }, fill: "tonexty", hoverinfo: "skip", showlegend: false,
+        fillcolor: isDark() ? "rgba(120,160,200,.25)" : "rgba(120,160,200,.35)" },
+    ];
+    traces.push({
       x: s.f, y, mode: "lines", meta: "points", line: { color: colour("data"), width: 1.2 }, name: "√PSD",
-      customdata: s.f.map((f, i) => [number(f), number(y[i]), number(model[i])]),
-      hovertemplate: `%{customdata[0]} Hz<br><b>%{customdata[1]} ${unit}</b><br>model: %{customdata[2]}<extra></extra>`,
-    }];
+      customdata: s.f.map((f, i) => [number(f), number(y[i]), number(model[i]), number(low[i]), number(high[i])]),
+      hovertemplate: `%{customdata[0]} Hz<br><b>%{customdata[1]} ${unit}</b><br>${axis.level} %: %{customdata[3]} to %{customdata[4]}` +
+        "<br>model: %{customdata[2]}<extra></extra>",
+    });
     for (const term of fine.terms.filter((t) => !t.bounded && t.root.some((v) => v > 0))) {
       traces.push({ x: fine.f, y: times(term.root, factor), ...line(term.symbol, 1.4, dashes[term.symbol]), showlegend: false });
     }
@@ -155,18 +180,97 @@
     })];
   }
 
+  // Labels find a free place beside their point, as in the pictures: on growing circles about it the
+  // place that leaves the frame, covers others or the curve the least.
+  const pencil = document.createElement("canvas").getContext("2d");
+  const ANGLES = [45, 315, 135, 225, 90, 270, 0, 180, 22, 338, 158, 202, 67, 293, 113, 247].map((d) => (d * Math.PI) / 180);
+  const DISTANCES = [10, 18, 30, 45, 65, 90, 120, 160, 200];
+
+  function dense(points) {
+    const found = [];
+    points.forEach(([x, y], i) => {
+      const [u, v] = points[i + 1] || [x, y];
+      const steps = Math.max(1, Math.ceil(Math.hypot(u - x, v - y) / 4));
+      for (let k = 0; k < steps; k++) found.push([x + ((u - x) * k) / steps, y + ((v - y) * k) / steps]);
+    });
+    return found;
+  }
+
+  function place(plot, { labels, covered }) {
+    const { xaxis, yaxis } = plot._fullLayout;
+    const width = xaxis._length, height = yaxis._length, size = width < 420 ? 11 : 12;
+    const pixel = (x, y) => [xaxis.l2p(Math.log10(x)), yaxis.l2p(Math.log10(y))];
+    const track = (line) => line.x.map((x, i) => [x, line.y[i]]).filter(([, y]) => y > 0).map(([x, y]) => pixel(x, y));
+    const curve = covered.flatMap((line) => dense(track(line)));
+    const inside = ([x, y]) => x >= 0 && x <= width && y >= 0 && y <= height;
+    pencil.font = `${size}px ${plot._fullLayout.font.family}`;
+    const taken = [];
+    const overlap = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+    const annotations = [];
+    const known = labels.map((label) => {
+      const own = pixel(label.x, label.y);
+      const along = label.line ? track(label.line).filter(inside) : [];
+      const anchors = inside(own) ? [own] : along.filter((_, i) => i % Math.max(1, Math.floor(along.length / 10)) === 0);
+      const rows = label.text.split("<br>");
+      return { label, anchors, w: Math.max(...rows.map((r) => pencil.measureText(r).width)) + 6, h: rows.length * size * 1.3 + 4 };
+    });
+    known.filter((k) => k.anchors.length === 1).forEach(({ anchors: [[x, y]] }) => taken.push([x - 7, y - 7, x + 7, y + 7]));
+    known.sort((a, b) => (a.anchors.length > 1) - (b.anchors.length > 1));
+    for (const { label, anchors, w, h } of known) {
+      let best = null;
+      for (const [x, y] of anchors) for (const distance of DISTANCES) for (const angle of ANGLES) {
+        const cx = x + Math.cos(angle) * (distance + w / 2), cy = y - Math.sin(angle) * (distance + h / 2);
+        const box = [cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2];
+        let cost = distance / 25;
+        if (box[0] < 2 || box[1] < 2 || box[2] > width - 2 || box[3] > height - 2) cost += 1e4;
+        cost += 1e3 * taken.filter((other) => overlap(box, other)).length;
+        if (best && cost >= best.cost) continue;
+        cost += 2 * curve.filter(([u, v]) => u > box[0] && u < box[2] && v > box[1] && v < box[3]).length;
+        if (!best || cost < best.cost) best = { cost, x, y, cx, cy, box };
+      }
+      if (!best || best.cost >= 1e4) continue;
+      taken.push(best.box);
+      annotations.push({
+        x: xaxis.p2l(best.x), y: yaxis.p2l(best.y), ax: best.cx - best.x, ay: best.cy - best.y, text: label.text, showarrow: true,
+        arrowhead: 0, arrowwidth: 0.8, arrowcolor: label.colour, standoff: 4, borderpad: 1, bgcolor: css("--paper"), opacity: 0.95,
+        font: { size, color: label.colour },
+      });
+    }
+    return annotations;
+  }
+
   const makers = { allan, psd, raw };
   const drawn = new Set();
   let ready = false;
 
+  // Two stops for the Tab key: the plot, and its buttons, among which the arrow keys move.
+  function tame(plot) {
+    const buttons = [...plot.querySelectorAll(".modebar-btn")];
+    buttons.forEach((button, i) => {
+      button.tabIndex = i ? -1 : 0;
+      button.onkeydown = (event) => {
+        const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+        const next = buttons[i + step];
+        if (!next) return;
+        button.tabIndex = -1;
+        next.tabIndex = 0;
+        next.focus();
+        event.preventDefault();
+      };
+    });
+  }
+
   function draw(plot) {
     if (!ready) return;
-    const [traces, shape] = makers[plot.dataset.plot](data.axes[plot.dataset.axis]);
+    const [traces, shape, marks] = makers[plot.dataset.plot](data.axes[plot.dataset.axis]);
     const config = { responsive: true, displaylogo: false, modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]], toImageButtonOptions: { filename: plot.id } };
     // On paper the size is fixed; on a screen plotly follows its box.
     if (root.classList.contains("printing")) Object.assign(shape, { width: plot.clientWidth, height: plot.clientHeight });
     else shape.autosize = true;
-    window.Plotly.react(plot, traces, shape, config);
+    window.Plotly.react(plot, traces, shape, config).then(() => {
+      if (marks) window.Plotly.relayout(plot, { annotations: place(plot, marks) });
+      tame(plot);
+    });
     drawn.add(plot);
   }
   const redraw = () => drawn.forEach(draw);
@@ -179,6 +283,12 @@
     if (input.defaultChecked) input.checked = true;
   }
   darkness.addEventListener("change", redraw);
+  // The labels' places depend on the size.
+  let resized = 0;
+  addEventListener("resize", () => {
+    clearTimeout(resized);
+    resized = setTimeout(redraw, 200);
+  });
   addEventListener("beforeprint", () => {
     root.classList.add("printing");
     plots.forEach(draw);

@@ -12,7 +12,7 @@ from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.moments import av_select, fit_slope
 from imucal.fitting.moments.av_intervals import goodness, limits
-from imucal.fitting.moments.av_points import AvarPoints, avar_points, columns
+from imucal.fitting.moments.av_points import AvarPoints, _excess_kurtosis, avar_points, columns
 from imucal.fitting.moments.av_search import Solution, Weight, time_grid
 from imucal.fitting.moments.av_select import _described, _least_cost, _screen
 from imucal.fitting.moments.gmwm import _eta3_widths, _findings, _with_edf
@@ -310,3 +310,16 @@ def test_a_bend_is_read_from_three_points(size: int, *, known: bool) -> None:
     design = (np.stack([white, walk], axis=1) / avar[:, np.newaxis])[places]
     spread = np.linalg.inv(design.T @ design) * 4e-4
     assert found == pytest.approx(0.01 + 2 * np.sqrt(spread[1, 1]))
+
+
+def test_the_kurtosis_of_the_white_part_is_that_of_its_samples() -> None:
+    """Of two values it is -2; of a straight line, and of a hundred samples, nothing is sure."""
+    coin = np.random.default_rng(1).choice([-1.0, 1.0], 100_000)
+    assert _excess_kurtosis(AxisSeries.from_samples(coin, rate_hz=1.0)) == pytest.approx(-2.0, abs=0.1)
+    assert _excess_kurtosis(AxisSeries.from_samples(np.arange(200.0), rate_hz=1.0)) == 0.0
+    normal = np.random.default_rng(2).standard_normal(100_000)
+    assert _excess_kurtosis(AxisSeries.from_samples(normal, rate_hz=1.0)) == 0.0
+    for n, seen in ((100, False), (101, True)):
+        wild = np.zeros(n)
+        wild[50] = 1.0
+        assert (_excess_kurtosis(AxisSeries.from_samples(wild, rate_hz=1.0)) > 0) == seen

@@ -1,11 +1,15 @@
 """Slopes read off the curve."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import numpy.testing as npt
 import pytest
 
 from imucal.fitting import FitSettings, fit
 from imucal.fitting.moments import fit_slope
+from imucal.fitting.moments.slope import _covariance
 from tests.fitting.moments.curves import simulated_curve
 
 
@@ -100,3 +104,15 @@ def test_refuses_what_has_no_slope() -> None:
         r"a factor of about 2 apart$",
     ):
         fit_slope(None, curve, FitSettings(model="N"), windows={"N": (0.1, 0.5)})
+
+
+def test_the_covariance_of_what_is_read_is_that_of_the_points_it_is_read_at() -> None:
+    """Of their logarithms, by the weights of each line, times the coefficients."""
+    points: Any = SimpleNamespace(size=3, coefficient=lambda _, variance: variance**0.5)
+    curve: Any = SimpleNamespace(points=points, covariance=np.diag([1.0, 4.0, 9.0]))
+    lines: Any = [
+        SimpleNamespace(symbol="N", variance=4.0, places=np.array([0, 1]), weights=np.array([0.5, 0.5])),
+        SimpleNamespace(symbol="K", variance=25.0, places=np.array([1, 2]), weights=np.array([0.25, 0.75])),
+    ]
+    # 2² (1 + 4)/4, 2 · 5 · 4/8, 5² (4/16 + 81/16)
+    npt.assert_allclose(_covariance(curve, lines), [[5.0, 5.0], [5.0, 25 * 85 / 16]])

@@ -7,8 +7,15 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral import band
-from imucal.fitting.spectral.band import _BandSearch, _deviation_of_white, _enough, _simplest, _Trial
+from imucal.fitting.spectral import band, filter_response
+from imucal.fitting.spectral.band import (
+    _BandSearch,
+    _deviation_of_white,
+    _enough,
+    _simplest,
+    _Trial,
+    find_band,
+)
 from imucal.fitting.spectral.filter_response import Order, start_response
 from imucal.fitting.spectral.likelihood import evaluate
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
@@ -142,6 +149,23 @@ def test_a_resonance_so_sharp_that_no_regression_is_positive_starts_flat() -> No
     assert np.isfinite(evaluate(wild, candidate, theta).objective[0])
 
 
+def test_a_flat_start_is_the_butterworth_response_nearest_to_the_data() -> None:
+    """Of white noise behind one whose corner is tried, it is that one, with its level."""
+    data = ordinates_of(simulated("N=1", 2000, 1)).below(1.0)
+    low, high, steps = filter_response._CORNERS
+    corner = np.geomspace(low, high, steps)[12]
+    for order in ((2, 0), (3, 0), (2, 2)):
+        poles, zeros = order
+        at = np.sin(np.pi / 2 * corner) ** 2
+        numerator = (1 - data.lam / 4) ** zeros
+        slope = (data.lam / 4 / at) ** poles * (1 - at) ** zeros
+        wave = replace(data, power=data.size * 7.0 * numerator / (numerator + slope))
+        solution = filter_response._flattest(wave, np.ones(data.lam.size, dtype=bool), numerator, order)
+        assert 1 / solution[0] == pytest.approx(7.0, rel=1e-9)
+        powers = (data.lam / data.top)[:, None] ** np.arange(poles + 1)
+        npt.assert_allclose(numerator / (powers @ solution), wave.power / wave.size, rtol=1e-9)
+
+
 def test_the_blind_fit_is_the_best_of_its_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     """By its objective, whichever start it came from."""
     data = ordinates_of(simulated("N=1", 500, 1))
@@ -169,3 +193,119 @@ def test_the_slow_terms_are_found_below_a_32nd_of_the_band(monkeypatch: pytest.M
         _BandSearch(data, ("N",), 10.0, ()).filtered()
         expected = data if whole else data.below(0.03125)
         npt.assert_array_equal(seen[-1].lam, expected.lam)
+
+
+def _scripted(
+    monkeypatch: pytest.MonkeyPatch, *answers: list[_Trial], theta: FloatArray | None = None
+) -> list[tuple[list[Order], FloatArray]]:
+    """Let fits give trials one after the other; return what was asked for."""
+    asked: list[tuple[list[Order], FloatArray]] = []
+
+    def fit(
+        _: _BandSearch, seen: Ordinates, fraction: float, orders: list[Order], starts: FloatArray
+    ) -> list[_Trial]:
+        del seen
+        assert fraction == 1.0
+        asked.append((orders, starts))
+        return answers[len(asked) - 1]
+
+    start = np.full((1, MARKOV + 5), 2.0) if theta is None else theta
+    monkeypatch.setattr(_BandSearch, "fit", fit)
+    monkeypatch.setattr(_BandSearch, "blind", lambda *_: start)
+    return asked
+
+
+def _flat_trials(
+    gains: tuple[float, float], statistic: float, theta: FloatArray | None = None
+) -> list[_Trial]:
+    trials = [
+        _trial((0, 0), 100.0, statistic),
+        *(_trial((k + 1, 0), 100 - g / 2) for k, g in enumerate(gains)),
+    ]
+    row = np.full((1, MARKOV + 5), 3.0) if theta is None else theta
+    return [replace(trial, maximum=replace(trial.maximum, theta=row)) for trial in trials]
+
+
+def test_a_flat_band_needs_one_look_where_it_is_sound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each order starts at the blind fit; what is returned has no response."""
+    asked = _scripted(monkeypatch, _flat_trials((11.9, 14.9), 3.9))
+    found = _BandSearch(ordinates_of(simulated("N=1", 2000, 1)), ("N", "K"), 10.0, ()).flat()
+    assert found is not None
+    assert (found.fraction, found.order, found.poles, found.response.size) == (1.0, (0, 0), 0, 0)
+    ((orders, starts),) = asked
+    assert orders == [(0, 0), (1, 0), (2, 0)]
+    npt.assert_array_equal(starts, np.full((3, MARKOV + 5), 2.0))
+
+
+@pytest.mark.parametrize(("better", "sound"), [(96.5, True), (99.0, False)])
+def test_a_flat_band_is_fitted_again_from_where_the_others_went(
+    better: float, *, sound: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without their responses; the best of the three counts."""
+    again = [_trial((0, 0), objective, 0.0) for objective in (101.0, better, 100.0)]
+    asked = _scripted(monkeypatch, _flat_trials((16.0, 16.0), 0.0), again)
+    found = _BandSearch(ordinates_of(simulated("N=1", 2000, 1)), ("N", "K"), 10.0, ()).flat()
+    assert (found is not None) == sound
+    orders, starts = asked[1]
+    assert orders == [(0, 0)] * 3
+    npt.assert_array_equal(starts[:, :MARKOV], 3.0)
+    npt.assert_array_equal(starts[:, MARKOV:], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("share", "structure", "sound"), [(0.21, "QN", True), (0.19, "QN", False), (0.21, "N", False)]
+)
+def test_quantization_that_bends_the_top_is_no_filter(
+    share: float, structure: str, *, sound: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it makes a fifth of the power there, a filter must gain 30 and 33 instead of 12 and 15."""
+    data = ordinates_of(simulated("N=1", 2000, 1))
+    search = _BandSearch(data, tuple(structure), 10.0, ())
+    theta = np.zeros((1, MARKOV + 5))
+    theta[0, 0] = np.log(share * search.level_at_the_top() / data.basis[0, -1])
+    trials = _flat_trials((29.0, 32.0), 0.0, theta)
+    _scripted(monkeypatch, trials, trials[:1] * 3)
+    assert (search.flat() is not None) == sound
+
+
+@pytest.mark.parametrize(
+    ("given", "own", "white", "rich", "used"),
+    [
+        (None, True, True, True, "rich"),
+        (("N", "K"), True, True, True, "rich"),
+        (("N", "GM"), True, True, True, "given"),
+        (("N", "GM"), True, False, True, "rich"),
+        (("GM",), True, False, True, "given"),
+        (("N", "GM"), False, True, True, "rich"),
+        (None, False, False, False, "filtered"),
+    ],
+)
+def test_which_description_is_tried_first(
+    given: tuple[str, ...] | None,
+    used: str,
+    *,
+    own: bool,
+    white: bool,
+    rich: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Terms that were given where white noise remains, then the rich model, then without Q a response."""
+    asked: list[tuple[str, ...]] = []
+
+    def flat(search: _BandSearch) -> str | None:
+        asked.append(search.structure)
+        assert search.shortest == (2.0 if search.structure == given else 10.0)
+        if search.structure == given:
+            return "given" if own else None
+        return "rich" if rich else None
+
+    def filtered(search: _BandSearch) -> str:
+        assert search.structure == ("N", "GM", "K")
+        return "filtered"
+
+    monkeypatch.setattr(_BandSearch, "flat", flat)
+    monkeypatch.setattr(_BandSearch, "white_at_the_top", lambda _: white)
+    monkeypatch.setattr(_BandSearch, "filtered", filtered)
+    data = ordinates_of(simulated("N=1", 2000, 1))
+    found: object = find_band(data, ("Q", "N", "GM", "K"), shortest=10.0, given=given)
+    assert found == used

@@ -80,6 +80,15 @@ def test_the_level_is_as_sure_as_half_the_ordinates_it_is_made_of() -> None:
     assert _level(np.ones(999), np.arange(999) < 1, bins)[1][-1] == 1.0
 
 
+def test_the_level_is_that_of_the_ordinates_that_are_kept() -> None:
+    """Half of them left out, the mean of the others is what it was; they are half as sure."""
+    bins = dct_bins(1000)
+    whole, sureness = _level(np.full(999, 4.0), None, bins)
+    level, less = _level(np.where(np.arange(999) % 2, 4.0, 1e9), np.arange(999) % 2 == 1, bins)
+    assert level[-20] == pytest.approx(whole[-20]) == pytest.approx(4.0)
+    assert less[-20] == pytest.approx(sureness[-20] / 2, rel=0.05)
+
+
 @pytest.mark.parametrize("name", ["mean of 8", "Butterworth 2", "resonance"])
 def test_a_filter_s_edges_and_peaks_are_no_lines(name: str) -> None:
     """Of 12 records behind each of three filters none has a line; a line on top of them is still found."""

@@ -9,9 +9,11 @@ import pytest
 
 from imucal.readers.containers import mcap_records, ros1_records
 from imucal.readers.containers.container import Batch, gather
+from imucal.readers.containers.ros2_bag import open_files
 from imucal.readers.containers.rosbag2_folder import natural, open_folder, parse_metadata
 from imucal.readers.containers.sqlite_rows import _integers, varint
 from imucal.readers.files import DamagedError
+from tests.readers.logs import imu_messages, samples, write_db3
 
 
 def text(value: bytes) -> bytes:
@@ -178,3 +180,24 @@ def test_the_files_of_a_ros2_bag(tmp_path: Path) -> None:
 def test_numbers_in_names_sort_as_numbers() -> None:
     names = ["bag_10.db3", "bag_2.db3", "bag.db3"]
     assert sorted(names, key=lambda name: natural(Path(name))) == ["bag.db3", "bag_2.db3", "bag_10.db3"]
+
+
+@pytest.mark.parametrize(("count", "named"), [(1, 1), (5, 5), (6, 5)])
+def test_files_that_are_missing_are_named(count: int, named: int, tmp_path: Path) -> None:
+    """Five of them at most, and how many there are."""
+    write_db3(tmp_path / "bag", imu_messages(samples(5)))
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    lost = [f"lost_{i}.db3" for i in range(count)]
+    metadata.write_text(
+        metadata.read_text().replace(
+            "relative_file_paths:\n", "relative_file_paths:\n" + "".join(f"  - {name}\n" for name in lost)
+        )
+    )
+    containers, _ = open_files(tmp_path / "bag")
+    (finding,) = containers[0].findings
+    for container in containers:
+        container.close()
+    assert finding.code == "file-missing"
+    assert finding.text == (
+        f"{count} files of the bag are missing: {', '.join(lost[:named])}; their time is a gap."
+    )

@@ -3,6 +3,7 @@
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 
 from imucal.readers.containers import Channel
 from imucal.readers.containers.mcap_file import open_files
+from imucal.readers.messages import topics as all_topics
 from imucal.readers.messages.choice import table
-from imucal.readers.messages.topics import Topic, find_topics, live_sensors
+from imucal.readers.messages.topics import Topic, find_topics, live_sensors, read_temperature
 from imucal.readers.messages.tree_messages import _steps, _vector, stamp_of
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
@@ -113,3 +115,40 @@ def test_the_table_of_topics() -> None:
 def test_a_long_table_is_cut(n: int, last: str) -> None:
     lines = table([Topic(name="/a", type="p/B", channels=(channel(),))] * n).splitlines()
     assert (len(lines), lines[-1]) == (n, last)
+
+
+@pytest.mark.parametrize(
+    ("names", "imu", "read"),
+    [
+        (["/imu/temp"], "/imu/data", ["/imu/temp"]),
+        (["/imu/temp", "/other/temp"], "/imu/data", ["/imu/temp"]),
+        (["/other/temp"], "/imu/data", []),
+        (["/imu2/temp"], "/imu/data", []),
+        (["/imu/temp", "/imu/temp2"], "/imu/data", []),
+        (["/imu/empty"], "/imu/data", []),
+        (["/imu/text"], "/imu/data", []),
+        (["/temp"], "/data", []),
+    ],
+)
+def test_the_one_temperature_beside_an_imu_is_read(
+    names: list[str], imu: str, read: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In its own namespace; others may be those of other things, and an empty one says nothing."""
+    seen: list[str] = []
+
+    def stream(topic: Topic) -> None:
+        seen.append(topic.name)
+
+    none = SimpleNamespace(columns=SimpleNamespace(temperature=None, n=0))
+    monkeypatch.setattr(all_topics, "_temperature_stream", stream)
+    monkeypatch.setattr(all_topics, "decode", lambda *_: [none])
+    found = [
+        Topic(
+            name=name,
+            type="std_msgs/msg/String" if name.endswith("text") else "sensor_msgs/msg/Temperature",
+            channels=(channel(count=0 if name.endswith("empty") else None),),
+        )
+        for name in names
+    ]
+    assert read_temperature([], found, imu) is None
+    assert seen == read

@@ -7,6 +7,7 @@ from imucal.readers.tables.layout import (
     TextLayout,
     _decimal,
     _fitting,
+    _named_delimiter,
     _start,
     find_layout,
     rows_of_tag,
@@ -269,3 +270,18 @@ def test_quotation_marks_and_decimal_commas() -> None:
     assert found(*ROWS).cells(1) == ["2", "5", "8"]
     assert found(*ROWS).cells(3) == []
     assert TextLayout(width=1, rows=()).quoted is False
+
+
+@pytest.mark.parametrize(
+    ("lines", "delimiter"),
+    [
+        (["sep=;", "a;b"], ";"),
+        (["# made by hand", "sep=,", "a,b"], ","),
+        (["# made", "# by hand", "sep=,", "a,b"], None),
+        (["a;b"], None),
+        ([], None),
+    ],
+)
+def test_a_spreadsheet_names_its_delimiter_at_the_top(lines: list[str], delimiter: str | None) -> None:
+    """In the first line or the second."""
+    assert _named_delimiter(lines) == delimiter

@@ -132,3 +132,18 @@ def test_the_rate_that_the_log_states() -> None:
     reading = table_clock(at, columns(None, np.arange(10, dtype=np.int64)))
     assert (reading.clock.rate_hz, reading.clock.source) == (50.0, "rate that the log states")
     assert at.decisions == [("time", "50 Hz, the rate that the log states")]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "start", "source"),
+    [
+        ([0, 5, 10, 15, 20, 25], 0, "column t"),
+        ([3, 5, 10, 15, 20, 25], 3, "column t"),
+    ],
+)
+def test_a_clock_from_zero_on_is_a_clock(stamps: list[int], start: int, source: str) -> None:
+    """Its first sample is kept: zero is no missing stamp there."""
+    reading = table_clock(work(), columns(MS, np.array(stamps, dtype=np.int64)))
+    assert reading.clock.start_ns == start * 1_000_000
+    assert reading.clock.source == source
+    assert (reading.order is None, reading.clock.n) == (True, len(stamps))

@@ -13,7 +13,7 @@ from imucal.arrays import IntArray
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.ulog.ulog_content import UlogContent
-from imucal.readers.ulog.ulog_log import _choose, _listed, _log_findings, _refuse_options
+from imucal.readers.ulog.ulog_log import _choose, _listed, _log_findings, _refuse_options, _scales
 from imucal.readers.ulog.ulog_messages import Instance, samples_of
 from imucal.recording import Sensor
 
@@ -209,3 +209,19 @@ def test_a_ulog_has_one_clock() -> None:
     )
     with pytest.raises(ChoiceError, match=r"time unit 'ms' was asked for; .* found none of an IMU"):
         _refuse_options(LOG, ReadOptions(time_unit="ms"), [])
+
+
+def test_samples_may_be_said_to_be_in_another_unit() -> None:
+    """By a unit of the sensor, or a scale in SI per count; nothing is scaled unasked."""
+    path = Path("log.ulg")
+    assert _scales(path, ReadOptions()) == {}
+    found = _scales(path, ReadOptions(gyro_unit="deg/s", accel_scale=0.5))
+    assert found == {
+        Sensor.GYROSCOPE: ("deg/s", pytest.approx(np.pi / 180)),
+        Sensor.ACCELEROMETER: ("0.5 m/s^2 per count", 0.5),
+    }
+    for wrong in ("g", "furlong"):
+        with pytest.raises(
+            ChoiceError, match=rf"^log.ulg: '{wrong}' is no unit of the gyroscope; expected one of"
+        ):
+            _scales(path, ReadOptions(gyro_unit=wrong))

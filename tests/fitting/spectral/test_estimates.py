@@ -1,0 +1,191 @@
+"""From a maximum in scaled units to estimates in SI, with limits computed by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.arrays import FloatArray
+from imucal.fitting.noise_fit import Estimate
+from imucal.fitting.spectral import estimates
+from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, estimate, model_of
+from imucal.fitting.spectral.scoring import Maximum
+from imucal.fitting.spectral.structures import candidates_of
+from tests.fitting.fits import ordinates_of, simulated
+
+TAU0 = 0.25
+UNIT = 8.0
+STRUCTURE = ("Q", "N", "GM", "GM", "K", "R")
+#: Variances of Q, N, B and K, of two Gauss-Markov terms, and their correlation times in samples.
+THETA = np.log(np.array([4.0, 9.0, 1.0, 16.0, 25.0, 36.0, 40.0, 10.0]))
+RAMP = 3.0
+
+
+def problem(**widening: float) -> Problem:
+    """Return what estimates are made with."""
+    return Problem(
+        ordinates=ordinates_of(simulated("N=1", 100, 1)),
+        level=0.9,
+        shortest=2.0,
+        common=(),
+        unit=UNIT,
+        tau0=TAU0,
+        widening=widening,
+    )
+
+
+def fit(theta: FloatArray = THETA, structure: tuple[str, ...] = STRUCTURE, beta: float = RAMP) -> Fitted:
+    """Return a maximum; the information of parameter i is (i + 1)²."""
+    size = theta.size
+    maximum = Maximum(
+        theta=theta[None],
+        objective=np.zeros(1),
+        information=np.diag(np.arange(1.0, size + 1) ** 2)[None],
+        beta=np.array([[beta]]),
+        beta_covariance=np.array([[[0.25]]]),
+        converged=np.ones(1, dtype=bool),
+    )
+    return Fitted(structure=structure, candidate=candidates_of([structure], ["R"]), maximum=maximum)
+
+
+def found(
+    monkeypatch: pytest.MonkeyPatch, below: float = 0.2, above: float = 0.4, *, lowest: float | None = None,
+    beta: float = RAMP, **widening: float,
+) -> dict[str, Estimate]:  # fmt: skip
+    """Return the estimates, where every limit lies so far below and above its parameter."""
+
+    def limits(
+        _: object, candidates: object, maximum: Maximum, columns: FloatArray, **options: float
+    ) -> object:
+        assert options == {"level": 0.9, "shortest": 2.0}
+        del candidates
+        rows = np.arange(columns.size)
+        values = np.where(columns == -1, maximum.beta[:, 0], maximum.theta[rows, columns])
+        return values - below if lowest is None else np.full(values.size, lowest), values + above
+
+    monkeypatch.setattr(estimates, "profile_limits", limits)
+    made = estimate(problem(**widening), fit(beta=beta))
+    return {item.key: item for item in made}
+
+
+def test_a_coefficient_is_the_root_of_its_variance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In SI, by the unit of a deviation per sample: times tau0, its root, 1, and over its root."""
+    table = found(monkeypatch)
+    assert list(table) == ["Q", "N", "GM1", "GM2", "K", "R"]
+    deviations = {"Q": 2 * TAU0, "N": 3 * TAU0**0.5, "GM1": 5.0, "GM2": 6.0, "K": 4 / TAU0**0.5}
+    for key, deviation in deviations.items():
+        item = table[key]
+        assert item.value == pytest.approx(UNIT * deviation)
+        assert item.low == pytest.approx(UNIT * deviation * np.exp(-0.1))
+        assert item.high == pytest.approx(UNIT * deviation * np.exp(0.2))
+        assert (item.correlation_time is None) == (not key.startswith("GM"))
+
+
+def test_a_correlation_time_is_in_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its limits are those of its logarithm."""
+    for key, samples in (("GM1", 40.0), ("GM2", 10.0)):
+        time = found(monkeypatch)[key].correlation_time
+        assert time is not None
+        expected = samples * TAU0 * np.exp([0.0, -0.2, 0.4])
+        npt.assert_allclose([time.value, time.low, time.high], expected)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_ramp_has_a_size_and_the_model_its_sign(sign: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its limits are those of its size, the lower first."""
+    item = found(monkeypatch, 0.5, 1.0, beta=sign * RAMP)["R"]
+    ends = (2.5, 4.0) if sign > 0 else (2.0, 3.5)
+    expected = np.array([3.0, *ends]) * UNIT / TAU0
+    assert [item.value, item.low, item.high] == pytest.approx(expected.tolist())
+    made = fit(beta=sign * RAMP)
+    model = model_of(problem(), made, (item,))
+    assert [term.symbol for term in model.terms] == ["R"]
+    assert model.terms[0].values == pytest.approx((sign * 3.0 * UNIT / TAU0,))
+
+
+@pytest.mark.parametrize(
+    ("beta", "below", "above", "high"),
+    [(1.0, 3.0, 0.5, 2.0), (1.0, 1.5, 4.0, 5.0), (1.0, 1.0, 4.0, 5.0), (-1.0, 4.0, 1.0, 5.0)],
+)
+def test_a_ramp_whose_interval_holds_zero_is_bounded(
+    beta: float, below: float, above: float, high: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the larger of its ends, on whichever side; an end at zero holds it."""
+    item = found(monkeypatch, below, above, beta=beta)["R"]
+    assert (item.status, item.value, item.low) == ("bounded", None, 0.0)
+    assert item.high == pytest.approx(high * UNIT / TAU0)
+
+
+def test_a_variance_that_may_vanish_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the coefficient of its upper limit."""
+    item = found(monkeypatch, lowest=-np.inf)["N"]
+    assert (item.status, item.value, item.low) == ("bounded", None, 0.0)
+    assert item.high == pytest.approx(UNIT * 3 * TAU0**0.5 * np.exp(0.2))
+
+
+def test_an_interval_is_widened_in_logarithms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the term that asks for it alone; the value stays."""
+    table, plain = found(monkeypatch, N=2.0), found(monkeypatch)
+    assert table["N"].value == plain["N"].value
+    assert table["N"].low == pytest.approx(UNIT * 3 * TAU0**0.5 * np.exp(-0.2))
+    assert table["N"].high == pytest.approx(UNIT * 3 * TAU0**0.5 * np.exp(0.4))
+    assert table["K"] == plain["K"]
+    bounded = found(monkeypatch, lowest=-np.inf, N=2.0)["N"]
+    assert bounded.high == pytest.approx(UNIT * 3 * TAU0**0.5 * np.exp(0.4))
+
+
+def test_the_covariance_is_in_si(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the derivatives: half of a coefficient in its log variance, a time in its logarithm."""
+    table = found(monkeypatch)
+    names, matrix = covariance_of(problem(N=2.0), fit(), tuple(table.values()))
+    assert names == ("Q", "N", "K", "GM1.sigma", "GM1.T", "GM2.sigma", "GM2.T", "R")
+    roots = {
+        "Q": 0.5 * (UNIT * 2 * TAU0) / 1,
+        "N": 2.0 * 0.5 * (UNIT * 3 * TAU0**0.5) / 2,
+        "K": 0.5 * (UNIT * 4 / TAU0**0.5) / 4,
+        "GM1.sigma": 0.5 * (UNIT * 5) / 5,
+        "GM2.sigma": 0.5 * (UNIT * 6) / 6,
+        "GM1.T": 40 * TAU0 / 7,
+        "GM2.T": 10 * TAU0 / 8,
+        "R": 0.5 * UNIT / TAU0,
+    }
+    npt.assert_allclose(matrix, np.diag([roots[name] ** 2 for name in names]), atol=1e-12)
+
+
+def test_terms_that_are_bounded_have_no_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor are they in the model."""
+    table = found(monkeypatch)
+    table["N"] = Estimate.bounded("N", "N", 1.0)
+    table["R"] = Estimate.bounded("R", "R", 1.0)
+    names, matrix = covariance_of(problem(), fit(), tuple(table.values()))
+    assert "N" not in names
+    assert "R" not in names
+    assert matrix.shape == (6, 6)
+    model = model_of(problem(), fit(), tuple(table.values()))
+    assert [term.symbol for term in model.terms] == ["Q", "GM", "GM", "K"]
+
+
+def test_correlated_parameters_stay_correlated() -> None:
+    """The inverse of the information, each row and column with its own derivative."""
+    made = fit(np.log(np.array([1.0, 4.0, 1.0, 16.0])), ("N", "K"))
+    information = made.maximum.information.copy()
+    information[0, 1, 3] = information[0, 3, 1] = 4.0
+    made = replace(made, maximum=replace(made.maximum, information=information))
+    n = Estimate(key="N", symbol="N", status="estimated", value=2.0, low=1.0, high=3.0)
+    k = Estimate(key="K", symbol="K", status="estimated", value=6.0, low=1.0, high=9.0)
+    _, matrix = covariance_of(problem(), made, (n, k))
+    # The information is [[4, 4], [4, 16]], its inverse [[16, -4], [-4, 4]] / 48; the derivatives are 1 and 3.
+    npt.assert_allclose(matrix, [[16 / 48, -12 / 48], [-12 / 48, 36 / 48]])
+
+
+def test_gauss_markov_terms_are_sorted_by_their_times() -> None:
+    """Variance, time and information go together; the others, and one term alone, stay."""
+    made = fit().by_time()
+    npt.assert_allclose(np.exp(made.maximum.theta[0]), [4, 9, 1, 16, 36, 25, 10, 40])
+    npt.assert_allclose(np.diag(made.maximum.information[0]), np.array([1, 2, 3, 4, 6, 5, 8, 7]) ** 2.0)
+    assert made.by_time().maximum.theta.tolist() == made.maximum.theta.tolist()
+    alone = fit(THETA[[0, 1, 2, 3, 4, 6]], ("N", "GM"))
+    assert alone.by_time() is alone
+    room = replace(fit(structure=("N", "GM")), candidate=candidates_of([("N", "GM")], ["R"], room_markov=2))
+    assert room.by_time() is room

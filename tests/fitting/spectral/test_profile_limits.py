@@ -1,0 +1,156 @@
+"""Limits of a likelihood whose drop is known: z standard errors away, in the parameter's own unit."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.arrays import BoolArray, FloatArray
+from imucal.fitting.spectral import intervals
+from imucal.fitting.spectral.intervals import RAMP, _ProfileSearch, profile_limits, quantile
+from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.ordinates import Ordinates
+from imucal.fitting.spectral.scoring import Maximum, bounds
+from imucal.fitting.spectral.structures import candidates_of
+from tests.fitting.fits import ordinates_of, simulated
+
+#: Columns of the variances of N and of a Gauss-Markov term, and of its time.
+N, SIGMA, TIME = 1, 4, 5
+DATA = ordinates_of(simulated("N=1", 3000, 1))
+CANDIDATES = candidates_of([("N", "GM", "R")], DATA.names)
+CENTRE = np.array([0.0, 0.2, 0.0, 0.0, 0.4, np.log(50.0)])
+BETA, PEAK = 0.3, 7.0
+
+
+def maximum(information: FloatArray | None = None) -> Maximum:
+    """Return the place of the greatest likelihood."""
+    width = CENTRE.size
+    return Maximum(
+        theta=CENTRE[None].copy(),
+        objective=np.array([PEAK]),
+        information=(np.eye(width) if information is None else information)[None],
+        beta=np.array([[BETA]]),
+        beta_covariance=np.array([[[0.04]]]),
+        converged=np.ones(1, dtype=bool),
+    )
+
+
+def known(monkeypatch: pytest.MonkeyPatch, deviation: float) -> list[BoolArray]:
+    """Let the log-likelihood be a parabola in each u, of a given deviation; return what was held free."""
+    seen: list[BoolArray] = []
+
+    def drop(
+        ordinates: Ordinates,
+        candidates: Candidates,
+        theta: FloatArray,
+        *,
+        free: BoolArray,
+        ramp: FloatArray,
+        shortest: float,
+        **options: Any,  # noqa: ANN401
+    ) -> Maximum:
+        del ordinates, shortest, options
+        seen.append(free)
+        assert candidates.count == len(theta) == len(free) == ramp.size
+        away = [np.exp(theta[:, c] / 2) - np.exp(CENTRE[c] / 2) for c in (N, SIGMA)]
+        away += [theta[:, TIME] - CENTRE[TIME], np.where(np.isnan(ramp), 0.0, ramp - BETA)]
+        objective = PEAK + sum(0.5 * (part / deviation) ** 2 for part in away)
+        return replace(maximum(), theta=theta, objective=np.asarray(objective))
+
+    monkeypatch.setattr(intervals, "maximize", drop)
+    return seen
+
+
+def limits(columns: list[int], level: float = 0.95) -> tuple[FloatArray, FloatArray]:
+    """Return the limits of some columns."""
+    rows = np.zeros(len(columns), dtype=np.int64)
+    return profile_limits(
+        DATA, CANDIDATES.take(rows), maximum().take(rows), np.array(columns), level=level, shortest=2.0
+    )
+
+
+def test_the_quantile_of_a_level() -> None:
+    """Two-sided: 1.96 for 95 %, one for 68.27 %."""
+    assert quantile(0.95) == pytest.approx(1.959964, abs=1e-6)
+    assert quantile(0.6826895) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95, 0.999])
+def test_limits_lie_where_the_drop_reaches_the_quantile(
+    level: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To a hundredth of z: of a deviation, of a logarithm of a time, of a slope."""
+    seen, z = known(monkeypatch, 0.1), quantile(level)
+    low, high = limits([N, SIGMA, TIME, RAMP], level)
+    for column, at in ((N, 0), (SIGMA, 1)):
+        npt.assert_allclose(
+            [np.exp(low[at] / 2), np.exp(high[at] / 2)],
+            np.exp(CENTRE[column] / 2) + np.array([-1, 1]) * 0.1 * z,
+            atol=0.0011 * z,
+        )
+    npt.assert_allclose([low[2], high[2]], CENTRE[TIME] + np.array([-1, 1]) * 0.1 * z, atol=0.0011 * z)
+    npt.assert_allclose([low[3], high[3]], BETA + np.array([-1, 1]) * 0.1 * z, atol=0.0011 * z)
+    # The one that is profiled is held; nothing is held for a ramp, which is a regressor.
+    free = CANDIDATES.free[0]
+    for row, profiled in enumerate((N, SIGMA, TIME, None) * 2):
+        expected = free.copy()
+        if profiled is not None:
+            expected[profiled] = False
+        npt.assert_array_equal(seen[0][row], expected)
+
+
+def test_a_variance_may_vanish_and_a_time_may_be_any(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the drop stays below the quantile up to the bound, there is no limit on that side."""
+    known(monkeypatch, 5.0)
+    low, high = limits([N, TIME, RAMP])
+    assert low[:2].tolist() == [-np.inf, -np.inf]
+    assert high[1] == np.inf
+    assert np.exp(high[0] / 2) == pytest.approx(np.exp(CENTRE[N] / 2) + 5 * 1.96, abs=0.11)
+    npt.assert_allclose([low[2], high[2]], BETA + np.array([-9.8, 9.8]), atol=0.11)
+
+
+def search(columns: list[int], information: FloatArray | None = None) -> _ProfileSearch:
+    """Return a search from the maximum."""
+    rows = np.zeros(len(columns), dtype=np.int64)
+    return _ProfileSearch(
+        DATA, CANDIDATES.take(rows), maximum(information), rows, columns=np.array(columns), shortest=2.0
+    )
+
+
+def test_where_a_search_begins_and_what_bounds_it() -> None:
+    """At the estimate, in u; a variance and a ramp have no upper bound, a ramp no lower."""
+    found = search([N, TIME, RAMP])
+    npt.assert_allclose(found.centre, [np.exp(0.1), CENTRE[TIME], BETA])
+    low, high = bounds(DATA, CANDIDATES, shortest=2.0)
+    npt.assert_allclose(found.low, [np.exp(low[N] / 2), low[TIME], -np.inf])
+    npt.assert_allclose(found.high, [np.inf, high[TIME], np.inf])
+    npt.assert_allclose(found.from_u(np.arange(3), np.array([2.0, 2.0, 2.0])), [2 * np.log(2.0), 2.0, 2.0])
+
+
+@pytest.mark.parametrize(("told", "width"), [(100.0, 0.5 * 0.1), (1.0 + 1e-9, 0.5), (0.25, 1.0), (0.16, 1.0)])
+def test_the_first_step_of_a_variance(told: float, width: float) -> None:
+    """Half its deviation times u, where that is told; else u itself, unless even that is smaller."""
+    information = np.eye(CENTRE.size)
+    information[SIGMA, SIGMA] = told
+    step = search([SIGMA], information).width
+    assert step[0] == pytest.approx(width * np.exp(CENTRE[SIGMA] / 2), rel=1e-6)
+
+
+def test_the_first_steps_of_a_time_and_a_ramp() -> None:
+    """The deviation of the logarithm, one at most; that of the slope."""
+    for told, width in ((4.0, 0.5), (0.25, 1.0)):
+        information = np.eye(CENTRE.size)
+        information[TIME, TIME] = told
+        npt.assert_allclose(search([TIME, RAMP], information).width, [width, 0.2])
+
+
+def test_a_variance_too_small_to_see_begins_where_it_would_be_seen() -> None:
+    """Six log units of u above its bound, and not at u itself."""
+    information = np.eye(CENTRE.size)
+    information[N, N] = 1e-4
+    found = search([N], information)
+    found.centre[:] = 1e-9
+    step = found._width(maximum(information), np.zeros(1, dtype=np.int64), np.full(CENTRE.size, -20.0))
+    assert step[0] == pytest.approx(np.exp(-4.0))

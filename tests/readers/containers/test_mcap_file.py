@@ -1,0 +1,222 @@
+"""The index of an MCAP file, byte by byte: what it says, and why it is not believed."""
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+
+import pytest
+
+from imucal.errors import ReadError
+from imucal.readers.containers import mcap_file
+from imucal.readers.containers.mcap_file import McapFile
+from imucal.readers.containers.mcap_records import MAGIC
+from imucal.readers.files import LogFile, Scratch
+from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record, schema, text
+
+Held = Callable[..., LogFile]
+FIRST = message(7, 10, b"ab") + message(8, 25) + message(7, 30, b"cd")
+SECOND = message(7, 40, b"ef") + message(7, 35, b"gh")
+#: The first chunk has indexes of two channels, the second of one.
+CHUNKS = (chunk(FIRST), chunk(SECOND))
+INDEXES = (index(7, (10, 0), (30, 64)) + index(8, (25, 33)), index(7, (40, 0), (35, 33)))
+DATA = MAGIC + CHUNKS[0] + INDEXES[0] + CHUNKS[1] + INDEXES[1]
+DATA_END = record(15, bytes(4))
+DEFINITIONS = schema(1) + channel(7) + channel(8, b"/gps", of_schema=0)
+
+
+def chunk_index(number: int, at: int | None = None, size: int | None = None, **places: int) -> bytes:
+    """Return the summary's record of a chunk."""
+    start = len(MAGIC) + number * len(CHUNKS[0] + INDEXES[0]) if at is None else at
+    behind = start + len(CHUNKS[number])
+    found = {7: behind, 8: behind + 47} if number == 0 else {7: behind}
+    found |= {int(key[1:]): place for key, place in places.items()}
+    pairs = b"".join(struct.pack("<HQ", key, place) for key, place in found.items())
+    head = struct.pack("<QQQQ", 10, 30, start, len(CHUNKS[number]) if size is None else size)
+    return record(8, head + text(pairs) + struct.pack("<Q", len(INDEXES[number])) + text(b"") + bytes(8))
+
+
+def statistics(messages: int = 5, chunks: int = 2, counts: Mapping[int, int] | None = None) -> bytes:
+    """Return the record of counts."""
+    pairs = b"".join(struct.pack("<HQ", *pair) for pair in (counts or {}).items())
+    return record(11, struct.pack("<QHIIIIQQ", messages, 1, 2, 0, 0, chunks, 10, 40) + text(pairs))
+
+
+SUMMARY = DEFINITIONS + statistics(counts={7: 4, 8: 1}) + chunk_index(0) + chunk_index(1)
+
+
+@dataclass(kw_only=True)
+class Parts:
+    """The parts of a file; each may be wrong."""
+
+    data: bytes = DATA
+    summary: bytes = SUMMARY
+    start: int | None = None
+    crc: int | None = 0
+    opcode: int = 2
+    length: int = 20
+    end: bytes = MAGIC
+
+    def bytes(self) -> bytes:
+        """Return the file; a checksum of None is the right one."""
+        start = len(self.data) + len(DATA_END) if self.start is None else self.start
+        head = struct.pack("<BQQQ", self.opcode, self.length, start, 0)
+        crc = zlib.crc32(self.summary + head) if self.crc is None else self.crc
+        return self.data + DATA_END + self.summary + head + struct.pack("<I", crc) + self.end
+
+
+@contextmanager
+def opened(held: Held, **parts: object) -> Iterator[McapFile]:
+    """Open a file."""
+    with closing(McapFile(held(Parts(**parts).bytes()).path)) as file:  # type: ignore[arg-type]
+        yield file
+
+
+def test_the_index_says_what_is_in_a_file(held: Held) -> None:
+    """Topics, types, counts, times of first and last message; with a checksum or without."""
+    for crc in (0, None):
+        with opened(held, crc=crc) as file:
+            assert file.findings == []
+            imu, gps = file.channels
+            assert (imu.key, imu.topic, imu.type, imu.encoding) == (7, "/imu", "a/B", "cdr")
+            assert (imu.definition, imu.definition_kind) == ("int8 x", "ros2msg")
+            assert (gps.topic, gps.type, gps.definition) == ("/gps", "", "")
+            assert [(c.count, c.first_ns, c.last_ns) for c in (imu, gps)] == [(4, 10, 40), (1, 25, 25)]
+            assert (file.start_ns, file.end_ns) == (10, 40)
+            assert (file.compression, file.format, file.parallel) == ("none", "mcap", True)
+            tasks = list(file.tasks(frozenset({7})))
+            assert [task.counts for task in tasks] == [{7: 2}, {7: 2}]
+            assert [task.counts for task in file.tasks(frozenset({8, 9}))] == [{8: 1}]
+            loaded = [batch.checked() for task in tasks for _, batch in task.load(Scratch())]
+            assert [time for batch in loaded for time in batch.log_ns.tolist()] == [10, 30, 40, 35]
+
+
+def test_without_statistics_the_indexes_are_counted(held: Held) -> None:
+    """And nothing is known of the file's own times."""
+    with opened(held, summary=DEFINITIONS + chunk_index(0) + chunk_index(1)) as file:
+        assert file.findings == []
+        assert [channel.count for channel in file.channels] == [4, 1]
+        assert (file.start_ns, file.end_ns) == (None, None)
+
+
+def test_a_chunk_whose_index_is_damaged_has_no_times(held: Held) -> None:
+    """The others' are not taken for those of all; unknown records are passed over."""
+    wrong = chunk_index(0, k8=9) + chunk_index(1)
+    with opened(
+        held, summary=record(99, b"?") + DEFINITIONS + statistics(counts={7: 4, 8: 1}) + wrong
+    ) as file:
+        assert file.findings == []
+        assert [(c.first_ns, c.last_ns) for c in file.channels] == [(10, 40), (None, None)]
+
+
+FOOTER_AT = len(DATA + DATA_END + SUMMARY)
+TWICE, BEYOND = "the index lists chunks twice", "the index points beyond the file"
+LEFT_OUT, POINTS = "the index leaves out chunks", "the footer points beyond the file"
+
+
+@pytest.mark.parametrize(
+    ("parts", "reason"),
+    [
+        ({"data": b"?" + DATA[1:]}, "the file does not start and end as an MCAP file"),
+        ({"end": MAGIC[:-1] + b"?"}, "the end of the file is missing"),
+        ({"opcode": 3}, "the footer is damaged"),
+        ({"length": 21}, "the footer is damaged"),
+        ({"start": 0}, "the file has no index"),
+        ({"start": 7}, POINTS),
+        ({"start": FOOTER_AT + 1}, POINTS),
+        ({"start": FOOTER_AT}, LEFT_OUT),
+        ({"crc": 1}, "the index's checksum does not match"),
+        ({"summary": SUMMARY[:-1]}, "the index is cut"),
+        ({"summary": DEFINITIONS + chunk_index(0) + statistics()}, LEFT_OUT),
+        ({"summary": DEFINITIONS + statistics(chunks=0)}, LEFT_OUT),
+        ({"data": DATA + DEFINITIONS, "summary": statistics() + chunk_index(0) + chunk_index(1)}, LEFT_OUT),
+        ({"summary": SUMMARY + chunk_index(0) * 3}, TWICE),
+        ({"summary": SUMMARY + chunk_index(1, at=len(MAGIC) - 1, size=1)}, BEYOND),
+        ({"summary": SUMMARY + chunk_index(1, at=1000, size=1)}, BEYOND),
+        ({"summary": DEFINITIONS + chunk_index(0, k7=9) + chunk_index(1)}, "a message index is damaged"),
+    ],
+)
+def test_an_index_that_can_not_be_believed_is_left_out(
+    parts: dict[str, object], reason: str, held: Held
+) -> None:
+    """The records are scanned instead, and the reason is said; nothing of them is lost."""
+    with opened(held, **parts) as file:
+        (finding,) = file.findings
+        assert finding.text.startswith(f"The index can't be used ({reason}); all records were scanned")
+        assert {channel.topic: channel.count for channel in file.channels} == {"/imu": 4, "/gps": 1}
+
+
+def test_an_empty_file_has_channels_and_no_chunks(held: Held) -> None:
+    """A recorder that was started and stopped."""
+    with opened(held, data=MAGIC, summary=DEFINITIONS + statistics(messages=0, chunks=0)) as file:
+        assert file.findings == []
+        assert [(c.count, c.first_ns, c.last_ns) for c in file.channels] == [(0, None, None)] * 2
+        assert file.compression == "none"
+        assert list(file.tasks(frozenset({7, 8}))) == []
+
+
+def test_the_shortest_file_is_its_magic_and_a_footer(held: Held) -> None:
+    """It has no index, and no channel: what is shorter still is none at all."""
+    for parts, reason in (
+        ({"data": MAGIC, "summary": b"", "start": 0}, "the file has no index"),
+        ({"data": b"", "summary": b"", "start": 0}, "the file does not start and end as an MCAP file"),
+    ):
+        path = held(Parts(**parts).bytes()).path  # type: ignore[arg-type]
+        with pytest.raises(ReadError) as caught:
+            McapFile(path)
+        assert str(caught.value) == f"{path}: {reason}, and no whole record was found; expected an MCAP file"
+
+
+def test_the_last_byte_of_a_chunk_may_be_that_of_the_file(held: Held) -> None:
+    """One more is beyond it: a chunk of the rest of the file lies inside."""
+    size = len(Parts().bytes())
+    longer = len(SUMMARY) + len(chunk_index(1, at=8, size=1))
+    whole = size + longer - len(SUMMARY)
+    room = whole - sum(map(len, CHUNKS + INDEXES))
+    at = whole - len(INDEXES[1]) - 1
+    with opened(held, summary=SUMMARY + chunk_index(1, at=at, size=1)) as file:
+        assert file.findings == []
+    with opened(held, summary=SUMMARY + chunk_index(1, at=at + 1, size=1)) as file:
+        assert BEYOND in file.findings[0].text
+    # All chunks together are no longer than the file.
+    fits = room - len(INDEXES[1])
+    with opened(held, summary=SUMMARY + chunk_index(1, at=len(MAGIC), size=fits)) as file:
+        assert TWICE not in "".join(finding.text for finding in file.findings)
+    with opened(held, summary=SUMMARY + chunk_index(1, at=len(MAGIC), size=fits + 1)) as file:
+        assert TWICE in file.findings[0].text
+
+
+def test_a_compression_that_is_not_known_is_named(held: Held) -> None:
+    """Before anything is read."""
+    odd = bytearray(chunk_index(1))
+    place = odd.rindex(text(b"") + bytes(8))
+    summary = DEFINITIONS + chunk_index(0) + bytes(odd[:place]) + text(b"brotli") + bytes(8)
+    body = summary[len(DEFINITIONS + chunk_index(0)) + 9 :]
+    summary = DEFINITIONS + chunk_index(0) + record(8, body)
+    path = held(Parts(summary=summary).bytes()).path
+    with pytest.raises(ReadError) as caught:
+        McapFile(path)
+    assert str(caught.value) == f"{path}: chunks are compressed by 'brotli'; expected none, lz4 or zstd"
+
+
+def test_a_summary_of_gigabytes_is_damage(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not read; one of the longest size is."""
+    assert mcap_file._MAX_SUMMARY == 2**31
+    size = len(SUMMARY) + 37
+    for most, believed in ((size, True), (size - 1, False)):
+        monkeypatch.setattr(mcap_file, "_MAX_SUMMARY", most)
+        with opened(held) as file:
+            assert (file.findings == []) == believed
+
+
+def test_messages_outside_chunks_have_times_too(held: Held) -> None:
+    """Of the chunks and of the others together; their tasks come last."""
+    data = DATA + message(8, 5) + message(7, 50)
+    with opened(held, data=data, start=0, summary=DEFINITIONS) as file:
+        assert [(c.topic, c.count, c.first_ns, c.last_ns) for c in file.channels] == [
+            ("/imu", 5, 10, 50),
+            ("/gps", 2, 5, 25),
+        ]
+        assert [task.counts for task in file.tasks(frozenset({8}))] == [{8: 1}, {8: 1}]
+        assert [task.counts for task in file.tasks(frozenset({9}))] == []

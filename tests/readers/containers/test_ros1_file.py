@@ -1,0 +1,195 @@
+"""A ROS 1 bag, byte by byte: its index section, and the scan where that is missing or wrong."""
+
+import struct
+from collections.abc import Callable
+
+import pytest
+
+from imucal.errors import ReadError
+from imucal.readers.containers import ros1_file
+from imucal.readers.containers.ros1_file import BagFile
+from imucal.readers.files import LogFile
+from tests.readers.containers.ros1_bytes import (
+    MAGIC,
+    bag_head,
+    chunk,
+    chunk_info,
+    connection,
+    index,
+    message,
+    record,
+    stamp,
+)
+
+Held = Callable[..., LogFile]
+SECOND = 10**9
+RAW = connection(1) + message(1, SECOND + 5, b"ab") + message(2, 2 * SECOND) + message(1, 3 * SECOND, b"cd")
+AT = len(connection(1))
+CHUNK = chunk(RAW) + index(1, (SECOND + 5, AT), (3 * SECOND, AT))
+HEAD = len(MAGIC + bag_head(0))
+SECTION = connection(1) + connection(2, b"/gps")
+
+
+def bag(held: Held, section: bytes, chunks: int = 2, connections: int = 2, at: int | None = None) -> BagFile:
+    """Return a bag of two chunks with an index section, which the head counts."""
+    start = HEAD + 2 * len(CHUNK) if at is None else at
+    return BagFile(held(MAGIC, bag_head(start, connections, chunks), CHUNK, CHUNK, section).path)
+
+
+def infos(*places: int) -> bytes:
+    """Return the index section's records of chunks."""
+    return b"".join(chunk_info(at, {1: 2, 2: 1}, SECOND + 5 + at, 3 * SECOND + at) for at in places)
+
+
+def scanned(held: Held, *parts: bytes) -> BagFile:
+    """Return a bag that was not closed."""
+    return BagFile(held(MAGIC, bag_head(0), *parts).path)
+
+
+def lost(bag: BagFile) -> int:
+    """Return the bytes that a scan says are lost."""
+    text = bag.findings[-1].text
+    assert text.startswith("The index can't be used (")
+    assert ("cut or damaged" in text) == (bag.findings[-1].code == "truncated" and "The last" in text)
+    return int(text.partition("The last ")[2].split()[0]) if "The last" in text else 0
+
+
+def test_the_index_section_says_what_is_in_a_bag(held: Held) -> None:
+    """Chunks reach to the next one, the last to the index; times and counts are those of all chunks."""
+    found = bag(held, SECTION + infos(HEAD + len(CHUNK), HEAD))
+    found.close()
+    assert found.findings == []
+    first, second = found.channels
+    assert (first.key, first.topic, first.type, first.encoding) == (1, "/imu", "a/B", "ros1")
+    assert (first.definition, first.definition_kind) == ("int8 x", "ros1msg")
+    assert (first.count, second.count, second.topic) == (4, 2, "/gps")
+    span = (SECOND + 5 + HEAD, 3 * SECOND + HEAD + len(CHUNK))
+    assert (first.first_ns, first.last_ns) == (found.start_ns, found.end_ns) == span
+    assert [chunk.size for chunk in found._chunks] == [len(CHUNK), len(CHUNK)]
+    assert (found.compression, found.parallel, found.format) == ("none", True, "rosbag1")
+    found = bag(held, SECTION + infos(HEAD, HEAD + len(CHUNK)))
+    tasks = list(found.tasks(frozenset({2})))
+    assert [task.counts for task in tasks] == [{2: 1}, {2: 1}]
+    assert list(found.tasks(frozenset({3}))) == []
+    found.close()
+
+
+@pytest.mark.parametrize(
+    ("section", "options", "reason"),
+    [
+        (SECTION + infos(HEAD), {}, "the index is cut"),
+        (SECTION + infos(HEAD, HEAD + len(CHUNK)), {"connections": 3}, "the index is cut"),
+        ((SECTION + infos(HEAD, HEAD + len(CHUNK)))[:-1], {}, "the index is cut"),
+        (SECTION + infos(HEAD, HEAD), {}, "the index lists chunks twice"),
+        (SECTION + infos(len(MAGIC), HEAD), {}, "the index points beyond the file"),
+        (SECTION + infos(HEAD, HEAD + 2 * len(CHUNK)), {}, "the index points beyond the file"),
+        (SECTION + record(6, {}, bytes(7)), {}, "a chunk's entry in the index is damaged"),
+        (SECTION, {"at": 10**6}, "the index lies beyond the end of the file"),
+        (SECTION, {"at": len(MAGIC) - 1}, "the index lies beyond the end of the file"),
+        (SECTION, {"at": 0}, "the bag was not closed and has no index"),
+    ],
+)
+def test_a_damaged_index_section_is_scanned_around(
+    section: bytes, options: dict[str, int], reason: str, held: Held
+) -> None:
+    """All messages are there, each once, and the reason is said."""
+    found = bag(held, section, **options)
+    found.close()
+    assert found.findings[-1].text.startswith(f"The index can't be used ({reason}); all records were scanned")
+    assert {channel.key: channel.count for channel in found.channels} == {1: 4, 2: 2}
+    assert (found.start_ns, found.end_ns) == (SECOND + 5, 3 * SECOND)
+
+
+def test_an_index_right_behind_the_head_is_one(held: Held) -> None:
+    """A bag that was opened and closed; one that ends where its index should begin is cut."""
+    found = BagFile(held(MAGIC, bag_head(HEAD), connection(1)).path)
+    found.close()
+    assert (found.findings, found.compression, found.start_ns, found.end_ns) == ([], "none", None, None)
+    assert [(c.count, c.first_ns, c.last_ns) for c in found.channels] == [(0, None, None)]
+    found = BagFile(held(MAGIC, bag_head(HEAD + len(CHUNK) * 2, 2, 2), connection(2), CHUNK, CHUNK).path)
+    found.close()
+    assert found.findings[-1].text.startswith("The index can't be used (")
+
+
+def test_a_scan_counts_the_messages_and_their_times(held: Held) -> None:
+    """Of each chunk, where connections may be defined, and between chunks too."""
+    found = scanned(held, CHUNK, connection(2, b"/gps"), CHUNK)
+    found.close()
+    assert lost(found) == 0
+    (finding,) = found.findings
+    assert (finding.level, finding.code) == ("warning", "unindexed")
+    assert {c.topic: c.count for c in found.channels} == {"/imu": 4, "/gps": 2}
+    assert {(c.first_ns, c.last_ns) for c in found.channels} == {(SECOND + 5, 3 * SECOND)}
+    size = len(chunk(RAW))
+    assert [(c.start, c.size, c.indexed, c.cut) for c in found._chunks] == [
+        (HEAD, size, False, False),
+        (HEAD + len(CHUNK) + len(connection(2, b"/gps")), size, False, False),
+    ]
+
+
+def test_the_first_record_of_a_connection_stands(held: Held) -> None:
+    """It is repeated in each chunk; a damaged one is as good as none."""
+    damaged = record(7, {b"conn": bytes(3)})
+    found = scanned(held, damaged, CHUNK, connection(1, b"/other"))
+    found.close()
+    assert [channel.topic for channel in found.channels] == ["/imu"]
+
+
+@pytest.mark.parametrize(
+    ("end", "left"),
+    [
+        (b"", 0),
+        (record(9, {}), 0),
+        (record(9, {})[:-1], len(record(9, {})) - 1),
+        (b"\x03\x02\x01", 3),
+        (bytes(8), 8),
+        (bytes(100), 100),
+        (message(1, 2, b"abc")[:-1], len(message(1, 2, b"abc")) - 1),
+        (struct.pack("<I", 1 << 31) + b"?" * 30, 34),
+    ],
+)
+def test_a_scan_ends_at_the_first_record_that_is_not_whole(end: bytes, left: int, held: Held) -> None:
+    """What is behind it is lost, and how much is said."""
+    found = scanned(held, CHUNK, end)
+    found.close()
+    assert lost(found) == left
+    assert [channel.count for channel in found.channels] == [2]
+    if left:
+        assert f" {left} of {found.size} bytes are cut or damaged." in found.findings[-1].text
+
+
+def test_what_is_left_of_a_cut_chunk_is_counted(held: Held) -> None:
+    """The end of the file cuts it; that its last message is gone is not a second finding."""
+    found = scanned(held, CHUNK, chunk(RAW)[:-1])
+    found.close()
+    assert lost(found) == len(chunk(RAW)) - 1
+    assert len(found.findings) == 1
+    assert [(c.size, c.cut) for c in found._chunks] == [(len(chunk(RAW)), False), (len(chunk(RAW)) - 1, True)]
+    assert [channel.count for channel in found.channels] == [3]
+
+
+def test_a_damaged_chunk_is_told_with_its_reason(held: Held) -> None:
+    """The next one is scanned all the same."""
+    found = scanned(held, chunk(RAW, size=1), CHUNK)
+    found.close()
+    assert [finding.code for finding in found.findings] == ["damaged", "unindexed"]
+    assert found.findings[0].text == f"The log is damaged in one place: a chunk of {len(RAW)} bytes claims 1."
+    assert [channel.count for channel in found.channels] == [2]
+
+
+def test_a_bag_whose_compression_is_not_known_is_refused(held: Held) -> None:
+    """By name; a head that can't be read leaves it open."""
+    path = held(MAGIC, bag_head(0), chunk(RAW, b"snappy"), connection(1)).path
+    with pytest.raises(ReadError) as caught:
+        BagFile(path)
+    assert str(caught.value) == f"{path}: chunks are compressed by 'snappy'; expected none, lz4 or bz2"
+    found = bag(held, SECTION + infos(HEAD + 1, HEAD + len(CHUNK)))
+    found.close()
+    assert found.compression == "unknown"
+
+
+def test_a_time_has_eight_bytes() -> None:
+    """Seconds and nanoseconds; anything else is none."""
+    assert ros1_file._time(stamp(3 * SECOND + 4)) == 3 * SECOND + 4
+    assert ros1_file._time(bytes(7)) == ros1_file._time(b"") == 0
+    assert ros1_file._MAX_INDEX == 2**31

@@ -1,0 +1,214 @@
+"""Arrays and frames as named columns: which side is the samples, what is a rate, how deep structures go."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+import scipy.io
+
+from imucal.errors import ChoiceError
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables import typed_table
+from imucal.readers.tables.foreign_files import _flatten
+from imucal.readers.tables.table_files import TypedColumn, _of_array, _of_arrays, _plain, open_table
+
+
+def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an array
+    """Return name and size of the columns of an array."""
+    return [(column.name, column.size) for column in _of_array(name, np.asarray(array))]
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        ((5,), [("v", 5)]),
+        ((5, 1), [("v", 5)]),
+        ((1, 5), [("v", 5)]),
+        ((5, 2), [("v[:,0]", 5), ("v[:,1]", 5)]),
+        ((2, 5), [("v[:,0]", 5), ("v[:,1]", 5)]),
+        ((3, 3), [("v[0]", 3), ("v[1]", 3), ("v[2]", 3)]),
+        ((2, 2, 2), [(f"v[{i},{j}]", 2) for i in range(2) for j in range(2)]),
+        ((), []),
+        ((70, 65), []),
+        ((65, 70), []),
+        ((65, 64), [(f"v[:,{i}]", 65) for i in range(64)]),
+        ((64, 65), [(f"v[:,{i}]", 65) for i in range(64)]),
+    ],
+)
+def test_the_longer_side_of_a_matrix_is_its_samples(
+    shape: tuple[int, ...], expected: list[tuple[str, int]]
+) -> None:
+    """Up to 64 columns; a square one stands as it is."""
+    assert shapes("v", np.zeros(shape)) == expected
+
+
+def test_a_lying_matrix_is_stood_up() -> None:
+    """Its rows are the columns; one without a name has columns without names."""
+    array = np.arange(10.0).reshape(2, 5)
+    assert [column.values().tolist() for column in _of_array("v", array)] == array.tolist()
+    assert [column.name for column in _of_array("", array)] == ["", ""]
+    (alone,) = _of_array("v", np.arange(3.0)[:, None])
+    assert alone.values().tolist() == [0.0, 1.0, 2.0]
+
+
+def test_a_record_is_its_fields() -> None:
+    """Each an array of its own, with or without a name in front."""
+    table = np.zeros(4, dtype=[("t", "<i8"), ("gyro", "<f8", 3)])
+    assert shapes("", table) == [("t", 4), ("gyro[0]", 4), ("gyro[1]", 4), ("gyro[2]", 4)]
+    assert shapes("imu", table)[0] == ("imu.t", 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "rate"),
+    [
+        ("fs", np.array(250.0), 250.0),
+        ("imu.Sample_Rate", np.array([[100]]), 100.0),
+        ("fs", np.array(0.0), None),
+        ("fs", np.array(-5), None),
+        ("fs", np.array(np.inf), None),
+        ("serial", np.array(17), None),
+        ("fs", np.array([250.0, 250.0]), None),
+    ],
+)
+def test_a_single_number_may_be_the_rate(name: str, value: Any, rate: float | None) -> None:  # noqa: ANN401
+    """Positive, finite, and called so; a single number is no column in any case."""
+    columns, found, _ = _of_arrays({name: value, "gyro": np.zeros(9)})
+    assert found == rate
+    assert [column.name for column in columns] == ([name] if value.size > 1 else []) + ["gyro"]
+
+
+def test_a_single_text_is_no_rate() -> None:
+    """But a column of one."""
+    columns, rate, _ = _of_arrays({"fs": np.array(["250"])})
+    assert ([column.name for column in columns], rate) == (["fs"], None)
+
+
+def test_names_of_navego() -> None:
+    """They have their units."""
+    columns, _, _ = _of_arrays({"imu.fb": np.zeros((9, 3)), "imu.WB": np.zeros((9, 3)), "other": np.zeros(9)})
+    assert [(column.name, column.unit) for column in columns[::3]] == [
+        ("imu.fb.accelerometer[0]", "m/s^2"),
+        ("imu.WB.gyroscope[0]", "rad/s"),
+        ("other", None),
+    ]
+
+
+def nested(depth: int) -> Any:  # noqa: ANN401 - an array of structures
+    """Return so many structures in one another, around three numbers."""
+    value: Any = np.arange(3.0)
+    for _ in range(depth):
+        value = np.array((value,), dtype=[("a", object)])
+    return value
+
+
+def test_structures_of_matlab_are_flattened() -> None:
+    """Eight deep at most; texts are left out."""
+    for depth, names in ((0, ["x"]), (8, ["x" + ".a" * 8]), (9, [])):
+        arrays: dict[str, Any] = {}
+        _flatten("x", nested(depth), arrays)
+        assert list(arrays) == names
+    arrays = {}
+    for name, value in (
+        ("text", "abc"),
+        ("cube", np.zeros((2, 2, 2))),
+        ("flags", np.ones((2, 2), dtype=bool)),
+    ):
+        _flatten(name, value, arrays)
+    assert list(arrays) == ["cube", "flags"]
+
+
+def test_names_that_matlab_hides_are_no_columns(tmp_path: Path) -> None:
+    """Version and header of the file."""
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, {"gyro": np.zeros((9, 3)), "rate": 100.0})
+    found = open_table(path)
+    assert [column.name for column in found.columns] == ["gyro[0]", "gyro[1]", "gyro[2]"]
+    assert (found.format, found.rate_hz) == ("mat", 100.0)
+
+
+@pytest.mark.parametrize(("at", "gaps"), [(0, True), (399, True), (400, False)])
+def test_gaps_are_looked_for_in_the_first_rows(at: int, gaps: bool) -> None:  # noqa: FBT001
+    """Four hundred of them; whole numbers have none."""
+    values = np.zeros(500)
+    values[at] = np.nan
+    column = _plain("v", values)
+    assert (column.has_gaps, column.head.size, column.unit) == (gaps, 400, None)
+    assert not _plain("v", np.zeros(5, dtype=np.int64)).has_gaps
+    assert _plain("v", np.zeros(5, dtype="M8[us]")).unit == "ns"
+
+
+def test_cells_are_those_of_a_text() -> None:
+    """Empty where there is none; a date in ns."""
+
+    def cells(values: Any, rows: int = 9) -> list[str]:  # noqa: ANN401
+        array = np.asarray(values)
+        return TypedColumn(name="v", size=array.size, values=lambda: array, head=array).cells(rows)
+
+    assert cells([1.5, np.nan, 2.0]) == ["1.5", "", "2.0"]
+    assert cells(np.array(["a", None], dtype=object)) == ["a", ""]
+    assert cells(np.array([5, 7], dtype="M8[us]")) == ["5000", "7000"]
+    assert cells([1, 2, 3], 2) == ["1", "2"]
+
+
+def test_lists_of_parquet_are_columns(tmp_path: Path) -> None:
+    """As many as the longest list of the first rows has, 64 at most; structures by their fields."""
+    path = tmp_path / "log.parquet"
+    lists = [[1.0, 2.0], [3.0], [4.0, 5.0, 6.0]]
+    fields = [{"x": 1.0}, {"x": 2.0}, {"x": None}]
+    wide = [[0.0] * 70] * 3
+    pl.DataFrame({"g": lists, "s": fields, "w": wide, "n": [1, 2, 3]}).write_parquet(path)
+    found = {column.name: column for column in open_table(path).columns}
+    assert list(found) == ["g[0]", "g[1]", "g[2]", "s.x", *(f"w[{i}]" for i in range(64)), "n"]
+    assert [found[name].has_gaps for name in ("g[0]", "g[1]", "g[2]", "s.x", "n")] == [
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]
+    assert found["n"].values().tolist() == [1, 2, 3]
+    assert {column.size for column in found.values()} == {3}
+    np.testing.assert_array_equal(found["g[1]"].values(), [2.0, np.nan, 5.0])
+
+
+def save(path: Path, **arrays: Any) -> Path:  # noqa: ANN401
+    """Write arrays into a file."""
+    np.savez(path, **arrays)
+    return path
+
+
+def test_a_sensor_in_two_tables_is_not_chosen(tmp_path: Path) -> None:
+    """Both are named."""
+    path = save(
+        tmp_path / "log.npz", gyro=np.zeros((9, 3)), gyro_raw=np.zeros((8, 3)), accel=np.zeros((9, 3))
+    )
+    with pytest.raises(ChoiceError) as caught:
+        typed_table.read(path, ReadOptions())
+    assert str(caught.value) == (
+        f"{path}: two tables hold a gyroscope: gyro[0] and gyro_raw[0]; expected one; give the columns"
+    )
+
+
+def test_a_columns_text_counts_in_the_widest_table_then_the_longest(tmp_path: Path) -> None:
+    """The other arrays have no places in it."""
+    values = np.random.default_rng(1).normal(size=(50, 4))
+    path = save(tmp_path / "log.npz", one=np.zeros(90), four=values, two=np.zeros((70, 2)))
+    found = typed_table.read(path, ReadOptions(columns="g=1:4", rate_hz=10.0, gyro_unit="rad/s"))
+    np.testing.assert_array_equal([series.samples for series in found.series], values.T[1:])
+    longer = np.random.default_rng(2).normal(size=(60, 4))
+    path = save(tmp_path / "log.npz", four=values, more=longer)
+    found = typed_table.read(path, ReadOptions(columns="g=1:4", rate_hz=10.0, gyro_unit="rad/s"))
+    np.testing.assert_array_equal([series.samples for series in found.series], longer.T[1:])
+
+
+def test_tables_without_a_sensor_are_passed_over(tmp_path: Path) -> None:
+    """Unless none has one: then the first says what it lacks."""
+    values = np.random.default_rng(1).normal(size=(50, 3))
+    path = save(tmp_path / "log.npz", other=np.zeros(90), gyro=values)
+    found = typed_table.read(path, ReadOptions(rate_hz=10.0, gyro_unit="rad/s"))
+    assert [series.name for series in found.series] == ["gyro_x", "gyro_y", "gyro_z"]
+    path = save(tmp_path / "log.npz", other=np.zeros(90), more=np.zeros((70, 2)))
+    with pytest.raises(ChoiceError, match=r"found columns: 0 more"):
+        typed_table.read(path, ReadOptions(rate_hz=10.0))

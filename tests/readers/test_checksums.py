@@ -1,0 +1,103 @@
+"""Which bytes and which part of a log a report is of."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+import imucal
+from imucal.readers import checksums, read
+from imucal.readers.checksums import Checksums
+from imucal.recording import LogFileInfo, Recording
+from imucal.report import load_report
+from imucal.report.json_file import schema
+from tests.cli.run import run
+from tests.readers.logs import START, imu_messages, samples, write_db3, write_mcap
+
+
+def b2sum(path: Path) -> str:
+    """Return what ``b2sum`` prints."""
+    return hashlib.blake2b(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_every_file_has_its_size_and_checksum(
+    threads: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a file, of all files in the folder of a bag, and of several logs; in a thread or without."""
+    monkeypatch.setenv("IMUCAL_THREADS", threads)
+    one = write_mcap(tmp_path / "log_0.mcap", imu_messages(samples(300)))
+    bag = write_db3(tmp_path / "bag", imu_messages(samples(300)))
+    for path, files in ((one, [one]), (bag, sorted(bag.iterdir()))):
+        found = read(path, checksums=True).source.files
+        assert found == tuple(
+            LogFileInfo(path=str(file), size_bytes=file.stat().st_size, blake2b=b2sum(file)) for file in files
+        )
+    assert read(one).source.files == ()
+
+
+def test_the_published_checksum(tmp_path: Path) -> None:
+    """RFC 7693, Appendix A: BLAKE2b-512 of the three bytes abc."""
+    path = tmp_path / "abc.csv"
+    path.write_bytes(b"abc")
+    with Checksums([path]) as sums:
+        (found,) = sums.files()
+    assert found.size_bytes == 3
+    assert found.blake2b == (
+        "ba80a53f981c4d0d6a2797b69f12f6e94c212f14685ac4b74b12bb6fdbffa2d1"
+        "7d87c5392aab792dc252d5de4533cc9518d38aa8dbf1925ab92386edd4009923"
+    )
+
+
+def test_what_can_not_be_read_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that went, and standard input; a block that is left stops the work."""
+    with Checksums([tmp_path / "gone.csv", Path("-")]) as sums:
+        assert sums.files() == (LogFileInfo(path=str(tmp_path / "gone.csv"), size_bytes=0, blake2b=None),)
+    path = tmp_path / "large.csv"
+    path.write_bytes(bytes(1 << 16))
+    monkeypatch.setattr(checksums, "_BLOCK", 16)
+    with Checksums([path]) as sums:
+        pass
+    assert sums.files() in ((), (LogFileInfo(path=str(path), size_bytes=1 << 16, blake2b=b2sum(path)),))
+
+
+def test_a_report_says_what_was_read(tmp_path: Path) -> None:
+    """The file as `b2sum` sees it, and the part that --skip and --take leave, by time and by stamps."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(3000)))
+    done = run(
+        "fit", "log.mcap", "--skip", "5s", "--take", "20s", "--model", "N", "--force", "-o", "r", cwd=tmp_path
+    )
+    assert done.returncode == 0
+    document = json.loads((tmp_path / "r" / "report.json").read_text(encoding="utf-8"))
+    jsonschema.validate(document, schema())
+    assert document["source"]["files"] == [
+        {"path": "log.mcap", "size_bytes": path.stat().st_size, "blake2b": b2sum(path)}
+    ]
+    assert document["source"]["range"] == {
+        "from_s": 5.0, "duration_s": 20.0, "start_ns": START + 5 * 10**9, "end_ns": START + 25 * 10**9,
+    }  # fmt: skip
+    source = load_report(tmp_path / "r").source
+    assert source.files[0].blake2b == b2sum(path)
+    assert source.read is not None
+    assert (source.read.from_s, source.read.end_ns) == (5.0, START + 25 * 10**9)
+
+
+def test_the_range_of_a_recording(tmp_path: Path) -> None:
+    """Of all of it, of a part of a part, and without stamps."""
+    recording = read(write_mcap(tmp_path / "log.mcap", imu_messages(samples(3000))))
+    report = imucal.characterize(recording, imucal.Settings(model="N", second_opinion=False))
+    assert report.source.read is not None
+    assert (report.source.read.from_s, report.source.read.start_ns) == (0.0, START)
+    assert report.source.read.duration_s == pytest.approx(30)
+    part = recording.between(2, 25).between(3, 10)
+    assert part.source.read is not None
+    assert (part.source.read.from_s, part.source.read.start_ns) == (5.0, START + 5 * 10**9)
+    assert part.source.read.duration_s == pytest.approx(7)
+    series = imucal.AxisSeries.from_samples(recording.series[0].samples, rate_hz=100)
+    plain = Recording(source=recording.source, series=(series,)).between(1, 3)
+    assert plain.source.read is not None
+    assert plain.source.read.from_s == 1.0
+    assert plain.source.read.duration_s == pytest.approx(2.0)
+    assert plain.source.read.start_ns is None
