@@ -204,7 +204,7 @@ def test_a_columns_text_counts_in_the_widest_table_then_the_longest(tmp_path: Pa
 
 
 def test_tables_without_a_sensor_are_passed_over(tmp_path: Path) -> None:
-    """Unless none has one: then the first says what it lacks."""
+    """Unless none has one: then the widest says what it lacks."""
     values = np.random.default_rng(1).normal(size=(50, 3))
     path = save(tmp_path / "log.npz", other=np.zeros(90), gyro=values)
     found = typed_table.read(path, ReadOptions(rate_hz=10.0, gyro_unit="rad/s"))
