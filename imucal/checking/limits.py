@@ -54,6 +54,7 @@ FINDING_CODES = frozenset(
         "no-data",
         "no-gravity",
         "no-result",
+        "not-checked",
         "not-drawn",
         "not-finite",
         "other-vectors",

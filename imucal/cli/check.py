@@ -13,6 +13,7 @@ from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
 from imucal.cli._terminal import FULL, width
+from imucal.printable import printable
 
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
 
@@ -103,7 +104,7 @@ def command(
     if as_json:
         echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        echo(_table(result))
+        click.echo(_table(result))
     if github:
         for line in github_annotations(result, file=str(limits_file or "")):
             echo(line, err=as_json)
@@ -127,7 +128,7 @@ def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
 
 
 def _table(result: CheckResult) -> str:
-    """Return the verdicts as lines that fit the terminal, and what they come to."""
+    """Return the verdicts as lines that fit the terminal, and what they come to; the colours are our own."""
     where = max((len(row.where) for row in result.rows), default=0)
     rule = min(max((len(row.rule) for row in result.rows), default=0), 32)
     lines = [line for row in result.rows for line in _lines(row, where, rule)]
@@ -159,6 +160,6 @@ def _lines(row: Row, where: int, rule: int) -> list[str]:
     if row.measured is not None and width() < FULL:
         place, *more = textwrap.wrap(f"{row.where:<{where}} {row.rule}", width() - 10)
         return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, row.measured.text()))]
-    text = row.text.partition(": ")[2]  # without the place, which has its column
+    text = printable(row.text).partition(": ")[2]  # without the place, which has its column
     first, *rest = textwrap.wrap(text, width() - start) or [""]
     return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._echo import echo, echo_json
+from imucal.cli._echo import echo_json
 from imucal.cli._options import Number, quiet_option, say, shown
 from imucal.cli._report_input import read_report
 from imucal.cli._terminal import FULL, width
@@ -72,7 +72,8 @@ def command(
     if as_json:
         echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        echo(_table(result, datasheet=datasheet))
+        # Its colours are our own; names of files stand in the lines below it.
+        click.echo(_table(result, datasheet=datasheet))
     for name, path in (("A", result.a), ("B", result.b)):
         say(f"{name}: {path}", quiet=quiet)
     for note in result.notes:

@@ -254,7 +254,7 @@ class _Flattener:
             return plain
         repeat = 1 if array is None else fixed
         if line.is_time:
-            return self._times(path, repeat, array)
+            return self._times(path, array)
         nested = self.definitions.resolve(owner, kind)
         if repeat is None:
             return self._structures(nested, path, depth)
@@ -272,8 +272,8 @@ class _Flattener:
         else:
             self.fields.append(Field(path, "sequence", code))
 
-    def _times(self, path: str, repeat: int | None, array: str | None) -> bool:
-        if array is not None or repeat is None:
+    def _times(self, path: str, array: str | None) -> bool:
+        if array is not None:
             self.fields.append(Field(path, "other"))
             return False
         self.fields += [Field(path + ".sec", "number", self.sec), Field(path + ".nanosec", "number", "u4")]

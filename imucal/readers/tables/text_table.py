@@ -5,7 +5,6 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import PurePath
 from typing import Any
 
 from imucal.arrays import FloatArray
@@ -126,7 +125,7 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tu
         options,
         units=layout.units,
         preamble=layout.preamble,
-        name=name or PurePath(source.name).name,
+        name=name,
     )
     return layout, plan
 

@@ -382,3 +382,21 @@ def test_topics_are_refused(tmp_path: Path) -> None:
     assert str(caught.value) == (
         f"{path}: a table of text has no topics, but /imu was asked for; expected no topic, or a columns text"
     )
+
+
+@pytest.mark.parametrize("compress", [bz2.compress, xz, zstd, lz4_frame])
+def test_damage_within_a_compressed_file_ends_it(compress: Callable[[bytes], bytes], tmp_path: Path) -> None:
+    """Each package has errors of its own: what was unpacked before is read, or nothing was."""
+    path = tmp_path / "log.csv"
+    text = "t,gyro_x,gyro_y,gyro_z\n" + "".join(f"{i / 100},0.{i:05},0.2,0.3\n" for i in range(20_000))
+    data = bytearray(compress(text.encode()))
+    for place in range(len(data) // 2, len(data) - 20, 97):
+        data[place] ^= 0x55
+    path.write_bytes(data)
+    try:
+        recording = read(path, ReadOptions(gyro_unit="rad/s"))
+    except ReadError as error:
+        assert "stream is cut or damaged" in str(error)  # noqa: PT017 - reading may also succeed
+    else:
+        assert recording.series[0].n < 20_000
+        assert "truncated" in codes(recording)
