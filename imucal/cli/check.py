@@ -13,6 +13,7 @@ from imucal.cli._echo import echo, echo_json
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
 from imucal.cli._terminal import FULL, width
+from imucal.printable import printable
 
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
 
@@ -103,7 +104,7 @@ def command(
     if as_json:
         echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
-        echo(_table(result))
+        click.echo(_table(result))
     if github:
         for line in github_annotations(result, file=str(limits_file or "")):
             echo(line, err=as_json)
@@ -152,13 +153,15 @@ def _total(styled: str, text: str) -> list[str]:
 
 
 def _lines(row: Row, where: int, rule: int) -> list[str]:
+    # Only the colours are our own: what a row says may come from a log.
     verdict = click.style(f"{row.verdict:<9}", fg=_COLOURS[row.verdict])
+    said = printable(row.text)
     start = 9 + 1 + where + 1
     if row.measured is not None and start + rule + 1 + len(row.measured.text()) <= width():
         return [f"{verdict} {row.where:<{where}} {row.rule:<{rule}} {row.measured.text()}"]
     if row.measured is not None and width() < FULL:
         place, *more = textwrap.wrap(f"{row.where:<{where}} {row.rule}", width() - 10)
         return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, row.measured.text()))]
-    text = row.text.partition(": ")[2]  # without the place, which has its column
+    text = said.partition(": ")[2]  # without the place, which has its column
     first, *rest = textwrap.wrap(text, width() - start) or [""]
     return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]
