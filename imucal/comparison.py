@@ -112,8 +112,8 @@ def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0
         Probability of calling any term different when none is.
     tolerance
         Relative difference, such as 0.05, that doesn't count: only what is significantly beyond it
-        differs. Two runs of one sensor differ by more than their intervals, which know the noise
-        of one record alone.
+        differs. Intervals know how much the noise differs between parts of one record; another day or
+        another temperature may differ by more.
 
     Raises
     ------

@@ -29,7 +29,7 @@ _SAID_BETTER = (("roll-off", "output-filter"), ("tone", "line"))
 #: The settings in the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
-    *("max_gm", "clean", "verify", "second_opinion"),
+    *("max_gm", "clean", "verify", "second_opinion", "segments"),
 )
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
@@ -140,9 +140,9 @@ def _characterize_axis(
         code="spectral-ambiguity",
     )
     if settings.second_opinion and settings.method == "mle":
-        found += _second_opinion(finite, result, at_samples, spikes=not settings.clean)
-    # Of a step the fit says more: it has taken it out.
-    taken_out = {finding.code for finding in found} & {"step"}
+        found += _second_opinion(finite, result, at_samples)
+    # Of steps the fit says more: it has taken them out, or knows that they go to and fro.
+    taken_out = {"step"} if {f.code for f in found} & {"step", "telegraph"} else set()
     findings = [f for f in screened if f.axis == series.name and f.code not in taken_out]
     findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
@@ -163,14 +163,15 @@ def _characterize_axis(
 
 
 def _second_opinion(
-    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None, *, spikes: bool
+    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None
 ) -> tuple[Finding, ...]:
     """Return where a fit of the curve disagrees; that it can't be made costs no axis its result."""
     if not first.model.terms:
         return ()
 
     def judge() -> tuple[Finding, ...]:
-        samples = series if spikes else clean(series)[0]
+        cleaned = any(finding.code == "spikes" for finding in first.findings)
+        samples = clean(series)[0] if cleaned else series
         return second_opinion(first, fit_of_curve(samples, first, temperature))
 
     return findings_or_why_not(

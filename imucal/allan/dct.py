@@ -209,10 +209,15 @@ def spectrum(series: AxisSeries, *, per_octave: int = 12) -> Spectrum:
     edges = np.pi * np.append(grid.first - 0.5, grid.n - 0.5) / grid.n
     power, count, omega = np.zeros((3, grid.size))
     for run, size in zip(runs, sizes, strict=True):
-        squares = np.square(dct_ordinates(series.samples[run.start : run.start + size]))
+        ordinates = dct_ordinates(series.samples[run.start : run.start + size])
+        if size == grid.n:
+            power += bin_power(ordinates, grid)
+            omega += grid.omega * grid.count
+            count += grid.count
+            continue
         angle = np.pi * np.arange(1, size) / size
         bins = np.searchsorted(edges, angle) - 1
-        power += np.bincount(bins, squares, grid.size)
+        power += np.bincount(bins, np.square(ordinates), grid.size)
         omega += np.bincount(bins, angle, grid.size)
         count += np.bincount(bins, minlength=grid.size)
     filled = count > 0

@@ -54,6 +54,8 @@ FINDING_CODES = frozenset(
         "no-data",
         "no-gravity",
         "no-result",
+        "nonstationary",
+        "not-checked",
         "not-drawn",
         "not-finite",
         "other-vectors",

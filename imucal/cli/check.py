@@ -128,7 +128,7 @@ def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
 
 
 def _table(result: CheckResult) -> str:
-    """Return the verdicts as lines that fit the terminal, and what they come to."""
+    """Return the verdicts as lines that fit the terminal, and what they come to; the colours are our own."""
     where = max((len(row.where) for row in result.rows), default=0)
     rule = min(max((len(row.rule) for row in result.rows), default=0), 32)
     lines = [line for row in result.rows for line in _lines(row, where, rule)]
@@ -153,15 +153,13 @@ def _total(styled: str, text: str) -> list[str]:
 
 
 def _lines(row: Row, where: int, rule: int) -> list[str]:
-    # Only the colours are our own: what a row says may come from a log.
     verdict = click.style(f"{row.verdict:<9}", fg=_COLOURS[row.verdict])
-    said = printable(row.text)
     start = 9 + 1 + where + 1
     if row.measured is not None and start + rule + 1 + len(row.measured.text()) <= width():
         return [f"{verdict} {row.where:<{where}} {row.rule:<{rule}} {row.measured.text()}"]
     if row.measured is not None and width() < FULL:
         place, *more = textwrap.wrap(f"{row.where:<{where}} {row.rule}", width() - 10)
         return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, row.measured.text()))]
-    text = said.partition(": ")[2]  # without the place, which has its column
+    text = printable(row.text).partition(": ")[2]  # without the place, which has its column
     first, *rest = textwrap.wrap(text, width() - start) or [""]
     return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]

@@ -12,7 +12,6 @@ from imucal.cli._terminal import FULL, width
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
-from imucal.printable import printable
 from imucal.report.document import plain
 from imucal.units import DatasheetUnit
 
@@ -73,6 +72,7 @@ def command(
     if as_json:
         echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
+        # Its colours are our own; names of files stand in the lines below it.
         click.echo(_table(result, datasheet=datasheet))
     for name, path in (("A", result.a), ("B", result.b)):
         say(f"{name}: {path}", quiet=quiet)
@@ -140,7 +140,7 @@ def _table(result: Comparison, *, datasheet: bool) -> str:
 
 def _lines(difference: Difference, *, datasheet: bool, narrow: bool) -> list[str]:
     """Return a difference as a row of the table; as two lines where the terminal is narrow."""
-    unit = DatasheetUnit(printable(difference.unit), 1.0)
+    unit = DatasheetUnit(difference.unit, 1.0)
     if datasheet and difference.unit != "s":
         unit = TERMS[difference.symbol].datasheet_unit(difference.sensor)
     ratio = "" if difference.ratio is None else f"{difference.ratio:.4g}"

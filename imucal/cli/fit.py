@@ -12,6 +12,7 @@ from imucal.cli._param_type import ParamType
 from imucal.cli._terminal import width
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
+from imucal.fitting.settings import MOST_SEGMENTS
 from imucal.noise import parse_structure, structure_text
 
 if TYPE_CHECKING:
@@ -79,6 +80,13 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 @shown("--level", type=LEVEL, default=0.95, help="Confidence level of every interval.")
 @shown("--ic", type=click.Choice(CRITERIA), default="bic", help="Criterion that chooses the model.")
 @shown("--weights", type=click.Choice(WEIGHTS), default="full", help="Weights of gmwm.")
+@shown(
+    "--segments",
+    type=click.IntRange(1, MOST_SEGMENTS),
+    default=8,
+    metavar="N",
+    help="Parts whose noise is compared; 1 for none.",
+)
 @shown("--taus", type=TauSet(), default="octave", metavar="SET", help="octave, decade, decade:20 or all.")
 @shown(
     "--edf",
@@ -111,6 +119,7 @@ def command(
     level: float,
     ic: str,
     weights: str,
+    segments: int,
     taus: str,
     edf: str,
     no_clean: bool,
@@ -142,6 +151,7 @@ def command(
             level=level,
             criterion=ic,
             weights=weights,
+            segments=segments,
             taus=taus,
             edf=edf,
             clean=not no_clean,

@@ -28,6 +28,7 @@ def fit(
     temperature: FloatArray | None = None,
     curve: AllanCurve | None = None,
     max_gm: int = 2,
+    segments: int = 8,
 ) -> NoiseFit:
     """Fit a noise model to one axis.
 
@@ -57,6 +58,9 @@ def fit(
         The samples' Allan curve, where it has been computed already.
     max_gm
         Most Gauss-Markov terms that ``auto`` tries.
+    segments
+        Of mle: into how many parts of equal time the record is cut to see whether its noise stays the
+        same, fewer where it is short; 1 does not look. Where it does not stay, intervals are wider.
 
     Returns
     -------
@@ -79,6 +83,7 @@ def fit(
         max_gm=max_gm,
         clean=clean,
         verify=verify,
+        segments=segments,
     )
     result = fit_axis(series, settings, temperature=temperature, curve=curve)
     if isinstance(series, AllanCurve) or settings.method == "mle":

@@ -43,7 +43,8 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
     Notes
     -----
     The variance of a difference is taken as at least a quarter of the second fit's, and as (1/300)²:
-    differences below 1 % are never reported.
+    differences below 1 % are never reported. Where segments of the record differ, both fits are as much
+    less sure as the first one's interval is wider.
     """
     findings = []
     filtered = any(finding.code == "output-filter" for finding in mle.findings)
@@ -67,9 +68,9 @@ def _distance(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) 
     variances = [_relative_variance(fit, e) for fit, e in ((mle, first), (gmwm, second))]
     if not all(map(math.isfinite, variances)):
         return 0.0
-    least, other = variances
+    least, other = variances[0] / first.widening**2, variances[1]
     variance = max(other - least, _LEAST_SHARE * other, _LEAST**2)
-    return abs(math.log(first.value / second.value)) / math.sqrt(variance)
+    return abs(math.log(first.value / second.value)) / (first.widening * math.sqrt(variance))
 
 
 def _relative_variance(fit: NoiseFit, estimate: Estimate) -> float:

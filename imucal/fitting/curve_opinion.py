@@ -19,7 +19,7 @@ from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.regressors import regressor_samples
 from imucal.recording import AxisSeries
 
-#: A point of which less than this share is noise, or which lacks as much of it, is left out.
+#: A point is left out of which less than this share is noise, or which has less than this share of the noise.
 _LEAST_SHARE = 2 / 3
 #: Fewest points of a curve that can contradict anything.
 _FEWEST = 4
@@ -58,10 +58,11 @@ def _of_noise(curve: AllanCurve, share: FloatArray | None, axis: str) -> AllanCu
     if share is None:
         return curve
     keep = (share > _LEAST_SHARE) & (share < 1 / _LEAST_SHARE)
-    if np.count_nonzero(keep) < _FEWEST:
+    shown = np.count_nonzero(keep)
+    if shown < _FEWEST:
         msg = (
-            f"{axis}: an output filter or lines make more of the Allan variance than the noise does at all "
-            f"but {np.count_nonzero(keep)} averaging times, expected at least {_FEWEST}; record for longer"
+            f"{axis}: an output filter or lines shape the Allan variance, and {shown} averaging times show "
+            f"the noise, expected at least {_FEWEST}; record for longer"
         )
         raise DataError(msg)
     return replace(

@@ -9,6 +9,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
+from imucal.fitting.segments import Segments
 from imucal.noise.model import NoiseModel
 from imucal.recording import Sensor
 
@@ -43,6 +44,8 @@ class Estimate:
         T of a Gauss-Markov term, in s; None for others.
     alternatives
         Symbols of terms that may stand in this one's place: to this record they are one thing.
+    widening
+        By what factor the interval is wider than the likelihood says, because the record's segments differ.
     """
 
     key: str
@@ -53,6 +56,7 @@ class Estimate:
     high: float
     correlation_time: Interval | None = None
     alternatives: tuple[str, ...] = ()
+    widening: float = 1.0
 
     @classmethod
     def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":
@@ -158,6 +162,8 @@ class NoiseFit:
     taken_out
         Regressors that were taken out of the samples with the fit -> their coefficients in U; the names
         are those of `imucal.fitting.spectral.regressors`.
+    segments
+        Which terms are the same in all parts of the record; None where that was not looked at.
     """
 
     method: str
@@ -178,6 +184,7 @@ class NoiseFit:
     settings: Mapping[str, object] = field(default_factory=dict)
     noise_share: FloatArray | None = None
     taken_out: Mapping[str, float] = field(default_factory=dict)
+    segments: Segments | None = None
 
     def __getitem__(self, key: str) -> Estimate:
         for estimate in self.estimates:

@@ -31,6 +31,9 @@ CRITERIA: dict[str, Callable[[float], float]] = {
     "aic": lambda _: 2.0,
 }
 
+#: Most segments of a record that are held against each other.
+MOST_SEGMENTS = 64
+
 #: Weights of gmwm: full covariance of the curve, or the published diagonal.
 WEIGHTS = ("full", "eta3")
 
@@ -53,6 +56,7 @@ class FitSettings:
     max_gm: int = 2
     clean: bool = True
     verify: bool = False
+    segments: int = 8
 
     def __post_init__(self) -> None:
         choices = (
@@ -69,6 +73,9 @@ class FitSettings:
             raise ValueError(msg)
         if not 0 <= self.max_gm <= 2:
             msg = f"max_gm must be 0, 1 or 2, got {self.max_gm}"
+            raise ValueError(msg)
+        if not 1 <= self.segments <= MOST_SEGMENTS:
+            msg = f"segments must be from 1 (not looked at) to {MOST_SEGMENTS}, got {self.segments}"
             raise ValueError(msg)
         require_fittable(self.structure or (), self.method)
 

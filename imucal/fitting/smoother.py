@@ -34,8 +34,8 @@ _WHOLE, _HOLED = 256, 64
 _MANY = 0.1
 #: Standard deviation of a flat prior, beside the largest sample.
 _FLAT = 1e5
-#: Blocks whose insides are computed at once.
-_AT_ONCE = 512
+#: Blocks whose insides are computed at once; so few that each is computed by itself.
+_AT_ONCE, _FEW = 512, 4
 
 #: Called with the number of samples done and of all.
 Progress: TypeAlias = Callable[[int, int], None]
@@ -226,10 +226,7 @@ def _components(
     extended, covariance = _extended(inside.states, blocks, ends, members)
     for key, of_ends in inside.of_ends.items():
         mean = own @ inside.of_samples[key].T + extended @ of_ends.T
-        upper = np.triu_indices(of_ends.shape[1])
-        twice = np.where(upper[0] == upper[1], 1.0, 2.0)
-        pairs = of_ends[:, upper[0]] * of_ends[:, upper[1]] * twice
-        yield key, mean, covariance[:, upper[0], upper[1]] @ pairs.T + inside.left[key]
+        yield key, mean, _spread(covariance, of_ends) + inside.left[key]
     d, B = inside.states.size, blocks.length
     for i, name in enumerate(inside.states.flat):
         mean, variance = ends.mean[members, 2 * d + i], ends.covariance[members, 2 * d + i, 2 * d + i]
@@ -237,6 +234,17 @@ def _components(
         if name == "R":
             time = (members[:, np.newaxis] + np.arange(B) / B) / blocks.count
         yield name, mean[:, np.newaxis] * time, variance[:, np.newaxis] * time**2
+
+
+def _spread(covariance: FloatArray, of_ends: FloatArray) -> FloatArray:
+    """Return the variances, shape (b, length), of `of_ends`, shape (length, e), times the blocks' ends."""
+    if covariance.shape[0] < _FEW:
+        return np.asarray(np.sum(of_ends @ covariance * of_ends, axis=2))
+    # One product for all blocks: of the pairs of columns with the covariances' upper halves.
+    row, column = np.triu_indices(of_ends.shape[1])
+    pairs = of_ends[:, row] * of_ends[:, column] * np.where(row == column, 1.0, 2.0)
+    spread: FloatArray = covariance[:, row, column] @ pairs.T
+    return spread
 
 
 def _extended(

@@ -38,8 +38,8 @@ class RecordingBuilder:
         axes: Sequence[FloatArray] | FloatArray,
         clock: Clock,
         *,
+        scale: float,
         order: IntArray | None = None,
-        scale: float = 1.0,
         names: Sequence[Axis] = AXES,
     ) -> None:
         """Add the axes of a sensor.
@@ -49,10 +49,10 @@ class RecordingBuilder:
         axes
             The axes that `names` names, shape (n,) each and no two the same memory; scaled in place where
             they are this package's own.
-        order
-            Samples to keep, in order, shape (clock.n,); None for all.
         scale
             SI per unit of the samples.
+        order
+            Samples to keep, in order, shape (clock.n,); None for all.
         """
         for axis, values in zip(names, axes, strict=True):
             samples = _scaled(_kept(values, order), scale)

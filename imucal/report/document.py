@@ -13,6 +13,7 @@ import numpy as np
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
+from imucal.fitting.segments import Segments, TermHomogeneity, Trace
 from imucal.noise.terms import TERMS
 from imucal.recording import ReadRange, Sensor, Source
 from imucal.report import numbers
@@ -173,6 +174,7 @@ def _fit(fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
         "covariance": plain(fit.covariance),
         "response": response and {"kind": response.kind, "cutoff_hz": plain(response.cutoff_hz)},
         "candidates": [{"model": c.structure, "delta": plain(c.delta)} for c in fit.candidates],
+        "segments": fit.segments and _segments(fit.segments, fit, sensor),
         "settings": plain(fit.settings),
         "findings": [_finding(f) for f in fit.findings],
     }
@@ -214,6 +216,7 @@ def _term(estimate: Estimate, sensor: Sensor) -> dict[str, object]:
         "unit": plain_si.unit,
         "datasheet": _quantity(sheet),
         "alternatives": list(estimate.alternatives),
+        "widening": plain(estimate.widening),
     }
 
 
@@ -224,6 +227,40 @@ def _gauss_markov(estimate: Estimate, fit: NoiseFit) -> dict[str, object]:
         "correlation_time": time and _quantity(numbers.correlation_time(time)),
         "phi": term and plain(term.phi(tau0)),
         "q": term and plain(term.q(tau0)),
+    }
+
+
+def _segments(segments: Segments, fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
+    return {
+        "level": fit.level,
+        "start_s": plain(segments.start_s),
+        "end_s": plain(segments.end_s),
+        "N": segments.white and _trace(segments.white, TERMS["N"].unit(sensor)),
+        "floor": segments.floor
+        and {"tau_s": plain(segments.floor_tau_s), **_trace(segments.floor, sensor.unit)},
+        "terms": {term.key: _homogeneity(term) for term in segments.terms},
+    }
+
+
+def _trace(trace: Trace, unit: str) -> dict[str, object]:
+    return {
+        "value": plain(trace.value),
+        "low": plain(trace.low),
+        "high": plain(trace.high),
+        "unit": unit,
+    }
+
+
+def _homogeneity(term: TermHomogeneity) -> dict[str, object]:
+    return {
+        "symbol": term.symbol,
+        "statistic": plain(term.statistic),
+        "dof": term.dof,
+        "p_value": plain(term.p_value),
+        "spread": plain(term.spread),
+        "factor": plain(term.factor),
+        "highest_s": plain(term.highest_s),
+        "lowest_s": plain(term.lowest_s),
     }
 
 

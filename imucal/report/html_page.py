@@ -17,6 +17,7 @@ from imucal.report.figure_allan import shown_points
 from imucal.report.markup import Markup, both_units, element, join, labelled, row, table
 from imucal.report.page_data import page_data
 from imucal.report.page_downstream import downstream_section
+from imucal.report.page_segments import segments_figure
 from imucal.report.page_summary import findings_section, summary_section
 from imucal.report.page_words import glossary_section, method_section
 from imucal.report.result import AxisReport, Report
@@ -132,6 +133,7 @@ def _axis_section(report: Report, axis: AxisReport) -> Markup:
         [
             element("div", _figure(axis, "allan", curve), _figure(axis, "psd", psd), class_="pair"),
             _figure(axis, "raw", raw),
+            segments_figure(axis),
             element("details", element("summary", "The curve as a table"), _curve_table(axis)),
         ]
     )

@@ -12,6 +12,7 @@ from imucal.clock import Gap
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
+from imucal.fitting.segments import Segments, TermHomogeneity, Trace
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Axis, LogFileInfo, ReadRange, Sensor, Source
@@ -208,6 +209,41 @@ def _fit(node: Node, curve_node: Node, sensor: Sensor) -> NoiseFit:
         criterion=node["criterion"].text(),
         findings=_findings(node["findings"]),
         settings=node["settings"].table(),
+        segments=_segments(node["segments"]) if "segments" in node.table() else None,
+    )
+
+
+def _segments(node: Node) -> Segments | None:
+    if node.value is None:
+        return None
+    start = node["start_s"].array()
+    floor = node["floor"]
+    return Segments(
+        start_s=start,
+        end_s=node["end_s"].array(like=start.size),
+        white=node["N"].maybe(lambda white: _trace(white, start.size)),
+        floor=floor.maybe(lambda floor: _trace(floor, start.size)),
+        floor_tau_s=math.nan if floor.value is None else floor["tau_s"].positive(),
+        terms=tuple(_homogeneity(node["terms"][key], key) for key in node["terms"].table()),
+    )
+
+
+def _trace(node: Node, size: int) -> Trace:
+    value, low, high = (node[name].array(like=size) for name in ("value", "low", "high"))
+    return Trace(value=value, low=low, high=high)
+
+
+def _homogeneity(node: Node, key: str) -> TermHomogeneity:
+    return TermHomogeneity(
+        key=key,
+        symbol=node["symbol"].text(*TERMS),
+        statistic=node["statistic"].number(),
+        dof=node["dof"].count(),
+        p_value=node["p_value"].number(),
+        spread=node["spread"].number(),
+        factor=node["factor"].number(),
+        highest_s=node["highest_s"].pair(),
+        lowest_s=node["lowest_s"].pair(),
     )
 
 
@@ -243,7 +279,7 @@ def _estimate(node: Node, key: str) -> Estimate:
     value = node["value"].maybe(Node.number)
     if (value is None) != (status == "bounded"):
         node["value"].fail(f"found {json.dumps(node['value'].value)}", f"a value that fits {status!r}")
-    timed, known = "correlation_time" in node.table(), "alternatives" in node.table()
+    keys = node.table().keys()
     return Estimate(
         key=key,
         symbol=node["symbol"].text(*TERMS),
@@ -251,8 +287,9 @@ def _estimate(node: Node, key: str) -> Estimate:
         value=value,
         low=node["low"].number(null=math.nan),
         high=node["high"].number(null=math.inf),
-        correlation_time=node["correlation_time"].maybe(_interval) if timed else None,
-        alternatives=tuple(item.text(*TERMS) for item in node["alternatives"]) if known else (),
+        correlation_time=node["correlation_time"].maybe(_interval) if "correlation_time" in keys else None,
+        alternatives=tuple(i.text(*TERMS) for i in node["alternatives"]) if "alternatives" in keys else (),
+        widening=node["widening"].number() if "widening" in keys else 1.0,
     )
 
 

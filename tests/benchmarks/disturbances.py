@@ -13,12 +13,15 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import imucal
 from imucal.clock import Clock
-from imucal.fitting.noise_fit import NoiseFit
+
+if TYPE_CHECKING:
+    from imucal.fitting.noise_fit import NoiseFit
 from imucal.recording import AxisSeries, Recording, Sensor, Source, Temperature
 
 RATE = 100.0
@@ -146,7 +149,7 @@ def report(samples: Array, temperature: Array | None = None, rate: float = RATE)
     return imucal.characterize(recording).axes[0]
 
 
-def shown(fit: NoiseFit, truth: str) -> str:
+def shown(fit: "NoiseFit", truth: str) -> str:
     """Return each estimate over the truth, its interval marked where it misses it."""
     known = {term.symbol: term.coefficient for term in imucal.NoiseModel.parse(truth).terms}
     words = []

@@ -36,6 +36,7 @@ def test_an_unknown_shell_is_refused(tmp_path: Path) -> None:
         ("imucal export --to ", {*TARGETS, "all"}),
         ("imucal export --to o", {"openvins", "orbslam3"}),
         ("imucal check --undecided ", {"pass", "fail"}),
+        ("imucal decompose --axis g", {"gyro_x", "gyro_y", "gyro_z"}),
     ],
 )
 def test_commands_formats_and_choices_are_offered(words: str, offered: set[str], tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
+from imucal.arrays import FloatArray
 from tests.cli.run import SAMPLE_LOGS, run
+from tests.cli.test_not_noise import moved, write
 
 LOG = "still.csv"
 MODEL = ("--model", "N + K")
@@ -113,3 +115,30 @@ def test_strict_turns_a_warning_into_an_exit_code(folder: Path) -> None:
     assert run(*arguments, cwd=folder).returncode == 0
     assert run(*arguments, "--strict", cwd=folder).returncode == 4
     assert (folder / "with_gaps-decomposed" / "gyro_x.png").exists()
+
+
+def test_what_is_not_noise_ends_with_code_4_unless_forced(tmp_path: Path) -> None:
+    """The files are written, since the picture shows what happened; the message says what to do."""
+    write(tmp_path / "log.csv", moved)
+    done = run("decompose", "log.csv", "--model", "N", "--axis", "gyro_x", "-q", cwd=tmp_path)
+    assert done.returncode == 4
+    assert done.stderr == (
+        "Error: log.csv: not noise: the IMU was moved; do not use these numbers; log-decomposed was written; "
+        "record again at rest, or --force\n"
+    )
+    assert (tmp_path / "log-decomposed" / "gyro_x.png").exists()
+    done = run("decompose", "log.csv", "--model", "N", "--axis", "gyro_x", "-q", "--force", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_the_fit_took_out_is_said(tmp_path: Path) -> None:
+    """A step is no noise, so the fit takes it out; here it is in the bias."""
+
+    def stepped(rows: FloatArray) -> None:
+        rows[500:, 1] += 2e-3
+
+    write(tmp_path / "log.csv", stepped)
+    done = run("decompose", "log.csv", "--model", "N + K", "--axis", "gyro_x", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = "gyro_x: the fit took out a step; here it is in the bias, as far as the model follows"
+    assert said in done.stderr.splitlines()

@@ -135,3 +135,18 @@ def test_hints_can_be_typed_as_they_stand(tmp_path: Path) -> None:
 def test_the_report_is_named_after_the_log(log: str, folder: str) -> None:
     """Without the endings of its format."""
     assert report_folder(log) == Path(folder)
+
+
+def test_parts_of_the_record_are_compared_unless_asked_not_to(tmp_path: Path) -> None:
+    """The report says into how many parts; none is no number of parts."""
+    options = ("--rate", "100", "--duration", "100s", "-o", "log.csv", "-q")
+    assert run("simulate", "N=1e-3", *options, cwd=tmp_path).returncode == 0
+    ask = ("fit", "log.csv", "--no-report", "--json", "-q", "--model", "N")
+    cut = json.loads(run(*ask, cwd=tmp_path).stdout)
+    whole = json.loads(run(*ask, "--segments", "1", cwd=tmp_path).stdout)
+    assert (cut["settings"]["segments"], whole["settings"]["segments"]) == (8, 1)
+    assert len(cut["axes"][0]["fit"]["segments"]["start_s"]) == 4
+    assert whole["axes"][0]["fit"]["segments"] is None
+    refused = run("fit", "log.csv", "--segments", "0", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "1<=x<=64" in refused.stderr

@@ -115,6 +115,9 @@ def test_a_distance_is_in_units_of_the_difference_of_variances(
     assert _distance(replace(first, parameters=("K",)), second, moved, fit["N"]) == 0.0
     unsure = replace(second, covariance=np.array([[np.inf]]))
     assert _distance(first, unsure, moved, fit["N"]) == 0.0
+    # Three times as wide an interval, and its covariance: a third of the distance.
+    wider = replace(first, covariance=9 * first.covariance)
+    assert _distance(wider, second, replace(moved, widening=3.0), fit["N"]) == pytest.approx(expected / 3)
 
 
 @pytest.mark.parametrize(
@@ -224,7 +227,7 @@ def test_a_curve_of_lines_alone_gives_no_second_opinion() -> None:
     series = AxisSeries.from_samples(np.random.default_rng(39).standard_normal(3000), rate_hz=10.0)
     first = fit_mle(series, allan_curve(series), FitSettings())
     drowned = replace(first, noise_share=np.where(first.curve.m < 4, 1.0, 0.1))
-    with pytest.raises(DataError, match="all but 2 averaging times, expected at least 4; record for longer"):
+    with pytest.raises(DataError, match="and 2 averaging times show the noise, expected at least 4"):
         fit_of_curve(series, drowned)
 
 

@@ -47,6 +47,8 @@ class Block:
         Share of each bin's information that missing samples took, shape (b,); None for none.
     temperature
         At each place of the block, shape (bins.n,), or None.
+    drawn
+        The missing samples in order, drawn given the others, shape (g,); None for none.
     """
 
     offset: int
@@ -56,6 +58,7 @@ class Block:
     kept: BoolArray | None = None
     loss: FloatArray | None = None
     temperature: FloatArray | None = None
+    drawn: FloatArray | None = None
 
     def regressor(self, name: str) -> FloatArray:
         """Return the ordinates of a regressor, by its name."""
@@ -217,7 +220,7 @@ def _transform(
     samples = series.samples[run.start : run.stop] / scale
     if temperature is not None:
         temperature = temperature[run.start : run.stop]
-    variance = loss = None
+    variance = loss = drawn = None
     if samples.size == run.size:
         ordinates = dct_ordinates(samples)
     else:
@@ -226,7 +229,7 @@ def _transform(
         seen[grid] = True
         full = np.zeros(run.size)
         full[grid] = samples
-        ordinates, variance, loss = complete(full, seen, bins)
+        ordinates, variance, loss, drawn = complete(full, seen, bins)
         if temperature is not None:
             temperature = np.interp(np.arange(run.size), grid, temperature)
     return Block(
@@ -236,6 +239,7 @@ def _transform(
         variance=variance,
         loss=loss,
         temperature=temperature,
+        drawn=drawn,
     )
 
 

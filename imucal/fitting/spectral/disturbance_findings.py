@@ -20,6 +20,8 @@ def with_exact_steps(found: Sequence[Disturbance], series: AxisSeries) -> tuple[
     Of two levels in white noise, the place of least squares maximises the weighted square of their
     difference.
     """
+    if not any(one.kind == "step" for one in found):
+        return tuple(found)
     grid = series.clock.grid()
     return tuple(_exact(one, series, grid) if one.kind == "step" else one for one in found)
 

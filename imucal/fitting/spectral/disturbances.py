@@ -32,7 +32,7 @@ _LAGS = np.geomspace(3e-4, 0.1, 16)
 _FEWEST_PERIODS, _MOST_PERIODS = 2.0, 24.0
 _SPACING, _FINE = 0.25, 1 / 64
 #: What a shape must gain beyond the price of its parameters, in twice the log-likelihood.
-_MARGIN = 5.0
+_MARGIN = 7.0
 #: A shape that gains less at the spectrum of the fit without it is not fitted: chance gives so much.
 _WORTH_A_FIT = 15.0
 #: Most shapes that are taken out.

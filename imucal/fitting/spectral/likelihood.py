@@ -147,6 +147,17 @@ def evaluate(
     )
 
 
+def contributions(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> FloatArray:
+    """Return what each term adds to the spectrum of one candidate at `theta`, shape (1, p).
+
+    A row for each variance parameter, the response included, shape (4 + g, b); 0 for terms that the
+    candidate does not have.
+    """
+    spectrum, slopes = _spectrum(ordinates, candidate, theta)
+    shares: FloatArray = slopes[0, : MARKOV + candidate.room_markov] * spectrum[0]
+    return shares
+
+
 def _spectrum(
     ordinates: Ordinates, candidates: Candidates, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

@@ -28,8 +28,8 @@ _SEED = 20_24
 
 def complete(
     samples: FloatArray, seen: BoolArray, bins: DctBins
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return expected ordinates, the variance of each, and the share of each bin's information lost.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return expected ordinates, the variance of each, what the gaps took, and a draw of what they miss.
 
     Parameters
     ----------
@@ -43,18 +43,21 @@ def complete(
     ordinates, variance
         Shapes (n-1,).
     loss
-        Shape (b,), from 0 to 1.
+        Share of each bin's information that the gaps took, shape (b,), from 0 to 1.
+    drawn
+        The missing samples in order, their expectation and an error drawn with it, shape (g,).
     """
     from scipy.fft import dct, idct
 
     n = samples.size
     places = np.arange(n)
     filled = np.where(seen, samples, np.interp(places, places[seen], samples[seen]))
-    filled -= filled.mean()
+    mean = filled.mean()
+    filled -= mean
     gaps = np.flatnonzero(~seen)
     draw = np.random.default_rng(_SEED).standard_normal(n - 1)
     groups = _groups(bins)
-    variance = np.zeros(n - 1)
+    variance, error = np.zeros(n - 1), np.zeros(n)
     ordinates = dct(filled, norm="ortho")[1:]
     for _ in range(_ROUNDS):
         spectrum = _smooth(ordinates**2 + variance, groups)
@@ -72,14 +75,13 @@ def complete(
         unit = float(np.median(spectrum[spectrum.size // 2 :]))
         filled[gaps] -= _conjugate(missing, precision(filled)[gaps], unit)
         other = idct(np.concatenate([[0.0], np.sqrt(spectrum) * draw]), norm="ortho")
-        error = np.zeros(n)
         error[gaps] = _conjugate(missing, precision(other)[gaps], unit)
         ordinates = dct(filled, norm="ortho")[1:]
         variance = dct(error, norm="ortho")[1:] ** 2
     whole = ordinates**2 + variance
     share = np.add.reduceat(variance, groups) / np.add.reduceat(whole, groups)
     loss = share[np.searchsorted(groups, bins.first - 1, side="right") - 1]
-    return ordinates, variance, np.clip(loss, 0.0, 0.99)
+    return ordinates, variance, np.clip(loss, 0.0, 0.99), mean + filled[gaps] + error[gaps]
 
 
 def _groups(bins: DctBins) -> IntArray:

@@ -8,8 +8,10 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
 from imucal.fitting.cross_checks import verify_findings
+from imucal.fitting.homogeneity import nonstationary_finding, widened, widened_covariance
 from imucal.fitting.noise_fit import Goodness, Line, NoiseFit
 from imucal.fitting.robust import heavy_tails, resolution_effect
+from imucal.fitting.segments import Segments
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered, with_absent
 from imucal.fitting.spectral.band import find_band
@@ -22,10 +24,13 @@ from imucal.fitting.spectral.hull import hull_estimates
 from imucal.fitting.spectral.noise_share import noise_share
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
+from imucal.fitting.spectral.segment_fit import fit_segments
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.structures import Structure, all_structures
 from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.fitting.spectral.transform import bin_blocks
+from imucal.fitting.variance_changes import VarianceChange, find_variance_change
+from imucal.noise.model import NoiseModel
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
 from imucal.side_work import findings_or_why_not, try_side_work
@@ -112,12 +117,22 @@ def fit_mle(
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
+    (segments, change), not_compared = try_side_work(
+        lambda: _over_time(series, view, problem, fitted, model=model, curve=curve, wanted=settings.segments),
+        (None, None),
+        what="The parts of the record are not compared",
+        code="nonstationary",
+        axis=series.name,
+    )
+    estimates = widened(estimates, segments)
+    covariance = widened_covariance(names, covariance, segments)
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
     findings += filter_finding(
         view.ordinates, fitted, band, response, rate_hz=series.rate_hz, axis=series.name
     )
     findings += _misfit_findings(found, str(model), series.name)
+    findings += [*not_compared, *nonstationary_finding(segments, change, series.name)]
     if structure is None:
         findings += choice_findings(choice, series.name)
     white = next(e for e in estimates if e.key == "N")
@@ -155,6 +170,7 @@ def fit_mle(
         settings=_settings(band, view.common),
         noise_share=_noise_share(view, fitted, curve, series.rate_hz),
         taken_out=_taken_out(view, fitted),
+        segments=segments,
     )
 
 
@@ -216,6 +232,32 @@ def _disturbances(
     )
     said = telegraph_finding(levels, series) + disturbance_findings(found, series, blocks.scale)
     return found, said + no_levels + no_shapes
+
+
+def _over_time(
+    series: AxisSeries,
+    view: View,
+    problem: Problem,
+    fitted: Fitted,
+    *,
+    model: NoiseModel,
+    curve: AllanCurve,
+    wanted: int,
+) -> tuple[Segments | None, VarianceChange | None]:
+    """Return what the segments of the record say, and whether the variance changes within them."""
+    if wanted < 2:
+        return None, None
+    segments = fit_segments(
+        series,
+        view.blocks,
+        problem,
+        fitted,
+        model=model,
+        curve=curve,
+        wanted=wanted,
+        fraction=view.band.fraction,
+    )
+    return segments, find_variance_change(series)
 
 
 def _richest(structure: Structure | None, max_gm: int) -> Structure:

@@ -23,19 +23,23 @@ def test_fills_with_what_the_neighbours_say() -> None:
     signal = np.cumsum(np.cumsum(np.random.default_rng(2).standard_normal(n))) / 50
     seen = np.ones(n, dtype=bool)
     seen[20:500:17] = False
-    ordinates, _, loss = complete(np.where(seen, signal, 1e9), seen, dct_bins(n))
+    ordinates, _, loss, drawn = complete(np.where(seen, signal, 1e9), seen, dct_bins(n))
     filled = np.concatenate([[0.0], ordinates])
     transform = dct(np.eye(n), axis=0, norm="ortho")
     back = transform.T @ filled
     npt.assert_allclose(back - back.mean(), signal - signal.mean(), atol=0.05 * signal.std())
     assert np.all((loss >= 0) & (loss < 1))
+    assert drawn.shape == (np.count_nonzero(~seen),)
+    npt.assert_allclose(drawn, signal[~seen], atol=0.2 * signal.std())
 
 
 def test_white_noise_loses_the_missing_share() -> None:
     """Of white noise with a fifth missing, the bins lose a fifth of their information."""
     rng = np.random.default_rng(3)
     seen = rng.random(20_000) > 0.2
-    ordinates, variance, loss = complete(rng.standard_normal(20_000), seen, dct_bins(20_000))
+    ordinates, variance, loss, drawn = complete(rng.standard_normal(20_000), seen, dct_bins(20_000))
     assert np.median(loss[200:]) == np.clip(np.median(loss[200:]), 0.15, 0.25)
     # Mean square of the completed ordinates: 1, within four standard errors.
     assert abs(np.mean(ordinates**2 + variance) - 1) < 4 * np.sqrt(2 / 16_000)
+    # A draw has the variance of what is missing: one sample of 4000 in four standard errors.
+    assert abs(np.mean(drawn**2) - 1) < 4 * np.sqrt(2 / 4000)

@@ -57,6 +57,14 @@ def test_gaussian_noise_has_no_levels(text: str) -> None:
         assert find_telegraph(AxisSeries.from_samples(simulated(text, N, seed), rate_hz=10.0)) is None
 
 
+@pytest.mark.parametrize("steps", [1, 3])
+def test_a_few_jumps_are_steps(steps: int) -> None:
+    """A level that moves once or a few times in a record says nothing of a chance to jump."""
+    place = np.arange(N) * (steps + 1) // N
+    samples = simulated("N=1", N, 78) + 20 * (place % 2)
+    assert find_telegraph(AxisSeries.from_samples(samples, rate_hz=10.0)) is None
+
+
 def test_short_records_are_not_judged() -> None:
     """Fewer than 256 spans of 8 samples hold too few jumps."""
     samples = np.repeat([1.0, -1.0], 1000) + 0.1 * np.random.default_rng(75).standard_normal(2000)

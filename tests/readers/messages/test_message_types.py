@@ -210,6 +210,8 @@ def test_definitions_end_where_the_layout_is_not_known() -> None:
     with pytest.raises(DefinitionError, match=r"^a has 20001 elements$"):
         flatten("pkg/M", many.format(20_001), ros1=True)
     assert [field.path for field in flatten("pkg/M", "string s\nfloat64 x", ros1=True)] == ["s", "x"]
+    for kind in ("time[2]", "time[]", "duration[1]"):
+        assert [field.path for field in flatten("pkg/M", f"{kind} s\nfloat64 x", ros1=True)] == ["s"]
     assert [field.path for field in flatten("pkg/M", "wstring s\nfloat64 x", ros1=True)] == ["s"]
     assert [field.path for field in flatten("pkg/M", "string[2] s\nfloat64 x", ros1=True)] == ["s"]
 

@@ -1,0 +1,354 @@
+"""A record in segments: their ordinates, the likelihood of their scales, and what a fit says of them."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+from scipy.optimize import minimize
+
+import imucal
+from imucal.clock import Clock
+from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.spectral import mle
+from imucal.fitting.spectral.blocks import make_blocks
+from imucal.fitting.spectral.regressors import regressor_samples
+from imucal.fitting.spectral.segment_ordinates import (
+    SegmentOrdinates,
+    number_of_segments,
+    segment_ordinates,
+)
+from imucal.fitting.spectral.segment_scales import Parts, fit_scales, scales_at
+from imucal.recording import AxisSeries, Sensor
+from tests.fitting.fits import simulated
+
+RATE_HZ = 100.0
+#: Divides into eight segments of a length whose transform is quick, so that none is cut at its end.
+N = 8 * 4096
+
+
+def axis(samples: np.ndarray, keep: np.ndarray | None = None) -> AxisSeries:
+    """Return an axis at 100 Hz, less the samples that are not kept."""
+    series = AxisSeries.from_samples(samples, rate_hz=RATE_HZ)
+    return series if keep is None else series.keeping(keep)
+
+
+def cut(
+    series: AxisSeries, drift: dict[str, float] | None = None, temperature: np.ndarray | None = None
+) -> SegmentOrdinates | None:
+    """Return the ordinates of eight segments of a series over the whole band."""
+    blocks = make_blocks(series, temperature)
+    return segment_ordinates(
+        series, blocks.blocks, drift=drift or {}, scale=blocks.scale, wanted=8, fraction=1.0
+    )
+
+
+def white_levels(found: SegmentOrdinates | None, series: AxisSeries) -> np.ndarray:
+    """Return the mean square of the ordinates of each segment, in the samples' unit."""
+    assert found is not None
+    ordinates = found.ordinates
+    mean = np.add.reduceat(ordinates.power, found.first) / np.add.reduceat(ordinates.size, found.first)
+    return np.asarray(mean * make_blocks(series).scale ** 2)
+
+
+def fit(samples: np.ndarray | AxisSeries, *, segments: int = 8, model: str = "auto") -> NoiseFit:
+    """Return the fit of samples at 100 Hz."""
+    series = samples if isinstance(samples, AxisSeries) else axis(samples)
+    return imucal.fit(series, model=model, segments=segments)
+
+
+@pytest.mark.parametrize(
+    ("samples", "wanted", "count"),
+    [(1_000_000, 8, 8), (10_000, 8, 4), (6143, 8, 0), (6144, 8, 3), (4096, 2, 2), (9999, 1, 0), (99, 8, 0)],
+)
+def test_short_records_have_fewer_segments_or_none(samples: int, wanted: int, count: int) -> None:
+    """2048 samples each, three at least where more were asked for; one segment shows nothing."""
+    assert number_of_segments(samples, wanted) == count
+
+
+def test_segments_have_the_power_of_their_samples() -> None:
+    """White noise of another size in each segment: the mean squares are the variances about the means."""
+    rng = np.random.default_rng(31)
+    parts = [scale * rng.standard_normal(N // 8) for scale in (1, 2, 3, 4, 5, 6, 7, 8)]
+    series = axis(np.concatenate(parts))
+    npt.assert_allclose(white_levels(cut(series), series), [part.var(ddof=1) for part in parts], rtol=1e-9)
+
+
+def test_segments_lie_evenly_in_time() -> None:
+    """From the first sample to the last."""
+    found = cut(axis(np.random.default_rng(32).standard_normal(N)))
+    assert found is not None
+    npt.assert_allclose(found.start_s, np.arange(8) * N / 8 / RATE_HZ)
+    npt.assert_allclose(found.end_s, np.arange(1, 9) * N / 8 / RATE_HZ)
+
+
+def test_what_the_fit_took_out_is_taken_out() -> None:
+    """A ramp, a warm-up, a step, a cycle and a lagging temperature leave the noise."""
+    rng = np.random.default_rng(33)
+    noise = rng.standard_normal(N)
+    t, heat = np.arange(N, dtype=np.float64), np.cumsum(rng.standard_normal(N)) / 30
+    shapes = {"R": 1e-3, "exp:5000": 40.0, "step:9000": 3.0, "cos:0.002": 2.0, "temperature:300": 2.0}
+    slow = sum(size * regressor_samples(name, t, heat) for name, size in shapes.items())
+    series = axis(noise + slow)
+    scale = make_blocks(series).scale
+    found = cut(series, {name: size / scale for name, size in shapes.items()}, heat)
+    expected = [part.var(ddof=1) for part in np.split(noise, 8)]
+    npt.assert_allclose(white_levels(found, series), expected, rtol=1e-6)
+
+
+def test_a_long_gap_leaves_its_segment_out() -> None:
+    """The others stay where they are in time."""
+    keep = np.ones(N, dtype=bool)
+    keep[N // 4 - 100 : 3 * N // 8 + 100] = False
+    found = cut(axis(np.random.default_rng(34).standard_normal(N), keep))
+    assert found is not None
+    npt.assert_allclose(found.start_s / (N / 8 / RATE_HZ), [0, 1, 3, 4, 5, 6, 7])
+
+
+def test_short_gaps_leave_the_level_as_it_is() -> None:
+    """A tenth of the samples missing in one half: white noise has its variance in every segment."""
+    rng = np.random.default_rng(35)
+    keep = np.ones(N, dtype=bool)
+    keep[: N // 2] = rng.random(N // 2) > 0.1
+    series = axis(rng.standard_normal(N), keep)
+    found = cut(series)
+    assert found is not None
+    # Four standard errors of a mean square of 4096.
+    npt.assert_allclose(white_levels(found, series), np.ones(8), atol=4 * np.sqrt(2 / 3600))
+    total = np.add.reduceat(found.ordinates.size, found.first)
+    npt.assert_allclose(total[:4], 0.9 * 4095, rtol=0.03)
+    npt.assert_allclose(total[4:], 4095)
+
+
+def test_lines_of_the_record_are_left_out_of_its_segments() -> None:
+    """A tone as large as the noise, which is half of the power, is gone from every segment."""
+    rng = np.random.default_rng(36)
+    tone = 1.4 * np.sin(2 * np.pi * 17.3 / RATE_HZ * np.arange(N))
+    series = axis(rng.standard_normal(N) + tone)
+    npt.assert_allclose(white_levels(cut(series), series), np.ones(8), atol=4 * np.sqrt(2 / 4000))
+
+
+def parts_of(rng: np.random.Generator, levels: np.ndarray, *, size: float = 30.0) -> Parts:
+    """Return parts of segments with a white level each, a steep part beside it and a little held."""
+    count = levels.size
+    steep = np.tile(1 / np.linspace(0.1, 3, 40) ** 2, count)
+    flat, held = np.ones(40 * count), np.full(40 * count, 0.05)
+    spectrum = held + np.repeat(levels, 40) * flat + steep
+    power = spectrum * rng.chisquare(size, spectrum.size)
+    first = np.arange(0, 40 * count, 40)
+    return Parts(
+        held=held, tested=flat, beside=steep, size=np.full(spectrum.size, size), power=power, first=first
+    )
+
+
+def objective(parts: Parts, tested: np.ndarray, beside: np.ndarray) -> float:
+    """Return -log L, written out."""
+    total = 0.0
+    ends = [*parts.first[1:].tolist(), parts.size.size]
+    for start, end, a, b in zip(parts.first.tolist(), ends, tested.tolist(), beside.tolist(), strict=True):
+        for i in range(start, end):
+            s = parts.held[i] + np.exp(a) * parts.tested[i] + np.exp(b) * parts.beside[i]
+            total += 0.5 * (parts.size[i] * np.log(s) + parts.power[i] / s)
+    return total
+
+
+@pytest.mark.parametrize("common", [False, True])
+def test_scales_are_where_the_likelihood_is_greatest(*, common: bool) -> None:
+    """Against a general minimiser of the likelihood written out."""
+    parts = parts_of(np.random.default_rng(37), np.array([0.7, 1.0, 3.0]))
+    found = fit_scales(parts, common=common)
+
+    def cost(theta: np.ndarray) -> float:
+        tested = np.full(3, theta[0]) if common else theta[:3]
+        return objective(parts, tested, theta[-3:])
+
+    witness = minimize(cost, np.zeros(4 if common else 6), method="BFGS", options={"gtol": 1e-4})
+    assert found.objective == pytest.approx(objective(parts, found.tested, found.beside))
+    assert found.objective == pytest.approx(witness.fun, abs=1e-3)
+    npt.assert_allclose(found.beside, witness.x[-3:], atol=2e-3)
+
+
+def test_information_is_the_curvature_with_the_other_part_unknown() -> None:
+    """The inverse of the 2 x 2 information's inverse, at the expected power."""
+    parts = parts_of(np.random.default_rng(38), np.array([1.0, 1.0]))
+    zero = np.zeros(2)
+    a = parts.tested[:40] / (parts.held + parts.tested + parts.beside)[:40]
+    b = parts.beside[:40] / (parts.held + parts.tested + parts.beside)[:40]
+    matrix = 15.0 * np.array([[a @ a, a @ b], [a @ b, b @ b]])
+    npt.assert_allclose(scales_at(parts, zero, zero).information, 1 / np.linalg.inv(matrix)[0, 0], rtol=1e-9)
+
+
+def test_order_of_segments_changes_no_test() -> None:
+    """Permuted segments have the same scales and likelihood."""
+    rng = np.random.default_rng(39)
+    parts = parts_of(rng, np.array([0.7, 1.0, 3.0, 1.5]))
+    order = np.array([2, 0, 3, 1])
+    bins = (40 * order[:, None] + np.arange(40)).ravel()
+    shuffled = Parts(
+        **{name: getattr(parts, name)[bins] for name in ("held", "tested", "beside", "size", "power")},
+        first=parts.first,
+    )
+    one, other = fit_scales(parts, common=False), fit_scales(shuffled, common=False)
+    npt.assert_allclose(one.tested[order], other.tested, rtol=1e-6, atol=1e-9)
+    assert fit_scales(parts, common=True).objective == pytest.approx(
+        fit_scales(shuffled, common=True).objective
+    )
+
+
+def test_an_absent_part_does_not_stop_the_search() -> None:
+    """A part that the data do not have goes to nothing, and the other is found."""
+    rng = np.random.default_rng(40)
+    parts = parts_of(rng, np.array([1.0, 1.0]))
+    no_steep = 1.05 * rng.chisquare(30, 80)
+    found = fit_scales(
+        Parts(
+            held=parts.held,
+            tested=parts.tested,
+            beside=parts.beside,
+            size=parts.size,
+            power=no_steep,
+            first=parts.first,
+        ),
+        common=False,
+    )
+    # Four standard errors of 1200 degrees of freedom.
+    npt.assert_allclose(np.exp(found.tested), 1.0, atol=4 * np.sqrt(2 / 1200) + 0.05)
+
+
+def test_a_stationary_record_is_called_so() -> None:
+    """No factor, no finding; N of the segments about N of the record, within four standard errors."""
+    found = fit(simulated("N=1 + B=0.3", N, 41, rate_hz=RATE_HZ))
+    assert found.segments is not None
+    assert not found.segments.changing
+    assert "nonstationary" not in {finding.code for finding in found.findings}
+    assert {e.widening for e in found.estimates} == {1.0}
+    white, n = found.segments.white, found["N"].value
+    assert white is not None
+    assert n is not None
+    npt.assert_allclose(white.value, n, rtol=4 * np.sqrt(0.5 / 4096))
+    npt.assert_allclose(np.log(white.high / white.low) / 2, 1.96 * np.sqrt(0.5 / 4096), rtol=0.25)
+
+
+def test_a_jump_of_the_noise_is_found_and_widens_the_interval() -> None:
+    """Four times the noise in the second half: both halves' times are named, and only N is blamed."""
+    samples = simulated("N=0.001", N, 42, rate_hz=RATE_HZ) * np.where(np.arange(N) < N // 2, 1.0, 4.0)
+    samples += simulated("B=0.0003", N, 43, rate_hz=RATE_HZ)
+    found = fit(samples)
+    assert found.segments is not None
+    assert found.segments["N"].factor > 5
+    assert found.segments["B"].factor == found.segments["K"].factor == 1.0
+    # Of halves that differ by 4: sd of the logs over eight.
+    assert found.segments["N"].spread == pytest.approx(np.log(4) / 2 * np.sqrt(8 / 7), rel=0.1)
+    assert found.segments["N"].lowest_s[1] <= N / 2 / RATE_HZ <= found.segments["N"].highest_s[0]
+    (said,) = (f for f in found.findings if f.code == "nonstationary")
+    assert said.level == "warning"
+    once = fit(samples, segments=1)
+    assert once["N"].low > found["N"].low
+    assert once["N"].high < found["N"].high
+    ratio = np.log(found["N"].high / found["N"].low) / np.log(once["N"].high / once["N"].low)
+    assert ratio == pytest.approx(found["N"].widening, rel=1e-6)
+    assert found["N"].widening == found.segments["N"].factor
+
+
+def test_a_swing_within_the_segments_is_the_same_finding() -> None:
+    """80 % over 20 s, four periods a segment."""
+    swing = 1 + 0.8 * np.sin(2 * np.pi * np.arange(N) / RATE_HZ / 20)
+    found = fit(simulated("N=0.001", N, 44, rate_hz=RATE_HZ) * swing)
+    (said,) = (f for f in found.findings if f.code == "nonstationary")
+    assert "period of 20" in said.text
+
+
+def test_a_change_of_the_slow_noise_is_not_blamed_on_the_white() -> None:
+    """Flicker that is five times as strong in one half."""
+    slow = simulated("B=0.0005", N, 45, rate_hz=RATE_HZ) * np.where(np.arange(N) < N // 2, 1.0, 5.0)
+    found = fit(simulated("N=0.001", N, 46, rate_hz=RATE_HZ) + slow, model="N + B")
+    assert found.segments is not None
+    assert found.segments["B"].factor > 2
+    assert found.segments["N"].factor == 1.0
+    assert found["K"].widening == found["B"].widening > 2
+    assert found["N"].widening == 1.0
+
+
+def test_one_segment_does_not_look() -> None:
+    """Nothing is said, and nothing is wider."""
+    samples = simulated("N=1", N, 47) * np.where(np.arange(N) < N // 2, 1.0, 4.0)
+    found = fit(samples, segments=1)
+    assert found.segments is None
+    assert "nonstationary" not in {finding.code for finding in found.findings}
+
+
+def test_a_short_record_has_no_segments_and_no_word_of_them() -> None:
+    """Of 4000 samples the fit is as with one segment."""
+    samples = simulated("N=1 + K=0.1", 4000, 48)
+    found, once = fit(samples), fit(samples, segments=1)
+    assert found.segments is None
+    assert found.findings == once.findings
+    assert found.estimates == once.estimates
+
+
+def test_the_unit_of_the_samples_changes_no_test() -> None:
+    """A power of two is exact: every Q is the same, N of the segments scales."""
+    samples = simulated("N=1 + B=0.5", N, 49, rate_hz=RATE_HZ)
+    one, other = fit(samples).segments, fit(samples * 2.0**-20).segments
+    assert one is not None
+    assert other is not None
+    assert [t.statistic for t in one.terms] == pytest.approx([t.statistic for t in other.terms], rel=1e-6)
+    assert one.white is not None
+    assert other.white is not None
+    npt.assert_allclose(one.white.value, other.white.value * 2.0**20, rtol=1e-9)
+
+
+def test_segments_of_white_noise_in_another_order_have_the_same_q() -> None:
+    """Their N are the same numbers; only the record's own fit moves by a hair."""
+    parts = np.split(np.random.default_rng(50).standard_normal(N), 8)
+    one = fit(np.concatenate(parts), model="N").segments
+    other = fit(np.concatenate([parts[i] for i in (3, 0, 7, 1, 6, 2, 5, 4)]), model="N").segments
+    assert one is not None
+    assert other is not None
+    assert one["N"].statistic == pytest.approx(other["N"].statistic, rel=0.02)
+
+
+def test_heavy_tails_are_no_change() -> None:
+    """The mean squares of Student's t with 5 degrees of freedom vary more, and are allowed to."""
+    found = [fit(np.random.default_rng([51, i]).standard_t(5, N), model="N").segments for i in range(6)]
+    assert sum(s is not None and bool(s.changing) for s in found) <= 1
+
+
+def test_gaps_and_segments_together() -> None:
+    """Long and short gaps in an accelerometer's stationary record: seven or eight segments, nothing found."""
+    rng = np.random.default_rng(52)
+    keep = rng.random(N) > 0.02
+    keep[9000:9600] = False
+    clock = Clock.even(N, RATE_HZ)
+    samples = simulated("N=0.01 + B=0.003", N, 53, rate_hz=RATE_HZ)
+    series = AxisSeries(sensor=Sensor.ACCELEROMETER, axis="z", samples=samples, clock=clock).keeping(keep)
+    found = fit(series)
+    assert found.segments is not None
+    assert found.segments.start_s.size == 8
+    assert not found.segments.changing
+
+
+def test_stationary_records_are_rarely_widened() -> None:
+    """Of 12 records of three truths: at most two (5 % would be 0.6; the chance of three is 2 %)."""
+    truths = ("N=1e-3", "N=1e-3 + B=4e-4", "N=1e-3 + K=1e-4")
+    wider = 0
+    for i in range(12):
+        truth = truths[i % 3]
+        found = fit(simulated(truth, N, 5400 + i, rate_hz=RATE_HZ), model="N + B + K" if i % 3 else "N")
+        wider += any(e.widening > 1 for e in found.estimates)
+    assert wider <= 2
+
+
+def test_a_calculation_that_fails_costs_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fit stays as it is without segments, and a finding says that they were not looked at."""
+
+    def failing(*_: object, **__: object) -> None:
+        msg = "no"
+        raise np.linalg.LinAlgError(msg)
+
+    samples = simulated("N=1", N, 55)
+    once = fit(samples, segments=1, model="N")
+    monkeypatch.setattr(mle, "fit_segments", failing)
+    found = fit(samples, model="N")
+    assert found.segments is None
+    assert found.estimates == once.estimates
+    (said,) = (f for f in found.findings if f.code == "nonstationary")
+    assert said.text == "The parts of the record are not compared: the calculation failed (LinAlgError: no)."

@@ -1,0 +1,198 @@
+"""What follows from the segments of a record: Q, the Birge ratio, wider intervals, the finding."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+from scipy.stats import bartlett, chi2
+
+from imucal.fitting.homogeneity import (
+    bartlett_correction,
+    cochran_q,
+    homogeneity,
+    nonstationary_finding,
+    widened,
+    widened_covariance,
+)
+from imucal.fitting.noise_fit import Estimate, Interval
+from imucal.fitting.segments import CHANCE, Segments, TermHomogeneity
+from imucal.fitting.variance_changes import VarianceChange
+
+
+def spans(count: int) -> np.ndarray:
+    """Return segments of 100 s."""
+    edges = 100.0 * np.arange(count + 1)
+    return np.stack([edges[:-1], edges[1:]], axis=1)
+
+
+def term(key: str, statistic: float, *, dof: int = 7) -> TermHomogeneity:
+    """Return the test of a term with this Q."""
+    logs = np.arange(dof + 1.0)
+    return homogeneity(key, statistic, logs, np.ones(dof + 1), spans(dof + 1))
+
+
+def segments(*terms: TermHomogeneity) -> Segments:
+    """Return eight segments of 100 s with these tests and no traces."""
+    start, end = spans(8).T
+    return Segments(start_s=start, end_s=end, white=None, floor=None, floor_tau_s=np.nan, terms=terms)
+
+
+def estimate(key: str, value: float, low: float, high: float) -> Estimate:
+    """Return an estimated term."""
+    symbol = key.rstrip("0123456789")
+    return Estimate(key=key, symbol=symbol, status="estimated", value=value, low=low, high=high)
+
+
+def test_cochran_q_is_the_weighted_square_about_the_weighted_mean() -> None:
+    """By hand: values 0, 1 and weights 1, 3 have mean 3/4 and Q = 9/16 + 3/16."""
+    assert cochran_q(np.array([0.0, 1.0]), np.array([1.0, 3.0])) == pytest.approx(0.75)
+
+
+def test_q_does_not_depend_on_the_unit_or_the_order() -> None:
+    """A factor is a shift of the logs; segments may stand in any order."""
+    rng = np.random.default_rng(11)
+    logs, weight = rng.standard_normal(8), rng.uniform(1, 5, 8)
+    order = rng.permutation(8)
+    q = cochran_q(logs, weight)
+    assert cochran_q(logs + np.log(1e-7), weight) == pytest.approx(q, rel=1e-9)
+    assert cochran_q(logs[order], weight[order]) == pytest.approx(q)
+
+
+def test_bartlett_correction_is_scipys() -> None:
+    """The corrected likelihood ratio of equal variances is Bartlett's statistic of the same samples."""
+    rng = np.random.default_rng(12)
+    sizes = (4, 6, 9, 12)
+    samples = [rng.standard_normal(size) * scale for size, scale in zip(sizes, (1, 2, 1, 3), strict=True)]
+    freedom = np.array(sizes) - 1.0
+    variance = np.array([sample.var(ddof=1) for sample in samples])
+    pooled = np.average(variance, weights=freedom)
+    ratio = float(np.sum(freedom * np.log(pooled / variance)))
+    assert ratio / bartlett_correction(freedom / 2) == pytest.approx(bartlett(*samples).statistic)
+
+
+def test_birge_ratio_where_chance_does_not_explain_q_and_one_where_it_does() -> None:
+    """sqrt(Q/dof) beyond the quantile of CHANCE, else no widening; the p-value is that of chi-squared."""
+    limit = float(chi2.isf(CHANCE, 7))
+    assert term("N", 1.001 * limit).factor == pytest.approx(np.sqrt(1.001 * limit / 7))
+    assert term("N", 0.999 * limit).factor == 1.0
+    assert term("N", 20.0).p_value == pytest.approx(chi2.sf(20.0, 7))
+
+
+def test_spread_is_that_between_segments_less_chance() -> None:
+    """Of values that spread by s and are each known to e, the method of moments finds s within its error."""
+    rng = np.random.default_rng(13)
+    found = []
+    for _ in range(200):
+        logs = 0.3 * rng.standard_normal(8) + 0.1 * rng.standard_normal(8)
+        weight = np.full(8, 1 / 0.1**2)
+        found.append(homogeneity("N", cochran_q(logs, weight), logs, weight, spans(8)).spread ** 2)
+    # The variance of eight has relative error sqrt(2/7); the mean of 200 of them, in four standard errors.
+    assert np.mean(found) == pytest.approx(0.3**2, rel=4 * np.sqrt(2 / 7 / 200) * 0.1 / 0.09)
+
+
+def test_names_when_a_term_is_largest_and_smallest() -> None:
+    """The spans of the segments with the largest and the smallest value."""
+    found = homogeneity("N", 99.0, np.array([0.0, 2.0, -1.0]), np.ones(3), spans(3))
+    assert found.highest_s == (100.0, 200.0)
+    assert found.lowest_s == (200.0, 300.0)
+
+
+def test_a_narrow_interval_is_widened_about_the_logarithm() -> None:
+    """Both limits move by the factor in the logarithm, and never reach zero."""
+    (found,) = widened([estimate("N", 1.0, 0.99, 1.02)], segments(term("N", 700.0)))
+    assert found.low == pytest.approx(0.99**10)
+    assert found.high == pytest.approx(1.02**10)
+    assert found.widening == pytest.approx(10.0)
+    assert found.value == 1.0
+
+
+def test_a_wide_interval_is_widened_about_the_value_and_may_reach_zero() -> None:
+    """What then reaches zero is bounded by the wider limit."""
+    four = segments(term("K", 28.0))
+    (found,) = widened([estimate("K", 1.0, 0.7, 1.5)], four)
+    npt.assert_allclose([found.low, found.high], [0.4, 2.0])
+    (gone,) = widened([estimate("K", 1.0, 0.4, 1.5)], four)
+    assert gone.status == "bounded"
+    npt.assert_allclose([gone.low, gone.high, gone.widening], [0.0, 2.0, 2.0])
+
+
+def test_white_noise_keeps_its_value_however_much_it_changes() -> None:
+    """A jump of the noise widens N's interval, and does not make N vanish."""
+    (found,) = widened([estimate("N", 1.0, 0.7, 1.4)], segments(term("N", 7000.0)))
+    assert found.value == 1.0
+    npt.assert_allclose([found.low, found.high], [0.7 ** np.sqrt(1000), 1.4 ** np.sqrt(1000)])
+
+
+def test_a_bound_is_raised() -> None:
+    """A bound is the factor times as high."""
+    (found,) = widened([Estimate.bounded("K", "K", 3.0)], segments(term("K", 28.0)))
+    assert (found.low, found.high, found.widening) == (0.0, 6.0, 2.0)
+
+
+def test_slow_terms_are_widened_together_and_white_noise_by_itself() -> None:
+    """Which of the slow terms changed is not told; white noise is not blamed for them."""
+    terms = [estimate(key, 1.0, 0.9, 1.1) for key in ("N", "B", "GM1", "K", "R")]
+    found = {e.key: e.widening for e in widened(terms, segments(term("N", 1.0), term("B", 28.0)))}
+    assert found == {"N": 1.0, "B": 2.0, "GM1": 2.0, "K": 2.0, "R": 2.0}
+
+
+def test_correlation_time_is_widened_too() -> None:
+    """In the logarithm, by the same factor."""
+    time = Interval(value=10.0, low=5.0, high=20.0)
+    given = Estimate(
+        key="GM", symbol="GM", status="estimated", value=1.0, low=0.9, high=1.1, correlation_time=time
+    )
+    (found,) = widened([given], segments(term("GM", 28.0)))
+    assert found.correlation_time is not None
+    npt.assert_allclose([found.correlation_time.low, found.correlation_time.high], [2.5, 40.0])
+
+
+def test_covariance_is_that_of_the_wider_intervals() -> None:
+    """Standard errors grow by the factors, correlations stay."""
+    covariance = np.array([[4.0, 1.0], [1.0, 9.0]])
+    found = widened_covariance(("N", "GM2.T"), covariance, segments(term("N", 63.0), term("GM2", 28.0)))
+    npt.assert_allclose(found, covariance * np.outer([3, 2], [3, 2]))
+
+
+def test_stationary_segments_and_none_change_nothing() -> None:
+    """Neither limits, nor covariance, nor a word."""
+    given = (estimate("N", 1.0, 0.9, 1.1),)
+    for found in (None, segments(term("N", 3.0))):
+        assert widened(given, found) == given
+        npt.assert_array_equal(widened_covariance(("N",), np.eye(1), found), np.eye(1))
+        assert nonstationary_finding(found, None, "gyro_x") == ()
+
+
+def test_finding_names_term_factor_and_times() -> None:
+    """Everything the reader needs to look there."""
+    (found,) = nonstationary_finding(segments(term("N", 700.0)), None, "gyro_x")
+    assert (found.code, found.axis, found.level) == ("nonstationary", "gyro_x", "warning")
+    assert "largest from 11.7 to 13.3 min, smallest from 0 to 100 s" in found.text
+    assert "intervals of N 10 times as wide" in found.text
+
+
+def test_a_small_spread_is_said_without_a_warning() -> None:
+    """What is sure and small widens the interval; it is no reason to look."""
+    logs = 0.01 * np.array([0, 1, 0, 1, 0, 1, 0, 1.0])
+    weight = np.full(8, 1e6)
+    small = homogeneity("N", cochran_q(logs, weight), logs, weight, spans(8))
+    (found,) = nonstationary_finding(segments(small), None, "gyro_x")
+    assert found.level == "info"
+
+
+def test_a_swing_is_said_with_and_without_its_period() -> None:
+    """Also where segments show nothing."""
+    swing = VarianceChange(score=9.0, low=0.4, high=1.7, period_s=30.0)
+    (found,) = nonstationary_finding(None, swing, "gyro_x")
+    assert found.level == "warning"
+    assert found.text.startswith("The variance of the noise swings with a period of 30 s")
+    unknown = VarianceChange(score=9.0, low=0.4, high=1.7, period_s=None)
+    (found,) = nonstationary_finding(None, unknown, "gyro_x")
+    assert "changes over time" in found.text
+
+
+def test_an_unknown_key_names_those_that_were_tested() -> None:
+    """As of a fit."""
+    found = segments(term("N", 1.0), term("B", 1.0))
+    assert found["B"].key == "B"
+    with pytest.raises(KeyError, match="N, B"):
+        found["K"]

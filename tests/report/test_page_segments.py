@@ -1,0 +1,137 @@
+"""Segments in a report: its JSON and the way back, the page's picture, and who reads the wider intervals."""
+
+import json
+import re
+from dataclasses import replace
+
+import jsonschema
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal.checking.gate import measure
+from imucal.comparison import compare
+from imucal.fitting.homogeneity import homogeneity, widened
+from imucal.fitting.segments import Segments, Trace
+from imucal.report.document import to_document
+from imucal.report.html_page import render_page
+from imucal.report.json_file import dumps, from_document, schema
+from imucal.report.page_segments import segments_figure
+from imucal.report.result import AxisReport, Report
+from tests.report.synthetic import consumer_report, small_report
+
+_VALUES = np.array([1.0, 1.1, 0.9, 1.6])
+
+
+def segments(scale: float, *, q: float = 90.0, floor: bool = True) -> Segments:
+    """Return four segments of an hour whose N is about `scale`."""
+    start = 3600.0 * np.arange(4.0)
+    spans = np.stack([start, start + 3600], axis=1)
+    trace = Trace(value=scale * _VALUES, low=0.95 * scale * _VALUES, high=1.05 * scale * _VALUES)
+    term = homogeneity("N", q, np.log(_VALUES), np.full(4, 400.0), spans)
+    return Segments(
+        start_s=np.asarray(start, np.float64),
+        end_s=np.asarray(start + 3600, np.float64),
+        white=trace,
+        floor=trace if floor else None,
+        floor_tau_s=100.0 if floor else np.nan,
+        terms=(term,),
+    )
+
+
+def changing(report: Report, *, q: float = 90.0, floor: bool = True) -> Report:
+    """Return the report as if the N of its first axis had changed."""
+    axis = report.axes[0]
+    found = segments(axis.fit["N"].value or 1.0, q=q, floor=floor)
+    fit = replace(axis.fit, segments=found, estimates=widened(axis.fit.estimates, found))
+    return replace(report, axes=(replace(axis, fit=fit), *report.axes[1:]))
+
+
+def figure(axis: AxisReport) -> str:
+    """Return the picture's SVG and caption, which must be there."""
+    found = segments_figure(axis)
+    assert found is not None
+    return found
+
+
+def test_document_fits_the_schema_and_comes_back() -> None:
+    """With a floor and without; factors, traces and times are the same after the way back."""
+    for floor in (True, False):
+        report = changing(small_report(), floor=floor)
+        document = to_document(report)
+        jsonschema.Draft202012Validator(schema()).validate(document)
+        text = dumps(document)
+        again = from_document(json.loads(text))
+        assert dumps(to_document(again)) == text
+        found, given = again.axes[0].fit.segments, report.axes[0].fit.segments
+        assert found is not None
+        assert given is not None
+        assert found.terms == given.terms
+        assert (found.floor is None) != floor
+        npt.assert_array_equal(
+            found.white.value if found.white else (), _VALUES * report.axes[0].fit["N"].value
+        )
+        assert again.axes[0].fit["N"].widening == report.axes[0].fit["N"].widening > 1
+
+
+def test_a_report_from_before_segments_is_read() -> None:
+    """Without the keys: no segments, nothing wider."""
+    document = json.loads(dumps(to_document(small_report())))
+    for axis in document["axes"]:
+        del axis["fit"]["segments"]
+        for term in axis["fit"]["terms"].values():
+            del term["widening"]
+    found = from_document(document).axes[0].fit
+    assert found.segments is None
+    assert {e.widening for e in found.estimates} == {1.0}
+
+
+def test_the_picture_has_a_bar_with_limits_for_each_segment_and_row() -> None:
+    """N and the floor; the band of the whole belongs to N; it is named for who can't see it."""
+    drawn = figure(changing(consumer_report()).axes[0])
+    assert len(re.findall('class="value"', drawn)) == len(re.findall('class="limits"', drawn)) == 8
+    assert len(re.findall('class="whole"', drawn)) == 1
+    assert 'role="img"' in drawn
+    assert "floor (Allan deviation at 100 s)" in drawn
+    assert "Not the same in all parts: N (" in drawn
+    assert ">0 h<" in drawn
+    assert ">4 h<" in drawn
+    only = figure(changing(consumer_report(), floor=False).axes[0])
+    assert len(re.findall('class="value"', only)) == 4
+
+
+def test_higher_is_larger() -> None:
+    """The bars stand in the order of their values, all within the picture."""
+    drawn = figure(changing(consumer_report(), floor=False).axes[0])
+    heights = [float(y) for y in re.findall(r'class="value" x1="[\d.]+" y1="([\d.]+)"', drawn)]
+    assert np.argsort(heights).tolist() == np.argsort(-_VALUES).tolist()
+    height = float(re.findall(r'viewBox="0 0 640 (\d+)"', drawn)[0])
+    assert 0 < min(heights) < max(heights) < height
+
+
+def test_a_stationary_axis_has_its_picture_and_no_word_of_change() -> None:
+    """Chance is not pointed at."""
+    assert "Not the same" not in figure(changing(consumer_report(), q=2.0).axes[0])
+
+
+def test_the_page_holds_the_picture_of_those_axes_that_have_segments() -> None:
+    """One here; none where there are none."""
+    page = render_page(changing(consumer_report()))
+    assert page.count("over-time") - render_page(consumer_report()).count("over-time") >= 1
+    assert segments_figure(consumer_report().axes[0]) is None
+
+
+def test_compare_and_check_read_the_wider_interval() -> None:
+    """A difference of N that is significant for one process is none for a sensor that changes as much."""
+    report = small_report()
+    axis = report.axes[0]
+    n = axis.fit["N"]
+    assert n.value is not None
+    moved = replace(n, value=1.1 * n.value, low=1.1 * n.low, high=1.1 * n.high)
+    estimates = tuple(moved if e.key == "N" else e for e in axis.fit.estimates)
+    other = replace(report, axes=(replace(axis, fit=replace(axis.fit, estimates=estimates)),))
+    before = {d.key: d.outcome for d in compare(report, other).differences}
+    after = {d.key: d.outcome for d in compare(changing(report, q=3000), changing(other, q=3000)).differences}
+    assert (before["N"], after["N"]) == ("differs", "same")
+    ((_, judged),) = measure(changing(report).axes[0], "N")
+    assert judged.high / judged.low == pytest.approx((n.high / n.low) ** np.sqrt(30))
