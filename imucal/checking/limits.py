@@ -80,6 +80,7 @@ FINDING_CODES = frozenset(
         "swapped-sensors",
         "telegraph",
         "temperature",
+        "time-unused",
         "tone",
         "touch",
         "truncated",
