@@ -35,7 +35,7 @@ def _texts() -> Iterator[str]:
 
 def _says(message: str, text: str) -> bool:
     """Return whether the words between the gaps of a message stand in a text, in order."""
-    parts = [re.escape(part.strip()) for part in message.split("…") if part.strip(" :'")]
+    parts = [re.escape(words) for part in message.split("…") if (words := part.strip(" :'"))]
     return re.search(".*".join(parts), text, re.DOTALL) is not None
 
 
