@@ -176,11 +176,11 @@ def _use_value(chosen: Numbers, sensor: Sensor, use: _Use) -> Markup:
 
 def _programs() -> Markup:
     """Return each program that there is an export for, with the formulas of its own keys."""
-    titles = ("Program", "--to", "Its keys", "Kind")
+    titles = ("Program, and its name for --to", "Its keys", "Kind")
     body = [
         row(
-            element("th", target.title, scope="row"),
-            *labelled(titles[1:], (element("code", target.name), "; ".join(target.formulas), target.kind)),
+            element("th", join([f"{target.title}: ", element("code", target.name)]), scope="row"),
+            *labelled(titles[1:], ("; ".join(target.formulas), target.kind)),
         )
         for target in TARGETS.values()
     ]
