@@ -48,6 +48,7 @@ PHRASES: Mapping[str, str] = {
     "motion": "the IMU was moved",
     "no-data": "no data",
     "no-result": "no result",
+    "nonstationary": "noise that changes with time",
     "not-checked": "a check that could not judge",
     "not-finite": "samples that are no numbers",
     "poor-fit": "a model that doesn't describe the curve",

@@ -144,8 +144,8 @@ def _characterize_axis(
     )
     if settings.second_opinion and settings.method == "mle":
         found += _second_opinion(finite, result, at_samples)
-    # Of a step the fit says more: it has taken it out.
-    taken_out = {finding.code for finding in found} & {"step"}
+    # Of steps the fit says more: it has taken them out, or knows that they go to and fro.
+    taken_out = {"step"} if {f.code for f in found} & {"step", "telegraph"} else set()
     findings = [f for f in screened if f.axis == series.name and f.code not in taken_out]
     findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)

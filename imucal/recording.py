@@ -175,6 +175,9 @@ class LogFileInfo:
     size_bytes: int
     blake2b: str | None = None
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", _as_text(self.path))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadRange:
@@ -242,9 +245,7 @@ class Source:
         return self.path.rstrip("/").rsplit("/", 1)[-1] or self.path
 
     def __post_init__(self) -> None:
-        # A name of bytes that are no text can be opened, but not written to a report.
-        plain = self.path.encode("utf-8", "backslashreplace").decode()
-        object.__setattr__(self, "path", plain)
+        object.__setattr__(self, "path", _as_text(self.path))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -310,3 +311,8 @@ class Recording:
         found = ", ".join(series.name for series in self.series) or "none"
         msg = f"{self.source.path}: no axis {sensor} {axis}; found {found}"
         raise DataError(msg)
+
+
+def _as_text(path: str) -> str:
+    """Return a path for a report: a name of bytes that are no text can be opened, but not written."""
+    return path.encode("utf-8", "backslashreplace").decode()

@@ -17,6 +17,8 @@ _DRIFT_ORDINATES = 128
 _DRIFT_GAIN = 3.84
 
 _ROUNDS = 30
+#: Added to the diagonal of the laws' correlation, so that laws that are alike are not singular.
+_RIDGE = 1e-12
 
 
 def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> GenericModel:
@@ -130,7 +132,7 @@ def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> 
     scale = np.sqrt(np.maximum((basis**2) @ weight, np.finfo(np.float64).tiny))
     unit = basis / scale[:, None]
     gram, moment = (unit * weight) @ unit.T, (unit * weight) @ target
-    gram += 1e-12 * np.eye(len(basis))
+    gram += _RIDGE * np.eye(len(basis))
     values = np.zeros(len(basis))
     free = np.zeros(len(basis), dtype=bool)
     for _ in range(3 * len(basis)):

@@ -39,6 +39,7 @@ _OPTIONS = (
     (r"one of these topics|topics are named|two topics|one for each sensor|no message '|name of a topic",
      "--topic NAME"),
     (r"columns text|give the columns|give columns", "--columns TEXT"),
+    (r"give the time unit|is no time unit", "--time-unit UNIT"),
     (r"sampling rate|and the rate\b", "--rate HZ"),
     (r"(no )?unit of the gyroscope|'[^']*' of the gyroscope", "--gyro-unit UNIT"),
     (r"(no )?unit of the accelerometer|'[^']*' of the accelerometer", "--accel-unit UNIT"),
@@ -46,6 +47,7 @@ _OPTIONS = (
     (r"counts in m/s\^2", "--accel-scale X"),
     (r"expected header or log|another time column|column to take as time|no time column '", "--time CLOCK"),
     (r"\.msg file", "--msg FILE"),
+    (r"fields text", "--fields TEXT"),
     (r"parts of one recording$", "--join"),
 )  # fmt: skip
 

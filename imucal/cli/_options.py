@@ -86,13 +86,15 @@ class LogRequest:
     logs: tuple[str, ...]
     topic: tuple[str, ...]
     time: str | None
+    time_unit: str | None
     rate: float | None
     gyro_unit: str | None
     accel_unit: str | None
     gyro_scale: float | None
     accel_scale: float | None
     columns: str | None
-    msg: Path | None
+    fields: tuple[str, ...]
+    msg: tuple[Path, ...]
     join: bool
     strict: bool
     skip: float
@@ -109,6 +111,7 @@ class LogRequest:
                 *self.logs,
                 topic=self.topic,
                 time=self.time,
+                time_unit=self.time_unit,
                 rate_hz=self.rate,
                 gyro_unit=self.gyro_unit,
                 accel_unit=self.accel_unit,
@@ -116,6 +119,7 @@ class LogRequest:
                 accel_scale=self.accel_scale,
                 columns=self.columns,
                 message_definition=self.msg,
+                fields=self.fields,
                 join=self.join,
                 strict=self.strict,
                 progress=progress,
@@ -142,13 +146,15 @@ class LogRequest:
         asked: dict[str, object] = {
             "topic": list(self.topic),
             "time": self.time,
+            "time_unit": self.time_unit,
             "rate_hz": self.rate,
             "gyro_unit": self.gyro_unit,
             "accel_unit": self.accel_unit,
             "gyro_scale": self.gyro_scale,
             "accel_scale": self.accel_scale,
             "columns": self.columns,
-            "message_definition": None if self.msg is None else str(self.msg),
+            "message_definition": [str(path) for path in self.msg],
+            "fields": list(self.fields),
             "join": self.join,
             "strict": self.strict,
             "skip_s": self.skip,
@@ -199,11 +205,101 @@ class UnitName(ParamType[str]):
         return text
 
 
+#: How to read a log, where it doesn't say itself.
+READING = (
+    click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column."),
+    click.option(
+        "--time-unit",
+        type=click.Choice(["s", "ms", "us", "ns"]),
+        help="Unit of the time, where the log doesn't say.",
+    ),
+    click.option(
+        "--rate",
+        type=RATE,
+        metavar="HZ",
+        help="Sampling rate, where the log's own is missing or wrong.",
+    ),
+    click.option(
+        "--gyro-unit",
+        type=UnitName(Sensor.GYROSCOPE),
+        metavar="UNIT",
+        help="rad/s, deg/s, mdeg/s, …, where the log doesn't say.",
+    ),
+    click.option(
+        "--accel-unit",
+        type=UnitName(Sensor.ACCELEROMETER),
+        metavar="UNIT",
+        help="m/s^2, g, mg, …, where the log doesn't say.",
+    ),
+    click.option(
+        "--gyro-scale",
+        type=Number(min=0, min_open=True),
+        metavar="X",
+        help="rad/s per count, for raw counts.",
+    ),
+    click.option(
+        "--accel-scale",
+        type=Number(min=0, min_open=True),
+        metavar="X",
+        help="m/s^2 per count, for raw counts.",
+    ),
+    click.option("--columns", metavar="TEXT", help="Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1."),
+    click.option(
+        "--fields",
+        multiple=True,
+        metavar="TEXT",
+        help="Fields of messages, such as 'gyro=gx,gy,gz accel=ax,ay,az'; info -v lists them.",
+    ),
+    click.option(
+        "--msg",
+        multiple=True,
+        type=click.Path(exists=True, path_type=Path),
+        metavar="FILE",
+        help="Definition (.msg) of a type the log doesn't define, or a folder of them.",
+    ),
+)
+
+
+_FIELDS = re.compile(r"(g|gyro|a|accel|t|time|temp|temperature)=")
+
+#: Name of an option of `READING` -> argument of `imucal.read`, where they differ.
+_ARGUMENTS = {"rate": "rate_hz", "msg": "message_definition"}
+_READING = (
+    *("time", "time_unit", "rate", "gyro_unit", "accel_unit", "gyro_scale", "accel_scale"),
+    *("columns", "fields", "msg"),
+)
+
+
+def reading_options(command: Command) -> Callable[..., Any]:
+    """Add the options of reading a log; the command gets them as `reading`, arguments of `imucal.read`."""
+
+    @functools.wraps(command)
+    def wrapper(**values: Any) -> object:  # noqa: ANN401 - click passes every option by name
+        values = _with_all_fields(values)
+        reading = {_ARGUMENTS.get(name, name): values.pop(name) for name in _READING}
+        return command(reading=reading, **values)
+
+    decorated: Callable[..., Any] = wrapper
+    for option in reversed(READING):
+        decorated = option(decorated)
+    return decorated
+
+
+def _with_all_fields(values: dict[str, Any]) -> dict[str, Any]:
+    """Take what stands behind --fields without quotes, as in ``--fields gyro=g accel=a``, out of the logs."""
+    if not values["fields"]:
+        return values
+    more = tuple(log for log in values["logs"] if _FIELDS.match(log) and not Path(log).exists())
+    logs = tuple(log for log in values["logs"] if log not in more)
+    return {**values, "logs": logs, "fields": (*values["fields"], *more)}
+
+
 def log_options(command: Command) -> Callable[..., Any]:
     """Add the LOG argument and the options of reading it; the command gets them as `request`."""
 
     @functools.wraps(command)
     def wrapper(**values: Any) -> object:  # noqa: ANN401 - click passes every option by name
+        values = _with_all_fields(values)
         names = LogRequest.__dataclass_fields__
         request = LogRequest(**{name: values.pop(name) for name in names})
         return command(request=request, **values)
@@ -218,44 +314,7 @@ def log_options(command: Command) -> Callable[..., Any]:
             type=click.Path(allow_dash=True, readable=False),
         ),
         click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor."),
-        click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column."),
-        click.option(
-            "--rate",
-            type=RATE,
-            metavar="HZ",
-            help="Sampling rate, where the log's own is missing or wrong.",
-        ),
-        click.option(
-            "--gyro-unit",
-            type=UnitName(Sensor.GYROSCOPE),
-            metavar="UNIT",
-            help="rad/s, deg/s, mdeg/s, …, where the log doesn't say.",
-        ),
-        click.option(
-            "--accel-unit",
-            type=UnitName(Sensor.ACCELEROMETER),
-            metavar="UNIT",
-            help="m/s^2, g, mg, …, where the log doesn't say.",
-        ),
-        click.option(
-            "--gyro-scale",
-            type=Number(min=0, min_open=True),
-            metavar="X",
-            help="rad/s per count, for raw counts.",
-        ),
-        click.option(
-            "--accel-scale",
-            type=Number(min=0, min_open=True),
-            metavar="X",
-            help="m/s^2 per count, for raw counts.",
-        ),
-        click.option("--columns", metavar="TEXT", help="Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1."),
-        click.option(
-            "--msg",
-            type=click.Path(exists=True, dir_okay=False, path_type=Path),
-            metavar="FILE",
-            help="Definition (.msg) of a message type the log doesn't define.",
-        ),
+        *READING,
         click.option(
             "--join",
             is_flag=True,

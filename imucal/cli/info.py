@@ -2,21 +2,23 @@
 
 import json
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import click
 
 from imucal.cli import options_for
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import suggestion
+from imucal.cli._options import reading_options
 from imucal.cli._terminal import FULL, width
 from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.printable import printable
-from imucal.readers import LogContents, ReadOptions, TopicContents, describe, logs_of, read
+from imucal.readers import LogContents, TopicContents, describe, logs_of, read
+from imucal.readers.read_options import options_of
 from imucal.recording import Recording
 from imucal.units import duration
 
@@ -49,6 +51,7 @@ class TopicReading:
 Examples:
   imucal info log.mcap
   imucal info --gaps 20h.bag
+  imucal info -v --msg MyImu.msg old.db3
   imucal info --json *.mcap | jq '.logs[].topics[].rate_hz'
 
 \b
@@ -61,26 +64,29 @@ Exit codes: 0 done, 2 usage, 3 a log can't be read."""
     default=None,
     help="Read the samples too, to find gaps and what is wrong with clocks (default: logs up to 64 MB).",
 )
-@click.option(
-    "--msg",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Definition (.msg) of a message type the log doesn't define.",
-)
-def command(logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, msg: Path | None) -> None:
+@reading_options
+@click.option("-v", "--verbose", is_flag=True, help="List the fields of messages too.")
+def command(
+    logs: tuple[str, ...],
+    *,
+    as_json: bool,
+    gaps: bool | None,
+    verbose: bool,
+    reading: dict[str, Any],
+) -> None:
     """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps."""
     entries = []
     folders = {named: parts for named in logs if len(parts := logs_of(Path(named))) > 1}
     for log in (str(log) for named in logs for log in folders.get(named, [named])):
-        contents = describe(log, ReadOptions(message_definition=msg))
+        contents = describe(log, options_of(**reading))
         small = contents.size_bytes is not None and _is_small(contents)
         # Standard input is gone once it was described.
         wanted = (small if gaps is None else gaps) and log != STANDARD_INPUT
-        found = _read_topics(contents, msg) if wanted else {}
+        found = _read_topics(contents, reading) if wanted else {}
         if as_json:
             entries.append(_document(contents, found))
         else:
-            echo("\n".join(_lines(contents, found, looked=wanted)))
+            echo("\n".join(_lines(contents, found, looked=wanted, verbose=verbose)))
     for folder, parts in folders.items() if not as_json else ():
         text = f"{folder}: {len(parts)} logs without a metadata.yaml that says they are one recording."
         echo("\n".join([*_wrapped(f"{text} {_JOINED_WHERE}"), ""]))
@@ -96,13 +102,13 @@ def _is_small(contents: LogContents) -> bool:
     return size <= _SMALL and samples <= _MANY
 
 
-def _read_topics(contents: LogContents, msg: Path | None) -> dict[str, TopicReading]:
+def _read_topics(contents: LogContents, reading: dict[str, Any]) -> dict[str, TopicReading]:
     """Read every topic that carries IMU samples; a table is read as a whole."""
     found = {}
     for topic in contents.imu_topics:
         named = topic.name if len(contents.topics) > 1 else None
         try:
-            recording = read(contents.path, topic=named, message_definition=msg)
+            recording = read(contents.path, topic=named, **reading)
             found[topic.name] = TopicReading(recording=recording)
         except ImucalError as error:
             found[topic.name] = TopicReading(error=str(error))
@@ -154,13 +160,17 @@ def _finding_json(finding: Finding) -> dict[str, object]:
     return {name: getattr(finding, name) for name in ("level", "code", "axis", "text", "advice")}
 
 
-def _lines(contents: LogContents, found: dict[str, TopicReading], *, looked: bool) -> Iterator[str]:
+def _lines(
+    contents: LogContents, found: dict[str, TopicReading], *, looked: bool, verbose: bool
+) -> Iterator[str]:
     yield from _wrapped(contents.path)
     yield from _wrapped(", ".join(_head(contents)), indent=2)
     topics = [*contents.imu_topics, *(topic for topic in contents.topics if not topic.sensors)]
     if topics:
         yield ""
         yield from _table([_noted(topic, found.get(topic.name)) for topic in topics])
+    if verbose:
+        yield from _fields(topics)
     said = {_words(finding) for finding in contents.findings}
     for topic in contents.imu_topics:
         yield from _what_was_read(topic, found.get(topic.name), said)
@@ -175,6 +185,15 @@ def _lines(contents: LogContents, found: dict[str, TopicReading], *, looked: boo
     for finding in contents.findings:
         yield from _sentence(_words(finding), [])
     yield ""
+
+
+def _fields(topics: Sequence[TopicContents]) -> Iterator[str]:
+    """Yield the fields of each topic's messages, to choose from."""
+    for topic in topics:
+        if topic.fields:
+            yield ""
+            yield from _wrapped(f"{topic.name} has the fields")
+            yield from _wrapped(", ".join(topic.fields), indent=2)
 
 
 def _noted(topic: TopicContents, found: TopicReading | None) -> TopicContents:

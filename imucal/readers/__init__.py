@@ -10,7 +10,7 @@ from pathlib import Path
 
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.formats import FORMATS, detect, load, logs_of
-from imucal.readers.read_options import Progress, ReadOptions
+from imucal.readers.read_options import Progress, ReadOptions, options_of
 from imucal.recording import Recording
 
 __all__ = [
@@ -29,13 +29,15 @@ def read(
     *paths: str | Path,
     topic: str | Sequence[str] | None = None,
     time: str | None = None,
+    time_unit: str | None = None,
     rate_hz: float | None = None,
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
     gyro_scale: float | None = None,
     accel_scale: float | None = None,
     columns: str | None = None,
-    message_definition: str | Path | None = None,
+    message_definition: str | Path | Sequence[str | Path] | None = None,
+    fields: str | Sequence[str] | None = None,
     join: bool = False,
     strict: bool = False,
     memory_limit: int | None = None,
@@ -51,7 +53,8 @@ def read(
         with gaps between them; ``-`` is standard input.
     topic
         Topic to read, or two of them where gyroscope and accelerometer are apart.
-    time, rate_hz, gyro_unit, accel_unit, gyro_scale, accel_scale, columns, message_definition
+    time, time_unit, rate_hz, gyro_unit, accel_unit, gyro_scale, accel_scale, columns, message_definition, \
+    fields
         What the log doesn't say or says wrongly; see `ReadOptions`.
     join
         Take several logs as parts of one recording. Without it they are joined where their names are a
@@ -76,16 +79,18 @@ def read(
     DataError
         If there are no samples, or no rate can be measured.
     """
-    options = ReadOptions(
-        topics=(topic,) if isinstance(topic, str) else tuple(topic or ()),
+    options = options_of(
+        topic=topic,
         time=time,
+        time_unit=time_unit,
         rate_hz=rate_hz,
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
         gyro_scale=gyro_scale,
         accel_scale=accel_scale,
         columns=columns,
-        message_definition=Path(message_definition) if message_definition is not None else None,
+        message_definition=message_definition,
+        fields=fields,
         join=join,
         strict=strict,
         memory_limit=memory_limit,

@@ -1,6 +1,7 @@
 """Logs of messages -> Recording: choose topics, decode them, and give each sensor its clock."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -8,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
@@ -25,8 +27,12 @@ from imucal.readers.messages import (
     read_temperature,
     stream_of,
 )
+from imucal.readers.messages.fields_text import parse_fields_text
 from imucal.readers.messages.frames import first_frames
+from imucal.readers.messages.leaves import MOST
 from imucal.readers.read_options import Progress, ReadOptions
+from imucal.readers.tables.columns import Triad
+from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.recording import Recording, Sensor
 from imucal.units import SAMPLE_UNITS
 
@@ -87,19 +93,29 @@ def read_logs(containers: Sequence[Container], path: Path, options: ReadOptions,
 
 
 def _describe(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> LogContents:
-    topics = find_topics(containers, options)
+    with _naming(path):
+        topics = find_topics(containers, options)
+    contents = [_contents(containers, topic, options) for topic in topics]
+    if not any(entry.sensors for entry in contents):
+        contents = [_proposed(entry, topic) for entry, topic in zip(contents, topics, strict=True)]
     starts = [c.start_ns for c in containers if c.start_ns is not None]
     ends = [c.end_ns for c in containers if c.end_ns is not None]
     return LogContents(
         path=str(path),
         format=form,
         size_bytes=sum(container.size for container in containers),
-        topics=tuple(_contents(containers, topic, options) for topic in topics),
+        topics=tuple(contents),
         start_ns=min(starts, default=None),
         duration_s=(max(ends) - min(starts)) / 1e9 if starts and ends else None,
         compression=", ".join(sorted({container.compression for container in containers})),
         findings=tuple(finding for container in containers for finding in container.findings),
     )
+
+
+def _proposed(contents: TopicContents, topic: Topic) -> TopicContents:
+    """Return a topic with the fields that it may be read by, as its note."""
+    text = "" if contents.note or not topic.count else topic.leaves.proposal()
+    return replace(contents, note=f"may be read by a fields text such as {text!r}") if text else contents
 
 
 def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
@@ -122,14 +138,16 @@ def _contents(containers: Sequence[Container], topic: Topic, options: ReadOption
         duration_s=topic.duration_s,
         sensors=sensors,
         note=note,
+        fields=tuple(map(str, topic.leaves.all[:MOST])),
     )
 
 
 def _read(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> Recording:
     _refuse_options(path, options)
-    topics = find_topics(containers, options)
-    choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
-    streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
+    with _naming(path):
+        topics = find_topics(containers, options)
+        choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
+        streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
     decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
     work = RecordingBuilder(path=str(path), format=form)
     work.findings += [finding for container in containers for finding in container.findings]
@@ -140,11 +158,7 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         if not decoding.columns.n:
             raise _empty(path, choice, decoding.losses, work.findings)
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
-    if work.temperature is None:
-        beside = read_temperature(containers, topics, choices[0].topic.name)
-        if beside is not None:
-            work.temperature, name = beside
-            work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
+    _add_temperature(work, containers, topics, choices[0])
     _refuse_damage(path, work.findings, options)
     if not work.series:
         seen = "; ".join(finding.text for finding in work.findings) or "no data"
@@ -156,7 +170,36 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     )
 
 
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the log in errors that know only its topics."""
+    try:
+        yield
+    except ReadError as error:
+        if str(error).startswith(str(path)):
+            raise
+        msg = f"{path}: {error}"
+        raise type(error)(msg) from error
+
+
+def _add_temperature(
+    work: RecordingBuilder, containers: Sequence[Container], topics: Sequence[Topic], choice: Choice
+) -> None:
+    """Add the temperature of a topic beside the IMU's, where the IMU has none."""
+    beside = read_temperature(containers, topics, choice.topic.name) if work.temperature is None else None
+    if beside is not None:
+        work.temperature, name = beside
+        work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
+
+
 def _refuse_options(path: Path, options: ReadOptions) -> None:
+    named = parse_fields_text(options.fields)
+    if options.time_unit is not None and (named is None or len(named.time) != 1):
+        msg = (
+            f"{path}: the time unit {options.time_unit} is given, but stamps are seconds and nanoseconds; "
+            "expected no unit, or a fields text that names a time of one number"
+        )
+        raise ChoiceError(msg)
     if options.time not in _TIMES:
         msg = f"{path}: messages have no time called {options.time!r}; expected header or log"
         raise ChoiceError(msg)
@@ -207,13 +250,15 @@ def _add_topic(
         work.findings += compare_clocks(columns.stamps, columns.log)
     columns.release()
     work.decisions.append(("time", clock.source))
+    asked = choice.topic.imu is not None and choice.topic.imu.asked
+    scales = _inferred(work, choice.topic, columns, clock, options) if asked else {}
     for sensor, rows in columns.vectors.items():
         if is_constant(rows):
             value = ", ".join(f"{row[0]:g}" for row in rows)
             text = f"The {sensor} of topic {choice.topic.name} is always ({value}): it has no data."
             work.findings.append(Finding(level="warning", code="no-data", text=text, axis=sensor.short))
             continue
-        factor, how = _factor(sensor, choice.topic, options)
+        factor, how = scales.get(sensor) or _factor(sensor, choice.topic, options)
         work.decisions.append((f"{sensor} unit", how))
         work.add_sensor(sensor, rows, clock, order=order, scale=factor)
     if columns.temperature is not None and columns.temperature.any():
@@ -278,6 +323,33 @@ def _repeated(columns: Columns) -> NDArray[np.bool_] | None:
     repeated = np.zeros(columns.n, dtype=np.bool_)
     repeated[same[twin]] = True
     return repeated
+
+
+def _inferred(
+    work: RecordingBuilder, topic: Topic, columns: Columns, clock: Clock, options: ReadOptions
+) -> dict[Sensor, tuple[float, str]]:
+    """Return what turns samples of fields that a user named into SI: as a table's columns have it.
+
+    Raises
+    ------
+    ChoiceError
+        If a unit is open.
+    """
+    vectors = {vector.sensor: vector for vector in (topic.imu.vectors if topic.imu else ())}
+    table = Work(path=f"{work.path}: topic {topic.name}", options=options, dialect=None, rate_hz=None)
+    timed = [
+        Unscaled(
+            triad=Triad(sensor=sensor, indices=(0, 1, 2), headers=("x", "y", "z"), unit=vectors[sensor].unit),
+            axes=list(rows),
+            temperature=None,
+            clock=clock,
+        )
+        for sensor, rows in columns.vectors.items()
+    ]
+    factors = find_scales(table, timed)
+    work.findings += table.findings
+    reasons = dict(table.decisions)
+    return {sensor: (factor, reasons[f"{sensor} unit"]) for sensor, factor in factors.items()}
 
 
 def _factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float, str]:

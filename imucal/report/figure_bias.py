@@ -12,7 +12,8 @@ from imucal.noise.terms import TERMS
 from imucal.report import numbers
 from imucal.report.figure_parts import LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
 from imucal.report.palette import FADED, FRAME, GRID, INK, MODEL
-from imucal.units import datasheet_unit, duration, pretty
+from imucal.report.sheet_units import level_unit
+from imucal.units import duration, pretty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,8 +97,9 @@ class _View:
 
 def _unit(parts: Decomposition) -> tuple[float, str]:
     """Return what samples are multiplied with, and the unit they have then."""
-    name = TERMS["B"].datasheet_unit(parts.series.sensor).name
-    return datasheet_unit(name).factor, pretty(name)
+    size = float(np.ptp(parts.bias.value)) + float(parts.bias.error.max())
+    unit = level_unit(parts.series.sensor, size)
+    return unit.factor, pretty(unit.name)
 
 
 def _time_unit(duration_s: float) -> tuple[float, str]:

@@ -1,5 +1,6 @@
 """The data-sheet units of a sensor's numbers, chosen once a report: no row and no plot mixes two."""
 
+import math
 from dataclasses import dataclass
 
 from imucal.fitting.noise_fit import Estimate
@@ -46,8 +47,14 @@ class SheetUnits:
 
 def sheet_units(report: Report, sensor: Sensor) -> SheetUnits:
     """Return the units of a sensor: deg/h and deg/√h, or mg (µg where all floors are small) and m/s/√h."""
-    level, density = TERMS["B"].datasheet_unit(sensor), TERMS["N"].datasheet_unit(sensor)
-    floors = [axis.fit.curve.minimum[0] * level.factor for axis in report.axes if axis.sensor is sensor]
-    if level.name == "mg" and max(floors, default=1.0) < _SMALL:
-        level = DatasheetUnit("ug", 1e3 * level.factor)
-    return SheetUnits(level=level, density=density)
+    floors = [axis.fit.curve.minimum[0] for axis in report.axes if axis.sensor is sensor]
+    density = TERMS["N"].datasheet_unit(sensor)
+    return SheetUnits(level=level_unit(sensor, max(floors, default=math.inf)), density=density)
+
+
+def level_unit(sensor: Sensor, size: float) -> DatasheetUnit:
+    """Return the unit of a sensor's levels, the largest of which is `size`, in U."""
+    unit = TERMS["B"].datasheet_unit(sensor)
+    if unit.name == "mg" and size * unit.factor < _SMALL:
+        return DatasheetUnit("ug", 1e3 * unit.factor)
+    return unit

@@ -84,6 +84,8 @@ _PATH = {
     "av_search._STARTS": "places of that grid that are refined",
     "av_select._STEPS": "most rounds of a weight that settles after three",
     "generic._ROUNDS": "most rounds of a solver that ends when it is close enough",
+    "generic._RIDGE": "far below any error; keeps a matrix from being singular",
+    "likelihood._RIDGE": "far below any error; keeps a matrix from being singular",
     "variance._SMALL": "which of two ways sums a factor, both exact",
     "variance._ROW": "keeps a sum of squares out of the threads of the linear algebra library",
     "cascade._REFERENCE": "samples whose mean is taken out, so that sums round less",

@@ -7,6 +7,9 @@ import pytest
 
 from tests.cli.run import run
 from tests.readers.logs import imu_messages, samples, write_mcap
+from tests.readers.messages.test_definition_files import log as undefined
+from tests.readers.messages.test_definition_files import package
+from tests.readers.messages.test_named_fields import single
 
 HEAD = "gx,gy,gz,ax,ay,az"
 
@@ -28,6 +31,17 @@ def test_a_missing_rate_is_asked_for_with_its_option(tmp_path: Path) -> None:
     listed = run("info", "log.csv", cwd=tmp_path)
     assert "As it is, no samples can be read; give imucal fit --rate HZ.\n" in listed.stdout
     assert "No gyroscope" not in listed.stdout
+
+
+def test_an_open_time_unit_is_asked_for_with_its_options(tmp_path: Path) -> None:
+    """Either of them does."""
+    rows = "\n".join(f"{100 * i},{0.001 * (i % 7)},0.002,{0.001 * (i % 3)}" for i in range(300))
+    (tmp_path / "log.csv").write_text(f"time,gx (rad/s),gy (rad/s),gz (rad/s)\n{rows}\n", encoding="utf-8")
+    done = run("fit", "log.csv", "--no-report", cwd=tmp_path)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1] == "Say it with --time-unit UNIT or --rate HZ."
+    assert "at 10000 Hz" in run("adev", "log.csv", "--time-unit", "us", cwd=tmp_path).stderr
+    assert "at 10 Hz" in run("adev", "log.csv", "--rate", "10", cwd=tmp_path).stderr
 
 
 def test_several_topics_are_asked_for_with_topic(tmp_path: Path) -> None:
@@ -74,3 +88,30 @@ def test_a_message_without_an_answer_has_no_hint(tmp_path: Path) -> None:
     done = run("adev", "log.mcap", cwd=tmp_path)
     assert done.returncode == 3
     assert "Say it with" not in done.stderr
+
+
+def test_fields_are_asked_for_with_their_option(tmp_path: Path) -> None:
+    """What the error proposes can be typed as it stands, with quotes or without; info -v lists the fields."""
+    single(tmp_path)
+    done = run("adev", "log.mcap", cwd=tmp_path)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1] == "Say it with --fields TEXT."
+    asked = ("--fields", "gyro=gx,gy,gz accel=ax,ay,az")
+    assert "such as 'gyro=gx,gy,gz accel=ax,ay,az'" in done.stderr
+    assert run("adev", "log.mcap", *asked, "-q", cwd=tmp_path).returncode == 0
+    loose = ("--fields", "gyro=gx,gy,gz", "accel=ax,ay,az", "log.mcap")
+    assert "gyro xyz, accel xyz" in run("adev", *loose, cwd=tmp_path).stderr
+    listed = run("info", "-v", "log.mcap", cwd=tmp_path).stdout
+    assert "/imu/data has the fields\n  header.stamp.sec int32, " in listed
+    assert "header.stamp.sec" not in run("info", "log.mcap", *asked, cwd=tmp_path).stdout
+    assert "gyro, accel" in run("info", "log.mcap", *asked, cwd=tmp_path).stdout
+
+
+def test_a_definition_is_asked_for_with_its_option(tmp_path: Path) -> None:
+    """A file or a folder."""
+    undefined(tmp_path)
+    package(tmp_path)
+    done = run("adev", "log.mcap", "--topic", "/board", cwd=tmp_path)
+    assert done.stderr.splitlines()[-1] == "Say it with --msg FILE."
+    assert run("adev", "log.mcap", "--msg", "src", "-q", cwd=tmp_path).returncode == 0
+    assert "/board" in run("info", "log.mcap", "--msg", "src", cwd=tmp_path).stdout

@@ -241,7 +241,9 @@ REFUSED = (
     Known(files=("formats/st_unico_datalog.txt",), message=("no time column", NO_RATE)),
     Known(files=("formats/gnss_ins_sim_gyro_deg.csv",), message=("no time column", NO_RATE)),
     Known(files=("formats/gnss_ins_sim_accel.csv",), message=("no time column", NO_RATE)),
-    Known(files=("formats/gnss_ins_sim_time.csv",), message=("no column is named as a gyroscope",)),
+    Known(
+        files=("formats/gnss_ins_sim_time.csv",), message=("no column is named as an axis of a gyroscope",)
+    ),
     Known(
         files=("formats/px4_ecl_replay_iris_gps.csv",),
         message=("no header names the 8 columns", "such as t=0,g=5:8@imu,a=2:5@imu"),

@@ -35,6 +35,8 @@ _QUANTILES = (0.1, 0.2, 0.3)
 _DWELLS = (4.0, 20.0, 100.0)
 #: Log-likelihood that noise which is not white must gain on white noise, so that jumps are worth a look.
 _COLOURED = 15.0
+#: Half the distance of two levels that are two, in deviations of a span's noise.
+_APART = 0.25
 #: Fewer jumps a record are steps, each of its own.
 _JUMPS = 8
 #: A start that is worse than the Gaussian noise by this much a span leads nowhere.
@@ -68,9 +70,9 @@ def find_telegraph(series: AxisSeries) -> TwoLevels | None:
     best, found = 0.0, None
     for parts, margin in _PARTS.items():
         price = 0.5 * (parts - 1) * np.log(count)
-        gain, parameters = _two_levels(means[: count - count % parts].reshape(parts, -1), rich)
-        often = np.exp(parameters[2]) < count / _JUMPS
-        if often and gain - price - margin > best:
+        divided = means[: count - count % parts].reshape(parts, -1)
+        gain, parameters = _two_levels(divided, rich)
+        if gain - price - margin > best and _jumps_often(parameters, divided):
             best, found = gain - price - margin, parameters
     if found is None:
         return None
@@ -134,6 +136,16 @@ def _two_levels(means: FloatArray, rich: float) -> tuple[float, FloatArray]:
         options={"xatol": 1e-2, "fatol": 0.05, "maxfev": 400},
     )
     return rich - float(found.fun), np.asarray(found.x, dtype=np.float64)
+
+
+def _jumps_often(parameters: FloatArray, means: FloatArray) -> bool:
+    """Whether there are two levels at all, and fewer jumps, as single steps make, are less likely."""
+    half, noise, _ = np.exp(parameters[:3]).tolist()
+    if half < _APART * noise:
+        return False
+    seldom = parameters.copy()
+    seldom[2] = np.log(means.size / _JUMPS)
+    return bool(parameters[2] < seldom[2] and _cost(parameters, means) < _cost(seldom, means))
 
 
 def _cost(parameters: FloatArray, means: FloatArray) -> float:

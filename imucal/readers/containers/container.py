@@ -130,6 +130,8 @@ class Channel:
         ``cdr``, ``ros1``, ``json``, or what the log says.
     definition, definition_kind
         The text of the message definition, or empty; ``ros2msg``, ``ros1msg``, …
+    schema
+        Its bytes, where it is no text.
     count
         Number of messages, or None where only reading tells; for SQLite it may be an upper bound.
     first_ns, last_ns
@@ -142,6 +144,7 @@ class Channel:
     encoding: str
     definition: str = ""
     definition_kind: str = ""
+    schema: bytes = b""
     count: int | None = None
     first_ns: int | None = None
     last_ns: int | None = None

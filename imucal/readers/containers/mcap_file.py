@@ -171,6 +171,7 @@ class McapFile:
                     encoding=record.encoding,
                     definition=described.text,
                     definition_kind=described.encoding,
+                    schema=described.raw,
                     count=book.counts.get(key, 0),
                     first_ns=first,
                     last_ns=last,

@@ -46,6 +46,7 @@ class Schema:
     name: str
     encoding: str
     text: str
+    raw: bytes = field(default=b"", compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +89,10 @@ def schema(body: Bytes) -> Schema:
         number = _U16.unpack_from(body, 0)[0]
         name, at = _text(body, 2)
         encoding, at = _text(body, at)
-        text, _ = _text(body, at)
+        text, end = _text(body, at)
     except struct.error as error:
         raise _BrokenRecordError(SCHEMA) from error
-    return Schema(number, name, encoding, text)
+    return Schema(number, name, encoding, text, bytes(body[at + 4 : end]))
 
 
 def channel(body: Bytes) -> ChannelRecord:

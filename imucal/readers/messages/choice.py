@@ -45,12 +45,25 @@ def choose(
     if options.topics:
         return _named(path, topics, options, live)
     carrying = [topic for topic in topics if topic.imu is not None and topic.count != 0]
+    if options.fields and not carrying:
+        raise _no_fields(path, topics)
     fitting = [topic for topic in carrying if topic.imu is not None and not topic.imu.plain]
     if len(fitting) == 1:
         return [_whole(fitting[0], "the only topic with IMU samples")]
     if fitting:
         return _among(path, fitting, live)
     return _refuse(path, topics, carrying)
+
+
+def _no_fields(path: Path, topics: Sequence[Topic]) -> ChoiceError:
+    """Return the error where no topic has the fields that the user named; it lists what there is."""
+    lines = [
+        f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
+        for topic in topics
+        if topic.leaves.all or topic.reason
+    ]
+    listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
+    return ChoiceError(f"{path}: no topic has the fields of the fields text; found in its topics\n{listed}")
 
 
 def table(topics: Sequence[Topic]) -> str:
@@ -90,6 +103,7 @@ def _named(
     for topic in found:
         if topic.imu is None:
             why = topic.reason or "its messages have no angular velocity or linear acceleration"
+            why += f"; found {topic.leaves.shown()}" if options.fields else ""
             msg = f"{path}: topic {topic.name} of type {topic.type or 'unknown'} can't be read: {why}"
             raise ChoiceError(msg)
         if topic.count == 0:
@@ -157,5 +171,10 @@ def _refuse(path: Path, topics: Sequence[Topic], carrying: Sequence[Topic]) -> N
         msg = f"{path}: topic {topic.name} of type {topic.type or 'unknown'} can't be read: {topic.reason}"
         raise ChoiceError(msg)
     listed = table(topics) or "  no topics"
-    msg = f"{path}: no topic carries a gyroscope or an accelerometer; found\n{listed}"
+    able = [topic for topic in topics if topic.count != 0 and topic.leaves.proposal()]
+    how = "".join(
+        f"\n{topic.name} may be read by a fields text such as {topic.leaves.proposal()!r}"
+        for topic in able[:3]
+    )
+    msg = f"{path}: no topic carries a gyroscope or an accelerometer; found\n{listed}{how}"
     raise ChoiceError(msg)

@@ -34,6 +34,25 @@ class Shape:
     imu: ImuFields
 
 
+def reachable(imu: ImuFields, fields: Sequence[Field]) -> ImuFields | None:
+    """Return the fields that a user asked for as the walk takes them; None where it can't reach them all.
+
+    It can reach numbers, and elements of arrays and of sequences of numbers, that stand before any list of
+    structures that hold texts. The three elements of an array of three are taken at once.
+    """
+    known = {entry.path: entry for entry in fields}
+    for path in imu.wanted:
+        owner = known.get(path.rpartition("[")[0]) if path.endswith("]") else None
+        whole = known.get(path)
+        inside = owner is not None and (
+            (owner.kind == "sequence" and owner.count == 1)
+            or (owner.kind == "array" and int(path.rpartition("[")[2].rstrip("]")) < owner.count)
+        )
+        if not inside and (whole is None or whole.kind != "number"):
+            return None
+    return imu
+
+
 class BinaryDecoder:
     """Decodes the ROS 1 or CDR messages of one channel.
 

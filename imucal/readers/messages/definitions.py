@@ -1,8 +1,9 @@
 """Message definitions: `.msg` text -> the flat list of fields, in the order of their bytes."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 #: What a field is: one number, a fixed array, a string, a sequence of numbers, or anything else.
 Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
@@ -58,8 +59,6 @@ _FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(<=)?(\d*)\])?\s+(\w+)\s*(.*)$")
 _SEPARATOR = re.compile(r"^=+\s*$", re.MULTILINE)
 #: A definition that nests deeper than this, or has more fields, is refused.
 _DEEP, _MANY = 16, 20_000
-
-_Line: TypeAlias = tuple[str, str | None, str | None, str | None, str]
 
 #: Definitions of types that logs don't always carry. Source: common_interfaces, PX4 1.14 msg/.
 _HEADER = "\n===\nMSG: std_msgs/Header\n{seq}{time} stamp\nstring frame_id"
@@ -118,57 +117,145 @@ def built_in(name: str, *, ros1: bool) -> str | None:
     return text.replace("{seq}", seq).replace("{time}", time)
 
 
-def flatten(name: str, text: str, *, ros1: bool) -> tuple[Field, ...]:
+class Line(NamedTuple):
+    """A line of a definition: one field."""
+
+    kind: str
+    array: str | None
+    bounded: str | None
+    elements: str | None
+    name: str
+
+    @property
+    def is_number(self) -> bool:
+        return self.kind in _NUMBERS
+
+    @property
+    def is_text(self) -> bool:
+        return self.kind in {"string", "wstring"}
+
+    @property
+    def is_time(self) -> bool:
+        return plain_type(self.kind) in _TIMES
+
+    @property
+    def fixed(self) -> int | None:
+        """Elements of an array of a fixed size."""
+        return int(self.elements) if self.array is not None and self.elements and not self.bounded else None
+
+    @property
+    def brackets(self) -> str:
+        """``[3]`` of an array, ``[]`` of a sequence, nothing of a single field."""
+        return "" if self.array is None else f"[{self.fixed if self.fixed is not None else ''}]"
+
+
+class Definitions:
+    """The definition of a message type and of the types in it.
+
+    Parameters
+    ----------
+    text
+        Its own, those of types in it behind lines of ``===`` perhaps.
+    more
+        Definitions of other types, by ``package/Name``; with them the standard types of ROS are known too.
+    """
+
+    def __init__(self, name: str, text: str, *, ros1: bool, more: Mapping[str, str] | None = None) -> None:
+        self.name = plain_type(name)
+        self._ros1 = ros1
+        self._standard = more is not None
+        self._defined = _split(self.name, text)
+        for other, body in (more or {}).items():
+            for known, lines in _split(other, body).items():
+                self._defined.setdefault(known, lines)
+
+    def lines(self, name: str | None = None) -> list[Line]:
+        """Return the fields of a type, that of the messages by default."""
+        return self._defined[name or self.name]
+
+    def resolve(self, owner: str | None, kind: str) -> str:
+        """Return the type that a field of `owner` is of; a DefinitionError where it is not defined."""
+        name = plain_type(kind)
+        package = (owner or self.name).partition("/")[0]
+        candidates = [name] if "/" in name else [f"{package}/{name}", f"std_msgs/{name}"]
+        candidates += [known for known in self._defined if known.endswith("/" + name)]
+        # A file outside of its package.
+        candidates.append("/" + name.rpartition("/")[2])
+        for candidate in candidates:
+            if candidate in self._defined or (self._standard and self._take_standard(candidate)):
+                return candidate
+        msg = f"type {kind} is not defined"
+        if self._standard:
+            msg += f"; give its .msg file too, {name.rpartition('/')[2]}.msg"
+        raise DefinitionError(msg)
+
+    def _take_standard(self, name: str) -> bool:
+        """Take a type of ROS itself; False where there is none of that name."""
+        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys.base import TypesysError
+
+        if name.startswith("/"):
+            return False
+        store = get_typestore(Stores.ROS1_NOETIC if self._ros1 else Stores.LATEST)
+        try:
+            text, _ = store.generate_msgdef(name.replace("/", "/msg/"), ros_version=1 if self._ros1 else 2)
+        except (TypesysError, KeyError):
+            return False
+        for known, lines in _split(name, text).items():
+            self._defined.setdefault(known, lines)
+        return True
+
+
+def flatten(name: str, text: str, *, ros1: bool, more: Mapping[str, str] | None = None) -> tuple[Field, ...]:
     """Return the fields of a message, nested ones in their place.
 
     A field that can't be laid out (a sequence of structures or strings) is of kind "other"; what follows
-    it is left out, because its place depends on that field.
+    it is left out, because its place depends on that field. For `more` see `Definitions`.
 
     Raises
     ------
     DefinitionError
         If a line can't be read, or a type is not defined.
     """
-    return tuple(_Flattener(name, text, ros1=ros1).fields)
+    return tuple(_Flattener(Definitions(name, text, ros1=ros1, more=more), ros1=ros1).fields)
 
 
 class _Flattener:
     """Walks the definitions of a message and of the types in it."""
 
-    def __init__(self, name: str, text: str, *, ros1: bool) -> None:
+    def __init__(self, definitions: Definitions, *, ros1: bool) -> None:
         self.ros1 = ros1
         self.numbers = {**_NUMBERS, "byte": "i1"} if ros1 else _NUMBERS
         self.sec = "u4" if ros1 else "i4"
-        self.defined = _split(plain_type(name), text)
+        self.definitions = definitions
         self.fields: list[Field] = []
-        self._walk(plain_type(name), "", 0)
+        self._walk(definitions.name, "", 0)
 
     def _walk(self, name: str, prefix: str, depth: int) -> bool:
         """Append the fields of a type; False where the layout ends being known."""
         if depth > _DEEP or len(self.fields) > _MANY:
             msg = f"{name} nests too deeply or has too many fields"
             raise DefinitionError(msg)
-        lines = self.defined[name]
+        lines = self.definitions.lines(name)
         if not lines and not self.ros1:
             # A ROS 2 structure without members takes one byte: rosidl adds a member.
             self.fields.append(Field(prefix + "structure_needs_at_least_one_member", "number", "u1"))
         return all(self._field(name, line, prefix, depth) for line in lines)
 
-    def _field(self, owner: str, line: _Line, prefix: str, depth: int) -> bool:
-        kind, array, bounded, count, name = line
-        path = prefix + name
-        fixed = int(count) if array is not None and count and not bounded else None
+    def _field(self, owner: str, line: Line, prefix: str, depth: int) -> bool:
+        kind, array, fixed = line.kind, line.array, line.fixed
+        path = prefix + line.name
         if kind in self.numbers:
             self._number(path, self.numbers[kind], array, fixed)
             return True
-        if kind in {"string", "wstring"}:
+        if line.is_text:
             plain = array is None and kind == "string"
             self.fields.append(Field(path, "string" if plain else "other"))
             return plain
         repeat = 1 if array is None else fixed
-        if plain_type(kind) in _TIMES:
+        if line.is_time:
             return self._times(path, array)
-        nested = self._resolve(owner, kind)
+        nested = self.definitions.resolve(owner, kind)
         if repeat is None:
             return self._structures(nested, path, depth)
         if repeat > _MANY:
@@ -205,20 +292,10 @@ class _Flattener:
         self.fields.append(Field(path, "other"))
         return False
 
-    def _resolve(self, owner: str, kind: str) -> str:
-        name = plain_type(kind)
-        candidates = [name] if "/" in name else [f"{owner.partition('/')[0]}/{name}", f"std_msgs/{name}"]
-        candidates += [known for known in self.defined if known.endswith("/" + name)]
-        for candidate in candidates:
-            if candidate in self.defined:
-                return candidate
-        msg = f"type {kind} is not defined"
-        raise DefinitionError(msg)
 
-
-def _split(name: str, text: str) -> dict[str, list[_Line]]:
+def _split(name: str, text: str) -> dict[str, list[Line]]:
     """Return the lines of each type in a definition."""
-    defined: dict[str, list[_Line]] = {}
+    defined: dict[str, list[Line]] = {}
     for index, part in enumerate(_SEPARATOR.split(text)):
         own, body = name, part
         if index:
@@ -230,7 +307,7 @@ def _split(name: str, text: str) -> dict[str, list[_Line]]:
     return defined
 
 
-def _line(raw: str) -> _Line | None:
+def _line(raw: str) -> Line | None:
     """Return the parts of a line; None for blanks, comments and constants."""
     line = raw.partition("#")[0].strip()
     if not line:
@@ -241,4 +318,4 @@ def _line(raw: str) -> _Line | None:
         raise DefinitionError(msg)
     if match[6].startswith("="):
         return None
-    return match[1], match[2], match[3], match[4], match[5]
+    return Line(*match.group(1, 2, 3, 4, 5))

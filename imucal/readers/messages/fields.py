@@ -52,7 +52,7 @@ class Messages:
         """Return stamps in ns, shape (n,)."""
         sec = self.places[stamp.sec]
         if not stamp.nanosec:
-            return self._field(stamp.sec).astype(np.int64) * np.int64(stamp.scale)
+            return _scaled(self._field(stamp.sec), stamp.scale)
         nanosec = self.places[stamp.nanosec]
         if _apart(sec.at, nanosec.at, 4):
             both = gather(self.buffer, self.starts + sec.at, 8)
@@ -71,6 +71,16 @@ class Messages:
         dtype = np.dtype(place.dtype)
         values: NDArray[np.float64] = gather(self.buffer, self.starts + place.at, dtype.itemsize).view(dtype)
         return values
+
+
+def _scaled(counts: NDArray[np.float64], scale: int) -> IntArray:
+    """Return counts of `scale` ns as ns; floats are split first, so that nothing is lost."""
+    if counts.dtype.kind != "f":
+        return counts.astype(np.int64) * np.int64(scale)
+    good = np.isfinite(counts) & (np.abs(counts) < float((1 << 62) // scale))
+    whole = np.where(good, np.floor(counts), 0.0)
+    rest = np.where(good, counts, 0.0) - whole
+    return whole.astype(np.int64) * scale + np.round(rest * scale).astype(np.int64)
 
 
 def adjacent(places: dict[str, Place], vector: Vector) -> bool:

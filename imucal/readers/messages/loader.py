@@ -21,6 +21,8 @@ from imucal.resources import threads as allowed_threads
 _MAX_THREADS = 4
 #: Logs of more messages have chunks enough to make up for preparing the allocator.
 _LARGE = 50_000
+#: Chunks in which the first message of a channel is looked for.
+_LOOKS = 8
 #: Losses kept word by word; the rest is counted.
 _MAX_LOSSES = 1000
 
@@ -83,6 +85,21 @@ def decode(
         Decode only so many chunks of the first file that holds messages.
     """
     return _Run(containers, streams, limit, progress, most_chunks=most_chunks).go()
+
+
+def first_message(container: Container, key: int) -> bytes | None:
+    """Return the first whole message of a channel; None where there is none in the first chunks."""
+    for task in islice(container.tasks(frozenset({key})), _LOOKS):
+        try:
+            for found, batch in task.load(Scratch()):
+                checked = batch.checked()
+                if found == key and checked.n:
+                    size = checked.sizes if isinstance(checked.sizes, int) else int(checked.sizes[0])
+                    start = int(checked.payload()[0])
+                    return bytes(memoryview(checked.buffer)[start : start + size])
+        except DamagedError:
+            continue
+    return None
 
 
 class _Run:

@@ -31,11 +31,14 @@ class Vector:
     ----------
     divisor
         Path of a duration in µs that turns an increment into a rate; empty for a plain rate.
+    unit
+        Unit in the names of the fields, a key of `imucal.units.SAMPLE_UNITS`; None where they have none.
     """
 
     sensor: Sensor
     paths: tuple[str, ...]
     divisor: str = ""
+    unit: str | None = None
 
     @property
     def field(self) -> str:
@@ -61,6 +64,8 @@ class ImuFields:
         True where the definition fixes SI units; else SI is assumed and said.
     others
         Fields of vectors that could be meant too, and are not read.
+    asked
+        Whether the user named the fields: nothing is known of their units then.
     """
 
     stamp: Stamp | None
@@ -69,6 +74,7 @@ class ImuFields:
     plain: bool = False
     standard: bool = True
     others: tuple[str, ...] = ()
+    asked: bool = False
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
@@ -95,6 +101,8 @@ _STEMS: dict[Sensor, tuple[str, ...]] = {
 }  # fmt: skip
 #: What a message's own level is called where a field of it holds another IMU.
 TOP = "top"
+#: Nanoseconds -> seconds, as ROS and protobuf call them.
+_PARTS = {"nanosec": "sec", "nanos": "seconds"}
 _TEMPERATURE = re.compile(r"(^|[._])(temperature|temp|imu_temperature|imu_temp)$")
 
 #: Types whose vectors may be anything: path of the vector, and its sensor (None: the topic's name says).
@@ -263,8 +271,8 @@ def _stamp(fields: Sequence[Field]) -> Stamp | None:
     """Return the first stamp of a header, or a time of the message's own."""
     for field in fields:
         owner, _, last = field.path.rpartition(".")
-        if last == "nanosec" and owner.rpartition(".")[2] in {"stamp", "timestamp", "time"}:
-            return Stamp(sec=owner + ".sec", nanosec=field.path)
+        if last in _PARTS and owner.rpartition(".")[2] in {"stamp", "timestamp", "time"}:
+            return Stamp(sec=f"{owner}.{_PARTS[last]}", nanosec=field.path)
     return None
 
 

@@ -113,6 +113,8 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
     head = _head(batch, words, places, imu)
     if head > min(_HEAD, end) or skip + _fixed(found.end) > end:
         return None
+    if imu.stamp is not None and places[imu.stamp.sec].dtype[1] == "f":
+        return None
     plain = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
     firsts = [(vector.sensor, places[vector.paths[0]]) for vector in plain]
     return Template(

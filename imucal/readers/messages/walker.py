@@ -7,6 +7,7 @@ Layouts: ROS 1 (no alignment); CDR and XCDR2 (numbers aligned to their size, at 
 the end of the four bytes of encapsulation). Source: OMG DDS-XTypes 1.3, 7.4.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
@@ -56,13 +57,25 @@ class Found:
     end: Position = 0
 
 
+#: One element of an array.
+_ELEMENT = re.compile(r"(.+)\[(\d+)\]")
+
+
 class Walker:
-    """Walks the fields of a message type up to the last wanted one."""
+    """Walks the fields of a message type up to the last wanted one.
+
+    A wanted path is that of a field, or of one element of an array or a sequence of numbers: ``gyro[0]``.
+    """
 
     def __init__(self, fields: Sequence[Field], wanted: Sequence[str]) -> None:
-        last = max(i for i, entry in enumerate(fields) if entry.path in wanted)
-        self.fields = fields[: last + 1]
         self.wanted = frozenset(wanted)
+        self.elements: dict[str, dict[int, str]] = {}
+        for path in self.wanted - {entry.path for entry in fields}:
+            if match := _ELEMENT.fullmatch(path):
+                self.elements.setdefault(match[1], {})[int(match[2])] = path
+        needed = self.wanted | set(self.elements)
+        last = max(i for i, entry in enumerate(fields) if entry.path in needed)
+        self.fields = fields[: last + 1]
 
     def walk(self, buffer: Bytes, starts: IntArray, layout: Layout) -> Found:
         """Find the wanted fields of messages whose payloads start at `starts`, shape (n,).
@@ -79,15 +92,20 @@ class Walker:
                 at = _align(at, entry.size, layout)
                 if entry.path in self.wanted:
                     found.places[entry.path] = Place(at, layout.order + entry.code)
+                self._note_elements(entry, at, layout, found)
                 at = at + entry.size * entry.count
             else:
                 at = self._skip(buffer, starts, at, entry, layout, found)
         found.end = at
         return found
 
-    @staticmethod
+    def _note_elements(self, entry: Field, at: Position, layout: Layout, found: Found) -> None:
+        """Note the places of the wanted elements of an array that starts at `at`."""
+        for index, path in self.elements.get(entry.path, {}).items():
+            found.places[path] = Place(at + index * entry.size, layout.order + entry.code)
+
     def _skip(  # noqa: PLR0917 - all that a step of the walk knows
-        buffer: Bytes, starts: IntArray, at: Position, entry: Field, layout: Layout, found: Found
+        self, buffer: Bytes, starts: IntArray, at: Position, entry: Field, layout: Layout, found: Found
     ) -> Position:
         """Return the position after a string or a sequence."""
         at = _align(at, 4, layout)
@@ -99,6 +117,12 @@ class Walker:
             raise DamagedError(msg)
         found.lengths.append((at, length))
         at = at + 4
+        if entry.path in self.elements:
+            last = max(self.elements[entry.path])
+            if int(np.min(length)) <= last:
+                msg = f"{entry.path} has {int(np.min(length))} elements in a message, and no [{last}]"
+                raise DamagedError(msg)
+            self._note_elements(entry, _align(at, entry.size, layout), layout, found)
         if entry.kind == "string":
             return at + length
         size = entry.size * entry.count

@@ -11,6 +11,7 @@ from imucal.readers.tables.columns import (
     Cells,
     NamedTable,
     Triad,
+    columns_text,
     find_axes,
     find_bare_triads,
     find_temperature,
@@ -18,9 +19,11 @@ from imucal.readers.tables.columns import (
     pick,
     triad_of,
 )
-from imucal.readers.tables.columns_text import ColumnSpec, parse_columns_text
+from imucal.readers.tables.columns_text import ColumnsError, ColumnSpec, list_columns, parse_columns_text
 from imucal.readers.tables.dialects import Dialect, find_dialect
-from imucal.readers.tables.names import Role, parse_column
+from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, parse_column
+from imucal.readers.tables.proposals import propose_columns
 from imucal.readers.tables.row_tags import rows_of_sensors
 from imucal.readers.tables.scales import given_unit
 from imucal.readers.tables.timing import TimeChoice, choose_times, named_time, time_of_columns
@@ -73,11 +76,12 @@ def make_plan(
     units: Sequence[str | None] = (),
     preamble: Sequence[str] = (),
     name: str = "",
+    shape: str = "",
 ) -> TablePlan:
     """Choose the columns of a table, from their names and first cells.
 
-    `units` come from a row of units, `preamble` are the lines before the header, and `name`, that of
-    the file or the table, may name the sensor.
+    `units` come from a row of units, `preamble` are the lines before the header, `name`, that of
+    the file or the table, may name the sensor, and `shape` says what the columns are, for a message.
 
     Raises
     ------
@@ -91,18 +95,62 @@ def make_plan(
         for index, header in enumerate(headers)
     )
     table = NamedTable(path=path, columns=columns, cells=cells, dialect=find_dialect(headers, preamble))
-    if options.columns is not None:
-        return _as_asked(table, parse_columns_text(options.columns, headers, path), options)
-    gyro, accel, reason = _sensors(table, options, name or PurePath(path).name)
+    try:
+        if options.columns is not None:
+            return _as_asked(table, parse_columns_text(options.columns, headers, path), options)
+        return _by_name(table, options, name or PurePath(path).name, shape)
+    except ColumnsError as error:
+        if error.example:
+            raise
+        found = list_columns(table.headers, table.cells)
+        raise ColumnsError(path, error.problem, found, _proposal(table, options)) from None
+
+
+def works(table: NamedTable, options: ReadOptions, text: str) -> bool:
+    """Return whether a columns text names columns of numbers, and a time, in a table."""
+    try:
+        plan = _as_asked(table, parse_columns_text(text, table.headers, table.path), options)
+    except ChoiceError:
+        return False
+    indices = [index for sensor in plan.sensors for index in sensor.triad.indices]
+    return all(is_number(cell) for index in indices for cell in table.cells(index) if cell)
+
+
+def _proposal(table: NamedTable, options: ReadOptions) -> str:
+    """Return a columns text that works on a table: by the names, else by the numbers; empty if none does."""
+    texts = []
+    try:
+        triads = find_triads(table, units_given=list(Sensor))
+    except ChoiceError:
+        triads = []
+    if triads:
+        first = {triad.sensor: triad for triad in reversed(triads)}
+        texts.append(columns_text(table.time, first.get(Sensor.GYROSCOPE), first.get(Sensor.ACCELEROMETER)))
+    known = [column.index for column in table.columns if _holds_no_samples(table, column)]
+    texts.append(propose_columns(table.cells, len(table.columns), time=table.time, taken=known))
+    return next((text for text in texts if text and works(table, options, text)), "")
+
+
+def _holds_no_samples(table: NamedTable, column: NamedColumn) -> bool:
+    """Return whether a column is named as something else than samples; counters must count."""
+    if column.role is Role.COUNTER:
+        return all(cell.isdecimal() for cell in table.cells(column.index))
+    other = column.role is Role.OTHER and is_of_something_else(column)
+    return other or column.role in {Role.TIME, Role.TEMPERATURE}
+
+
+def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> TablePlan:
+    """Return the plan that the names of the columns tell."""
+    gyro, accel, reason = _sensors(table, options, name)
     if gyro is None and accel is None:
-        raise _nothing_found(table)
+        raise _nothing_found(table, shape)
     if reason == _BY_NAME:
         gyro, accel, rows = rows_of_sensors(table, gyro, accel)
         reason += f", {rows}" if rows else ""
     triads = [triad for triad in (gyro, accel) if triad is not None]
     near = [index for triad in triads for index in triad.indices]
     sensors = [_with_time(table, triad, options) for triad in triads]
-    plan = _plan(table, sensors, find_temperature(columns, near=near), reason)
+    plan = _plan(table, sensors, find_temperature(table.columns, near=near), reason)
     return replace(plan, findings=missing_sensor(table, gyro, accel))
 
 
@@ -174,7 +222,7 @@ def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[T
     raise ChoiceError(msg)
 
 
-def _nothing_found(table: NamedTable) -> ChoiceError:
+def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
     """Return the error for a table without a complete triad."""
     partial = [
         f"{column.header} ({column.role})"
@@ -182,9 +230,9 @@ def _nothing_found(table: NamedTable) -> ChoiceError:
         if column.role in {Role.GYROSCOPE, Role.ACCELEROMETER}
     ]
     if not any(header.strip() for header in table.headers):
-        problem = f"no header names the {len(table.headers)} columns, and their order is not guessed"
+        problem = f"nothing names the {len(table.headers)} columns, and their order is not guessed"
     elif partial:
         problem = f"x, y and z of one sensor are needed, found only {', '.join(partial)}"
     else:
-        problem = "no column is named as a gyroscope or accelerometer axis (such as gyro_x, wx, accel_x, ax)"
-    return table.ask(problem, example=f"t={table.time or 0},g=1:4,a=4:7")
+        problem = "no column is named as an axis of a gyroscope or an accelerometer"
+    return table.ask(f"{shape}: {problem}" if shape else problem)

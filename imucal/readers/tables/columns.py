@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from imucal.errors import ChoiceError
-from imucal.readers.tables.columns_text import EXAMPLE, ask, list_columns
+from imucal.readers.tables.columns_text import ColumnsError, list_columns
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role
@@ -43,9 +43,9 @@ class NamedTable:
         """Index of the first column named as a time, as text; empty where there is none."""
         return next((str(column.index) for column in self.columns if column.role is Role.TIME), "")
 
-    def ask(self, problem: str, *, example: str = EXAMPLE) -> ChoiceError:
-        """Return the error that shows the columns and a ready text for them."""
-        return ask(self.path, problem, self.headers, example=example)
+    def ask(self, problem: str, *, example: str = "") -> ColumnsError:
+        """Return the error that shows the columns and perhaps a ready text for them."""
+        return ColumnsError(self.path, problem, list_columns(self.headers, self.cells), example)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,7 +205,7 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad 
     sensor = sensor_of_name(name)
     if sensor is None:
         problem = f"x, y and z are there ({', '.join(gyro.headers)}), but not of which sensor"
-        choices = (columns_text("0", gyro, None), columns_text("0", None, accel))
+        choices = (columns_text(table.time, gyro, None), columns_text(table.time, None, accel))
         raise table.ask(problem, example=" or ".join(choices))
     by_name = "by the name of the file"
     return (gyro, None, by_name) if sensor is Sensor.GYROSCOPE else (None, accel, by_name)

@@ -1,14 +1,14 @@
 """The text in which a user says which columns are which: ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from imucal.errors import ChoiceError
-from imucal.readers.tables.layout import Rows
+from imucal.readers.tables.layout import Rows, is_number
 from imucal.recording import AXES, Axis, Sensor
 
-#: A columns text that shows how one is written.
-EXAMPLE = "t=0,g=1:4,a=4:7"
+#: A number of more letters is rounded in a message.
+_LONG = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,31 +39,53 @@ _KEYS = {
 }
 
 
-def list_columns(headers: Sequence[str], *, most: int = 60) -> str:
-    """Return the columns of a table with their indices, for a message."""
-    shown = [f"{index} {header.strip() or '(no name)'}" for index, header in enumerate(headers[:most])]
+class ColumnsError(ChoiceError):
+    """Which columns of a table to read is not clear; the message shows them.
+
+    Parameters
+    ----------
+    problem
+        What is not clear.
+    found
+        The columns, as `list_columns` shows them.
+    example
+        A columns text that works on this very table; empty where none is known.
+    """
+
+    def __init__(self, path: str, problem: str, found: str, example: str = "") -> None:
+        self.problem, self.example = problem, example
+        how = (
+            f"such as {example} (places from 0 with the end left out, or three names joined by +)"
+            if example
+            else "of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their places from 0)"
+        )
+        super().__init__(
+            f"{path}: {problem}; found columns: {found}; say which are which by a columns text {how}"
+        )
+
+
+def list_columns(
+    headers: Sequence[str], cells: Callable[[int], Sequence[str]] | None = None, *, most: int = 60
+) -> str:
+    """Return the columns of a table with their indices, for a message; first cells for lack of names."""
+    shown = []
+    for index, header in enumerate(headers[:most]):
+        first = next(iter(cells(index)), "") if cells is not None and not any(headers) else ""
+        if len(first) > _LONG and is_number(first):
+            first = f"{float(first):.6g}"
+        shown.append(f"{index} {header.strip() or first or '(no name)'}")
     more = f", … {len(headers) - most} more" if len(headers) > most else ""
     return ", ".join(shown) + more
-
-
-def ask(path: str, problem: str, headers: Sequence[str], *, example: str = EXAMPLE) -> ChoiceError:
-    """Return the error that shows the columns and a ready text for them."""
-    msg = (
-        f"{path}: {problem}; found columns: {list_columns(headers)}; "
-        f"say which are which by a columns text such as {example} "
-        "(places from 0 with the end left out, or three names joined by +)"
-    )
-    return ChoiceError(msg)
 
 
 def parse_columns_text(text: str, headers: Sequence[str], path: str) -> ColumnSpec:
     """Return the columns that a text such as ``t=0,g=1:4,a=4:7`` names.
 
-    ``t`` is the time (``t=0+1`` joins seconds and nanoseconds), ``g`` the gyroscope, ``a`` the
-    accelerometer, ``temp`` the temperature. Three columns are indices from 0 with the end left out
-    (``1:4``) or indices or names joined by ``+`` (``wx+wy+wz``). ``gx``, ``gy``, ``gz``, ``ax``, ``ay``
-    and ``az`` are single axes, of a log that holds no others. ``a=2:5@imu`` takes only the rows
-    that have ``imu`` in one of their cells, ``a=2:5@I:0`` those with 0 in column I.
+    ``t`` is the time (``t=0+1`` joins seconds and nanoseconds, or a date and a time of day), ``g`` the
+    gyroscope, ``a`` the accelerometer, ``temp`` the temperature. Three columns are indices from 0 with
+    the end left out (``1:4``) or indices or names joined by ``+`` (``wx+wy+wz``). ``gx``, ``gy``, ``gz``,
+    ``ax``, ``ay`` and ``az`` are single axes, of a log that holds no others. ``a=2:5@imu`` takes only
+    the rows that have ``imu`` in one of their cells, ``a=2:5@I:0`` those with 0 in column I.
 
     Raises
     ------
@@ -108,15 +130,15 @@ def _sensor_spec(
 
 
 def _wrong(text: str, problem: str, headers: Sequence[str], path: str) -> ChoiceError:
-    return ask(path, f"columns text {text!r}: {problem}", headers)
+    return ColumnsError(path, f"columns text {text!r}: {problem}", list_columns(headers))
 
 
 def _problem(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> str:
     """Return what is wrong with the columns, or an empty text."""
     if not any(key[0] in "ga" for key in found):
         return "names neither gyroscope (g) nor accelerometer (a)"
-    if len(found.get("t", ())) > 2 or len(found.get("temp", ())) > 1:
-        return "t takes one or two columns, temp one"
+    if len(found.get("t", ())) > 3 or len(found.get("temp", ())) > 1:
+        return "t takes up to three columns, temp one"
     problems = (_problem_of(key, found, rows) for key in ("g", "a"))
     return next(filter(None, problems), "") or _named_twice(found, rows)
 
@@ -131,7 +153,7 @@ def _problem_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[st
     if len({rows[one] for one in single}) > 1:
         return f"{' and '.join(single)} are of different rows, expected the same"
     if key in found and len(found[key]) != 3:
-        return f"{key} names {len(found[key])} columns, expected 3; one axis alone is such as {key}z=1"
+        return f"{key} names {len(found[key])} columns, expected 3; one axis alone is {key}z={found[key][0]}"
     return ""
 
 
@@ -143,7 +165,7 @@ def _named_twice(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows])
             others = uses.setdefault(index, [])
             # A column may be the gyroscope's in some rows and the accelerometer's in others.
             if any(rows[key] is None or other is None or other == rows[key] for other in others):
-                return f"column {index} is named twice; a log of one axis is such as t=0,gz=1"
+                return f"column {index} is named twice; a log of one axis has gz={index} alone"
             others.append(rows[key])
     return ""
 

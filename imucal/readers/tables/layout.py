@@ -5,8 +5,10 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import TypeAlias
 
+from imucal.readers.tables.dates import is_time_of_day, text_kind
 from imucal.units import is_unit
 
 #: Rows of a sensor: the index of a column, -1 for any, and the text its cells must hold; None for all rows.
@@ -16,6 +18,12 @@ Rows: TypeAlias = tuple[int, str] | None
 BLANKS = " "
 
 _DELIMITERS = (",", ";", "\t", "|", BLANKS)
+
+#: Names of a header's second row, and what stands in brackets beside them.
+_AXES = frozenset(("", "w", "x", "y", "z"))
+_UNIT_PART = re.compile(r"[\[(][^\])]*[\])]")
+#: A date that stands behind this many columns is none of a row's time.
+_STAMP_FIRST = 6
 
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
 _COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
@@ -106,6 +114,8 @@ class _Split:
     width: int
     start: int
     fitting: tuple[int, ...]
+    #: Whether a semicolon that parts no cells ends each line, as in matrices of MATLAB.
+    ended: bool = False
 
     @property
     def score(self) -> int:
@@ -168,8 +178,12 @@ def _splits(lines: Sequence[str], delimiters: Sequence[str], *, narrow: bool = F
 def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> _Split | None:
     if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
         return None
-    rows = [split_line(line, delimiter) if line.strip() else [] for line in lines]
-    decimal = _decimal(rows) if delimiter != "," else "."
+    ended = delimiter != ";" and _have_ends(lines)
+    if ended:
+        lines = [line.rstrip("; \t") for line in lines]
+    rows = _cells(lines, delimiter)
+    # Where commas part the cells, one within a cell stood in quotes.
+    decimal = _decimal(rows)
     width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
     if not fitting:
         return None
@@ -177,7 +191,22 @@ def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> _Split | No
         # A name with blanks is one name: "gz (deg/s)".
         rows = [[" ".join(row)] if row else [] for row in rows]
     start = _start(fitting, len(lines))
-    return _Split(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start))
+    return _Split(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start), ended)
+
+
+def _cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
+    """Return the cells of each line; none of an empty one."""
+    return [split_line(line, delimiter) if line.strip() else [] for line in lines]
+
+
+def _have_ends(lines: Sequence[str]) -> bool:
+    """Return whether most lines end with a semicolon."""
+    return sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
+
+
+def _without_ends(block: bytes) -> bytes:
+    """Return a block without the semicolons that end its lines."""
+    return re.sub(rb"[; \t]+$", b"", block, flags=re.MULTILINE)
 
 
 def _fitting(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, list[int]]:
@@ -245,6 +274,7 @@ def _finish(lines: Sequence[str], split: _Split) -> TextLayout:
         rate_hz=rate if rate and rate > 0 else None,
         quoted=any('"' in lines[i] for i in split.fitting),
         mismatch=mismatch,
+        prepare=_without_ends if split.ended else None,
     )
 
 
@@ -254,7 +284,9 @@ def _find_header(split: _Split) -> tuple[int | None, list[str], list[str | None]
     for line in range(split.start - 1, -1, -1):
         row = split.rows[line]
         row = row[1:] if row and row[0] in {"#", "%", "//"} else row
-        if abs(len(row) - split.width) > 1 or len(row) < min(2, split.width):
+        # The cells of a date, a time and AM or PM may have one name.
+        fewest = -max(1, _stamp_cells(split)[1] - 1)
+        if not fewest <= len(row) - split.width <= 1 or len(row) < min(2, split.width):
             continue
         if not units and _is_row_of_units(row):
             units = [unit if is_unit(unit) else None for unit in (cell.strip("[]()") for cell in row)]
@@ -271,15 +303,17 @@ def _is_row_of_units(row: Sequence[str]) -> bool:
 
 
 def _is_axes(row: Sequence[str]) -> bool:
-    return all(cell.lower().strip("\"'") in {"", "w", "x", "y", "z"} for cell in row)
+    """Return whether a row names axes, perhaps with their units, and only the unit of a time beside them."""
+    cells = [_UNIT_PART.sub("", cell).strip("\"' ").lower() for cell in row]
+    return {"x", "y", "z"} <= set(cells) and all(cell in _AXES or is_unit(cell) for cell in cells)
 
 
 def _two_rows(above: Sequence[str], row: list[str]) -> list[str]:
     """Join a header of two lines: groups above, x, y, z below."""
-    if not _is_axes(row) or abs(len(above) - len(row)) > 1 or not any(above):
+    if not _is_axes(row) or not 2 <= len(above) <= len(row) + 1 or not any(above):
         return _labelled(row)
     group, names = "", []
-    for name, axis in zip([*above, ""], row, strict=False):
+    for name, axis in zip_longest(above[: len(row)], row, fillvalue=""):
         group = name or group
         names.append(f"{group} {axis}".strip())
     return names
@@ -299,10 +333,25 @@ def _labelled(row: list[str]) -> list[str]:
     return names
 
 
+def _stamp_cells(split: _Split) -> tuple[int, int]:
+    """Return where the cells of one time start, and their number: blanks cut a date from its time."""
+    columns = [[split.rows[i][at] for i in split.fitting] for at in range(min(split.width, _STAMP_FIRST))]
+    kinds = [text_kind(cells) for cells in columns]
+    for at in range(len(kinds) - 1):
+        if split.delimiter == BLANKS and kinds[at] == "date" and all(map(is_time_of_day, columns[at + 1])):
+            return at, 3 if kinds[at + 2 : at + 3] == ["half"] else 2
+    return 0, 1
+
+
 def _fit(headers: list[str], split: _Split) -> tuple[list[str], int | None]:
     """Return as many names as cells, and the number of names where they don't fit."""
     if not headers or len(headers) == split.width:
         return headers, None
+    at, cells = _stamp_cells(split)
+    named = cells - (split.width - len(headers))
+    if 0 < named < cells:
+        names = [*(["date"] if named == 1 else []), *headers[at : at + named], "am/pm"][:cells]
+        return [*headers[:at], *names, *headers[at + named :]], None
     if len(headers) == split.width + 1 and not headers[-1]:
         return headers[:-1], None
     last_empty = all(not split.rows[i][-1] for i in split.fitting)

@@ -3,19 +3,22 @@
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.readers.column_store import GrowingColumn
+from imucal.readers.tables.dates import NO_STAMP, TextKind, parse_texts
 from imucal.readers.tables.layout import BLANKS, Rows, TextLayout, split_line
-from imucal.readers.tables.stamps import NO_STAMP, parse_text_stamps
 
-#: What the cells of a column are read as.
-Kind: TypeAlias = Literal["integer", "float", "text"]
+#: What the cells of a column are read as: numbers, or one of the texts that tell the time.
+Kind: TypeAlias = Literal["integer", "float"] | TextKind
+_TEXTS: tuple[Kind, ...] = get_args(TextKind)
 
 _Number = TypeVar("_Number", int, float)
+
+_QUOTED = re.compile(rb'"[^"\n]*"')
 
 _COMMENTS = ("#", "%", "//", ";")
 
@@ -35,6 +38,7 @@ class BlockReader:
 
     `kinds` says by index what the cells of each wanted column are. A row that lacks a cell of a `needed`
     column is bad. `limit` is the bytes of a column to hold in memory, `expected` the rows to make room for.
+    Dates with the year last begin with the month, or `by_day`.
     """
 
     layout: TextLayout
@@ -43,6 +47,7 @@ class BlockReader:
     rows: Rows = None
     limit: int = 1 << 62
     expected: int = 0
+    by_day: bool = False
     counts: RowCounts = field(default_factory=RowCounts)
     columns: dict[int, GrowingColumn] = field(init=False)
     _pattern: re.Pattern[bytes] | None = field(init=False)
@@ -91,8 +96,14 @@ class BlockReader:
             if b" " in block:
                 block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
         if self.layout.decimal == ",":
-            block = block.replace(b",", b".")
+            block = self._with_points(block)
         return block
+
+    def _with_points(self, block: bytes) -> bytes:
+        """Return a block with decimal points for commas; for those in quotes where commas part the cells."""
+        if self.layout.delimiter == ",":
+            return _QUOTED.sub(lambda match: match[0].replace(b",", b"."), block)
+        return block.replace(b",", b".")
 
     @property
     def _separator(self) -> str:
@@ -119,8 +130,9 @@ class BlockReader:
         """Return a block as polars' table of the columns that are looked at; None where it can't be one."""
         import polars as pl
 
-        types: dict[Kind, Any] = {"integer": pl.Int64, "float": pl.Float64, "text": pl.String}
-        schema = {str(index): types[self.kinds.get(index, "text")] for index in range(self.layout.width)}
+        types: dict[Kind | None, Any] = {"integer": pl.Int64, "float": pl.Float64}
+        kinds = [self.kinds.get(index) for index in range(self.layout.width)]
+        schema = {str(index): types.get(kind, pl.String) for index, kind in enumerate(kinds)}
         looked_at = sorted(self.needed | frozenset(self._wanted))
         try:
             table = pl.read_csv(
@@ -138,10 +150,9 @@ class BlockReader:
             return None
         return table
 
-    @staticmethod
-    def _values(series: Any, kind: Kind) -> NDArray[Any]:  # noqa: ANN401 - polars is imported late
-        if kind == "text":
-            return parse_text_stamps(series.fill_null("").to_list())
+    def _values(self, series: Any, kind: Kind) -> NDArray[Any]:  # noqa: ANN401 - polars is imported late
+        if kind in _TEXTS:
+            return self._times(series.fill_null("").to_list(), kind)
         if kind == "integer" and series.null_count():
             series = series.fill_null(0)
         return np.asarray(series.to_numpy())
@@ -154,7 +165,7 @@ class BlockReader:
             if series.null_count():
                 lacking |= series.is_null().to_numpy()
         for index in self._wanted:
-            if self.kinds[index] == "text":
+            if self.kinds[index] in _TEXTS:
                 lacking |= values[index] == NO_STAMP
         return lacking
 
@@ -192,11 +203,14 @@ class BlockReader:
 
     def _array(self, index: int, values: list[Any]) -> NDArray[Any]:
         kind = self.kinds[index]
-        if kind == "text":
-            return parse_text_stamps(values)
+        if kind in _TEXTS:
+            return self._times(values, kind)
         if kind == "integer" and all(isinstance(value, int) for value in values):
             return np.array(values, dtype=np.int64)
         return np.array(values, dtype=np.float64)
+
+    def _times(self, cells: Sequence[str], kind: Kind) -> NDArray[Any]:
+        return parse_texts(cells, cast("TextKind", kind), by_day=self.by_day)
 
     def _note_bad(self, count: int, line: Callable[[], bytes]) -> None:
         if not self.counts.bad:
@@ -206,7 +220,7 @@ class BlockReader:
 
 def _number(cell: str, kind: Kind) -> int | float | str | None:
     """Return a cell's value; an empty cell of floats is NaN; None where it has none."""
-    if kind == "text":
+    if kind in _TEXTS:
         return cell
     if "_" in cell:
         return None

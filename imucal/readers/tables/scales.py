@@ -173,13 +173,19 @@ def sample_rows(axes: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(rows[np.isfinite(rows).all(axis=1)], dtype=np.float64)
 
 
+def median_size(rows: FloatArray) -> float:
+    """Return the median magnitude of vectors of shape (k, 3); infinite where a damaged one is."""
+    with np.errstate(over="ignore"):
+        return float(np.median(np.sqrt((rows**2).sum(axis=1))))
+
+
 def infer_accel_unit(rows: FloatArray) -> UnitGuess:
     """Return the unit in which samples of shape (k, 3) have the magnitude of gravity."""
     if not rows.size:
         return UnitGuess(reason="there are no finite samples")
     if rows.shape[1] < 3:
         return UnitGuess(reason="without all three axes gravity does not show it")
-    size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
+    size = median_size(rows)
     seen = f"median magnitude {size:.4g}"
     for unit, gravity in (("m/s^2", G0), ("g", 1.0), ("mg", 1000.0)):
         if abs(size / gravity - 1) <= _GRAVITY_TOLERANCE:
@@ -221,22 +227,20 @@ def _by_step(rows: FloatArray) -> UnitGuess | None:
 
 def _by_size(rows: FloatArray, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:
     """Return rad/s where rate and noise are those of a gyroscope in SI, beside an accelerometer in SI."""
-    size = float(np.median(np.sqrt((rows**2).sum(axis=1))))
+    size = median_size(rows)
+    likely = "so deg/s is likely" if _rests(rows) else "but the sensor moves, so it may be either"
     if size > _FASTEST_REST:
-        return UnitGuess(
-            reason=f"the median rate {size:.3g} is too fast for rad/s at rest, so deg/s is likely"
-        )
+        return UnitGuess(reason=f"the median rate {size:.3g} is too fast for rad/s at rest, {likely}")
     noise = _white_noise(rows, rate_hz)
     if noise is not None and noise > _NOISIEST:
         return UnitGuess(
-            reason=f"a noise of {noise:.2g} rad/s/sqrt(Hz) is more than any gyroscope has, so deg/s is likely"
+            reason=f"a noise of {noise:.2g} rad/s/sqrt(Hz) is more than any gyroscope has, {likely}"
         )
     unsaid = "nothing in the log says it"
     if accel_unit == "m/s^2":
         return UnitGuess(unit="rad/s", assumed=True, reason=f"{unsaid}; SI as the accelerometer beside it")
-    return UnitGuess(
-        reason=f"beside an accelerometer in {accel_unit}, deg/s is likely" if accel_unit else unsaid
-    )
+    beside = f"beside an accelerometer in {accel_unit}, "
+    return UnitGuess(reason=beside + likely.removeprefix("so ") if accel_unit else unsaid)
 
 
 def converter_step(rows: FloatArray) -> float | None:
@@ -261,6 +265,21 @@ def converter_step(rows: FloatArray) -> float | None:
     if not steps or max(steps) > 1.02 * min(steps):
         return None
     return float(np.mean(steps))
+
+
+def _rests(rows: FloatArray) -> bool:
+    """Return whether rates are those of a sensor at rest: noise around a mean, not motion.
+
+    Of white noise, steps between samples are sqrt(2) times as large as the samples' own spread; what moves
+    goes far in small steps. A quarter of that ratio leaves room for coloured noise, and for the parts of a
+    long log that are looked at together.
+    """
+    if rows.shape[0] < 100:
+        return False
+    # Medians, so that single shocks count for nothing.
+    steps = np.median(np.abs(np.diff(rows, axis=0)), axis=0)
+    spread = np.median(np.abs(rows - np.median(rows, axis=0)), axis=0)
+    return bool((steps >= 0.25 * np.sqrt(2) * spread).all())
 
 
 def _white_noise(rows: FloatArray, rate_hz: float | None) -> float | None:

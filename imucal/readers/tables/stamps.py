@@ -1,8 +1,6 @@
-"""Time in a table: date and time texts, joins of columns, counters that wrap -> ns."""
+"""Time in a table: joins of columns, counters that wrap, units that the steps show -> ns."""
 
-import re
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -11,9 +9,6 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray
 from imucal.units import TIME_UNITS_NS
 
-#: ns of a text that is no time.
-NO_STAMP = int(np.iinfo(np.int64).min)
-
 _SECOND = 10**9
 DAY = 86_400 * _SECOND
 WEEK = 7 * DAY
@@ -21,53 +16,8 @@ WEEK = 7 * DAY
 #: A column of counts or values.
 Numbers: TypeAlias = NDArray[np.int64] | FloatArray
 
-#: Date, time of day, fraction; the separators differ from logger to logger.
-_DATE_TIME = re.compile(
-    r"\s*(?:(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})[T _]+)?"
-    r"(?P<hour>\d{1,2})[:.-](?P<minute>\d{2})[:.-](?P<second>\d{2})(?:[.,:_](?P<fraction>\d{1,12}))?"
-    r"\s*(?:Z|UTC|GMT|(?P<zone>[+-]\d{2}:?\d{2}))?\s*"
-)
-
 #: Rates at which IMUs are logged, in Hz; they tell the unit of a time without one.
 _RATES = (1.0, 20_000.0)
-
-
-def is_text_stamp(cell: str) -> bool:
-    """Return whether a cell is a date with a time of day, or a time of day."""
-    return _DATE_TIME.fullmatch(cell.strip("\"'")) is not None
-
-
-def parse_text_stamps(cells: Sequence[str]) -> IntArray:
-    """Return times as ns since 1970, or since midnight where there is no date; shape (n,).
-
-    A text that is no time becomes the smallest int64.
-    """
-    result = np.empty(len(cells), dtype=np.int64)
-    for i, cell in enumerate(cells):
-        match = _DATE_TIME.fullmatch(cell.strip("\"'"))
-        result[i] = NO_STAMP if match is None else _ns_of(match)
-    return result
-
-
-def _ns_of(match: re.Match[str]) -> int:
-    day = _days_since_1970(*match.group("year", "month", "day")) if match["year"] else 0
-    if day == NO_STAMP:
-        return NO_STAMP
-    fraction = int(((match["fraction"] or "") + "0" * 9)[:9])
-    seconds = int(match["hour"]) * 3600 + int(match["minute"]) * 60 + int(match["second"])
-    if match["zone"]:
-        sign = -1 if match["zone"][0] == "+" else 1
-        digits = match["zone"][1:].replace(":", "")
-        seconds += sign * (int(digits[:2]) * 3600 + int(digits[2:]) * 60)
-    return (day * 86_400 + seconds) * _SECOND + fraction
-
-
-@lru_cache
-def _days_since_1970(year: str, month: str, day: str) -> int:
-    try:
-        return int(np.datetime64(f"{year}-{int(month):02d}-{int(day):02d}", "D").astype(np.int64))
-    except ValueError:
-        return NO_STAMP
 
 
 def date_stamps(parts: Sequence[Numbers]) -> IntArray:
@@ -138,19 +88,24 @@ def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
     The rate must lie between 1 Hz and 20 kHz. Where several units fit, the size of a time since 1970
     decides; where that does not help, the unit is None.
     """
-    step = _typical_step(values)
-    if step <= 0:
+    rates = rates_by_unit(values)
+    if not rates:
         return None, ()
     size = float(np.median(values[:100_000]))
     epoch = next((unit for unit, ns in TIME_UNITS_NS.items() if 1e18 <= size * ns < 4e18), None)
-    rates = {unit: 1e9 / (step * ns) for unit, ns in TIME_UNITS_NS.items()}
     fits = tuple(unit for unit, rate in rates.items() if _RATES[0] * 0.98 <= rate <= _RATES[1] * 1.02)
     if epoch is not None and (epoch in fits or not fits):
         return epoch, (epoch,)
     return (fits[0] if len(fits) == 1 else None), fits
 
 
-def _typical_step(values: Numbers) -> float:
+def rates_by_unit(values: Numbers) -> dict[str, float]:
+    """Return the rate in Hz that times have in each unit; nothing where they do not go on."""
+    step = typical_step(values)
+    return {unit: 1e9 / (step * ns) for unit, ns in TIME_UNITS_NS.items()} if step > 0 else {}
+
+
+def typical_step(values: Numbers) -> float:
     """Return the usual step between times: the median, or the mean where stamps repeat."""
     head = values[:20_000]
     steps = np.diff(head)

@@ -13,6 +13,7 @@ from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.clocks import ClockReading, clock_from_stamps
 from imucal.readers.tables.column_plan import SensorPlan
+from imucal.readers.tables.dates import HALF_DAY
 from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import (
     DAY,
@@ -20,13 +21,21 @@ from imucal.readers.tables.stamps import (
     Numbers,
     date_stamps,
     infer_time_unit,
+    rates_by_unit,
     rolled,
     to_ns,
+    typical_step,
     unwrapped,
 )
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS
+
+#: A unit is that of a time where it gives the rate that the user gave, within this share.
+_AS_GIVEN = 0.1
+
+#: A rate that no sensor exceeds, in Hz, and a time that 64 bits can hold, in ns: about 30 years.
+_FASTEST, _LONGEST_NS = 1e6, 1e18
 
 #: Share of repeated rows up to which they are samples sent twice; beyond, the sensor is slower than the log.
 _SENT_TWICE = 0.1
@@ -69,8 +78,10 @@ def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
         If no rate can be measured.
     """
     plan, sensor = columns.plan, columns.plan.triad.sensor
-    if plan.time is None or plan.time.kind == "counter":
+    if plan.time is None or (plan.time.kind == "counter" and work.options.time_unit is None):
         return _counted_clock(work, columns)
+    if not _tells_time(work, plan.time, columns):
+        return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
     source = f"column {plan.time.name}"
     stamps = _stamps(work, plan.time, columns.time, sensor)
     log = columns.log_time
@@ -125,10 +136,11 @@ def _repeats(axes: Sequence[FloatArray]) -> NDArray[np.bool_]:
 
 
 def _time_words(time: TimeChoice) -> str:
+    text = "date and time" + (", read as month, day, year" if time.open_date else "")
     return {
         "pair": "seconds + nanoseconds",
         "week": "GPS week and time of week",
-        "text": "date and time",
+        "text": text,
     }.get(time.kind, "stamps")
 
 
@@ -145,7 +157,7 @@ def _compare_rates(work: Work, measured: float) -> None:
 def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor) -> IntArray:
     """Return the stamps of a time in ns."""
     if time.kind == "text":
-        return rolled(cast("IntArray", columns[0]), DAY)
+        return _of_texts(cast("Sequence[IntArray]", columns))
     if time.kind == "pair":
         return to_ns(columns[0], TIME_UNITS_NS["s"]) + to_ns(columns[1], 1)
     if time.kind == "date":
@@ -168,28 +180,100 @@ def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Se
     return to_ns(values, _ns_per_count(work, time, values, sensor))
 
 
+def _of_texts(columns: Sequence[IntArray]) -> IntArray:
+    """Return the stamps of texts: dates with times, or dates, times of day and perhaps AM and PM."""
+    if len(columns) == 1:
+        return rolled(columns[0], DAY)
+    date, time, *half = columns
+    return date + (time % HALF_DAY + half[0] if half else time)
+
+
+def _tells_time(work: Work, time: TimeChoice, columns: SensorColumns) -> bool:
+    """Return whether a time gives stamps: a count that has the given rate in no unit doesn't.
+
+    A given unit makes stamps of any count; a ChoiceError where the time can have none.
+    """
+    given = work.options.time_unit
+    if given is not None and given not in TIME_UNITS_NS:
+        known = ", ".join(TIME_UNITS_NS)
+        msg = f"{work.path}: {given!r} is no time unit; expected one of {known}"
+        raise ChoiceError(msg)
+    if given is not None and time.kind not in {"stamp", "week", "counter"}:
+        msg = (
+            f"{work.path}: the time unit {given} is given, but the {columns.plan.triad.sensor} has the time "
+            f"{time.name}, {_time_words(time)}; expected no unit, or another time column"
+        )
+        raise ChoiceError(msg)
+    rate = work.options.rate_hz
+    if given is not None or time.kind != "stamp" or time.ns is not None or rate is None:
+        return True
+    values = columns.time[0]
+    if infer_time_unit(values)[0] or _unit_of_rate(values, rate) or _counts_samples(values):
+        return True
+    text = (
+        f"Column {time.name} goes on by {typical_step(values):g} a row, which is {rate:g} Hz in no unit; "
+        "it was left out, so that gaps are not seen."
+    )
+    work.findings.append(Finding(level="warning", code="time-unused", text=text))
+    return False
+
+
+def _unit_of_rate(values: Numbers, rate_hz: float) -> str | None:
+    """Return the unit in which times have a given rate."""
+    rates = rates_by_unit(values)
+    return next((unit for unit, rate in rates.items() if abs(rate / rate_hz - 1) <= _AS_GIVEN), None)
+
+
+def _counts_samples(values: Numbers) -> bool:
+    return values.dtype.kind == "i" and typical_step(values) == 1
+
+
 def _ns_per_count(work: Work, time: TimeChoice, values: Numbers, sensor: Sensor) -> int:
+    """Return ns per count: as given, as the log says, as the given rate has it, or as steps show."""
+    given, rate = work.options.time_unit, work.options.rate_hz
+    if given is not None:
+        work.decide("time unit", f"{given} for {time.name}, as given")
+        return TIME_UNITS_NS[given]
     if time.ns is not None:
         count = next((name for name, ns in TIME_UNITS_NS.items() if ns == time.ns), f"{time.ns} ns")
         work.decide("time unit", f"{count} for {time.name}, {time.ns_source}")
         return time.ns
+    unit = _unit_of_rate(values, rate) if rate is not None else None
+    if unit is not None:
+        work.decide("time unit", f"{unit} for {time.name}, as the given rate has it")
+        return TIME_UNITS_NS[unit]
     unit, fits = infer_time_unit(values)
     if unit is not None:
         work.decide("time unit", f"{unit} for {time.name}, inferred from its size and its steps")
         return TIME_UNITS_NS[unit]
-    steps = np.diff(values[:20_000])
-    step = float(np.median(steps)) if steps.size else 0.0
-    found = f"column {time.name!r}, the time of the {sensor}, has no unit, and goes on by {step:g} a row"
-    if step == 1 and values.dtype.kind == "i" and work.options.rate_hz is not None:
+    if rate is not None and _counts_samples(values):
         work.decide("time unit", f"{time.name} counts samples at the given rate")
-        return max(1, round(1e9 / work.options.rate_hz))
-    units = " and ".join(fits) if fits else "none of s, ms, us and ns for an IMU"
-    msg = (
-        f"{work.path}: {found}, which fits {units}; "
-        f"expected a unit in its name, such as {time.name.strip()}_ms; "
-        "name the unit in the header, choose another time column, or give columns without a time and the rate"
+        return max(1, round(1e9 / rate))
+    raise _open_unit(work.path, time, values, fits, sensor)
+
+
+def _open_unit(
+    path: str, time: TimeChoice, values: Numbers, fits: Sequence[str], sensor: Sensor
+) -> ChoiceError:
+    """Return the error of a time whose unit is open; each thing that it says to do works on this log."""
+    found = (
+        f"{path}: column {time.name!r}, the time of the {sensor}, has no unit, and goes on by "
+        f"{typical_step(values):g} a row"
     )
-    raise ChoiceError(msg)
+    span = float(np.max(values) - np.min(values))
+    rates = {
+        unit: rate
+        for unit, rate in rates_by_unit(values).items()
+        if rate <= _FASTEST and span * TIME_UNITS_NS[unit] < _LONGEST_NS
+    }
+    if not rates:
+        return ChoiceError(f"{found}, which is no rate in any unit; name another time column")
+    # The rates of IMUs, or those that are nearest.
+    likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
+    shown = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
+    name = time.name.strip().strip("\"'")
+    in_header = f", name it in the header, such as {name}_{likely[0]}," if not name.isdigit() else ","
+    return ChoiceError(f"{found}, which is {shown}; give the time unit{in_header} or give the sampling rate")
 
 
 def _counted_clock(work: Work, columns: SensorColumns) -> ClockReading:

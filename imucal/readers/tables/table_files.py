@@ -1,8 +1,7 @@
 """Parquet, NPZ, NPY and MAT files as lists of named columns."""
 
-import zipfile
-import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -12,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.errors import ReadError
+from imucal.readers.isolation import isolated
+from imucal.readers.tables.foreign_files import WIDEST, mat_arrays, parquet_columns, parquet_values
 from imucal.readers.tables.npz_members import npz_arrays
 from imucal.resources import memory_limit
 
-#: Errors of a file that is damaged, or is none of the formats.
-_DAMAGE = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
-
-#: Columns of a matrix beyond which it is no matrix of samples.
-_WIDEST = 64
+#: Arrays whose shapes are kept for a message.
+_SHOWN = 12
 
 #: Names of a single number that is the sampling rate, in Hz.
 _RATES = frozenset(
@@ -58,11 +56,16 @@ class TypedColumn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableFile:
-    """The columns of a file, its format, and the sampling rate where it states one."""
+    """The columns of a file, its format, and the sampling rate where it states one.
+
+    `shapes` are its arrays as a message shows them, such as ``imu (600, 2, 3)``; those of which no columns
+    were made are among them.
+    """
 
     format: str
     columns: tuple[TypedColumn, ...]
     rate_hz: float | None = None
+    shapes: tuple[str, ...] = ()
 
     @property
     def unpacked_bytes(self) -> int:
@@ -70,8 +73,8 @@ class TableFile:
         return 8 * sum(column.size for column in self.columns)
 
 
-#: The columns of a file, and the sampling rate where it states one.
-_Content: TypeAlias = tuple[list[TypedColumn], float | None]
+#: The columns of a file, the sampling rate where it states one, and the shapes of its arrays.
+_Content: TypeAlias = tuple[list[TypedColumn], float | None, tuple[str, ...]]
 _Reader: TypeAlias = Callable[[Path], _Content]
 
 
@@ -99,16 +102,8 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
         raise ReadError(msg) from error
     kind, reader = _reader(path, head)
     reader = partial(_npz, limit=limit, heads_above=heads_above) if reader is _npz else reader
-    try:
-        columns, rate = reader(path)
-    except Exception as error:
-        # polars and scipy have error classes of their own; anything else is a bug and goes on.
-        package = type(error).__module__.partition(".")[0]
-        if not isinstance(error, _DAMAGE) and package not in {"polars", "scipy"}:
-            raise
-        msg = f"{path}: not a readable {kind} file: {error}"
-        raise ReadError(msg) from error
-    return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate)
+    columns, rate, shapes = reader(path)
+    return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate, shapes=shapes)
 
 
 def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
@@ -128,76 +123,53 @@ def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
 
 
 def _parquet(path: Path) -> _Content:
-    import polars as pl
-
-    # Only the columns that are read are decoded, so that one in an unknown encoding does no harm.
-    scan = pl.scan_parquet(path)
-    schema = scan.collect_schema()
-    rows = scan.select(pl.len()).collect()["len"].to_list()[0]
-    head = scan.head(400).collect()
-    columns: list[TypedColumn] = []
-    for name, dtype in schema.items():
-        if isinstance(dtype, pl.Struct):
-            fields = [(f"{name}.{part.name}", pl.col(name).struct.field(part.name)) for part in dtype.fields]
-        elif isinstance(dtype, pl.List | pl.Array):
-            width = (
-                max(head[name].list.len().to_list(), default=0) if isinstance(dtype, pl.List) else dtype.size
-            )
-            getter = pl.col(name).list if isinstance(dtype, pl.List) else pl.col(name).arr
-            fields = [(f"{name}[{i}]", getter.get(i, null_on_oob=True)) for i in range(min(width, _WIDEST))]
-        else:
-            fields = [(str(name), pl.col(name))]
-        for label, expression in fields:
-            first = head.select(expression.alias("v"))["v"]
-            columns.append(
-                TypedColumn(
-                    name=label,
-                    size=rows,
-                    head=first.to_numpy(),
-                    values=lambda e=expression: scan.select(e.alias("v")).collect()["v"].to_numpy(),  # type: ignore[misc]
-                    unit="ns" if isinstance(first.dtype, pl.Datetime) else None,
-                    has_gaps=first.null_count() > 0,
-                )
-            )
-    return columns, None
+    values = isolated(path, parquet_values, "Parquet")
+    columns = [
+        TypedColumn(
+            name=column.label,
+            size=column.rows,
+            head=column.head,
+            values=partial(values, path, column.name, column.part),
+            unit=column.unit,
+            has_gaps=column.has_gaps,
+        )
+        for column in isolated(path, parquet_columns, "Parquet")(path)
+    ]
+    return columns, None, ()
 
 
 def _npy(path: Path) -> _Content:
-    array = np.load(path, mmap_mode="r", allow_pickle=False)
-    return _of_array("", array), None
+    with _readable(path, "NPY"):
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    return _of_array("", array), None, (_shape("", array),)
 
 
 def _npz(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> _Content:
     size = memory_limit() if limit is None else limit
-    return _of_arrays(npz_arrays(path, limit=size, heads_above=heads_above))
-
-
-def _mat(path: Path) -> _Content:
-    import scipy.io
-
-    content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
-    arrays: dict[str, NDArray[Any]] = {}
-    for name, value in content.items():
-        if not name.startswith("__"):
-            _flatten(name, value, arrays)
+    with _readable(path, "NPZ"):
+        arrays = npz_arrays(path, limit=size, heads_above=heads_above)
     return _of_arrays(arrays)
 
 
-def _flatten(name: str, value: Any, arrays: dict[str, NDArray[Any]], depth: int = 0) -> None:  # noqa: ANN401
-    """Collect the arrays of MATLAB structures under names with points."""
-    array = np.asarray(value)
-    if array.dtype.names is not None and depth < 8:
-        for part in array.dtype.names:
-            inner = array[part]
-            inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
-            _flatten(f"{name}.{part}", inner, arrays, depth + 1)
-    elif array.dtype.kind in "biufM" and array.ndim <= 2:
-        arrays[name] = array
+@contextmanager
+def _readable(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever NumPy raises at a damaged file into a ReadError."""
+    try:
+        yield
+    except Exception as error:
+        text = str(error) or type(error).__name__
+        msg = f"{path}: not a readable {kind} file: {text}"
+        raise ReadError(msg) from error
+
+
+def _mat(path: Path) -> _Content:
+    return _of_arrays(isolated(path, mat_arrays, "MAT")(path))
 
 
 def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> _Content:
     rate = None
     columns: list[TypedColumn] = []
+    shapes = [_shape(name, array) for name, array in arrays.items() if array.size != 1]
     for name, array in arrays.items():
         last = name.rpartition(".")[2].lower()
         if array.size == 1 and array.dtype.kind in "iuf":
@@ -207,26 +179,48 @@ def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> _Content:
             continue
         label, unit = _NAVEGO.get(last, ("", None))
         columns += _of_array(f"{name}.{label}" if label else name, array, unit)
-    return columns, rate
+    return columns, rate, tuple(shapes[:_SHOWN])
+
+
+def _shape(name: str, array: NDArray[Any]) -> str:
+    """Return an array as a message shows it: its name and its shape."""
+    return f"{name or 'array'} {array.shape}"
 
 
 def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[TypedColumn]:
-    """Return the columns of an array: of a record, of a matrix, or itself."""
+    """Return the columns of an array: of a record, of a matrix, or itself; none of what is no table.
+
+    Of three dimensions or more the longest holds the samples; the others are columns ``name[0,2]``.
+    """
     if array.dtype.names is not None:
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
         return [column for label, part in parts for column in _of_array(label, part)]
+    if array.ndim > 2:
+        array = array.squeeze()
     if array.ndim == 1:
         return [_plain(name, array, unit)]
-    if array.ndim != 2:
-        return []
-    if array.shape[0] < array.shape[1] and array.shape[0] <= _WIDEST:
+    return _of_matrix(name, array, unit) if array.ndim == 2 else _of_cube(name, array, unit)
+
+
+def _of_matrix(name: str, array: NDArray[Any], unit: str | None) -> list[TypedColumn]:
+    if array.shape[0] < array.shape[1] and array.shape[0] <= WIDEST:
         array = array.T
-    if array.shape[1] > _WIDEST:
+    if array.shape[1] > WIDEST:
         return []
     if array.shape[1] == 1:
         return [_plain(name, array[:, 0], unit)]
-    labels = [f"{name}[{i}]" if name else "" for i in range(array.shape[1])]
+    # Three columns are x, y and z; of others no number tells an axis.
+    place = "[{}]" if array.shape[1] == 3 else "[:,{}]"
+    labels = [name + place.format(i) if name else "" for i in range(array.shape[1])]
     return [_plain(label, array[:, i], unit) for i, label in enumerate(labels)]
+
+
+def _of_cube(name: str, array: NDArray[Any], unit: str | None) -> list[TypedColumn]:
+    if array.ndim == 0 or array.size > WIDEST * max(array.shape):
+        return []
+    array = np.moveaxis(array, int(np.argmax(array.shape)), 0)
+    places = np.ndindex(array.shape[1:])
+    return [_plain(f"{name}[{','.join(map(str, at))}]", array[:, *at], unit) for at in places]
 
 
 def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColumn:

@@ -14,7 +14,6 @@ from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.columns_text import EXAMPLE
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.readers.tables.table_clock import SensorColumns, table_clock
 from imucal.recording import Recording
@@ -53,7 +52,7 @@ def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
     if options.topics:
         msg = (
             f"{path}: {what} has no topics, but {', '.join(options.topics)} was asked for; "
-            f"expected no topic, or a columns text such as {EXAMPLE}"
+            "expected no topic, or a columns text"
         )
         raise ChoiceError(msg)
 

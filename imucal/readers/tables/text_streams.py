@@ -129,17 +129,25 @@ _OPENERS: dict[str, Callable[[BinaryIO], object]] = {
 }
 
 
+def utf16_order(head: bytes) -> str | None:
+    """Return the encoding of UTF-16 without a mark by its zeros, every second byte; None of anything else."""
+    even, odd = head[0::2].count(0), head[1::2].count(0)
+    if even + odd <= 0.3 * len(head):
+        return None
+    if odd > 10 * even:
+        return "utf-16-le"
+    return "utf-16-be" if even > 10 * odd else None
+
+
 def find_encoding(head: bytes, name: str) -> str:
     """Return the encoding of a text from its first bytes; a ReadError if they are no text."""
     for mark, encoding in _MARKS:
         if head.startswith(mark):
             return encoding
+    order = utf16_order(head)
+    if order is not None:
+        return order
     zeros = head.count(0)
-    even, odd = head[0::2].count(0), head[1::2].count(0)
-    if zeros > 0.3 * len(head) and odd > 10 * even:
-        return "utf-16-le"
-    if zeros > 0.3 * len(head) and even > 10 * odd:
-        return "utf-16-be"
     controls = len(head) - len(head.translate(None, _CONTROLS))
     hollow = zeros > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]
     if controls > 0.01 * len(head) or hollow:

@@ -13,6 +13,7 @@ from imucal.findings import Finding
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
+from imucal.readers.tables.dates import text_kind
 from imucal.readers.tables.layout import Rows, TextLayout, rows_of_tag, split_line
 from imucal.readers.tables.row_blocks import BlockReader, Kind, RowCounts, without_start
 from imucal.readers.tables.scales import Work
@@ -148,6 +149,7 @@ def _reader(
     rows = sensors[0].triad.rows or layout.tag
     layout = _of_rows(source.head, layout, rows)
     kinds: dict[int, Kind] = {}
+    by_day = False
     for sensor in sensors:
         kinds |= dict.fromkeys(sensor.triad.indices, "float")
         for time in (sensor.time, sensor.log_time):
@@ -155,6 +157,7 @@ def _reader(
                 kinds |= {
                     index: _kind(layout.cells(index), text=time.kind == "text") for index in time.indices
                 }
+                by_day |= time.by_day
     needed = frozenset(index for index in kinds if all(layout.cells(index)))
     if plan.temperature is not None and plan.temperature not in kinds:
         kinds[plan.temperature] = "float"
@@ -170,6 +173,7 @@ def _reader(
         rows=rows,
         limit=limit,
         expected=source.expected_rows,
+        by_day=by_day,
     )
 
 
@@ -188,7 +192,7 @@ def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout
 
 def _kind(cells: Sequence[str], *, text: bool) -> Kind:
     if text:
-        return "text"
+        return text_kind(cells)
     filled = [cell.strip("\"'") for cell in cells if cell]
     integers = bool(filled) and all(_INTEGER.fullmatch(cell) for cell in filled)
     return "integer" if integers and all(-(2**63) <= int(cell) < 2**63 for cell in filled) else "float"

@@ -1,17 +1,17 @@
 """Which columns of a table are the time of a sensor, and what their counts are."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
 from imucal.errors import ChoiceError
 from imucal.readers.tables.columns import NamedTable
 from imucal.readers.tables.columns_text import index_of, list_columns
+from imucal.readers.tables.dates import day_first, is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.names import NamedColumn, Role
-from imucal.readers.tables.stamps import is_text_stamp
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
@@ -68,8 +68,10 @@ class TimeChoice:
     """The time of a sensor's samples: the columns it is in, by index, and the name that the log gives it.
 
     ``pair`` is seconds and nanoseconds; ``week`` GPS week and time of week; ``date`` year, month, day,
-    hour, minute, second and perhaps nanosecond; ``text`` dates or times of day; ``counter`` a count of
-    samples. `ns` per count is None where the data must tell; `ns_source` says in words where it is from.
+    hour, minute, second and perhaps nanosecond; ``text`` dates or times of day, in one column or in one of
+    dates, one of times and perhaps one of AM and PM; ``counter`` a count of samples. `ns` per count is None
+    where the data must tell; `ns_source` says in words where it is from. Dates with the year last begin with
+    the month, or `by_day`; where the cells leave it `open_date`, the month is taken.
     """
 
     kind: TimeKind
@@ -77,6 +79,8 @@ class TimeChoice:
     name: str
     ns: int | None = None
     ns_source: str = ""
+    by_day: bool = False
+    open_date: bool = False
 
 
 def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
@@ -85,7 +89,7 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
     Stamps come before counters; columns that are empty, or stand still over the first rows, come
     after those that go on.
     """
-    found = [*_pairs(table), *_weeks(table), *_dates(table)]
+    found = [*_pairs(table), *_weeks(table), *_dates(table), *_dates_and_times(table, sensor)]
     taken = {index for _, choice in found for index in choice.indices}
     for column in table.columns:
         if column.role is Role.TIME and column.index not in taken:
@@ -97,10 +101,18 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
 
 
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
-    """Return the time in one column, or in two of seconds and nanoseconds; a ChoiceError if it is none."""
+    """Return the time in one column, in two of seconds and nanoseconds, or in a date and a time of day.
+
+    A ChoiceError if it is none.
+    """
     columns = [table.columns[index] for index in indices]
-    if len(columns) > 1:
+    if len(columns) > 1 and text_kind(table.cells(indices[0])) == "date":
+        return _texts(table, *columns)
+    if len(columns) == 2:
         return _pair(*columns)
+    if len(columns) > 2:
+        problem = f"columns {', '.join(map(str, indices))} are no date, time of day, and AM or PM"
+        raise table.ask(problem)
     (column,) = columns
     choice = _single(table, column)
     if choice is None:
@@ -131,7 +143,7 @@ def named_time(table: NamedTable, name: str) -> TimeChoice:
         found = list_columns(table.headers)
         msg = f"{table.path}: there is no time column {name!r}; found columns: {found}"
         raise ChoiceError(msg) from error
-    return time_of_columns(table, indices[:2])
+    return time_of_columns(table, indices)
 
 
 def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
@@ -141,7 +153,7 @@ def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
     if sum(map(is_number, filled)) < 0.5 * len(filled):
         if sum(map(is_text_stamp, filled)) < 0.5 * len(filled):
             return None
-        return _joined("text", column, ns=1, source="text")
+        return _texts(table, column)
     ns, source = _unit(column, table.dialect)
     return _joined("stamp", column, ns=ns, source=source)
 
@@ -240,6 +252,27 @@ def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
     if len(parts) < _DATE_NEEDED:
         return []
     return [(58.0, _joined("date", *parts, ns=1, source="date and time"))]
+
+
+def _dates_and_times(table: NamedTable, sensor: Sensor) -> list[tuple[float, TimeChoice]]:
+    """Return the times that a column of dates and one of times of day beside it give together."""
+    found = []
+    for date, time in pairwise(table.columns):
+        cells = list(filter(None, table.cells(time.index)))
+        if text_kind(table.cells(date.index)) != "date" or not cells or not all(map(is_time_of_day, cells)):
+            continue
+        parts = [date, time]
+        after = table.columns[time.index + 1 : time.index + 2]
+        parts += [column for column in after if text_kind(table.cells(column.index)) == "half"]
+        found.append((_score(time, cells, sensor), _texts(table, *parts)))
+    return found
+
+
+def _texts(table: NamedTable, *columns: NamedColumn) -> TimeChoice:
+    """Return the time that texts give: one of dates with times, or of dates, times and AM or PM."""
+    order = day_first(table.cells(columns[0].index))
+    choice = _joined("text", *columns, ns=1, source="text")
+    return replace(choice, by_day=bool(order), open_date=order is None)
 
 
 def _counters(table: NamedTable) -> list[TimeChoice]:

@@ -1,10 +1,12 @@
 """Tables with typed columns: Parquet, NumPy's NPZ and NPY, MATLAB's MAT; chosen by their names like a CSV's.
 
-A two-dimensional array counts as columns ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z. Arrays
-of different lengths are tables of their own: the gyroscope may have one, the accelerometer another.
+An array of three columns counts as ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; columns of others say
+nothing by their places. Arrays of different lengths are tables of their own: the gyroscope may have one, the
+accelerometer another.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,8 +20,9 @@ from imucal.readers.column_store import join_rows
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
+from imucal.readers.tables.dates import parse_texts, text_kind
 from imucal.readers.tables.scales import Work
-from imucal.readers.tables.stamps import Numbers, parse_text_stamps
+from imucal.readers.tables.stamps import Numbers
 from imucal.readers.tables.table_clock import SensorColumns
 from imucal.readers.tables.table_files import TableFile, TypedColumn, open_table
 from imucal.readers.tables.tabular import assemble, contents_of, refuse_topics
@@ -106,23 +109,26 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
     groups = [tuple(c for c in table.columns if c.size == length) for length in lengths]
     if not groups:
-        shown = ", ".join(column.name for column in table.columns) or "nothing"
-        msg = f"{path}: no columns of samples, found {shown}; expected arrays of a gyroscope or accelerometer"
-        raise ReadError(msg)
-    if len(groups) == 1 or options.columns is not None:
-        # The indices in a columns text are those of the longest table.
-        longest = max(groups, key=lambda group: (len(group), group[0].size))
-        return [_part(path, longest, options)]
-    parts, errors = [], []
-    for group in groups:
-        try:
-            parts.append(_part(path, group, options))
-        except ChoiceError as error:
-            errors.append(error)
+        raise _nothing(path, table)
+    parts = []
+    for group in groups if len(groups) > 1 and options.columns is None else ():
+        with suppress(ChoiceError):
+            parts.append(_part(path, group, options, table.shapes))
     if not parts:
-        raise errors[0]
+        # The indices in a columns text, and in the error that proposes one, are those of the widest table.
+        widest = max(groups, key=lambda group: (len(group), group[0].size))
+        return [_part(path, widest, options, table.shapes)]
     _refuse_doubles(path, parts)
     return parts
+
+
+def _nothing(path: Path, table: TableFile) -> ReadError:
+    """Return the error of a file without columns of samples."""
+    shown = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
+    return ReadError(
+        f"{path}: no columns of samples, found {shown}; expected arrays of the gyroscope or the "
+        "accelerometer with a row per sample and up to 64 columns; save those columns alone"
+    )
 
 
 def _findings(parts: Sequence[_Part]) -> list[Finding]:
@@ -145,7 +151,7 @@ def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
             raise ChoiceError(msg)
 
 
-def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions) -> _Part:
+def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions, shapes: Sequence[str]) -> _Part:
     cells = [column.cells(_HEAD) for column in columns]
     plan = make_plan(
         str(path),
@@ -154,6 +160,7 @@ def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions) -> _
         options,
         units=[column.unit for column in columns],
         name=path.name,
+        shape=", ".join(shapes),
     )
     return _Part(columns=tuple(columns), plan=plan)
 
@@ -181,7 +188,11 @@ def _times(part: _Part, time: TimeChoice | None) -> tuple[Numbers, ...]:
         return ()
     columns = [part.columns[index] for index in time.indices]
     if time.kind == "text":
-        return (parse_text_stamps([str(cell) for cell in columns[0].values()]),)
+        kinds = [text_kind(column.cells(_HEAD)) for column in columns]
+        return tuple(
+            parse_texts([str(cell) for cell in column.values()], kind, by_day=time.by_day)
+            for column, kind in zip(columns, kinds, strict=True)
+        )
     return tuple(map(_numbers, columns))
 
 

@@ -9,7 +9,6 @@ since boot. One instance of a message is named ``sensor_gyro:1``.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,9 @@ from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps
 from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.isolation import isolated
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.ulog.ulog_content import UlogContent, ulog_content
 from imucal.readers.ulog.ulog_messages import MESSAGES, Instance, Samples, samples_of
 from imucal.recording import Recording, Sensor
 from imucal.units import SAMPLE_UNITS, parse_sample_unit
@@ -41,8 +42,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
     DataError
         If there are no samples.
     """
-    _refuse_options(path, options)
     log = _load(path)
+    _refuse_options(path, options, _instances(log))
     findings = _log_findings(log)
     if options.strict and any(finding.level == "warning" for finding in findings):
         msg = f"{path}: {findings[0].text} Expected an undamaged log"
@@ -71,15 +72,23 @@ def read(path: Path, options: ReadOptions) -> Recording:
     )
 
 
-def _refuse_options(path: Path, options: ReadOptions) -> None:
-    if options.columns is None and options.time in {None, "header"}:
-        return
-    asked = f"columns {options.columns!r}" if options.columns is not None else f"time {options.time!r}"
-    msg = (
-        f"{path}: a ULog has messages with one clock, but {asked} was asked for; "
-        "expected the names of messages such as sensor_combined or sensor_gyro:1"
-    )
-    raise ChoiceError(msg)
+def _refuse_options(path: Path, options: ReadOptions, instances: Sequence[Instance]) -> None:
+    asked = [
+        f"{what} {value!r}"
+        for what, value in (
+            ("columns", options.columns),
+            ("time", None if options.time == "header" else options.time),
+            ("time unit", options.time_unit),
+        )
+        if value is not None
+    ]
+    if asked:
+        names = _listed(instances) or "none of an IMU"
+        msg = (
+            f"{path}: a ULog has messages with one clock in us, but {asked[0]} was asked for; "
+            f"expected nothing, or the name of a message; found {names}"
+        )
+        raise ChoiceError(msg)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -135,28 +144,22 @@ def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 -
     )
 
 
-def _load(path: Path) -> Any:  # noqa: ANN401 - pyulog has no types
-    from pyulog import ULog
-
+def _load(path: Path) -> UlogContent:
     try:
-        with path.open("rb") as file:
-            return ULog(file, message_name_filter_list=list(MESSAGES))
+        path.open("rb").close()
     except OSError as error:
         msg = f"{path}: can't be opened: {error.strerror or error}"
         raise ReadError(msg) from error
-    except Exception as error:
-        # pyulog raises whatever its parsing meets in a damaged file.
-        msg = f"{path}: not a readable ULog file: {type(error).__name__} {error}; expected a log of PX4"
-        raise ReadError(msg) from error
+    return isolated(path, ulog_content, "ULog")(path)
 
 
-def _log_findings(log: Any) -> list[Finding]:  # noqa: ANN401 - pyulog has no types
+def _log_findings(log: UlogContent) -> list[Finding]:
     findings = []
-    if log.file_corruption:
+    if log.damaged:
         text = "Parts of the log are damaged; what could be read around them was read."
         findings.append(Finding(level="warning", code="damaged", text=text))
     if log.dropouts:
-        lost = sum(dropout.duration for dropout in log.dropouts) / 1000
+        lost = sum(log.dropouts) / 1000
         count = "a dropout" if len(log.dropouts) == 1 else f"{len(log.dropouts)} dropouts"
         text = f"The logger reports {count} of {lost:.3g} s in all: its card was too slow."
         advice = "Use a faster card or log fewer topics."
@@ -164,14 +167,13 @@ def _log_findings(log: Any) -> list[Finding]:  # noqa: ANN401 - pyulog has no ty
     return findings
 
 
-def _instances(log: Any) -> list[Instance]:  # noqa: ANN401 - pyulog has no types
-    logged = (entry for entry in log.data_list if entry.name in MESSAGES)
-    known = [entry for entry in logged if np.size(entry.data.get("timestamp", ()))]
+def _instances(log: UlogContent) -> list[Instance]:
+    known = [entry for entry in log.messages if np.size(entry.data.get("timestamp", ()))]
     names = [entry.name for entry in known]
     return [
         Instance(
             message=entry.name,
-            multi=int(entry.multi_id),
+            multi=entry.multi,
             several=names.count(entry.name) > 1,
             data=entry.data,
         )

@@ -158,8 +158,9 @@ def test_names_what_there_is_instead(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, topic="/chatter")
     assert str(caught.value) == (
-        f"{path}: topic /chatter of type std_msgs/String can't be read: its definition has no angular "
-        "velocity or linear acceleration"
+        f"{path}: topic /chatter of type std_msgs/String can't be read: it has no angular velocity or "
+        "linear acceleration by name; say which of its fields they are by a fields text; found none with "
+        "numbers"
     )
     path = write_bag(tmp_path / "other.bag", chatter)
     with pytest.raises(ChoiceError) as caught:

@@ -13,8 +13,8 @@ from imucal.readers.containers import Channel
 from imucal.readers.containers.mcap_file import open_files
 from imucal.readers.messages import topics as all_topics
 from imucal.readers.messages.choice import table
-from imucal.readers.messages.json_messages import _stamp, _vector
 from imucal.readers.messages.topics import Topic, find_topics, live_sensors, read_temperature
+from imucal.readers.messages.tree_messages import _steps, _vector, stamp_of
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 from tests.readers.logs import CONTAINERS, samples
@@ -43,15 +43,15 @@ GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
     ],
 )
 def test_the_stamp_of_a_json_message(message: dict[str, Any], stamp: int) -> None:
-    assert _stamp(message) == stamp
+    assert stamp_of(message) == stamp
 
 
 def test_the_vector_of_a_json_message() -> None:
-    assert _vector({"v": {"z": 3, "x": 1, "y": "2"}}, "v") == (1.0, 2.0, 3.0)
-    assert _vector({"v": [1, 2, 3]}, "v") == (1.0, 2.0, 3.0)
-    np.testing.assert_array_equal(_vector({"v": [1, None, 3]}, "v"), [1.0, np.nan, 3.0])
+    assert _vector({"v": {"z": 3, "x": 1, "y": "2"}}, [_steps("v")]) == (1.0, 2.0, 3.0)
+    assert _vector({"v": [1, 2, 3]}, [_steps("v")]) == (1.0, 2.0, 3.0)
+    np.testing.assert_array_equal(_vector({"v": [1, None, 3]}, [_steps("v")]), [1.0, np.nan, 3.0])
     with pytest.raises(ValueError, match="unpack"):
-        _vector({"v": [1, 2]}, "v")
+        _vector({"v": [1, 2]}, [_steps("v")])
 
 
 @pytest.mark.parametrize(("n", "alive"), [(1, {GYRO, ACCEL}), (2, {GYRO}), (3, {GYRO})])

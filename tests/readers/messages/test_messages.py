@@ -154,8 +154,8 @@ def test_reads_custom_types_that_hold_an_imu(big: bool, tmp_path: Path) -> None:
     npt.assert_array_equal(recording.temperature.samples, 20.0 + np.arange(120))
 
 
-def test_names_the_field_that_stands_in_the_way(tmp_path: Path) -> None:
-    """A sequence of structures of strings in front can't be skipped at once."""
+def test_fields_behind_a_list_of_texts_are_read_where_they_are_named(tmp_path: Path) -> None:
+    """Structures of strings in front can't be skipped at once; what to type is said, and works."""
     types = store(acme__msg__ImuList="diagnostic_msgs/KeyValue[] pairs\nsensor_msgs/Imu imu")
     known = types.types
     pair = known["diagnostic_msgs/msg/KeyValue"](key="a", value="b")
@@ -167,10 +167,13 @@ def test_names_the_field_that_stands_in_the_way(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "log.mcap", messages_of("acme/msg/ImuList", types, build), types=types)
     with pytest.raises(ChoiceError) as caught:
         read(path)
-    assert str(caught.value) == (
-        f"{path}: topic {TOPIC} of type acme/msg/ImuList can't be read: the definition has a sequence of "
-        "structures or strings, pairs, in front"
+    text = "gyro=imu.angular_velocity accel=imu.linear_acceleration"
+    assert str(caught.value).startswith(
+        f"{path}: topic {TOPIC} of type acme/msg/ImuList can't be read: it has no angular velocity or linear "
+        f"acceleration by name; say which of its fields they are by a fields text such as '{text}'; found "
+        "imu.header.stamp.sec int32, "
     )
+    check(read(path, fields=text, gyro_unit="rad/s"))
 
 
 PX4_COMBINED = """
@@ -279,18 +282,19 @@ def test_reads_json_messages(tmp_path: Path) -> None:
     check(read(write_mcap(tmp_path / "log.mcap", messages, definitions={IMU: ("jsonschema", "{}")})))
 
 
-def test_refuses_protobuf_with_what_it_is(tmp_path: Path) -> None:
+def test_refuses_an_encoding_with_what_it_is(tmp_path: Path) -> None:
     """Topic, type and encoding, and what can be read."""
     messages = [
-        Message(topic=TOPIC, type="acme.Imu", log=log, data=b"\x0a\x00", encoding="protobuf")
+        Message(topic=TOPIC, type="acme.Imu", log=log, data=b"\x0a\x00", encoding="flatbuffer")
         for log in TRUTH.log.tolist()
     ]
-    path = write_mcap(tmp_path / "log.mcap", messages, definitions={"acme.Imu": ("protobuf", "")})
+    path = write_mcap(tmp_path / "log.mcap", messages, definitions={"acme.Imu": ("flatbuffer", "")})
     with pytest.raises(ChoiceError) as caught:
         read(path)
     assert str(caught.value) == (
-        f"{path}: topic {TOPIC} of type acme.Imu can't be read: messages are encoded as 'protobuf'; "
-        "expected one of cdr, ros1, json"
+        f"{path}: topic {TOPIC} of type acme.Imu can't be read: messages are encoded as 'flatbuffer'; "
+        "expected one of cdr, ros1, json, protobuf; convert the log with what wrote it: to a CSV with a row "
+        "per message, or to JSON messages"
     )
 
 
@@ -310,7 +314,7 @@ def test_a_definition_file_makes_up_for_a_missing_one(tmp_path: Path) -> None:
         read(path)
     assert str(caught.value) == (
         f"{path}: topic {TOPIC} of type {kind} can't be read: the log holds no definition of {kind}; "
-        "give its .msg file"
+        "give its .msg file, RawImu.msg"
     )
     own, _ = types.generate_msgdef(kind, ros_version=2)
     file = tmp_path / "RawImu.msg"
@@ -368,7 +372,7 @@ def test_takes_the_built_in_definition_for_idl(tmp_path: Path) -> None:
         read(path)
     assert str(caught.value) == (
         f"{path}: topic {TOPIC} of type {kind} can't be read: the log holds no definition of {kind} but of "
-        "kind 'ros2idl'; give its .msg file"
+        "kind 'ros2idl'; give its .msg file, Imu.msg"
     )
 
 

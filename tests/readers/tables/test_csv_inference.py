@@ -66,11 +66,29 @@ def noise(scale: float, mean: float = 0.0) -> FloatArray:
     return np.random.default_rng(4).normal(scale=scale, size=(5000, 3)) + mean
 
 
+def moving(scale: float) -> FloatArray:
+    """Return the rates of a hand: far in small steps."""
+    t = np.linspace(0, 60, 5000)[:, None]
+    return scale * (3 * np.sin(t * [1.0, 1.3, 0.7]) + 1e-3 * noise(1.0))
+
+
 @pytest.mark.parametrize(
     ("rows", "accel", "unit", "reason"),
     [
         (noise(1e-3), "m/s^2", "rad/s", "nothing in the log says it; SI as the accelerometer beside it"),
         (noise(1e-3), "g", None, "beside an accelerometer in g, deg/s is likely"),
+        (
+            moving(1e-3),
+            "g",
+            None,
+            "beside an accelerometer in g, but the sensor moves, so it may be either",
+        ),
+        (
+            moving(1.0),
+            "m/s^2",
+            None,
+            "the median rate 3.68 is too fast for rad/s at rest, but the sensor moves, so it may be either",
+        ),
         (noise(1e-3), None, None, "nothing in the log says it"),
         (
             noise(1e-2, 0.7),

@@ -9,7 +9,8 @@ import pytest
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.csv_log import read
-from imucal.readers.tables.stamps import infer_time_unit, parse_text_stamps, to_ns, unwrapped
+from imucal.readers.tables.dates import parse_texts
+from imucal.readers.tables.stamps import infer_time_unit, to_ns, unwrapped
 from imucal.recording import Recording
 from tests.readers.tables.texts import EPOCH, N, lines, rostopic, truth, xyz
 
@@ -59,8 +60,8 @@ def test_open_unit_is_asked_for(tmp_path: Path) -> None:
         read(path, ReadOptions())
     assert str(caught.value) == (
         f"{path}: column 'time', the time of the gyroscope, has no unit, and goes on by 100 a row, which "
-        "fits us and ms; expected a unit in its name, such as time_ms; name the unit in the header, choose "
-        "another time column, or give columns without a time and the rate"
+        "is 10000 Hz in us or 10 Hz in ms; give the time unit, name it in the header, such as time_us, or "
+        "give the sampling rate"
     )
     assert recorded(tmp_path, "time_ms", [100 * i for i in range(N)]).series[0].rate_hz == pytest.approx(10)
     assert recorded(tmp_path, "time (us)", [100 * i for i in range(N)]).series[0].rate_hz == pytest.approx(
@@ -155,7 +156,7 @@ def test_wrapped_time_column(tmp_path: Path) -> None:
 )
 def test_texts(cell: str, ns: int) -> None:
     """Dates and times of day, to the nanosecond; what is no time is none."""
-    assert parse_text_stamps([cell]).tolist() == [ns]
+    assert parse_texts([cell]).tolist() == [ns]
 
 
 def test_floats_lose_nothing_but_their_own_resolution() -> None:

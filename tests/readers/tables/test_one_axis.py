@@ -97,7 +97,7 @@ def test_axes_of_mixed_units_or_numbers_are_no_log_of_single_axes(tmp_path: Path
 def test_a_column_named_twice_is_refused(columns: str, tmp_path: Path) -> None:
     """It would be scaled as often as it is named; the text in the message reads it."""
     path = write(tmp_path, "", TIMES, *RATES.T)
-    with pytest.raises(ChoiceError, match="column 1 is named twice; a log of one axis is such as t=0,gz=1"):
+    with pytest.raises(ChoiceError, match="column 1 is named twice; a log of one axis has gz=1 alone"):
         read(path, columns=columns, gyro_scale=0.5, accel_scale=0.5)
     (series,) = read(path, columns="t=0,gz=1", gyro_scale=0.5).series
     assert np.array_equal(series.samples, RATES[:, 0] * 0.5)

@@ -24,7 +24,7 @@ def test_defaults() -> None:
     [
         ("1_0", "float", None),
         ("1_0", "integer", None),
-        ("1_0", "text", "1_0"),
+        ("1_0", "stamp", "1_0"),
         ("", "integer", None),
         ("12", "integer", 12),
         ("1.5", "integer", 1.5),

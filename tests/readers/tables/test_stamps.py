@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
+from imucal.readers.tables.dates import NO_STAMP, parse_texts
 from imucal.readers.tables.stamps import (
     DAY,
-    NO_STAMP,
     WEEK,
-    _typical_step,
     date_stamps,
     infer_time_unit,
-    parse_text_stamps,
     rolled,
     to_ns,
+    typical_step,
     unwrapped,
 )
 
@@ -71,7 +70,7 @@ def test_a_time_since_1970_tells_its_unit(start: float, unit: str | None) -> Non
 )
 def test_usual_steps(values: list[int], step: float) -> None:
     """The median, unless stamps repeat."""
-    assert _typical_step(np.array(values)) == step
+    assert typical_step(np.array(values)) == step
 
 
 @pytest.mark.parametrize(
@@ -146,7 +145,7 @@ def test_dates_of_columns() -> None:
 )
 def test_texts(cell: str, ns: int) -> None:
     """Zones to the minute, hours, minutes and seconds; digits beyond ns are cut."""
-    assert parse_text_stamps([cell]).tolist() == [ns]
+    assert parse_texts([cell]).tolist() == [ns]
 
 
 def test_counts_that_do_not_fit_begin_at_zero() -> None:
@@ -173,4 +172,4 @@ def test_the_first_times_tell_the_step(still: int, step: float) -> None:
     """Of 20 000 times; what comes later does not count."""
     values = np.zeros(still + 1)
     values[-1] = 1.0
-    assert _typical_step(values) == step
+    assert typical_step(values) == step

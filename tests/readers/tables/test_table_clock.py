@@ -95,9 +95,9 @@ def test_a_column_by_one_a_row_counts_at_the_given_rate() -> None:
     assert table_clock(at, columns(plain, counts)).clock.rate_hz == 250.0
     assert at.decisions[0] == ("time unit", " t  counts samples at the given rate")
     text = (
-        "log.csv: column ' t ', the time of the gyroscope, has no unit, and goes on by 1 a row, which fits "
-        "ms and s; expected a unit in its name, such as t_ms; name the unit in the header, choose another "
-        "time column, or give columns without a time and the rate"
+        "log.csv: column ' t ', the time of the gyroscope, has no unit, and goes on by 1 a row, which is "
+        "1000 Hz in ms or 1 Hz in s; give the time unit, name it in the header, such as t_ms, or give the "
+        "sampling rate"
     )
     with pytest.raises(ChoiceError, match=f"^{re.escape(text)}$"):
         table_clock(work(), columns(plain, counts))

@@ -11,7 +11,8 @@ import scipy.io
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
-from imucal.readers.tables.table_files import TypedColumn, _flatten, _of_array, _of_arrays, _plain, open_table
+from imucal.readers.tables.foreign_files import _flatten
+from imucal.readers.tables.table_files import TypedColumn, _of_array, _of_arrays, _plain, open_table
 
 
 def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an array
@@ -25,15 +26,15 @@ def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an
         ((5,), [("v", 5)]),
         ((5, 1), [("v", 5)]),
         ((1, 5), [("v", 5)]),
-        ((5, 2), [("v[0]", 5), ("v[1]", 5)]),
-        ((2, 5), [("v[0]", 5), ("v[1]", 5)]),
+        ((5, 2), [("v[:,0]", 5), ("v[:,1]", 5)]),
+        ((2, 5), [("v[:,0]", 5), ("v[:,1]", 5)]),
         ((3, 3), [("v[0]", 3), ("v[1]", 3), ("v[2]", 3)]),
-        ((2, 2, 2), []),
+        ((2, 2, 2), [(f"v[{i},{j}]", 2) for i in range(2) for j in range(2)]),
         ((), []),
         ((70, 65), []),
         ((65, 70), []),
-        ((65, 64), [(f"v[{i}]", 65) for i in range(64)]),
-        ((64, 65), [(f"v[{i}]", 65) for i in range(64)]),
+        ((65, 64), [(f"v[:,{i}]", 65) for i in range(64)]),
+        ((64, 65), [(f"v[:,{i}]", 65) for i in range(64)]),
     ],
 )
 def test_the_longer_side_of_a_matrix_is_its_samples(
@@ -73,20 +74,20 @@ def test_a_record_is_its_fields() -> None:
 )
 def test_a_single_number_may_be_the_rate(name: str, value: Any, rate: float | None) -> None:  # noqa: ANN401
     """Positive, finite, and called so; a single number is no column in any case."""
-    columns, found = _of_arrays({name: value, "gyro": np.zeros(9)})
+    columns, found, _ = _of_arrays({name: value, "gyro": np.zeros(9)})
     assert found == rate
     assert [column.name for column in columns] == ([name] if value.size > 1 else []) + ["gyro"]
 
 
 def test_a_single_text_is_no_rate() -> None:
     """But a column of one."""
-    columns, rate = _of_arrays({"fs": np.array(["250"])})
+    columns, rate, _ = _of_arrays({"fs": np.array(["250"])})
     assert ([column.name for column in columns], rate) == (["fs"], None)
 
 
 def test_names_of_navego() -> None:
     """They have their units."""
-    columns, _ = _of_arrays({"imu.fb": np.zeros((9, 3)), "imu.WB": np.zeros((9, 3)), "other": np.zeros(9)})
+    columns, _, _ = _of_arrays({"imu.fb": np.zeros((9, 3)), "imu.WB": np.zeros((9, 3)), "other": np.zeros(9)})
     assert [(column.name, column.unit) for column in columns[::3]] == [
         ("imu.fb.accelerometer[0]", "m/s^2"),
         ("imu.WB.gyroscope[0]", "rad/s"),
@@ -103,7 +104,7 @@ def nested(depth: int) -> Any:  # noqa: ANN401 - an array of structures
 
 
 def test_structures_of_matlab_are_flattened() -> None:
-    """Eight deep at most; texts and cubes are left out."""
+    """Eight deep at most; texts are left out."""
     for depth, names in ((0, ["x"]), (8, ["x" + ".a" * 8]), (9, [])):
         arrays: dict[str, Any] = {}
         _flatten("x", nested(depth), arrays)
@@ -115,7 +116,7 @@ def test_structures_of_matlab_are_flattened() -> None:
         ("flags", np.ones((2, 2), dtype=bool)),
     ):
         _flatten(name, value, arrays)
-    assert list(arrays) == ["flags"]
+    assert list(arrays) == ["cube", "flags"]
 
 
 def test_names_that_matlab_hides_are_no_columns(tmp_path: Path) -> None:
@@ -203,11 +204,11 @@ def test_a_columns_text_counts_in_the_widest_table_then_the_longest(tmp_path: Pa
 
 
 def test_tables_without_a_sensor_are_passed_over(tmp_path: Path) -> None:
-    """Unless none has one: then the first says what it lacks."""
+    """Unless none has one: then the widest says what it lacks."""
     values = np.random.default_rng(1).normal(size=(50, 3))
     path = save(tmp_path / "log.npz", other=np.zeros(90), gyro=values)
     found = typed_table.read(path, ReadOptions(rate_hz=10.0, gyro_unit="rad/s"))
     assert [series.name for series in found.series] == ["gyro_x", "gyro_y", "gyro_z"]
     path = save(tmp_path / "log.npz", other=np.zeros(90), more=np.zeros((70, 2)))
-    with pytest.raises(ChoiceError, match=r"found columns: 0 other"):
+    with pytest.raises(ChoiceError, match=r"found columns: 0 more"):
         typed_table.read(path, ReadOptions(rate_hz=10.0))

@@ -7,14 +7,8 @@ import pytest
 
 from imucal.errors import ChoiceError, ReadError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.text_layout import (
-    _gravity,
-    _inertial_tags,
-    _nearest,
-    _proposal,
-    _time_column,
-    lay_out,
-)
+from imucal.readers.tables.proposals import _gravity, _nearest, _proposal, _time_column
+from imucal.readers.tables.text_layout import _inertial_tags, lay_out
 from imucal.units import G0
 
 
@@ -78,12 +72,12 @@ def test_the_gyroscope_stands_beside(starts: list[int], accel: int, nearest: int
         ((0, 1, 2, 4, 5, 6), None, None, "g=0:3,a=4:7"),
         (range(4), 0, None, "t=0,g=1:4"),
         (range(4), 0, 1, "t=0,a=1:4"),
-        ((0, 2, 4, 6), None, None, "t=0,g=1:4,a=4:7"),
+        ((0, 2, 4, 6), None, None, ""),
     ],
 )
 def test_proposals(numeric: list[int], time: int | None, accel: int | None, text: str) -> None:
-    """By the places of the columns in the log; an example where nothing fits."""
-    assert _proposal(numeric, time, accel, "") == text
+    """By the places of the columns in the log; nothing where nothing fits."""
+    assert _proposal(numeric, time, accel) == text
 
 
 def test_tags() -> None:
@@ -107,9 +101,9 @@ def test_tags() -> None:
             [f"{i},0.1,0.2,0.3" for i in range(5)],
             ChoiceError,
             (
-                "log.csv: no header names the 4 columns, and an order is not guessed; found the row "
-                "0 0, 1 0.1, 2 0.2, 3 0.3; expected a header, or a columns text that says which are which, "
-                "such as t=0,g=1:4 (places from 0 with the end left out; check which is which)"
+                "log.csv: no header names the 4 columns, and an order is not guessed; found columns: "
+                "0 0, 1 0.1, 2 0.2, 3 0.3; say which are which by a columns text such as t=0,g=1:4 "
+                "(places from 0 with the end left out, or three names joined by +)"
             ),
         ),
     ],

@@ -247,11 +247,12 @@ def test_half_of_the_cells_say_what_a_column_is(cells: tuple[str, ...], kind: st
 
 
 def test_times_that_a_user_names() -> None:
-    """One column, or two that are seconds and nanoseconds; more are left out."""
+    """One column, or two that are seconds and nanoseconds; more are none."""
     named = table({"a": ON, "b": ON, "count": ON, "": ON, "empty": ("", "")})
     pair = TimeChoice(kind="pair", indices=(0, 1), name="a+b", ns=1, ns_source="seconds + nanoseconds")
     assert named_time(named, "a+b") == pair
-    assert named_time(named, "a+b+count") == pair
+    with pytest.raises(ChoiceError, match="columns 0, 1, 2 are no date, time of day, and AM or PM"):
+        named_time(named, "a+b+count")
     assert named_time(named, "count") == TimeChoice(kind="counter", indices=(2,), name="count")
     assert time_of_columns(named, [3]).name == "3"
     with pytest.raises(ChoiceError, match=r"column 4 \(empty\) is no time: it holds 'nothing'"):

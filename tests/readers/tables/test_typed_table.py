@@ -153,10 +153,10 @@ def test_matrix_without_names(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: no header names the 7 columns, and their order is not guessed; found columns: 0 (no name), "
-        "1 (no name), 2 (no name), 3 (no name), 4 (no name), 5 (no name), 6 (no name); say which are which "
-        "by a columns text such as t=0,g=1:4,a=4:7 (places from 0 with the end left out, or three names "
-        "joined by +)"
+        f"{path}: array (400, 7): nothing names the 7 columns, and their order is not guessed; "
+        "found columns: 0 1.7e+09, 1 0.00839614, 2 -0.0226487, 3 0.00450328, 4 0.113276, 5 -0.256524, "
+        "6 9.79787; say which are which by a columns text such as t=0,g=1:4,a=4:7 (places from 0 with the "
+        "end left out, or three names joined by +)"
     )
     check(read(path, ReadOptions(columns="t=0,g=1:4,a=4:7")))
 
@@ -209,7 +209,8 @@ def test_no_samples(tmp_path: Path) -> None:
     with pytest.raises(ReadError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == (
-        f"{path}: no columns of samples, found nothing; expected arrays of a gyroscope or accelerometer"
+        f"{path}: no columns of samples, found nothing; expected arrays of the gyroscope or the "
+        "accelerometer with a row per sample and up to 64 columns; save those columns alone"
     )
 
 

@@ -598,6 +598,37 @@ def repoimu(t: Truth) -> str:
     return lines(header, seconds(t), *xyz(t.accel), *xyz(t.gyro), mark=";")
 
 
+def repoimu_semicolons(t: Truth) -> str:
+    """Write the quaternion and the magnetometer too, units in the second row, and a semicolon at each end."""
+    ones = [["0.5"] * N] * 4
+    groups = "Time;Vicon quat;;;;IMU acc;;;IMU gyr;;;IMU mag;;"
+    axes = "[s];W;X;Y;Z;X [m/s^2];Y [m/s^2];Z [m/s^2];X [rad/s];Y [rad/s];Z [rad/s];X;Y;Z"
+    columns = [seconds(t), *ones, *xyz(t.accel), *xyz(t.gyro), *ones[:3]]
+    return lines(f"{groups};\n{axes};", *columns, [""] * N, mark=";")
+
+
+def matrix(t: Truth) -> str:
+    """Write rows that end as those of a matrix in MATLAB."""
+    return lines("", seconds(t), *xyz(t.gyro), *xyz(t.accel), mark=" ").replace("\n", ";\n")
+
+
+def commas_and_semicolon(t: Truth) -> str:
+    header = "time (s),gx (rad/s),gy (rad/s),gz (rad/s),ax (g),ay (g),az (g)"
+    return lines(header, seconds(t), *xyz(t.gyro), *xyz(t.g)).replace("\n", ";\n")
+
+
+def quoted_commas(t: Truth) -> str:
+    """Write numbers as a spreadsheet of a country with decimal commas does."""
+    columns = [seconds(t), *xyz(t.gyro), *xyz(t.accel)]
+    quoted = [['"' + str(cell).replace(".", ",") + '"' for cell in column] for column in columns]
+    return lines("time (s),gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)", *quoted)
+
+
+def two_bytes(t: Truth) -> bytes:
+    """Write UTF-16 without the mark that says so."""
+    return quoted_commas(t).encode("utf-16-le")
+
+
 def metawear(t: Truth) -> str:
     header = "epoc (ms),timestamp (+0700),elapsed (s),x-axis (deg/s),y-axis (deg/s),z-axis (deg/s)"
     text = [f"2018-09-06T10:00:{i // 100:02d}.{i % 100:02d}0" for i in range(N)]
@@ -727,6 +758,17 @@ STYLES: tuple[Style, ...] = (
         tolerance=4e-4,  # half a count of 1/16384 g
     ),
     Style(name="REPOIMU", build=repoimu, tolerance=0),
+    Style(name="REPOIMU with semicolons at the end", build=repoimu_semicolons, tolerance=0),
+    Style(
+        name="matrix with semicolons",
+        build=matrix,
+        file="log.txt",
+        options={"columns": "t=0,g=1:4,a=4:7", "gyro_unit": "rad/s"},
+        tolerance=0,
+    ),
+    Style(name="commas and a semicolon", build=commas_and_semicolon),
+    Style(name="decimal commas in quotes", build=quoted_commas, tolerance=0),
+    Style(name="UTF-16 without a mark", build=two_bytes, tolerance=0),
     Style(name="MetaWear", build=metawear, accel=False),
     Style(name="blanks behind commas", build=spaces, tolerance=0),
     Style(name="pipes", build=pipes, tolerance=0),

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 from imucal.arrays import IntArray
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.ulog.ulog_content import UlogContent
 from imucal.readers.ulog.ulog_log import _choose, _listed, _log_findings, _refuse_options, _scales
 from imucal.readers.ulog.ulog_messages import Instance, samples_of
 from imucal.recording import Sensor
@@ -185,25 +185,30 @@ def test_an_instance_without_a_rate_is_listed_without_one() -> None:
     ],
 )
 def test_dropouts_are_told(durations: tuple[int, ...], text: str) -> None:
-    log = SimpleNamespace(
-        file_corruption=False, dropouts=[SimpleNamespace(duration=duration) for duration in durations]
-    )
+    log = UlogContent(messages=[], damaged=False, dropouts=list(durations))
     (finding,) = _log_findings(log)
     assert (finding.level, finding.code, finding.text) == ("info", "dropouts", text)
     assert finding.advice == "Use a faster card or log fewer topics."
 
 
 def test_damage_is_a_warning() -> None:
-    (finding,) = _log_findings(SimpleNamespace(file_corruption=True, dropouts=[]))
+    (finding,) = _log_findings(UlogContent(messages=[], damaged=True, dropouts=[]))
     assert (finding.level, finding.code) == ("warning", "damaged")
-    assert _log_findings(SimpleNamespace(file_corruption=False, dropouts=[])) == []
+    assert _log_findings(UlogContent(messages=[], damaged=False, dropouts=[])) == []
 
 
 def test_a_ulog_has_one_clock() -> None:
-    _refuse_options(LOG, ReadOptions())
-    _refuse_options(LOG, ReadOptions(time="header"))
-    with pytest.raises(ChoiceError, match="with one clock, but time 'log' was asked for"):
-        _refuse_options(LOG, ReadOptions(time="log"))
+    _refuse_options(LOG, ReadOptions(), [])
+    _refuse_options(LOG, ReadOptions(time="header"), [])
+    found = [instance("sensor_accel", (5,), multi=1, several=True)]
+    with pytest.raises(ChoiceError) as caught:
+        _refuse_options(LOG, ReadOptions(time="log"), found)
+    assert str(caught.value) == (
+        "flight.ulg: a ULog has messages with one clock in us, but time 'log' was asked for; expected "
+        "nothing, or the name of a message; found sensor_accel:1 (accelerometer, 1 samples)"
+    )
+    with pytest.raises(ChoiceError, match=r"time unit 'ms' was asked for; .* found none of an IMU"):
+        _refuse_options(LOG, ReadOptions(time_unit="ms"), [])
 
 
 def test_samples_may_be_said_to_be_in_another_unit() -> None:

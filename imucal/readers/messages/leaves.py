@@ -1,0 +1,205 @@
+"""The numbers that messages of a type hold, by their paths: what a user chooses fields from.
+
+A path is written as in Python: ``imu.gyro.x``, ``gyro[0]``; of a list of structures the first stands for
+all: ``imus[0].gyro.x``.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+from imucal.errors import ChoiceError
+from imucal.readers.messages.fields_text import FieldsText
+from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
+from imucal.recording import Sensor
+from imucal.units import TIME_UNITS_NS, parse_sample_unit, parse_time_unit
+
+#: Fields that a message shows, and lists of JSON that are looked into.
+MOST = 60
+
+#: What names an axis at the end of a path.
+_AXIS = re.compile(r"(\[\d+\]|\.[xyzXYZ])$")
+_INDEX = re.compile(r"\[\d+\]")
+
+#: Names of the parts of a time.
+_SECONDS, _NANOSECONDS = ("sec", "seconds", "secs"), ("nanosec", "nanos", "nsec", "nanoseconds", "nsecs")
+
+#: What the name of a vector says.
+_NAMES = {
+    Sensor.GYROSCOPE: re.compile(r"gyr|ang|omega|rot|rate|(^|[._])[gw][._]?$"),
+    Sensor.ACCELEROMETER: re.compile(r"acc|force|(^|[._])[af][._]?$"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Leaf:
+    """A number, or an array of numbers, with its type such as ``float64``, ``int16[3]`` or ``int16[]``."""
+
+    path: str
+    type: str
+
+    @property
+    def is_array(self) -> bool:
+        return self.type.endswith("]")
+
+    @property
+    def is_three(self) -> bool:
+        """Whether it may be a vector."""
+        return self.type.endswith(("[3]", "[]"))
+
+    def __str__(self) -> str:
+        return f"{self.path} {self.type}"
+
+
+def _key(path: str) -> str:
+    return _INDEX.sub("[]", path)
+
+
+class Leaves:
+    """The numbers of a type, to be found by any index."""
+
+    def __init__(self, leaves: Iterable[Leaf]) -> None:
+        self.all = tuple(leaves)
+        self._by_key = {_key(leaf.path): leaf for leaf in self.all}
+
+    def shown(self) -> str:
+        """Return the fields for a message."""
+        more = f", … {len(self.all) - MOST} more" if len(self.all) > MOST else ""
+        return ", ".join(map(str, self.all[:MOST])) + more or "none with numbers"
+
+    def is_number(self, path: str) -> bool:
+        """Return whether a path leads to one number."""
+        leaf = self._by_key.get(_key(path))
+        if leaf is not None:
+            return not leaf.is_array
+        owner = self._by_key.get(_key(path.rpartition("[")[0])) if path.endswith("]") else None
+        if owner is None or not owner.is_array:
+            return False
+        count = owner.type.rpartition("[")[2].rstrip("]")
+        return not count or int(path.rpartition("[")[2].rstrip("]")) < int(count)
+
+    def vector(self, paths: Sequence[str]) -> tuple[str, ...] | None:
+        """Return the paths of x, y and z; None where one leads nowhere."""
+        if len(paths) == 1:
+            (path,) = paths
+            leaf = self._by_key.get(_key(path))
+            spelled = ("[0]", "[1]", "[2]") if leaf is not None and leaf.is_three else (".x", ".y", ".z")
+            paths = tuple(path + axis for axis in spelled)
+        return tuple(paths) if all(map(self.is_number, paths)) else None
+
+    def stamp(self, paths: Sequence[str], unit: str | None) -> Stamp | None:
+        """Return the time that paths lead to; None where there is none.
+
+        Raises
+        ------
+        ChoiceError
+            If it is a number whose unit is open.
+        """
+        if len(paths) == 1 and not self.is_number(paths[0]):
+            pairs = ((f"{paths[0]}.{s}", f"{paths[0]}.{n}") for s, n in product(_SECONDS, _NANOSECONDS))
+            paths = next((pair for pair in pairs if all(map(self.is_number, pair))), ())
+        if not paths or not all(map(self.is_number, paths)):
+            return None
+        if len(paths) == 2:
+            return Stamp(sec=paths[0], nanosec=paths[1])
+        unit = unit or parse_time_unit(re.split(r"[._]", paths[0])[-1])
+        if unit is None:
+            msg = f"the time {paths[0]} has no unit in its name; give the time unit"
+            raise ChoiceError(msg)
+        return Stamp(sec=paths[0], scale=TIME_UNITS_NS[unit])
+
+    def asked(self, wanted: FieldsText, time_unit: str | None) -> ImuFields | str:
+        """Return what a user says the fields are, or the first that isn't there.
+
+        Of a topic that has the fields of one sensor only, that one is returned: the other may be on another.
+        """
+        vectors, missing = [], ""
+        for sensor in Sensor:
+            paths = self.vector(wanted.of(sensor)) if wanted.of(sensor) else None
+            if paths is not None:
+                vectors.append(Vector(sensor=sensor, paths=paths, unit=_unit(sensor, paths)))
+            elif wanted.of(sensor):
+                missing = missing or ",".join(wanted.of(sensor))
+        stamp = self.stamp(wanted.time, time_unit) if wanted.time else self.own_stamp()
+        if not vectors or (wanted.time and stamp is None):
+            return missing or ",".join(wanted.time)
+        return ImuFields(
+            stamp=stamp,
+            vectors=tuple(vectors),
+            temperature=wanted.temperature if self.is_number(wanted.temperature) else "",
+            standard=False,
+            asked=True,
+        )
+
+    def own_stamp(self) -> Stamp | None:
+        """Return the first time of seconds and nanoseconds that is called a stamp or a time."""
+        for leaf in self.all:
+            owner, _, last = leaf.path.rpartition(".")
+            if last in _NANOSECONDS and owner.rpartition(".")[2] in {"stamp", "timestamp", "time"}:
+                return self.stamp((owner,), None)
+        return None
+
+    def proposal(self) -> str:
+        """Return a fields text for these fields, by their names; empty where none is named as a sensor."""
+        parts = []
+        for sensor in Sensor:
+            found = next((text for stem, text in self._triads() if _sensor(stem) is sensor), "")
+            if found:
+                parts.append(f"{sensor.short}={found}")
+        return " ".join(parts)
+
+    def _triads(self) -> Iterable[tuple[str, str]]:
+        """Yield the name of each vector without its axis, and its paths."""
+        for leaf in self.all:
+            if leaf.is_three:
+                yield leaf.path.lower(), leaf.path
+            if leaf.is_array:
+                continue
+            for match in re.finditer("[xX]", leaf.path):
+                before, letter, after = leaf.path[: match.start()], match[0], leaf.path[match.end() :]
+                axes = [before + axis + after for axis in ("xyz" if letter == "x" else "XYZ")]
+                if all(map(self.is_number, axes)):
+                    stem = before.rstrip(".")
+                    whole = letter == "x" and not after and before.endswith(".")
+                    yield stem.lower(), stem if whole else ",".join(axes)
+
+
+def _sensor(stem: str) -> Sensor | None:
+    """Return the sensor that the name of a vector tells, its unit before its words."""
+    unit = _tail_unit(stem)
+    if unit is not None:
+        return unit[0]
+    return next((sensor for sensor, words in _NAMES.items() if words.search(stem)), None)
+
+
+def _unit(sensor: Sensor, paths: Sequence[str]) -> str | None:
+    """Return the unit that the names of a sensor's fields end in: deg/s of ``gyro_x_dps``, ``gyro_dps.x``."""
+    found = {_tail_unit(_AXIS.sub("", path)) for path in paths}
+    unit = found.pop() if len(found) == 1 else None
+    return unit[1] if unit is not None and unit[0] is sensor else None
+
+
+def _tail_unit(name: str) -> tuple[Sensor, str] | None:
+    words = name.rpartition(".")[2].split("_")
+    tails = ("_".join(words[-size:]) for size in (3, 2, 1) if len(words) > size)
+    return next((unit for tail in tails if (unit := parse_sample_unit(tail))), None)
+
+
+def leaves_of_tree(tree: object, path: str = "") -> Iterable[Leaf]:
+    """Yield the numbers of a JSON message."""
+    if isinstance(tree, Mapping):
+        for name, value in list(tree.items())[: 10 * MOST]:
+            yield from leaves_of_tree(value, f"{path}.{name}" if path else str(name))
+    elif _is_number(tree):
+        yield Leaf(path, "number")
+    elif isinstance(tree, list) and tree:
+        if all(map(_is_number, tree)):
+            yield Leaf(path, f"number[{len(tree)}]")
+        elif isinstance(tree[0], Mapping):
+            yield from leaves_of_tree(tree[0], f"{path}[0]")
+
+
+def _is_number(value: Any) -> bool:  # noqa: ANN401 - anything JSON holds
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))

@@ -1,0 +1,74 @@
+"""ROS messages as trees, by rosbags: the way to fields that stand in or behind lists of structures."""
+
+from collections.abc import Iterator
+from itertools import count
+from typing import Any
+
+from imucal.readers.messages.definitions import DefinitionError, Definitions, plain_type
+from imucal.readers.messages.leaves import Leaf
+from imucal.readers.messages.tree_messages import Parse
+
+#: A type that nests deeper than this is not shown further, nor one of more lines than this.
+_DEEP, _MANY = 8, 4000
+
+
+def leaves_of(name: str, text: str, more: dict[str, str] | None, *, ros1: bool) -> list[Leaf]:
+    """Return the numbers in messages of a type; a DefinitionError where its definition can't be read."""
+    leaves: list[Leaf] = []
+    _collect(Definitions(name, text, ros1=ros1, more=more), None, ("", 0), leaves, count())
+    return leaves
+
+
+def _collect(
+    known: Definitions, name: str | None, place: tuple[str, int], leaves: list[Leaf], steps: Iterator[int]
+) -> None:
+    """Add the numbers of a type at a prefix and a depth; `steps` counts the lines that were looked at."""
+    prefix, depth = place
+    for line in known.lines(name):
+        if next(steps) >= _MANY:
+            return
+        path = prefix + line.name
+        if line.is_number:
+            leaves.append(Leaf(path, line.kind + line.brackets))
+        elif line.is_time:
+            own = f"{path}[0]" if line.brackets else path
+            leaves += [Leaf(f"{own}.sec", "int32"), Leaf(f"{own}.nanosec", "uint32")]
+        elif not line.is_text and depth < _DEEP:
+            own = f"{path}[0]." if line.brackets else f"{path}."
+            _collect(known, known.resolve(name, line.kind), (own, depth + 1), leaves, steps)
+
+
+def parser_of(name: str, text: str, more: dict[str, str] | None, *, ros1: bool) -> Parse:
+    """Return what parses messages of a type; `more` are definitions of types in it.
+
+    Raises
+    ------
+    DefinitionError
+        If its definition can't be read.
+    """
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    try:
+        own: dict[str, Any] = {}
+        package = plain_type(name).partition("/")[0]
+        for other, body in (more or {}).items():
+            own |= get_types_from_msg(body, _long(other if other[0] != "/" else package + other))
+        own |= get_types_from_msg(text, _long(name))
+        standard = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST).fielddefs
+        store = get_typestore(Stores.EMPTY)
+        store.register({**{kind: fields for kind, fields in standard.items() if kind not in own}, **own})
+    except Exception as error:
+        # rosbags has error classes of its own.
+        why = " ".join(str(error).split())[:80]
+        msg = f"its definition can't be read: {type(error).__name__} {why}"
+        raise DefinitionError(msg) from error
+
+    def parse(data: bytes) -> Any:  # noqa: ANN401 - rosbags makes the types
+        return store.deserialize_ros1(data, _long(name)) if ros1 else store.deserialize_cdr(data, _long(name))
+
+    return parse
+
+
+def _long(name: str) -> str:
+    package, _, last = name.partition("/")
+    return name if "/msg/" in name else f"{package}/msg/{last}"

@@ -1,0 +1,117 @@
+"""Message definitions in the user's own files: as packages hold them, for the type they name only."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imucal.errors import ChoiceError, ReadError
+from imucal.readers import describe, read
+from imucal.readers.messages.definition_files import definition_of, read_definitions
+from tests.readers.logs import Message, header, samples, store, write_mcap
+from tests.readers.messages.test_messages import check
+
+TRUTH = samples(120)
+KIND = "acme/msg/Board"
+BOARD = "Header header\nuint8 state\nPair pair  # of this package\nother_msgs/Note note\n"
+PAIR = "geometry_msgs/Vector3 gyro\ngeometry_msgs/Vector3 accel\n"
+NOTE = "string<=8 text 'x'\nint8 LEVEL=3\n"
+#: A type that differs in nothing but its name, and in the order of its fields.
+OTHER = "acme/msg/Swapped"
+
+
+def log(folder: Path) -> Path:
+    """Write two topics of types that the log does not define."""
+    types = store(
+        acme__msg__Board=BOARD.replace("Header", "std_msgs/Header"),
+        acme__msg__Pair=PAIR,
+        other_msgs__msg__Note=NOTE.replace(" 'x'", ""),
+        acme__msg__Swapped="std_msgs/Header header\nfloat64[3] accel\nfloat64[3] gyro",
+    )
+    known = types.types
+    messages = []
+    for row, when in enumerate(TRUTH.log.tolist()):
+        stamp = header(types, int(TRUTH.stamps[row]))
+        vector = known["geometry_msgs/msg/Vector3"]
+        pair = known["acme/msg/Pair"](vector(*TRUTH.gyro[row].tolist()), vector(*TRUTH.accel[row].tolist()))
+        note = known["other_msgs/msg/Note"]("n" * (row % 8))
+        board: Any = known[KIND](stamp, 1, pair, note)
+        swapped: Any = known[OTHER](stamp, TRUTH.accel[row], TRUTH.gyro[row])
+        for topic, kind, message in (("/board", KIND, board), ("/swapped", OTHER, swapped)):
+            data = bytes(types.serialize_cdr(message, kind))
+            messages.append(Message(topic=topic, type=kind, log=when, data=data))
+    return write_mcap(
+        folder / "log.mcap", messages, types=types, definitions={KIND: ("", ""), OTHER: ("", "")}
+    )
+
+
+def package(folder: Path) -> Path:
+    """Write the definitions as packages hold them; return the folder above."""
+    for name, text in (("acme/msg/Board", BOARD), ("acme/msg/Pair", PAIR), ("other_msgs/msg/Note", NOTE)):
+        file = folder / "src" / f"{name}.msg"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    return folder / "src"
+
+
+def test_a_folder_of_packages(tmp_path: Path) -> None:
+    """Nested types of the package, of another and of ROS itself; the other topic is not touched."""
+    path, folder = log(tmp_path), package(tmp_path)
+    check(read(path, message_definition=folder))
+    notes = {topic.name: topic for topic in describe(path).topics}
+    assert notes["/board"].sensors == ()
+    with pytest.raises(ChoiceError) as caught:
+        read(path, topic="/swapped", message_definition=folder)
+    assert str(caught.value) == (
+        f"{path}: topic /swapped of type {OTHER} can't be read: the log holds no definition of {OTHER}, "
+        "those that are given are of acme/Board, acme/Pair, other_msgs/Note; give its .msg file, Swapped.msg"
+    )
+
+
+def test_files_one_by_one(tmp_path: Path) -> None:
+    """In any order; a file outside of its package is known by its own name."""
+    path, folder = log(tmp_path), package(tmp_path)
+    files = sorted(folder.rglob("*.msg"), reverse=True)
+    check(read(path, message_definition=files))
+    loose = []
+    for file in files:
+        loose.append(tmp_path / file.name)
+        loose[-1].write_bytes(b"\xef\xbb\xbf" + file.read_bytes().replace(b"\n", b"\r\n"))
+    check(read(path, message_definition=loose))
+
+
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
+    """A type in it that is neither given nor of ROS."""
+    path, folder = log(tmp_path), package(tmp_path)
+    with pytest.raises(ChoiceError, match="type other_msgs/Note is not defined"):
+        read(path, topic="/board", message_definition=folder / "acme")
+
+
+def test_fields_of_a_type_that_is_given(tmp_path: Path) -> None:
+    """Both options together; behind a list of texts too."""
+    path, folder = log(tmp_path), package(tmp_path)
+    check(read(path, message_definition=folder, fields="gyro=pair.gyro accel=pair.accel", gyro_unit="rad/s"))
+
+
+def test_what_is_no_definition(tmp_path: Path) -> None:
+    """A folder without one, a file that can't be read."""
+    path = log(tmp_path)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with pytest.raises(ReadError, match=r"empty: no \.msg files in this folder"):
+        read(path, message_definition=empty)
+    with pytest.raises(ReadError, match=r"none\.msg: can't be read"):
+        read(path, message_definition=tmp_path / "none.msg")
+    (tmp_path / "Board.msg").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ReadError, match=r"Board\.msg: can't be read: .*; expected a message definition"):
+        read(path, message_definition=tmp_path / "Board.msg")
+
+
+def test_names_of_files(tmp_path: Path) -> None:
+    """The folder above msg/ is the package; elsewhere there is none."""
+    package(tmp_path)
+    given = read_definitions([tmp_path / "src" / "acme"])
+    assert set(given) == {"acme/Board", "acme/Pair"}
+    assert definition_of("acme/msg/Pair", given) == PAIR
+    assert definition_of("other/msg/Pair", given) is None
+    assert definition_of("other/msg/Pair", {"/Pair": PAIR}) == PAIR

@@ -1,0 +1,177 @@
+"""What an error tells the user to type is typed here, on the file it was said of, and works."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucal.errors import ChoiceError
+from imucal.readers import read
+from imucal.recording import Recording
+from tests.readers.tables.texts import N, lines, truth, xyz
+
+SI = "gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
+PLAIN = SI.replace(" (rad/s)", "").replace(" (m/s^2)", "")
+UNITS: dict[str, Any] = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
+
+
+def sensors() -> list[list[str]]:
+    return [*xyz(truth().gyro), *xyz(truth().accel)]
+
+
+def refused(path: Path, **options: Any) -> str:  # noqa: ANN401 - options of any kind
+    """Return what is said of a log that can't be read yet."""
+    with pytest.raises(ChoiceError) as caught:
+        read(path, **options)
+    return str(caught.value)
+
+
+def is_truth(recording: Recording) -> None:
+    """Check that the samples are those that were written, each in its axis."""
+    for sensor, values in (("gyroscope", truth().gyro), ("accelerometer", truth().accel)):
+        for index, axis in enumerate("xyz"):
+            samples = recording.axis(sensor, axis).samples
+            np.testing.assert_allclose(samples, values[:, index], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "step", [100, 1000, 1, 20, 2, 1e-5, 5e-6, 3e4, 5e11], ids=lambda step: f"step {step:g}"
+)
+@pytest.mark.parametrize("name", ["time", "Timestamp", "t"])
+def test_a_time_without_unit(step: float, name: str, tmp_path: Path) -> None:
+    """Each unit that is named, the name in the header and the rate give the rate that was stated."""
+    path = tmp_path / "log.csv"
+    times = [step * i for i in range(N)]
+    path.write_text(lines(f"{name},{SI}", times, *sensors()), encoding="utf-8")
+    for unit, ns in (("s", 1e9), ("ms", 1e6), ("us", 1e3), ("ns", 1)):
+        rate = 1e9 / (step * ns)
+        if not 1e-6 < rate < 1e7:
+            continue
+        recording = read(path, time_unit=unit)
+        is_truth(recording)
+        assert recording.series[0].rate_hz == pytest.approx(rate, rel=1e-3)
+    if step in {2, 20, 3e4}:
+        # In one unit only it is the rate of an IMU.
+        assert 1 <= read(path).series[0].rate_hz <= 20_000
+        return
+    message = refused(path)
+    said = re.findall(r"([\d.e+-]+) Hz in (s|ms|us|ns)\b", message)
+    assert 1 <= len(said) <= 3
+    for rate, unit in said:
+        assert read(path, time_unit=unit).series[0].rate_hz == pytest.approx(float(rate), rel=1e-3)
+        assert read(path, rate_hz=float(rate)).series[0].rate_hz == pytest.approx(float(rate), rel=1e-3)
+    column = re.search(r"such as (\w+),", message)
+    assert column is not None
+    named = tmp_path / "named.csv"
+    named.write_text(path.read_text(encoding="utf-8").replace(name, column[1], 1), encoding="utf-8")
+    is_truth(read(named))
+
+
+def test_a_rate_that_no_unit_gives(tmp_path: Path) -> None:
+    """The time is left out then, and it is said."""
+    path = tmp_path / "log.csv"
+    path.write_text(lines(f"time,{SI}", [100 * i for i in range(N)], *sensors()), encoding="utf-8")
+    recording = read(path, rate_hz=123.0)
+    assert recording.series[0].rate_hz == 123.0
+    assert [finding.code for finding in recording.findings] == ["time-unused"]
+    is_truth(recording)
+
+
+def test_a_unit_of_a_date_is_refused(tmp_path: Path) -> None:
+    """A date has no unit; a wrong unit is named."""
+    path = tmp_path / "log.csv"
+    stamps = [f"2026-11-22 10:00:{i // 10:02d}.{i % 10}" for i in range(N)]
+    path.write_text(lines(f"time,{SI}", stamps, *sensors()), encoding="utf-8")
+    assert "the time unit ms is given, but the gyroscope has the time time" in refused(path, time_unit="ms")
+    with pytest.raises(ChoiceError, match="'min' is no time unit; expected one of ns, us, ms, s"):
+        read(path, time_unit="min")
+    is_truth(read(path))
+
+
+TABLES: dict[str, tuple[str, Callable[..., list[Any]], dict[str, Any]]] = {
+    "no header": ("", lambda t, g, a: [t, *a, *g], {}),
+    "no header, blanks": ("", lambda t, g, a: [t, *g, *a], {"mark": " "}),
+    "no header, no time": ("", lambda _t, g, a: [*g, *a], {}),
+    "names that say nothing": ("foo,a1,b2,c3,d4,e5,f6", lambda t, g, a: [t, *g, *a], {}),
+    "names of the time only": ("c1,c2,c3,time (s),c4,c5,c6", lambda t, g, a: [*g, t, *a], {}),
+    "too few names": ("time,gx,gy,gz,ax,ay", lambda t, g, a: [t, *g, *a], {}),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_columns_that_are_proposed(name: str, tmp_path: Path) -> None:
+    """The text names this table's own columns; units, and a rate for lack of a time, are all it needs."""
+    header, order, options = TABLES[name]
+    path = tmp_path / "log.csv"
+    t, (gx, gy, gz, ax, ay, az) = [f"{0.01 * i:.2f}" for i in range(N)], sensors()
+    path.write_text(lines(header, *order(t, (gx, gy, gz), (ax, ay, az)), **options), encoding="utf-8")
+    columns = proposed(refused(path))
+    is_truth(read(path, columns=columns, rate_hz=None if "t=" in columns else 100.0, **UNITS))
+
+
+def proposed(message: str) -> str:
+    """Return the columns text of a message."""
+    match = re.search(r"by a columns text such as (\S+) \(places", message)
+    assert match is not None, message
+    return match[1]
+
+
+@pytest.mark.parametrize("wrong", ["g=1:3", "g=gx+gy+gq", "t=0", "gyro=1:4", "g=4:9,a=0", "g=1:4,a=90:93"])
+def test_a_wrong_columns_text_is_put_right(wrong: str, tmp_path: Path) -> None:
+    """The text that is proposed instead takes the columns that the names tell."""
+    path = tmp_path / "log.csv"
+    t = [f"{0.01 * i:.2f}" for i in range(N)]
+    path.write_text(lines(f"time (s),{PLAIN}", t, *sensors()), encoding="utf-8")
+    message = refused(path, columns=wrong) if wrong != "gyro=1:4" else ""
+    columns = proposed(message) if message else "t=0,g=1:4,a=4:7"
+    assert columns == "t=0,g=1:4,a=4:7"
+    is_truth(read(path, columns=columns, **UNITS))
+
+
+def test_a_table_without_three_numbers_is_not_told_to_try(tmp_path: Path) -> None:
+    """No example is better than one that can't work."""
+    path = tmp_path / "log.csv"
+    path.write_text(lines("time,lat,lon,alt", list(range(N)), *xyz(truth().gyro)), encoding="utf-8")
+    assert "by a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names" in refused(path)
+
+
+@pytest.mark.parametrize(
+    "shape", ["n23", "2n3", "1n6", "n6", "6n", "n7"], ids=lambda shape: f"array of {shape}"
+)
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+def test_arrays_of_any_shape(shape: str, suffix: str, tmp_path: Path) -> None:
+    """The message says the shape and the columns text for it."""
+    both = np.stack([truth().gyro, truth().accel], axis=1)
+    flat = both.reshape(-1, 6)
+    array = {
+        "n23": both,
+        "2n3": both.swapaxes(0, 1),
+        "1n6": flat[None],
+        "n6": flat,
+        "6n": flat.T,
+        "n7": np.column_stack([0.01 * np.arange(N), flat]),
+    }[shape]
+    path = tmp_path / f"log{suffix}"
+    if suffix == ".npy":
+        np.save(path, array)
+    else:
+        np.savez(path, imu=array)
+    message = refused(path)
+    assert str(array.shape) in message
+    columns = proposed(message)
+    is_truth(read(path, columns=columns, rate_hz=None if "t=" in columns else 100.0, gyro_unit="rad/s"))
+
+
+def test_an_array_that_is_too_wide(tmp_path: Path) -> None:
+    """Its columns alone are a table."""
+    flat = np.column_stack([truth().gyro, truth().accel])
+    wide = np.column_stack([flat, np.zeros((N, 70))])
+    path = tmp_path / "log.npy"
+    np.save(path, wide)
+    with pytest.raises(Exception, match=r"found array \(400, 76\).*save those columns alone"):
+        read(path)
+    np.save(path, wide[:, :6])
+    is_truth(read(path, columns=proposed(refused(path)), rate_hz=100.0, gyro_unit="rad/s"))

@@ -1,0 +1,140 @@
+"""Parsers in a child process: they answer, or they are ended; nothing of theirs reaches the caller."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucal.errors import ReadError
+from imucal.readers import isolation, read
+from imucal.readers.isolation import isolated
+from tests.readers.ulog.test_ulog import two_sensors
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "log.bin"
+    path.write_bytes(b"12345")
+    return path
+
+
+def call(file: Path, function: Callable[..., Any], *args: Any) -> Any:  # noqa: ANN401 - whatever is called
+    return isolated(file, function, "test")(*args)
+
+
+def test_answers_are_those_of_the_function(file: Path) -> None:
+    """Arrays of any size; one child for all."""
+    assert call(file, len, b"abc") == 3
+    np.testing.assert_array_equal(call(file, np.arange, 3_000_000), np.arange(3_000_000))
+    child = call(file, os.getpid)
+    assert child != os.getpid()
+    assert call(file, os.getpid) == child
+
+
+def test_what_is_raised_is_a_read_error(file: Path) -> None:
+    """With the name of the file, the kind, and one line of why; the child lives on."""
+    child = call(file, os.getpid)
+    with pytest.raises(ReadError) as caught:
+        call(file, int, "no\nnumber")
+    assert str(caught.value) == (
+        f"{file}: not a readable test file: ValueError: invalid literal for int() with base 10: 'no\\nnumber'"
+    )
+    with pytest.raises(ReadError, match="not a readable test file: SystemExit: 3"):
+        call(file, sys.exit, 3)
+    assert call(file, os.getpid) == child
+
+
+def test_what_never_ends_is_ended(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the time that a file of its size may take; the next question finds a new child."""
+    monkeypatch.setattr(isolation, "PATIENCE", 0.5)
+    call(file, len, b"")
+    start = time.perf_counter()
+    with pytest.raises(ReadError, match=r"log\.bin: not a readable test file: reading it takes more than"):
+        call(file, time.sleep, 60)
+    assert time.perf_counter() - start < 30
+    monkeypatch.undo()
+    assert call(file, len, b"ab") == 2
+
+
+def test_what_ends_the_process_is_a_read_error(file: Path) -> None:
+    """As an allocation that fails does in polars."""
+    with pytest.raises(ReadError, match="reading it ends the process or takes too much memory"):
+        call(file, os.abort)
+    assert call(file, len, b"ab") == 2
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit of memory")
+def test_memory_has_a_bound(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a file claims is not believed beyond it."""
+    monkeypatch.setattr(isolation, "memory_limit", lambda: 1_000_000)
+    with pytest.raises(ReadError, match="not a readable test file: MemoryError"):
+        call(file, bytes, 1 << 36)
+
+
+def test_prints_do_not_reach_the_answers(file: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Nor the caller's own streams."""
+    call(file, os.system, "echo printed; echo said >&2")
+    call(file, print, "printed")
+    assert call(file, len, b"ab") == 2
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_interrupted_question_leaves_no_answer_behind(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next question gets its own answer."""
+    assert call(file, len, b"abc") == 3
+
+    def interrupted(stream: object) -> bytes:
+        del stream
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(isolation, "_receive", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            call(file, len, b"abcd")
+    assert call(file, len, b"ab") == 2
+
+
+def test_the_child_leaves_with_its_parent(file: Path) -> None:
+    """Even where the parent is killed."""
+    script = (
+        "import os, pathlib, signal, sys; from imucal.readers.isolation import isolated\n"
+        "print(isolated(pathlib.Path(sys.argv[1]), os.getpid, 'test')(), flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    done = subprocess.run(  # noqa: S603 - this very interpreter
+        [sys.executable, "-c", script, str(file)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == -signal.SIGKILL
+    child = int(done.stdout)
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline and _runs(child):
+        time.sleep(0.05)
+    assert not _runs(child)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    # One that has ended and whose exit code nobody took runs no more.
+    status = Path(f"/proc/{process}/stat")
+    return not status.exists() or status.read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+
+
+def test_a_ulog_on_which_pyulog_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Definitions full of zeros: pyulog seeks back at the end of the file, for ever."""
+    path = two_sensors(tmp_path / "flight.ulg")
+    data = bytearray(path.read_bytes())
+    data[296:596] = bytes(300)
+    path.write_bytes(data)
+    monkeypatch.setattr(isolation, "PATIENCE", 2.0)
+    with pytest.raises(ReadError, match=r"flight\.ulg: not a readable ULog file: reading it takes more than"):
+        read(path)

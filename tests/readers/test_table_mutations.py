@@ -1,0 +1,113 @@
+"""Damaged tables with types and ULogs: whatever happens to a file, reading it ends in samples or a message.
+
+Nothing in NPY and MAT guards a value, so that a changed one is read as it stands; what is checked is that no
+foreign exception, no print and no endless loop comes out.
+"""
+
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+import scipy.io
+
+from imucal.errors import ImucalError
+from imucal.readers import describe, read
+from imucal.readers.ulog.ulog_content import ulog_content
+from tests.readers.containers.test_mutations import CHANGES
+from tests.readers.ulog.test_ulog import two_sensors
+
+#: Cases of each format by each change; 1760 in all.
+CASES = 40
+#: No case may take longer, in s; the usual one takes 10 ms, the first of a child one second.
+PATIENCE = 20.0
+
+N = 60
+
+
+def columns() -> dict[str, np.ndarray[Any, Any]]:
+    rng = np.random.default_rng(1)
+    gyro = rng.normal(0, 1e-3, (N, 3))
+    accel = rng.normal(0, 1e-2, (N, 3)) + np.array([0, 0, 9.8])
+    found: dict[str, np.ndarray[Any, Any]] = {"timestamp_ns": np.arange(N) * 10_000_000}
+    for name, values in (("gyro", gyro), ("accel", accel)):
+        found |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
+    return found
+
+
+def write_records(path: Path) -> None:
+    records = np.zeros(N, dtype=[(name, values.dtype) for name, values in columns().items()])
+    for name, values in columns().items():
+        records[name] = values
+    np.save(path, records)
+
+
+def write_parquet(compression: Any) -> Callable[[Path], object]:  # noqa: ANN401 - polars' own names
+    return lambda path: pl.DataFrame(columns()).write_parquet(path, compression=compression)
+
+
+def nested() -> dict[str, object]:
+    """Return the columns as a structure of MATLAB."""
+    found = columns()
+    both = {kind: np.stack([found[f"{kind}_{axis}"] for axis in "xyz"], axis=1) for kind in ("gyro", "accel")}
+    return {"imu": {"t": found["timestamp_ns"] * 1e-9, **both, "freq": 100.0}}
+
+
+FORMATS: dict[str, Callable[[Path], object]] = {
+    "plain.npy": lambda path: np.save(path, np.stack(list(columns().values()), axis=1)),
+    "records.npy": write_records,
+    "plain.npz": lambda path: np.savez(path, **columns()),  # type: ignore[arg-type]
+    "compressed.npz": lambda path: np.savez_compressed(path, **columns()),  # type: ignore[arg-type]
+    "plain.mat": lambda path: scipy.io.savemat(path, columns()),
+    "compressed.mat": lambda path: scipy.io.savemat(path, nested(), do_compression=True),
+    "old.mat": lambda path: scipy.io.savemat(path, columns(), format="4"),
+    "plain.parquet": write_parquet("uncompressed"),
+    "snappy.parquet": write_parquet("snappy"),
+    "zstd.parquet": write_parquet("zstd"),
+    "flight.ulg": two_sensors,
+}
+OPTIONS: dict[str, Any] = {"columns": "t=0,g=1:4,a=4:7", "gyro_unit": "rad/s", "accel_unit": "m/s^2"}
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+@pytest.mark.parametrize("name", FORMATS)
+def test_survives(
+    name: str,
+    change: Callable[[bytearray, np.random.Generator], None],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """No exception but imucal's own, nothing printed, no hang; a message names the file."""
+    whole = tmp_path / name
+    FORMATS[name](whole)
+    original = whole.read_bytes()
+    options = OPTIONS if name == "plain.npy" else {}
+    assert len(read(whole, **options).series) == 6
+    for case in range(CASES):
+        rng = np.random.default_rng([case, zlib.crc32(name.encode()), CHANGES.index(change)])
+        data = bytearray(original)
+        change(data, rng)
+        path = tmp_path / f"{case}-{name}"
+        path.write_bytes(data)
+        start = time.perf_counter()
+        for action in (lambda path: read(path, **options), describe):
+            try:
+                action(path)
+            except ImucalError as error:
+                assert str(error).startswith(str(path))  # noqa: PT017 - the message is the point
+        assert time.perf_counter() - start < PATIENCE
+        path.unlink()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_pyulog_reads_is_what_is_there(tmp_path: Path) -> None:
+    """Message by message, nothing damaged, nothing dropped."""
+    content = ulog_content(two_sensors(tmp_path / "flight.ulg"))
+    found = [(entry.name, entry.multi, entry.data["x"].size) for entry in content.messages]
+    assert found == [("sensor_accel", 0, 200), ("sensor_gyro", 0, 400)]
+    assert not content.damaged
+    assert not content.dropouts
