@@ -62,7 +62,6 @@ def test_bins_are_left_out_unless_asked_for() -> None:
     """They are most of such a file."""
     document: Any = to_document(_report(bins=False))
     assert "bins" not in document["axes"][0]["fit"]
-    assert "bins" not in document["settings"]
 
 
 @pytest.mark.parametrize(
