@@ -29,7 +29,7 @@ _SAID_BETTER = (("roll-off", "output-filter"), ("tone", "line"))
 #: The settings in the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
-    *("max_gm", "clean", "verify", "second_opinion", "segments"),
+    *("max_gm", "clean", "verify", "second_opinion", "segments", "bins"),
 )
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
@@ -52,8 +52,7 @@ class Settings(FitSettings):
 
     def document(self) -> dict[str, object]:
         """Return the settings as JSON values."""
-        chosen = {name: getattr(self, name) for name in _DOCUMENTED}
-        return chosen | ({"bins": True} if self.bins else {}) | {"reading": dict(self.reading)}
+        return {name: getattr(self, name) for name in _DOCUMENTED} | {"reading": dict(self.reading)}
 
 
 def characterize(

@@ -13,7 +13,7 @@ class Bins:
     """The binned DCT ordinates of an axis: sums of squares, and of products with the regressors.
 
     The samples stand in k unbroken blocks, the bins of one after those of the other, b in all. With r
-    regressors that is some 8 (3 + r + r²) b bytes, b about 600 for 10⁵ samples.
+    regressors that is some 8 (3 + r + r²) b bytes: 24 kB for 10⁵ samples, whose b is 590, and one ramp.
 
     Attributes
     ----------

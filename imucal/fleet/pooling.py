@@ -10,8 +10,9 @@ sensor calibration" (several records of one sensor); DerSimonian & Laird (1986),
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -147,7 +148,8 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
     a record of more has wider bins, and the pooled fit is the finer one. It does not hold for gaps of up to
     64 samples, which a fit completes by expectation instead. Steps, cycles and the effect of temperature are
     taken out of each record by itself, while the fit of one long record has one of each for all of it; heavy
-    tails and spikes are judged by record. A ramp, where `model` has one, is common to all records.
+    tails and spikes are judged by record, and an output filter that no record shows by itself is none. A
+    ramp, where `model` has one, is common to all records.
     """
     structure = _structure(model, level)
     every = _bins_of(fits)
@@ -155,7 +157,11 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
     found = fit_bins(every, structure, level=level)
     tests = record_tests(found)
     differs = {test.key for test in tests if test.p_value < CHANCE}
-    squares = [_squares(one, structure, level) for one in every] if differs else []
+
+    @cache
+    def squares() -> list[dict[str, tuple[float, float]]]:
+        return [_squares(one, structure, level) for one in every]
+
     joint = {e.key: e for e in found.estimates}
     widened = {
         test.key: _widened(test, joint[test.key], squares, level, differs=test.key in differs)
@@ -275,13 +281,19 @@ def _refuse_different(fits: Sequence[NoiseFit]) -> None:
                 "pool records of one sampling rate"
             )
             raise DataError(msg)
-        corners = [f.response.cutoff_hz if f.response else math.inf for f in (first, fit)]
-        if corners[0] != corners[1] and not abs(math.log(corners[1] / corners[0])) <= _SAME_CORNER:
+        if not _same_filter(first, fit):
             msg = (
                 f"{where}: found {_filter(fit)}, expected {_filter(first)} as in fit 1; "
                 "pool records of one setting of the sensor"
             )
             raise DataError(msg)
+
+
+def _same_filter(one: NoiseFit, other: NoiseFit) -> bool:
+    """Whether neither has an output filter, or both have one at about the same corner."""
+    if one.response is None or other.response is None:
+        return one.response is other.response
+    return abs(math.log(one.response.cutoff_hz / other.response.cutoff_hz)) <= _SAME_CORNER
 
 
 def _named(fit: NoiseFit) -> str:
@@ -304,7 +316,7 @@ def _squares(bins: Bins, structure: tuple[str, ...], level: float) -> dict[str, 
 def _widened(
     test: RecordTest,
     joint: Estimate,
-    squares: list[dict[str, tuple[float, float]]],
+    squares: Callable[[], list[dict[str, tuple[float, float]]]],
     level: float,
     *,
     differs: bool,
@@ -317,8 +329,10 @@ def _widened(
         mean, low, high, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
         value, low, high = math.exp(mean), math.exp(low), math.exp(high)
     else:
-        told = np.array([record[test.key] for record in squares])
-        mean, low, high, spread = _mean(told[:, 0], told[:, 1], level, random=differs)
+        told = np.array([record[test.key] for record in squares()])
+        # Where they differ, a large square has a large deviation: weights by it would favour the small.
+        deviations = np.full(len(told), np.sqrt(np.mean(told[:, 1] ** 2))) if differs else told[:, 1]
+        mean, low, high, spread = _mean(told[:, 0], deviations, level, random=differs)
         value, low, high = (math.sqrt(max(x, 0.0)) for x in (mean, low, high))
         # Of the square, relative to the upper end where the mean is not told from zero.
         spread = 0.5 * spread / max(value, 0.5 * high) ** 2

@@ -60,7 +60,7 @@ def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm
     parts = [ordinates_of(one) for one in bins]
     every = joined(parts) if len(parts) > 1 else parts[0]
     common = every.names[1:]
-    band = find_band(every, richest(structure, max_gm), shortest=SHORTEST, common=common, given=structure)
+    band = _band(every, parts, structure, max_gm)
     seen = every.below(band.fraction)
     problem = Problem(
         ordinates=seen,
@@ -90,6 +90,28 @@ def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm
         estimates=estimates,
         goodness=found,
     )
+
+
+def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, max_gm: int) -> Band:
+    """Return the band and response of all records; flat where each record by itself is.
+
+    Records whose coefficients differ fit no one model; together they may look like a filter's doing.
+    """
+
+    def find(whole: Ordinates) -> Band:
+        rich, common = richest(structure, max_gm), whole.names[1:]
+        return find_band(whole, rich, shortest=SHORTEST, common=common, given=structure)
+
+    band = find(every)
+    if len(parts) > 1 and not _flat(band):
+        own = next((alone for part in parts if not _flat(alone := find(part))), None)
+        if own is None:
+            return find(parts[0])
+    return band
+
+
+def _flat(band: Band) -> bool:
+    return band.poles == 0 and band.fraction == 1.0
 
 
 def _widening(bins: Sequence[Bins]) -> float:

@@ -146,6 +146,9 @@ def start_response(seen: Ordinates, low: FloatArray, order: Order, *, width: int
         if np.any(powers @ better <= 0) or better.sum() <= 0:
             break
         solution = better
+    if solution[0] <= 0:
+        # Positive in every bin, and not at zero frequency: no response.
+        solution = _flattest(seen, high, numerator, order)
     theta[0, 1] = -np.log(solution[0])
     theta[0, width : width + poles] = solution[1:] / solution[0]
     return theta

@@ -113,6 +113,7 @@ class _Record:
             starts,
             free=free[rows],
             shortest=self.shortest,
+            tolerance=1e-5,
         )
 
     def deviation_of(self, column: int) -> float:

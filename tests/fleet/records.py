@@ -1,0 +1,45 @@
+"""Records of one unit: simulated, binned without the rest of a fit, and put into a fit that was made once."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+import imucal
+from imucal import NoiseFit
+from imucal.arrays import FloatArray
+from imucal.fitting.bins import Bins
+from imucal.fitting.spectral.blocks import make_blocks
+from imucal.fitting.spectral.stored_ordinates import bins_of
+from imucal.fitting.spectral.transform import bin_blocks
+from imucal.recording import AxisSeries
+
+RATE = 100.0
+
+
+def simulated(text: str, n: int, *seed: int) -> FloatArray:
+    """Return n samples of a model."""
+    model = imucal.NoiseModel.parse(text)
+    return model.simulate(n, rate_hz=RATE, rng=np.random.default_rng(seed))
+
+
+def fit_of(samples: FloatArray, model: str = "N + B + K") -> NoiseFit:
+    """Return the whole fit of samples, not cut into segments."""
+    return imucal.fit(AxisSeries.from_samples(samples, rate_hz=RATE), model=model, segments=1)
+
+
+def bins_from(samples: FloatArray) -> Bins:
+    """Return the bins of samples that hold nothing but noise."""
+    series = AxisSeries.from_samples(samples, rate_hz=RATE).finite()
+    blocks = make_blocks(series)
+    return bins_of(bin_blocks(blocks.blocks, blocks.scale), blocks, tau0=series.tau0, widening=1.0)
+
+
+def quick_fit(samples: FloatArray) -> NoiseFit:
+    """Return a fit of which only sensor, rate, filter and bins are those of the samples."""
+    return replace(_any_fit(), bins=bins_from(samples))
+
+
+@cache
+def _any_fit() -> NoiseFit:
+    return fit_of(simulated("N=1", 500, 0))

@@ -1,0 +1,256 @@
+"""Several records of one unit, fitted together from their bins."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+import imucal
+from imucal import DataError, NoiseFit, PooledFit
+from imucal.arrays import FloatArray
+from imucal.fitting.noise_fit import Response
+from imucal.fitting.spectral.bin_fit import BinFit, fit_bins
+from imucal.fitting.spectral.blocks import make_blocks
+from imucal.fitting.spectral.record_tests import _Record, record_tests
+from imucal.fitting.spectral.stored_ordinates import ordinates_of
+from imucal.fitting.spectral.transform import bin_blocks
+from imucal.recording import AxisSeries, Sensor
+from tests.fleet.records import RATE, bins_from, fit_of, quick_fit, simulated
+
+TRUTH = {"N": 1e-3, "K": 4e-4}
+TEXT = "N=1e-3 + K=4e-4"
+#: Pools, records of each, samples of each.
+POOLS, RECORDS, SAMPLES = 30, 3, 2000
+
+
+@pytest.fixture(scope="module")
+def pools() -> list[PooledFit]:
+    """Pools of records of one truth."""
+    return [
+        imucal.pool([quick_fit(simulated(TEXT, SAMPLES, 31, i, j)) for j in range(RECORDS)], model="N + K")
+        for i in range(POOLS)
+    ]
+
+
+def one_record(parts: list[FloatArray]) -> FloatArray:
+    """Return the parts as one record with long gaps of different lengths between."""
+    pieces = [parts[0]]
+    for number, part in enumerate(parts[1:], 1):
+        pieces += [np.full(400 * number, np.nan), part]
+    return np.concatenate(pieces)
+
+
+@pytest.mark.parametrize("model", ["N + B + K", "N + GM", "N + K + R"])
+@pytest.mark.parametrize("scale", [1.0, 77.0])
+def test_equals_the_fit_of_one_record_with_long_gaps(model: str, scale: float) -> None:
+    """Every number, though each record has a scale of its own."""
+    parts = [
+        simulated("N=1e-3 + GM(sigma=2e-3, T=0.5) + K=4e-4", n, 5, n) * scale for n in (6000, 4000, 7500)
+    ]
+    whole = fit_of(one_record(parts), model)
+    pooled = imucal.pool([fit_of(part, model) for part in parts], model=model)
+    assert not any(test.differs for test in pooled.homogeneity)
+    assert [e.key for e in pooled.estimates] == [e.key for e in whole.estimates]
+    for ours, theirs in zip(pooled.estimates, whole.estimates, strict=True):
+        assert ours.status == theirs.status
+        npt.assert_allclose(ours.value or 0.0, theirs.value or 0.0, rtol=1e-6)
+        npt.assert_allclose([ours.low, ours.high], [theirs.low, theirs.high], rtol=1e-6)
+    npt.assert_allclose(pooled.goodness.statistic, whole.goodness.statistic, rtol=1e-6)
+    assert str(pooled.model) == str(whole.model)
+
+
+def test_bins_are_the_ordinates_bit_for_bit() -> None:
+    """With gaps short and long, so that blocks have lost some of their information."""
+    samples = one_record([simulated(TEXT, 3000, 6), simulated(TEXT, 2000, 7)])
+    samples[100:140] = np.nan
+    found = fit_of(samples)
+    blocks = make_blocks(AxisSeries.from_samples(samples, rate_hz=RATE).finite())
+    whole = bin_blocks(blocks.blocks, blocks.scale)
+    assert found.bins is not None
+    again = ordinates_of(found.bins)
+    for name in ("size", "power", "lam", "length", "sign", "basis", "cross", "gram"):
+        npt.assert_array_equal(getattr(again, name), getattr(whole, name))
+
+
+def test_limits_hold_the_truth(pools: list[PooledFit]) -> None:
+    """As often as their level says, within three standard errors."""
+    least = 0.95 - 3 * np.sqrt(0.95 * 0.05 / POOLS)
+    for key, truth in TRUTH.items():
+        assert np.mean([p[key].low <= truth <= p[key].high for p in pools]) >= least
+
+
+def test_records_of_one_coefficient_are_found_to_differ_rarely(pools: list[PooledFit]) -> None:
+    """In about 5 % of pools, and the statistic is that many degrees of freedom on average."""
+    most = 0.05 + 3 * np.sqrt(0.95 * 0.05 / POOLS)
+    for key in TRUTH:
+        tests = [next(t for t in p.homogeneity if t.key == key) for p in pools]
+        assert np.mean([t.differs for t in tests]) <= most
+    white = [p.homogeneity[0].statistic for p in pools]
+    dof = RECORDS - 1
+    assert abs(np.mean(white) - dof) < 3 * np.sqrt(2 * dof / POOLS)
+
+
+def test_a_record_that_differs_is_found_and_the_interval_widened() -> None:
+    """N, of 10 % more in one: the limits span far more than those of one coefficient."""
+    fits = [quick_fit(simulated(TEXT, 6000, 8, i)) for i in range(3)]
+    odd = [*fits, quick_fit(simulated("N=1.1e-3 + K=4e-4", 6000, 8, 9))]
+    same, pooled = imucal.pool(fits), imucal.pool(odd)
+    white = pooled.homogeneity[0]
+    assert white.key == "N"
+    assert white.differs
+    assert white.p_value < 1e-6
+    assert 0.02 < white.spread < 0.1
+    assert pooled["N"].widening > 2
+    assert pooled["N"].low < min(same["N"].low, 1e-3)
+    assert pooled["N"].high > 1.05e-3
+    assert [finding.code for finding in pooled.findings] == ["records-differ"]
+    assert not same.findings
+    assert not same["N"].widening > 1
+    assert pooled.model.terms[0].values[0] == pooled["N"].value
+
+
+def test_a_walk_in_one_record_only_is_found() -> None:
+    """A weak term that most records lack: the mean is no narrower than any joint limit."""
+    still = [quick_fit(simulated("N=1e-3", 6000, 10, i)) for i in range(3)]
+    pooled = imucal.pool([*still, quick_fit(simulated("N=1e-3 + K=3e-3", 6000, 10, 9))])
+    assert next(t for t in pooled.homogeneity if t.key == "K").differs
+    assert pooled["K"].widening > 1
+    assert pooled["K"].low == 0
+    assert pooled["K"].high > 1.5e-3
+
+
+def test_widened_limits_hold_the_mean_of_scattered_records() -> None:
+    """Records whose N scatters by 25 %: the limits hold the median unit's value."""
+    rng = np.random.default_rng(12)
+    held = []
+    for i in range(16):
+        values = 1e-3 * np.exp(0.25 * rng.standard_normal(3))
+        fits = [quick_fit(simulated(f"N={value}", 1000, 13, i, j)) for j, value in enumerate(values)]
+        found = imucal.pool(fits, model="N")["N"]
+        held.append(found.low <= 1e-3 <= found.high)
+    assert np.mean(held) >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / 16)
+
+
+def test_the_likelihood_ratio_is_that_of_a_plain_search() -> None:
+    """The profile over one common deviation, by scipy and with each record maximised at each step."""
+    from scipy.optimize import minimize_scalar
+
+    fit = _joint([simulated(TEXT, 3000, 14, i) * (1 + 0.02 * i) for i in range(3)])
+    records = [_Record(one, fit) for one in fit.records]
+    for test, column in zip(record_tests(fit), (1, 2, 3), strict=True):
+
+        def drop(log: float, column: int = column) -> float:
+            place = np.array([np.exp(log)])
+            return float(sum(r.profile(column, place)[0] - r.objective for r in records))
+
+        peaks = np.array([r.deviation_of(column) for r in records])
+        if not peaks.any():
+            assert test.statistic < 1e-6
+            continue
+        grid = np.geomspace(max(peaks.min(), 1e-4 * peaks.max()), peaks.max(), 40)
+        at = int(np.argmin([drop(np.log(place)) for place in grid]))
+        ends = np.log(grid[[max(at - 1, 0), min(at + 1, 39)]])
+        found = minimize_scalar(drop, bounds=(float(ends[0]), float(ends[1])), method="bounded")
+        least = float(found.fun)
+        npt.assert_allclose(test.statistic, 2 * least, atol=0.03)
+
+
+def _joint(records: list[FloatArray]) -> BinFit:
+    return fit_bins([bins_from(record) for record in records], ("N", "B", "K"), level=0.95)
+
+
+@pytest.mark.parametrize("factor", [2.0**-9, 10.0])
+def test_scales_with_the_samples(factor: float) -> None:
+    """Coefficients with them, chances not; squared coefficients with their square."""
+    records = [simulated(TEXT, 3000, 15, i) for i in range(2)]
+    plain, scaled = (imucal.pool([quick_fit(k * one) for one in records]) for k in (1.0, factor))
+    for ours, theirs in zip(scaled.estimates, plain.estimates, strict=True):
+        npt.assert_allclose([ours.low, ours.high], [factor * theirs.low, factor * theirs.high], rtol=1e-5)
+    chances = [[test.p_value for test in pooled.homogeneity] for pooled in (scaled, plain)]
+    npt.assert_allclose(chances[0], chances[1], rtol=1e-2)
+    one, other = (imucal.log_values("u", quick_fit(k * records[0])) for k in (1.0, factor))
+    weak = [key for key, value in one.items() if value.variance is not None]
+    assert weak
+    for key in weak:
+        npt.assert_allclose(other[key].variance or 0, factor**2 * (one[key].variance or 0), rtol=1e-5)
+        npt.assert_allclose(other[key].variance_sd or 0, factor**2 * (one[key].variance_sd or 0), rtol=1e-5)
+
+
+def test_the_variance_of_a_weak_walk_has_no_bias() -> None:
+    """Its mean over 60 records is K², and its deviation their scatter; a bound alone would say 0 … high."""
+    text, truth = "N=1e-3 + B=6e-4 + K=2e-4", 2e-4**2
+    values = [imucal.log_values("u", quick_fit(simulated(text, 10_000, 16, i)))["K"] for i in range(60)]
+    assert sum(value.value is None for value in values) > 12
+    squares = np.array([v.variance if v.variance is not None else (v.value or 0) ** 2 for v in values])
+    deviations = np.array([v.variance_sd for v in values if v.variance_sd is not None])
+    assert np.sum(squares < 0) > 3
+    scatter = float(np.std(squares, ddof=1))
+    assert abs(np.mean(squares) - truth) < 2 * scatter / np.sqrt(60)
+    # The scatter itself is known to 9 %.
+    assert 0.8 < np.mean(deviations) / scatter < 1.25
+
+
+def test_a_population_takes_the_values() -> None:
+    """Of weak logs, whose median is then within its limits; each with its unit's labels."""
+    logs = [
+        imucal.log_values(f"u{i}", quick_fit(simulated(TEXT, 3000, 17, i)), temperature_c=20.0)
+        for i in range(5)
+    ]
+    assert logs[0]["N"].unit == "u0"
+    assert logs[0]["N"].temperature_c == 20.0
+    found = imucal.population([log["N"] for log in logs])
+    assert found.median.low <= 1e-3 <= found.median.high
+
+
+def test_one_record_is_its_own_pool() -> None:
+    """Without a test of anything."""
+    record = fit_of(simulated(TEXT, 3000, 18))
+    pooled = imucal.pool([record])
+    assert pooled.records == 1
+    assert pooled.homogeneity == ()
+    npt.assert_allclose(pooled["N"].high, record["N"].high, rtol=1e-9)
+    with pytest.raises(KeyError, match="the fit has N, B, K"):
+        pooled["Q"]
+
+
+def _other(kind: str, fit: NoiseFit) -> NoiseFit:
+    changes: dict[str, dict[str, object]] = {
+        "bins": {"bins": None},
+        "rate": {"rate_hz": 200.0},
+        "sensor": {"sensor": Sensor.ACCELEROMETER},
+        "filter": {"response": Response(kind="one-pole", cutoff_hz=20.0)},
+    }
+    return replace(fit, **changes[kind])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("bins", "fit 2 of 2 .*: found no bins, expected .*imucal fit --bins"),
+        ("rate", "fit 2 of 2: found 200 Hz, expected 100 Hz as in fit 1; pool records of one sampling rate"),
+        ("sensor", "fit 2 of 2: found .*accelerometer, expected .* as in fit 1"),
+        ("filter", "fit 2 of 2: found an output filter at 20 Hz, expected no output filter as in fit 1"),
+    ],
+)
+def test_refuses_what_is_not_of_one_setting(kind: str, text: str) -> None:
+    """In a sentence."""
+    fit = quick_fit(simulated(TEXT, 500, 19))
+    with pytest.raises(DataError, match=text):
+        imucal.pool([fit, _other(kind, fit)])
+
+
+@pytest.mark.parametrize(
+    ("model", "level", "text"),
+    [("auto", 0.95, "give the terms"), ("N + X", 0.95, "X"), ("N", 1.5, "level must be between 0 and 1")],
+)
+def test_refuses_a_choice_by_the_record(model: str, level: float, text: str) -> None:
+    """And what no fit takes."""
+    with pytest.raises(ValueError, match=text):
+        imucal.pool([quick_fit(simulated(TEXT, 500, 19))], model=model, level=level)
+
+
+def test_refuses_no_records() -> None:
+    """There is nothing to fit."""
+    with pytest.raises(ValueError, match="found no fits, expected at least one"):
+        imucal.pool([])
