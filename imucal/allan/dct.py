@@ -7,6 +7,7 @@ Source: the boundary conditions of the DCT-II, Strang (1999), SIAM Review 41, 13
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from imucal.recording import AxisSeries
 _BLOCK = 65536
 #: Shorter transforms are quick at any length, longer ones where no prime factor is larger than this.
 _QUICK, _PRIME = 65536, 127
+#: A ramp of so many ordinates is kept for the next axis.
+_KEPT = range(1 << 16, 1 << 22)
 #: Largest share of the samples that a quick length leaves out.
 _CUT = 1e-4
 
@@ -132,14 +135,22 @@ def bin_power(ordinates: FloatArray, bins: DctBins) -> FloatArray:
 
 
 def ramp_ordinates(n: int, count: int) -> FloatArray:
-    """Return the orthonormal DCT-II ordinates k = 1 … count of the ramp 0, 1, … n-1.
+    """Return the orthonormal DCT-II ordinates k = 1 … count of the ramp 0, 1, … n-1; read-only.
 
     -sqrt(2/n) cos(theta/2) / (2 sin²(theta/2)) for odd k, 0 for even k.
     """
+    # Every step of a fit and every axis of a log asks for the same; longer ones would take up memory.
+    return _kept_ramp(n, count) if count in _KEPT else _ramp(n, count)
+
+
+def _ramp(n: int, count: int) -> FloatArray:
     half = np.pi / (2 * n) * np.arange(1, count + 1, 2, dtype=np.float64)
     ramp = np.zeros(count)
     ramp[::2] = -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2)
-    return ramp
+    return read_only(ramp)
+
+
+_kept_ramp = lru_cache(maxsize=1)(_ramp)
 
 
 def fast_length(n: int) -> int:
