@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from imucal.fitting import fit
     from imucal.fitting.decomposition import Decomposition, decompose
     from imucal.fitting.noise_fit import NoiseFit
-    from imucal.fleet import LogValue, Population, population
+    from imucal.fleet import LogValue, PooledFit, Population, log_values, pool, population
     from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
     from imucal.noise.transforms import avar_from_acvf, avar_from_psd
@@ -53,6 +53,7 @@ __all__ = [
     "NoiseFit",
     "NoiseModel",
     "NoiseVerdict",
+    "PooledFit",
     "Population",
     "ReadError",
     "Recording",
@@ -71,7 +72,9 @@ __all__ = [
     "export",
     "fit",
     "load_report",
+    "log_values",
     "plan",
+    "pool",
     "population",
     "read",
     "screen",
@@ -88,7 +91,7 @@ _HOMES = {
     "imucal.findings": ("Finding",),
     "imucal.fitting": ("NoiseFit", "fit"),
     "imucal.fitting.decomposition": ("Decomposition", "decompose"),
-    "imucal.fleet": ("LogValue", "Population", "population"),
+    "imucal.fleet": ("LogValue", "PooledFit", "Population", "log_values", "pool", "population"),
     "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
     "imucal.noise.transforms": ("avar_from_acvf", "avar_from_psd"),

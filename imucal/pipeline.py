@@ -41,17 +41,20 @@ Progress: TypeAlias = Callable[[int, int, str], None]
 class Settings(FitSettings):
     """How a recording is characterised; see `imucal.fit` and `imucal.allan_curve`.
 
-    `reading` records how the log was read, as JSON values, so that the run can be repeated.
+    `reading` records how the log was read, as JSON values, so that the run can be repeated; with `bins`
+    report.json holds the bins of each fit, which `imucal.pool` needs.
     """
 
     taus: str = "octave"
     edf: str = "hybrid"
     second_opinion: bool = True
+    bins: bool = False
     reading: Mapping[str, object] = field(default_factory=dict)
 
     def document(self) -> dict[str, object]:
         """Return the settings as JSON values."""
-        return {name: getattr(self, name) for name in _DOCUMENTED} | {"reading": dict(self.reading)}
+        chosen = {name: getattr(self, name) for name in _DOCUMENTED}
+        return chosen | ({"bins": True} if self.bins else {}) | {"reading": dict(self.reading)}
 
 
 def characterize(

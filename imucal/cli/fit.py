@@ -107,6 +107,7 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 )
 @click.option("--no-html", is_flag=True, help="Write no HTML page.")
 @click.option("--no-report", is_flag=True, help="Write no files at all.")
+@click.option("--bins", is_flag=True, help="Put each axis's binned spectrum into report.json, to pool logs.")
 @click.option("--json", "as_json", is_flag=True, help="Print report.json on standard output.")
 @click.option("--curve", is_flag=True, help="LOG is a table of tau and Allan deviations, without headings.")
 @force_option
@@ -128,6 +129,7 @@ def command(
     formats: tuple[str, ...],
     no_html: bool,
     no_report: bool,
+    bins: bool,
     as_json: bool,
     curve: bool,
     force: bool,
@@ -156,6 +158,7 @@ def command(
             edf=edf,
             clean=not no_clean,
             verify=verify,
+            bins=bins,
             reading=request.settings(),
         )
     except ValueError as error:

@@ -9,6 +9,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
+from imucal.fitting.bins import Bins
 from imucal.fitting.segments import Segments
 from imucal.noise.model import NoiseModel
 from imucal.recording import Sensor
@@ -164,6 +165,9 @@ class NoiseFit:
         are those of `imucal.fitting.spectral.regressors`.
     segments
         Which terms are the same in all parts of the record; None where that was not looked at.
+    bins
+        The binned spectrum that was fitted, from which `imucal.pool` fits records together; of ``mle``
+        only, None where the fit was read back without it.
     """
 
     method: str
@@ -185,6 +189,7 @@ class NoiseFit:
     noise_share: FloatArray | None = None
     taken_out: Mapping[str, float] = field(default_factory=dict)
     segments: Segments | None = None
+    bins: Bins | None = None
 
     def __getitem__(self, key: str) -> Estimate:
         for estimate in self.estimates:

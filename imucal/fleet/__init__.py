@@ -1,7 +1,8 @@
 """fleet: the logs of many units -> what the sensor model is like, and which unit is odd."""
 
 from imucal.fleet.log_value import LogValue
+from imucal.fleet.pooling import PooledFit, log_values, pool
 from imucal.fleet.population import Population, population
 from imucal.fleet.trend import Trend, trend
 
-__all__ = ["LogValue", "Population", "Trend", "population", "trend"]
+__all__ = ["LogValue", "PooledFit", "Population", "Trend", "log_values", "pool", "population", "trend"]

@@ -18,6 +18,7 @@ from imucal.noise.terms import TERMS
 from imucal.recording import ReadRange, Sensor, Source
 from imucal.report import numbers
 from imucal.report.result import AxisReport, Report
+from imucal.report.stored_bins import bins_document
 
 #: Name and number of the layout.
 SCHEMA = "imucal/report/1"
@@ -27,14 +28,19 @@ def to_document(report: Report) -> dict[str, object]:
     """Return the whole report as JSON values, keys in a stable order."""
     return {
         **_header(report),
-        "axes": [_axis(axis) for axis in report.axes],
+        "axes": [_axis(axis, bins=_with_bins(report)) for axis in report.axes],
         "findings": [_finding(f) for f in report.findings],
     }
 
 
 def axis_document(report: Report, axis: AxisReport) -> dict[str, object]:
     """Return the document of one axis: the header of the report and the axis's own entry."""
-    return {**_header(report), **_axis(axis)}
+    return {**_header(report), **_axis(axis, bins=_with_bins(report))}
+
+
+def _with_bins(report: Report) -> bool:
+    """Whether the report was asked to hold the bins of its fits."""
+    return report.settings.get("bins") is True
 
 
 def plain(value: object) -> object:
@@ -97,7 +103,7 @@ def _range(read: ReadRange) -> dict[str, object]:
     }
 
 
-def _axis(axis: AxisReport) -> dict[str, object]:
+def _axis(axis: AxisReport, *, bins: bool) -> dict[str, object]:
     # The file holds deviations. Squaring them first makes reading and writing again change nothing,
     # because the square root of a squared float is that float, while the converse does not hold.
     curve = replace(axis.fit.curve, avar=axis.fit.curve.adev**2)
@@ -134,7 +140,7 @@ def _axis(axis: AxisReport) -> dict[str, object]:
             "low": plain(axis.overview.low),
             "high": plain(axis.overview.high),
         },
-        "fit": _fit(axis.fit, axis.sensor),
+        "fit": _fit(axis.fit, axis.sensor, bins=bins),
         "findings": [_finding(f) for f in axis.findings],
     }
 
@@ -159,7 +165,7 @@ def _curve(fit: NoiseFit) -> dict[str, object]:
     }
 
 
-def _fit(fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
+def _fit(fit: NoiseFit, sensor: Sensor, *, bins: bool) -> dict[str, object]:
     response = fit.response
     return {
         "method": fit.method,
@@ -177,6 +183,7 @@ def _fit(fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
         "segments": fit.segments and _segments(fit.segments, fit, sensor),
         "settings": plain(fit.settings),
         "findings": [_finding(f) for f in fit.findings],
+        **({"bins": bins_document(fit.bins)} if bins and fit.bins else {}),
     }
 
 

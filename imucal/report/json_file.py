@@ -19,6 +19,7 @@ from imucal.recording import Axis, LogFileInfo, ReadRange, Sensor, Source
 from imucal.report.document import SCHEMA
 from imucal.report.reading import Node
 from imucal.report.result import AxisReport, Overview, Report
+from imucal.report.stored_bins import read_bins
 
 _INDENT = "  "
 _AXES: dict[str, Axis] = {"x": "x", "y": "y", "z": "z"}
@@ -210,6 +211,7 @@ def _fit(node: Node, curve_node: Node, sensor: Sensor) -> NoiseFit:
         findings=_findings(node["findings"]),
         settings=node["settings"].table(),
         segments=_segments(node["segments"]) if "segments" in node.table() else None,
+        bins=read_bins(node["bins"]) if "bins" in node.table() else None,
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from imucal.errors import DataError
 from imucal.recording import Sensor
 from imucal.report import numbers
+from imucal.report.exports import TARGETS
 from imucal.report.exports.config_numbers import Choices, Number, Numbers
 from imucal.report.markup import Markup, both_units, element, join, labelled, row, table
 from imucal.report.result import Report
@@ -18,11 +19,10 @@ _PX4_PERIOD = 0.01
 
 @dataclass(frozen=True, slots=True)
 class _Use:
-    """A number that filters ask for: its formula and kind, who asks, how it follows from a term."""
+    """A number that filters ask for: its formula and kind, and how it follows from a term."""
 
     formula: str
     kind: str
-    consumers: str
     symbol: str
     value: Callable[[float, float], float]
     unit: str
@@ -32,7 +32,6 @@ _USES = (
     _Use(
         "N",
         "continuous: a density, the same at every rate",
-        "Kalibr, OpenVINS, ORB-SLAM3, LIO-SAM, Isaac ROS, EuRoC noise_density; MATLAB NoiseDensity",
         "N",
         lambda n, f: n,  # noqa: ARG005 - one signature for all
         "{u}/sqrt(Hz)",
@@ -40,8 +39,6 @@ _USES = (
     _Use(
         "K",
         "continuous: a density of the bias's steps, the same at every rate",
-        "Kalibr, OpenVINS, Isaac ROS, EuRoC random_walk; ORB-SLAM3 GyroWalk, AccWalk; LIO-SAM BiasN; "
-        "Gazebo dynamic_bias_stddev; MATLAB RandomWalk",
         "K",
         lambda k, f: k,  # noqa: ARG005
         "{u}/sqrt(s)",
@@ -49,7 +46,6 @@ _USES = (
     _Use(
         "N²",
         "continuous: a covariance density",
-        "GTSAM accelerometerCovariance, gyroscopeCovariance",
         "N",
         lambda n, f: n * n,  # noqa: ARG005
         "({u})^2/Hz",
@@ -57,7 +53,6 @@ _USES = (
     _Use(
         "K²",
         "continuous: a covariance density",
-        "GTSAM biasAccCovariance, biasOmegaCovariance",
         "K",
         lambda k, f: k * k,  # noqa: ARG005
         "({u})^2/s",
@@ -65,23 +60,20 @@ _USES = (
     _Use(
         "N √f",
         "discrete: the standard deviation of one sample at the rate f",
-        "Gazebo stddev; any simulation that adds noise sample by sample",
         "N",
         lambda n, f: n * f**0.5,
         "{u}",
     ),
     _Use(
         "N √(2f)",
-        "discrete: this code halves the white variance, so that √f alone would be √2 too low",
-        "VINS-Mono, VINS-Fusion acc_n, gyr_n",
+        "discrete, for VINS, which halves the white variance, so that √f alone would be √2 too low",
         "N",
         lambda n, f: n * (2 * f) ** 0.5,
         "{u}",
     ),
     _Use(
         "K √f",
-        "discrete, as this code integrates it",
-        "VINS-Mono, VINS-Fusion acc_w, gyr_w",
+        "discrete, as VINS integrates it",
         "K",
         lambda k, f: k * f**0.5,
         "{u}",
@@ -89,31 +81,27 @@ _USES = (
     _Use(
         "N² f",
         "discrete: the variance of one sample",
-        "ROS sensor_msgs/Imu covariance; FAST-LIO acc_cov, gyr_cov",
         "N",
         lambda n, f: n * n * f,
         "({u})^2",
     ),
     _Use(
         "K² f",
-        "discrete, as this code integrates it",
-        "FAST-LIO b_acc_cov, b_gyr_cov",
+        "discrete, as FAST-LIO integrates it",
         "K",
         lambda k, f: k * k * f,
         "({u})^2",
     ),
     _Use(
         "N / √0.01 s",
-        "discrete at the filter's period of 0.01 s, not at the IMU's rate",
-        "PX4 EKF2_GYR_NOISE, EKF2_ACC_NOISE",
+        "discrete at the period of PX4's filter, 0.01 s, not at the IMU's rate",
         "N",
         lambda n, f: n / _PX4_PERIOD**0.5,  # noqa: ARG005
         "{u}",
     ),
     _Use(
         "K / √0.01 s",
-        "discrete at the filter's period of 0.01 s",
-        "PX4 EKF2_GYR_B_NOISE, EKF2_ACC_B_NOISE",
+        "discrete at the period of PX4's filter, 0.01 s",
         "K",
         lambda k, f: k / _PX4_PERIOD**0.5,  # noqa: ARG005
         "{u}/s",
@@ -121,18 +109,14 @@ _USES = (
     _Use(
         "B",
         "the flicker coefficient; neither a density nor the curve's minimum",
-        "MATLAB BiasInstability; data sheets",
         "B",
         lambda b, f: b,  # noqa: ARG005
         "{u}",
     ),
 )
 
-#: Kind and consumers of a Gauss-Markov term.
-_MARKOV = (
-    "continuous: a bias that forgets, the slowest Gauss-Markov term; the summary has phi and q at f",
-    "KF-GINS gbstd, abstd, corrtime; GTSAM tauGyro, tauAcc; Gazebo dynamic_bias_correlation_time",
-)
+#: Kind of a Gauss-Markov term.
+_MARKOV = "continuous: a bias that forgets, the slowest Gauss-Markov term; the summary has phi and q at f"
 
 
 def downstream_section(report: Report) -> Markup:
@@ -141,15 +125,15 @@ def downstream_section(report: Report) -> Markup:
         return element("p", f"{report.verdict.sentence}. No filter should be given its numbers.")
     chosen = Numbers(report=report, choices=Choices(), target="the page")
     sensors = [sensor for sensor in Sensor if any(axis.sensor is sensor for axis in report.axes)]
-    titles = ("Kind", *(str(s).capitalize() for s in sensors), "Asked for by")
+    titles = ("Kind", *(str(s).capitalize() for s in sensors))
     head = [element("th", title, scope="col") for title in ("Formula", *titles)]
     body = []
     for use in _USES:
         values = [_use_value(chosen, sensor, use) for sensor in sensors]
-        cells = labelled(titles, (use.kind, *values, use.consumers))
+        cells = labelled(titles, (use.kind, *values))
         body.append(row(element("th", use.formula, scope="row"), *cells))
     values = [_markov_value(chosen, sensor) for sensor in sensors]
-    cells = labelled(titles, (_MARKOV[0], *values, _MARKOV[1]))
+    cells = labelled(titles, (_MARKOV, *values))
     body.append(row(element("th", "σ, T", scope="row"), *cells))
     rates = ", ".join(f"f = {chosen.rate_hz(s):.6g} Hz ({s})" for s in sensors)
     return join(
@@ -161,6 +145,7 @@ def downstream_section(report: Report) -> Markup:
                 "the formulas in comments.",
             ),
             table("Values for filters and simulators", [row(*head)], body, class_="wide cards"),
+            _programs(),
             _two_floors(report),
         ]
     )
@@ -187,6 +172,23 @@ def _use_value(chosen: Numbers, sensor: Sensor, use: _Use) -> Markup:
     where = ", ".join(name.split("_")[1] for name in number.axes)
     unit = pretty(use.unit.format(u=sensor.unit)).replace("(rad/s)²", "rad²/s²").replace("(m/s²)²", "m²/s⁴")
     return join([f"{bound}{value:.4g} ", element("small", f"{unit}, {where}")])
+
+
+def _programs() -> Markup:
+    """Return each program that there is an export for, with the formulas of its own keys."""
+    titles = ("Program, and its name for --to", "Its keys", "Kind")
+    body = [
+        row(
+            element("th", join([f"{target.title}: ", element("code", target.name)]), scope="row"),
+            *labelled(titles[1:], ("; ".join(target.formulas), target.kind)),
+        )
+        for target in TARGETS.values()
+    ]
+    heads = [element("th", title, scope="col") for title in titles]
+    told = table("What each program's file takes", [row(*heads)], body, class_="wide cards")
+    return element(
+        "details", element("summary", f"By program: {len(TARGETS)} files that export writes"), told
+    )
 
 
 def _two_floors(report: Report) -> Markup:

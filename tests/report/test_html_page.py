@@ -15,6 +15,7 @@ from lxml import html
 from imucal.allan.dct import Spectrum
 from imucal.clock import Gap
 from imucal.fitting.noise_fit import Candidate, Line
+from imucal.report.exports import TARGETS
 from imucal.report.figure_parts import estimate_text
 from imucal.report.html_page import _axis_section, render_page
 from imucal.report.markup import Markup, element
@@ -131,6 +132,16 @@ def test_page_says_which_number_goes_where(page: html.HtmlElement) -> None:
     # The slowest term of gyro z; no accelerometer axis has one.
     assert rows["σ, T"][1:3] == ["6e-05 rad/s, 1500 s, z", "–"]
     assert rows["N² f"][0].startswith("discrete")
+
+
+def test_page_says_it_for_every_program(page: html.HtmlElement) -> None:
+    """One row an export, with the formulas that stand in its file."""
+    rows = page.get_element_by_id("downstream").xpath(".//details//tbody/tr")
+    said = {row.xpath(".//code")[0].text_content(): row.text_content() for row in rows}
+    assert list(said) == list(TARGETS)
+    for name, target in TARGETS.items():
+        assert target.title in said[name]
+        assert "; ".join(target.formulas) in said[name]
 
 
 def test_worst_of_bounds_is_marked() -> None:

@@ -153,9 +153,14 @@ def contributions(ordinates: Ordinates, candidate: Candidates, theta: FloatArray
     A row for each variance parameter, the response included, shape (4 + g, b); 0 for terms that the
     candidate does not have.
     """
+    return derivatives(ordinates, candidate, theta)[: MARKOV + candidate.room_markov]
+
+
+def derivatives(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> FloatArray:
+    """Return the derivative of one candidate's spectrum in each parameter at `theta`, shape (p, b)."""
     spectrum, slopes = _spectrum(ordinates, candidate, theta)
-    shares: FloatArray = slopes[0, : MARKOV + candidate.room_markov] * spectrum[0]
-    return shares
+    found: FloatArray = slopes[0] * spectrum[0]
+    return found
 
 
 def _spectrum(

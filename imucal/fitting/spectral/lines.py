@@ -135,17 +135,43 @@ def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
     """Return those found whose surroundings are lower too: an edge or a peak of a filter is no line.
 
     The level of 17 bins does not follow a steep filter; that of the nearest ordinates does. Those that
-    lie together stand or fall with the highest of them. Among the lowest the bins are as narrow.
+    lie together stand or fall with the highest of them.
     """
-    kept = []
-    for near in np.split(found, np.flatnonzero(np.diff(found) > _NEAR) + 1):
-        top = int(near[np.argmax(square[near])]) if near.size else 0
-        reach = max(_NEAR, int(_NEAR_SHARE * top))
-        around = square[max(top - reach, 0) : top + reach + 1]
-        limit = _limit(np.array([_MEDIAN_EFFICIENCY * around.size]), _CHANCE / square.size)
-        if top < 4 * _NEAR or square[top] > float(limit[0] * np.median(around)) / _MEDIAN:
-            kept.append(near)
+    apart = np.maximum(_NEAR, _MOST / 2 * found[1:])
+    groups = np.split(found, np.flatnonzero(np.diff(found) > apart) + 1)
+    kept = [near for near in groups if near.size and (_is_sharp(square, near) or _is_narrow(square, near))]
     return np.concatenate(kept) if kept else found[:0]
+
+
+def _is_sharp(square: FloatArray, near: IntArray) -> bool:
+    """Return whether the highest of some ordinates stands out of the nearest ones.
+
+    Among the lowest the bins are as narrow as that.
+    """
+    top = int(near[np.argmax(square[near])])
+    reach = max(_NEAR, int(_NEAR_SHARE * top))
+    around = square[max(top - reach, 0) : top + reach + 1]
+    return top < 4 * _NEAR or _exceeds(square, top, around)
+
+
+def _is_narrow(square: FloatArray, near: IntArray) -> bool:
+    """Return whether some ordinates stand out of those on either side, though the line wanders.
+
+    A resonance is wider than that; on one side of an edge the noise is as high.
+    """
+    first, last = int(near[0]), int(near[-1])
+    reach = max(_NEAR, last - first + 1, int(_MOST * last))
+    sides = square[max(first - reach, 0) : first], square[last + 1 : last + 1 + reach]
+    top = int(near[np.argmax(square[near])])
+    return last - first < 2 * _MOST * last and all(
+        side.size and _exceeds(square, top, side) for side in sides
+    )
+
+
+def _exceeds(square: FloatArray, top: int, others: FloatArray) -> bool:
+    """Return whether an ordinate lies farther above the median of others than chance gives."""
+    limit = _limit(np.array([_MEDIAN_EFFICIENCY * others.size]), _CHANCE / square.size)
+    return bool(square[top] > limit[0] * np.median(others) / _MEDIAN)
 
 
 def _without(found: IntArray, reach: IntArray, size: int) -> BoolArray:

@@ -26,20 +26,15 @@ from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segment_fit import fit_segments
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
-from imucal.fitting.spectral.structures import Structure, all_structures
+from imucal.fitting.spectral.stored_ordinates import bins_of
+from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, all_structures, richest
 from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.fitting.spectral.transform import bin_blocks
 from imucal.fitting.variance_changes import VarianceChange, find_variance_change
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
 from imucal.side_work import findings_or_why_not, try_side_work
 
-#: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
-#: shorter is the sensor's output filter.
-_SHORTEST = 10.0
-#: Shortest of a given model.
-_SHORTEST_GIVEN = 2.0
 #: Misfit score above which the model does not describe the axis.
 _MISFIT = 3.0
 #: Lines named in a finding.
@@ -89,7 +84,7 @@ def fit_mle(
         raise ValueError(msg)
     structure, max_gm = settings.structure, settings.max_gm
     view = spectral_view(series, structure, max_gm, temperature)
-    shortest = _SHORTEST if structure is None else _SHORTEST_GIVEN
+    shortest = SHORTEST if structure is None else SHORTEST_GIVEN
     band = view.band
     choice = choose(
         view.ordinates,
@@ -171,6 +166,7 @@ def fit_mle(
         noise_share=_noise_share(view, fitted, curve, series.rate_hz),
         taken_out=_taken_out(view, fitted),
         segments=segments,
+        bins=bins_of(view.whole, view.blocks, tau0=series.tau0, widening=problem.widening["N"]),
     )
 
 
@@ -201,7 +197,7 @@ def spectral_view(
     found, findings = _disturbances(series, blocks)
     common = tuple(name for one in found for name in one.names)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
-    band = find_band(whole, _richest(structure, max_gm), shortest=_SHORTEST, common=common, given=structure)
+    band = find_band(whole, richest(structure, max_gm), shortest=SHORTEST, common=common, given=structure)
     return View(
         blocks=blocks,
         band=band,
@@ -258,13 +254,6 @@ def _over_time(
         fraction=view.band.fraction,
     )
     return segments, find_variance_change(series)
-
-
-def _richest(structure: Structure | None, max_gm: int) -> Structure:
-    """Return a structure that holds every candidate."""
-    if structure is None:
-        return ("Q", "N", "B", *["GM"] * max(max_gm, 1), "K", "R")
-    return in_order((*structure, *(s for s in ("N", "B", "GM", "K") if s not in structure)))
 
 
 def _structures(structure: Structure | None, max_gm: int, *, filtered: bool) -> list[Structure]:

@@ -7,10 +7,16 @@ import numpy as np
 
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import LAWS
-from imucal.noise.terms import GaussMarkov, term_keys
+from imucal.noise.terms import GaussMarkov, in_order, term_keys
 
 #: Symbols of a model's terms in the order of `imucal.noise.TERMS`, GM once for each.
 Structure = tuple[str, ...]
+
+#: Shortest correlation time that `auto` takes for a Gauss-Markov term, in samples; what is
+#: shorter is the sensor's output filter.
+SHORTEST = 10.0
+#: Shortest of a given model.
+SHORTEST_GIVEN = 2.0
 
 _SYMBOLS = tuple(law.value for law in LAWS)
 
@@ -30,6 +36,13 @@ def all_structures(max_gm: int, *, quantization: bool = True) -> list[Structure]
         if structure not in {(), ("R",)}:
             found.append(structure)
     return found
+
+
+def richest(structure: Structure | None, max_gm: int) -> Structure:
+    """Return a structure that holds every candidate."""
+    if structure is None:
+        return ("Q", "N", "B", *["GM"] * max(max_gm, 1), "K", "R")
+    return in_order((*structure, *(s for s in ("N", "B", "GM", "K") if s not in structure)))
 
 
 def candidates_of(

@@ -42,6 +42,9 @@ _JUMPS = 8
 #: A start that is worse than the Gaussian noise by this much a span leads nowhere.
 _HOPELESS = 0.012
 _RICH = ("N", "B", "GM", "K", "R")
+#: Means that differ by less than this part of the samples are equal; and the least noise of means that start
+#: a search, over their deviation: those of a level without noise have none.
+_ROUNDING, _QUIETEST = 1e-12, 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +66,8 @@ def find_telegraph(series: AxisSeries) -> TwoLevels | None:
         return None
     means = np.add.reduceat(series.samples[: count * width], np.arange(0, count * width, width)) / width
     scale = float(means.std())
+    if scale <= _ROUNDING * float(np.abs(series.samples).max()):
+        return None
     means = (means - means.mean()) / scale
     white, rich = _gaussian(means)
     if white - rich < _COLOURED:
@@ -119,11 +124,12 @@ def _two_levels(means: FloatArray, rich: float) -> tuple[float, FloatArray]:
     """
     from scipy.optimize import minimize
 
-    noise = 0.5 * np.log(np.median(np.diff(means, axis=1) ** 2) / (2 * 0.4549))
+    between = np.median(np.diff(means, axis=1) ** 2) / (2 * 0.4549)
+    noise = 0.5 * np.log(max(between, _QUIETEST**2))
     starts = []
     for q in _QUANTILES:
         low, high = np.quantile(means, [q, 1 - q], axis=1)
-        half = np.log(np.mean(high - low) / 2)
+        half = np.log(max(np.mean(high - low) / 2, _QUIETEST))
         starts += [np.array([half, noise, np.log(dwell), *(low + high) / 2]) for dwell in _DWELLS]
     costs = [_cost(start, means) for start in starts]
     best = int(np.argmin(costs))

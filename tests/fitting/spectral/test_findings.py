@@ -14,13 +14,12 @@ from imucal.fitting.spectral.filter_response import Band, Order, filter_finding,
 from imucal.fitting.spectral.mle import (
     _line_findings,
     _misfit_findings,
-    _richest,
     _structures,
     _used,
 )
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum
-from imucal.fitting.spectral.structures import candidates_of
+from imucal.fitting.spectral.structures import candidates_of, richest
 from imucal.recording import AxisSeries
 from tests.fitting.fits import ordinates_of
 
@@ -109,10 +108,10 @@ def test_behind_a_filter_every_candidate_has_white_noise_and_none_quantization()
 
 def test_the_richest_model_holds_every_candidate() -> None:
     """And one Gauss-Markov term even where none is a candidate, for the band's sake."""
-    assert _richest(None, 0) == ("Q", "N", "B", "GM", "K", "R")
-    assert _richest(None, 2) == ("Q", "N", "B", "GM", "GM", "K", "R")
-    assert _richest(("N", "K"), 2) == ("N", "B", "GM", "K")
-    assert set(_richest(("Q", "GM", "GM"), 1)) == {"Q", "N", "B", "GM", "K"}
+    assert richest(None, 0) == ("Q", "N", "B", "GM", "K", "R")
+    assert richest(None, 2) == ("Q", "N", "B", "GM", "GM", "K", "R")
+    assert richest(("N", "K"), 2) == ("N", "B", "GM", "K")
+    assert set(richest(("Q", "GM", "GM"), 1)) == {"Q", "N", "B", "GM", "K"}
 
 
 def _behind(poles: FloatArray, zeros: int) -> tuple[Ordinates, Fitted]:

@@ -89,6 +89,21 @@ def test_the_level_is_that_of_the_ordinates_that_are_kept() -> None:
     assert less[-20] == pytest.approx(sureness[-20] / 2, rel=0.05)
 
 
+@pytest.mark.parametrize("seed", [71, 72, 73])
+def test_a_line_that_wanders_is_left_out(seed: int) -> None:
+    """As of a beat or a fan: its power is spread over more ordinates than a line's nearest neighbours."""
+    rng = np.random.default_rng(seed)
+    n = 400_000
+    omega = 0.2 * (1 + 1e-2 * np.cumsum(rng.standard_normal(n)) / np.sqrt(n))
+    samples = rng.standard_normal(n) + np.sin(np.cumsum(omega))
+    kept, lines = find_lines(dct_ordinates(samples), dct_bins(n), scale=1.0, rate_hz=1.0)
+    assert kept is not None
+    assert lines[0].frequency_hz == pytest.approx(0.2 / (2 * np.pi), rel=0.02)
+    place = n * 0.2 / np.pi
+    left = dct_ordinates(samples)[int(0.96 * place) : int(1.04 * place)]
+    assert np.mean(left[kept[int(0.96 * place) : int(1.04 * place)]] ** 2) < 1.5
+
+
 @pytest.mark.parametrize("name", ["mean of 8", "Butterworth 2", "resonance"])
 def test_a_filter_s_edges_and_peaks_are_no_lines(name: str) -> None:
     """Of 12 records behind each of three filters none has a line; a line on top of them is still found."""

@@ -1,0 +1,109 @@
+"""Pages that quote imucal: what they quote is what it prints, draws and ships."""
+
+import ast
+import re
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import allantools
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from tests.benchmarks import peers, tutorial_figures
+from tests.code_blocks import code_blocks
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+_GAP = "\0"
+
+
+def _texts() -> Iterator[str]:
+    """Yield every string of the package, with a gap where a value stands."""
+    for file in (ROOT / "imucal").rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                yield "".join(
+                    part.value if isinstance(part, ast.Constant) and isinstance(part.value, str) else _GAP
+                    for part in node.values
+                )
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                yield node.value
+
+
+def _says(message: str, text: str) -> bool:
+    """Return whether the words between the gaps of a message stand in a text, in order."""
+    parts = [re.escape(words) for part in message.split("…") if (words := part.strip(" :'"))]
+    return re.search(".*".join(parts), text, re.DOTALL) is not None
+
+
+def test_troubleshooting_quotes_what_is_printed() -> None:
+    """Twenty messages and more, each in the package's own words."""
+    page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    messages = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)
+    assert len(messages) >= 20
+    assert len(set(messages)) == len(messages)
+    texts = [text for text in _texts() if len(text) > 12]
+    assert [message for message in messages if not any(_says(message, text) for text in texts)] == []
+
+
+def test_a_message_that_nobody_prints_is_caught() -> None:
+    """The words, and their order."""
+    text = f"{_GAP}: there is no topic {_GAP}; choose one of these topics {_GAP}"
+    assert _says("…: there is no topic …; choose one of these topics", text)
+    assert not _says("choose one … there is no topic", text)
+    assert not _says("…: there is no such topic …", text)
+
+
+def test_the_tutorial_shows_the_pictures_of_its_script() -> None:
+    """Those, no other, and small."""
+    page = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    assert re.findall(r"\(images/([^)]+\.png)\)", page) == list(tutorial_figures.FIGURES)
+    for name in tutorial_figures.FIGURES:
+        picture = (DOCS / "images" / name).read_bytes()
+        assert picture.startswith(b"\x89PNG")
+        assert len(picture) < 300_000
+    typed = "".join(text for language, text in code_blocks(DOCS / "tutorial.md") if language == "console")
+    assert "-o tutorial\n" in typed
+
+
+def test_readmes_links_are_in_the_source_archive() -> None:
+    """Whoever unpacks it finds each file."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    shipped = settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    links = {link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", readme) if ":" not in link}
+    assert "CONTRIBUTING.md" in links
+    assert sorted(link for link in links if link and Path(link).parts[0] not in shipped) == []
+
+
+@pytest.mark.parametrize("tool", peers.TOOLS)
+def test_every_way_finds_white_noise(tool: str) -> None:
+    """N within 15 %: nobody is compared by a recipe that was written wrongly."""
+    row, *_ = peers.measure("white", {tool: peers.TOOLS[tool]}, records=2, n=100_000, seed=9)
+    name, n, *_ = (cell.strip() for cell in row.strip("|").split("|"))
+    assert name == tool
+    error = re.match(r"[+-][\d.e+-]+", n)
+    assert error is not None
+    assert abs(float(error[0])) < 15
+
+
+@pytest.mark.parametrize(("overlapping", "witness"), [(True, allantools.oadev), (False, allantools.adev)])
+def test_the_recipes_deviations_are_allantools(overlapping: bool, witness: Callable[..., Any]) -> None:  # noqa: FBT001
+    """Disjoint and overlapping."""
+    samples = np.random.default_rng(4).standard_normal(3000)
+    tau, adev, _, _ = witness(samples, rate=1.0, data_type="freq", taus=[1.0, 3.0, 10.0, 500.0])
+    found = peers.deviations(samples, tau, overlapping=overlapping)
+    npt.assert_allclose(found, adev, rtol=1e-9)
+
+
+def test_the_comparison_names_every_way() -> None:
+    """One row a tool in each of the tables, and the command that printed them."""
+    page = (DOCS / "comparison.md").read_text(encoding="utf-8")
+    for tool in peers.TOOLS:
+        assert len(re.findall(rf"^\| {re.escape(tool)} \|", page, re.MULTILINE)) == len(peers.TRUTHS) + 1
+    for model in peers.TRUTHS.values():
+        assert f"`{model}`" in page
+    assert "python -m tests.benchmarks.peers" in page
