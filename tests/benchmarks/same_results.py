@@ -71,7 +71,8 @@ def main() -> None:
     print("| log | axes | largest move, % of the interval | differences |")
     print("|---|---|---|---|")
     for path in sorted(first.glob("*.json")):
-        texts = [(folder / path.name).read_text(encoding="utf-8") for folder in (first, second)]
+        files = [folder / path.name for folder in (first, second)]
+        texts = [file.read_text(encoding="utf-8") if file.exists() else "" for file in files]
         if not all(texts):
             same = texts[0] == texts[1]
             print(f"| {path.stem} | – | – | {'no report either time' if same else 'one has no report'} |")
