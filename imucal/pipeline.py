@@ -8,6 +8,7 @@ import numpy as np
 
 from imucal._version import __version__
 from imucal.allan import allan_curve, spectrum
+from imucal.allan.dct import shared_transform
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -127,10 +128,11 @@ def _characterize_axis(
     if not finite.n:
         msg = f"{series.name}: no finite samples among {series.n}"
         raise DataError(msg)
-    curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
     at_samples = _same_clock(series, finite, temperature)
-    result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
-    density = spectrum(finite)
+    with shared_transform(finite.samples):
+        curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
+        result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
+        density = spectrum(finite)
     found = result.findings + findings_or_why_not(
         lambda: resolution_findings(result, finite.duration_s),
         what="How long a record would do is not known",

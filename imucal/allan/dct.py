@@ -6,7 +6,11 @@ is so exactly. A few hundred sums of squared ordinates hold what the spectrum of
 Source: the boundary conditions of the DCT-II, Strang (1999), SIAM Review 41, 135.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,6 +22,8 @@ from imucal.recording import AxisSeries
 _BLOCK = 65536
 #: Shorter transforms are quick at any length, longer ones where no prime factor is larger than this.
 _QUICK, _PRIME = 65536, 127
+#: A ramp of so many ordinates is kept for the next axis.
+_KEPT = range(1 << 16, 1 << 22)
 #: Largest share of the samples that a quick length leaves out.
 _CUT = 1e-4
 
@@ -84,17 +90,61 @@ def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
     return DctBins(n=n, first=first, count=count, omega=np.pi * (first + (count - 1) / 2) / n)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shared:
+    """The samples of an axis, and the transform of their longest run once it is known."""
+
+    samples: FloatArray
+    known: dict[tuple[int, int], FloatArray]
+
+    def place(self, samples: FloatArray) -> tuple[int, int] | None:
+        """Return where a run stands among the samples and its size; None for other samples, or few."""
+        if 2 * samples.size <= self.samples.size or samples.strides != self.samples.strides:
+            return None
+        first, start = (array.__array_interface__["data"][0] for array in (self.samples, samples))
+        offset = (start - first) // self.samples.itemsize
+        # These samples are kept, so that what stands between their addresses is theirs.
+        return (offset, samples.size) if 0 <= offset <= self.samples.size - samples.size else None
+
+
+_SHARED: ContextVar[_Shared | None] = ContextVar("shared transform", default=None)
+
+
+@contextmanager
+def shared_transform(samples: FloatArray) -> Iterator[None]:
+    """Let `dct_ordinates` transform the same run of `samples`, shape (n,), once; it may not change within.
+
+    The curve's intervals, the spectrum and the likelihood of an axis are made of the same ordinates.
+    """
+    token = _SHARED.set(_Shared(samples.view(), {}))
+    try:
+        yield
+    finally:
+        _SHARED.reset(token)
+
+
 def dct_ordinates(samples: FloatArray) -> FloatArray:
     """Return the orthonormal DCT-II ordinates k = 1 … n-1 of `samples`, shape (n-1,), in U.
 
     The mean is ordinate 0; it is removed first, so that it costs no digits. Lengths with large
-    prime factors take up to ten times as long; see `fast_length`.
+    prime factors take up to ten times as long; see `fast_length`. Those of a shared transform are
+    read-only.
 
     Raises
     ------
     DataError
         If there are fewer than 2 samples, or any is not finite.
     """
+    shared = _SHARED.get()
+    place = shared.place(samples) if shared else None
+    if not (shared and place):
+        return _transform(samples)
+    if place not in shared.known:
+        shared.known[place] = read_only(_transform(samples))
+    return shared.known[place]
+
+
+def _transform(samples: FloatArray) -> FloatArray:
     from scipy.fft import dct
 
     if samples.size < 2:
@@ -132,14 +182,22 @@ def bin_power(ordinates: FloatArray, bins: DctBins) -> FloatArray:
 
 
 def ramp_ordinates(n: int, count: int) -> FloatArray:
-    """Return the orthonormal DCT-II ordinates k = 1 … count of the ramp 0, 1, … n-1.
+    """Return the orthonormal DCT-II ordinates k = 1 … count of the ramp 0, 1, … n-1; read-only.
 
     -sqrt(2/n) cos(theta/2) / (2 sin²(theta/2)) for odd k, 0 for even k.
     """
+    # Every step of a fit and every axis of a log asks for the same; longer ones would take up memory.
+    return _kept_ramp(n, count) if count in _KEPT else _ramp(n, count)
+
+
+def _ramp(n: int, count: int) -> FloatArray:
     half = np.pi / (2 * n) * np.arange(1, count + 1, 2, dtype=np.float64)
     ramp = np.zeros(count)
     ramp[::2] = -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2)
-    return ramp
+    return read_only(ramp)
+
+
+_kept_ramp = lru_cache(maxsize=1)(_ramp)
 
 
 def fast_length(n: int) -> int:

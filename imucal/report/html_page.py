@@ -6,7 +6,7 @@ page carries deflated: two megabytes instead of five.
 
 import base64
 import zlib
-from functools import partial
+from functools import cache, partial
 from importlib.resources import files
 from string import Template
 from typing import TYPE_CHECKING
@@ -83,11 +83,12 @@ def _part(name: str) -> str:
     return files("imucal.report").joinpath("page", name).read_text(encoding="utf-8")
 
 
+@cache
 def _plotly() -> str:
-    """Return plotly's script, deflated and in base64."""
+    """Return plotly's script, deflated and in base64; kept, since it is the same for every page."""
     from plotly.offline import get_plotlyjs
 
-    return base64.b64encode(zlib.compress(get_plotlyjs().encode(), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(get_plotlyjs().encode(), 7)).decode("ascii")
 
 
 def _lead(report: Report) -> Markup:

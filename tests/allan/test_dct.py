@@ -4,7 +4,9 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.allan.dct import bin_power, dct_bins, dct_ordinates, fast_length
+from imucal.allan import dct as dct_module
+from imucal.allan.dct import bin_power, dct_bins, dct_ordinates, fast_length, shared_transform
+from imucal.arrays import FloatArray
 from imucal.errors import DataError
 
 
@@ -89,3 +91,26 @@ def test_refuses_sizes_of_bins_below_the_least(sizes: tuple[int, int, int]) -> N
     n, singles, per_octave = sizes
     with pytest.raises(ValueError, match=f"got {n}, {singles}, {per_octave}"):
         dct_bins(n, singles=singles, per_octave=per_octave)
+
+
+def test_a_shared_transform_is_made_once_and_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of more than half of the samples are transformed once; others, and copies, each time."""
+    samples = np.random.default_rng(77).standard_normal(1000)
+    expected = dct_ordinates(samples[:900])
+    made: list[int] = []
+    plain = dct_module._transform
+
+    def counted(run: FloatArray) -> FloatArray:
+        made.append(run.size)
+        return plain(run)
+
+    monkeypatch.setattr(dct_module, "_transform", counted)
+    with shared_transform(samples):
+        for run in (samples[:900], samples[:900], samples[100:], samples[:400], samples[:400]):
+            npt.assert_array_equal(dct_ordinates(run), plain(run))
+        npt.assert_array_equal(dct_ordinates(samples[:900]), expected)
+        assert made == [900, 900, 400, 400]
+        npt.assert_array_equal(dct_ordinates(2 * samples), plain(2 * samples))
+        assert made.pop() == 1000
+    dct_ordinates(samples[:900])
+    assert made == [900, 900, 400, 400, 900]

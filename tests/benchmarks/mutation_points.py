@@ -71,7 +71,8 @@ _LAYOUT = {
 _PATH = {
     "scoring._STEP": "bounds a step of the search; its end is where the gradient vanishes",
     "starts._GRID": "places from which a search starts that is refined later",
-    "starts._ROUNDS": "most rounds of a start that is refined later",
+    "starts._FIRST_ROUNDS": "rounds of a start that is refined later",
+    "starts._MORE_ROUNDS": "rounds of a start that is refined later",
     "starts._ROWS": "rows at a time: cache and threads",
     "missing._STEPS": "most steps of a solver that ends when it is close enough",
     "missing._CLOSE": "how close is close enough for that solver",

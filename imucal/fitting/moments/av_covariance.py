@@ -204,16 +204,18 @@ def _lag_covariance(lags: IntArray, mi: int, mj: int, process: Process) -> Float
     """Return cov(d_t at mi, d_{t+k} at mj) at `lags` k, shape (l,)."""
     shifts = np.array([b * mj - a * mi for a in range(3) for b in range(3)], dtype=np.float64)
     signs = np.multiply.outer(_SIGNS, _SIGNS).ravel()
-    distance = np.abs(shifts[:, np.newaxis] + lags.astype(np.float64))
-    total = signs @ sum_variance(process, distance)
-    covariance = np.asarray(total / (-4.0 * mi * mj))
-    # Windows that do not meet: the sum above would leave rounding errors, the larger the farther apart.
+    # Windows that do not meet: the sum would leave rounding errors, the larger the farther apart.
     apart = np.maximum(lags - 2 * mi, -2 * mj - lags)
-    if process in {PowerLaw.WHITE, PowerLaw.QUANTIZATION, PowerLaw.WALK}:
-        covariance[apart > 0] = 0.0
-    elif not isinstance(process, PowerLaw):
-        beyond = apart >= 0
-        covariance[beyond] = _gauss_markov_apart(apart[beyond], mi, mj, process)
+    if process is PowerLaw.FLICKER:
+        meet = np.ones(lags.size, dtype=bool)
+    else:
+        # The windows of a law that touch may share a value.
+        meet = apart <= 0 if isinstance(process, PowerLaw) else apart < 0
+    covariance = np.zeros(lags.size)
+    distance = np.abs(shifts[:, np.newaxis] + lags[meet].astype(np.float64))
+    covariance[meet] = signs @ sum_variance(process, distance) / (-4.0 * mi * mj)
+    if not isinstance(process, PowerLaw):
+        covariance[~meet] = _gauss_markov_apart(apart[~meet], mi, mj, process)
     return covariance
 
 

@@ -10,6 +10,7 @@ estimation", Econometrica 67, 543: the criteria MMSC-BIC, MMSC-HQIC and MMSC-AIC
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -125,18 +126,36 @@ class CurveFit:
     misfit: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ModelSearch:
-    """Finds the models in reach, with the covariance that a rough fit gives."""
+    """Finds the models in reach of `points`, with the covariance that a rough fit by `eta3` gives."""
 
-    spread: CurveSpread
-    rough: Solution
+    points: AvarPoints
+    eta3: Weight
     settings: FitSettings
+
+    @cached_property
+    def _rough(self) -> tuple[CurveSpread, Solution]:
+        rough = dictionary(self.points, self.eta3)
+        return CurveSpread.of_terms(self.points, rough.laws, rough.times), rough
+
+    def whole(self) -> CurveFit:
+        """Return the fit of all points.
+
+        One given model without GM has one minimum for any weight, so that its own weight follows from
+        any start; where it describes the curve, the costly covariance of the rough fit is not asked for.
+        """
+        if self.settings.structure is not None and "GM" not in self.settings.structure:
+            given = _described(self.points, ranked(self.points, self.eta3, self.settings), self.eta3)
+            if given.misfit < MISFIT:
+                return given
+        ranking, weight, _ = self.ranking(self.points)
+        return _described(self.points, ranking, weight)
 
     def ranking(self, points: AvarPoints) -> tuple[list[tuple[float, Solution]], Weight, float]:
         """Return the models of the last `points`, their weight and the least misfit."""
-        first = self.spread.points.size - points.size
-        covariance = self.spread.within(first).at(self.rough.variances)
+        spread, rough = self._rough
+        covariance = spread.within(self.points.size - points.size).at(rough.variances)
         weight = Weight.of_covariance(covariance)
         ranking = ranked(points, weight, self.settings)
         misfit = min(goodness(points, solution, covariance).statistic for _, solution in ranking)
@@ -150,8 +169,7 @@ def best_band(points: AvarPoints, search: ModelSearch) -> tuple[AvarPoints, Curv
     as ever. Where no run is described, the one with the least misfit is taken if it is far better
     than the whole curve, and the misfit is reported.
     """
-    ranking, weight, _ = search.ranking(points)
-    whole = _described(points, ranking, weight)
+    whole = search.whole()
     structure = search.settings.structure
     least = 6 if structure is None else len(structure) + structure.count("GM") + 3
     if not whole.misfit >= _FILTERED:

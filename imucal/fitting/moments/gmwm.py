@@ -18,10 +18,10 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.moments.av_intervals import CurveSpread, curve_estimates, goodness, model_of
+from imucal.fitting.moments.av_intervals import curve_estimates, goodness, model_of
 from imucal.fitting.moments.av_points import AvarPoints, avar_points
 from imucal.fitting.moments.av_search import Solution, Weight
-from imucal.fitting.moments.av_select import MISFIT, CurveFit, ModelSearch, best_band, dictionary, ranked
+from imucal.fitting.moments.av_select import MISFIT, CurveFit, ModelSearch, best_band, ranked
 from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
@@ -68,9 +68,7 @@ def fit_gmwm(
         ranking = ranked(points, eta3, settings)
         kept, fitted = points, CurveFit(ranking, ranking[0][1], eta3, 0.0)
     else:
-        rough = dictionary(points, eta3)
-        spread = CurveSpread.of_terms(points, rough.laws, rough.times)
-        kept, fitted = best_band(points, ModelSearch(spread, rough, settings))
+        kept, fitted = best_band(points, ModelSearch(points, eta3, settings))
     solution = fitted.solution
     near = [(delta, other) for delta, other in fitted.ranking if delta <= _REPORTED]
     found = curve_estimates(kept, solution, fitted.weight, level=settings.level)

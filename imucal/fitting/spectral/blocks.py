@@ -217,18 +217,19 @@ def _bins(size: int, blocks: int) -> DctBins:
 def _transform(
     series: AxisSeries, run: _Stretch, bins: DctBins, scale: float, temperature: FloatArray | None
 ) -> Block:
-    samples = series.samples[run.start : run.stop] / scale
+    samples = series.samples[run.start : run.stop]
     if temperature is not None:
         temperature = temperature[run.start : run.stop]
     variance = loss = drawn = None
     if samples.size == run.size:
-        ordinates = dct_ordinates(samples)
+        # A power of two scales the ordinates without a digit lost; as they are, others have them too.
+        ordinates = dct_ordinates(samples) / scale
     else:
         grid = series.clock.grid()[run.start : run.stop] - run.offset
         seen = np.zeros(run.size, dtype=bool)
         seen[grid] = True
         full = np.zeros(run.size)
-        full[grid] = samples
+        full[grid] = samples / scale
         ordinates, variance, loss, drawn = complete(full, seen, bins)
         if temperature is not None:
             temperature = np.interp(np.arange(run.size), grid, temperature)

@@ -8,6 +8,7 @@ Source: Févotte & Idier (2011), Neural Computation 23, "Algorithms for NMF with
 beta-divergence" (the majorisation-minimisation update, exponent 1/2).
 """
 
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -18,7 +19,9 @@ from imucal.fitting.spectral.ordinates import MARKOV, Ordinates, coarser
 from imucal.noise.formulas import gauss_markov_dct
 
 _GRID = 16
-_ROUNDS = 50
+#: Rounds of updates of every mixture, and more of a candidate's best few.
+_FIRST_ROUNDS, _MORE_ROUNDS = 25, 25
+_BEST = 40
 #: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.
 _ROWS = 96
 #: Keeps logarithms and squares of inverses finite.
@@ -56,7 +59,8 @@ def find_starts(
             chosen = [combo for plan in plans for combo in plan]
             picked = [chosen[i] for i in np.flatnonzero(rows)]
             laws = candidates.laws[owner[rows]]
-            theta[rows], score[rows] = _mixtures(coarser(seen), laws, picked, times, candidates)
+            sought = _Sought(owner=owner[rows], laws=laws, combos=picked)
+            theta[rows], score[rows] = _mixtures(coarser(seen), sought, times, candidates)
     best = [
         start + np.argsort(score[start : start + len(plan)], kind="stable")[: keep[min(int(count), 2)]]
         for start, plan, count in zip(
@@ -73,28 +77,38 @@ def _combinations(count: int) -> list[tuple[int, ...]]:
     return list(combinations(range(_GRID), count))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sought:
+    """Mixtures: the candidate of each, shape (s,), its laws, shape (s, 4), and places of its times."""
+
+    owner: IntArray
+    laws: BoolArray
+    combos: list[tuple[int, ...]]
+
+
 def _mixtures(
-    ordinates: Ordinates,
-    laws: BoolArray,
-    combos: list[tuple[int, ...]],
-    times: FloatArray,
-    candidates: Candidates,
+    ordinates: Ordinates, sought: _Sought, times: FloatArray, candidates: Candidates
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the parameters of each mixture, shape (s, p), and its -log L, shape (s,)."""
+    """Return the parameters of each mixture, shape (s, p), and its -log L, shape (s,).
+
+    That of a mixture which is not among the best of its candidate after the first rounds is infinite.
+    """
+    combos = sought.combos
     shapes, _ = gauss_markov_dct(
         np.log(times)[:, None], ordinates.lam, ordinates.length, np.zeros(ordinates.lam.shape)
     )
     dictionary = np.concatenate([ordinates.basis, shapes])
     use = np.zeros((len(combos), MARKOV + times.size))
-    use[:, :MARKOV] = laws
+    use[:, :MARKOV] = sought.laws
     for row, combo in enumerate(combos):
         use[row, [MARKOV + place for place in combo]] = 1.0
     level = np.maximum(ordinates.power, _TINY) / ordinates.size
     weights = use * np.quantile(level / dictionary, 0.2, axis=1) / use.sum(axis=1, keepdims=True)
-    objective = np.empty(len(combos))
-    for first in range(0, len(combos), _ROWS):
-        part = slice(first, first + _ROWS)
-        weights[part], objective[part] = _mix(ordinates, dictionary, weights[part])
+    every = np.arange(len(combos))
+    first = _mixed(ordinates, dictionary, weights, every, _FIRST_ROUNDS)
+    best = _best_of_each(first, sought.owner)
+    objective = np.full(len(combos), np.inf)
+    objective[best] = _mixed(ordinates, dictionary, weights, best, _MORE_ROUNDS)
     room = candidates.room_markov
     theta = np.zeros((len(combos), candidates.width))
     logs = np.log(weights + _TINY)
@@ -106,11 +120,32 @@ def _mixtures(
     return theta, objective
 
 
-def _mix(ordinates: Ordinates, dictionary: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _best_of_each(objective: FloatArray, owner: IntArray) -> IntArray:
+    """Return the rows whose objective is among the best of their owner, rising."""
+    order = np.lexsort((objective, owner))
+    sorted_owner = owner[order]
+    rank = np.arange(order.size) - np.searchsorted(sorted_owner, sorted_owner)
+    return np.sort(order[rank < _BEST])
+
+
+def _mixed(
+    ordinates: Ordinates, dictionary: FloatArray, weights: FloatArray, rows: IntArray, rounds: int
+) -> FloatArray:
+    """Put `rounds` more rounds into some rows of `weights`, in place, and return their -log L."""
+    objective = np.empty(rows.size)
+    for first in range(0, rows.size, _ROWS):
+        part = rows[first : first + _ROWS]
+        weights[part], objective[first : first + _ROWS] = _mix(ordinates, dictionary, weights[part], rounds)
+    return objective
+
+
+def _mix(
+    ordinates: Ordinates, dictionary: FloatArray, weights: FloatArray, rounds: int
+) -> tuple[FloatArray, FloatArray]:
     """Return the weights after some rounds of multiplicative updates, and -log L."""
     plenty = np.ascontiguousarray((dictionary * ordinates.size).T)
     transposed = np.ascontiguousarray(dictionary.T)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         inverse = 1 / (weights @ dictionary + _TINY)
         push = inverse @ plenty
         inverse *= inverse

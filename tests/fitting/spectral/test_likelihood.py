@@ -8,9 +8,10 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
+from imucal.fitting.spectral import starts
 from imucal.fitting.spectral.likelihood import Candidates, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.fitting.spectral.starts import _combinations, _mix, time_grid
+from imucal.fitting.spectral.starts import _combinations, _mix, find_starts, time_grid
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
 from tests.fitting.fits import ordinates_of
@@ -153,7 +154,7 @@ def test_a_mixture_of_one_spectrum_ends_at_its_mean_ratio() -> None:
     """Multiplicative updates of a single weight: sum of P/S over all ordinates, by their number."""
     data = ordinates(text="N=2")
     for law in range(4):
-        weights, objective = _mix(data, data.basis[[law]], np.ones((1, 1)))
+        weights, objective = _mix(data, data.basis[[law]], np.ones((1, 1)), 50)
         expected = (data.power / data.basis[law]).sum() / data.size.sum()
         assert weights[0, 0] == pytest.approx(expected, rel=1e-6)
         spectrum = expected * data.basis[law]
@@ -229,3 +230,15 @@ def test_more_than_two_gauss_markov_terms_start_evenly_over_the_grid(
     """One start, from the first to the last of 16 times; of one or two terms every pair of them."""
     assert _combinations(count) == [places]
     assert [len(_combinations(few)) for few in range(3)] == [1, 16, 120]
+
+
+def test_the_best_starts_are_those_of_all_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A candidate's best few after the first rounds hold its best after all."""
+    text = "N=1 + GM(sigma=0.3, T=20) + GM(sigma=0.2, T=900) + K=3e-4"
+    data = coarser(ordinates(n=40_000, text=text, seed=8123), singles=48, merge=3)
+    candidates = candidates_of([("N", "GM", "K"), ("N", "GM", "GM"), ("N", "B", "GM", "GM", "R")], data.names)
+    owner, theta = find_starts(data, candidates, shortest=2.0, keep=(1, 2, 3))
+    monkeypatch.setattr(starts, "_BEST", 10**6)
+    every_owner, every_theta = find_starts(data, candidates, shortest=2.0, keep=(1, 2, 3))
+    assert owner.tolist() == every_owner.tolist()
+    npt.assert_array_equal(theta, every_theta)
