@@ -65,6 +65,7 @@ FINDING_CODES = frozenset(
         "rate-given",
         "record-length",
         "record-length-unknown",
+        "records-differ",
         "roll-off",
         "rounding",
         "sampling-period",
