@@ -11,7 +11,7 @@ from scipy.special import ndtr, ndtri
 from imucal.fleet import LogValue, population
 from imucal.fleet.log_value import LogValues
 from imucal.fleet.outliers import adjusted, leave_one_out
-from imucal.fleet.population import _log_posterior
+from imucal.fleet.posterior import _log_posterior
 from imucal.fleet.unit_likelihood import place_of, unit_likelihoods
 from tests.fleet.simulated import strong_fleet, weak_fleet
 

@@ -1,0 +1,162 @@
+"""The posterior of a fleet's median, spread between units and scatter within them, on a grid.
+
+mu is flat, tau has Jeffreys' prior, omega is on a short grid. Each tau has a grid of mu of its own, and both
+are narrowed until they fit the support.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucal.arrays import BoolArray, FloatArray
+from imucal.fleet.log_value import LogValues
+from imucal.fleet.unit_likelihood import Place, UnitLikelihoods, blur, unit_likelihoods, weighted_quantiles
+
+#: Grid points of mu, of tau and of omega; the grid is narrowed so many times at most.
+_MUS, _TAUS, _OMEGAS, _ROUNDS = 61, 48, 12, 6
+#: A scatter within a unit that the logs show so rarely is not considered.
+_RARE = 1e-3
+#: Median farthest from the first guess, in the logarithm.
+_DEEPEST = 4.0
+#: Points of the predictive law that a weak unit is judged by.
+_DRAWS = 4000
+#: Keeps the logarithm of a probability that underflows finite.
+_TINY = math.exp(-690)
+#: Largest spread between units that is thought of, in the logarithm.
+_WIDEST = 2.0
+#: What lies so far below the posterior's peak, in the logarithm, weighs nothing.
+_NOTHING = 16.0
+#: Units whose terms are added at a time.
+_CHUNK = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Weights on a grid of omega, tau and mu, broadcast against each other; they add up to one."""
+
+    omega: FloatArray
+    tau: FloatArray
+    mu: FloatArray
+    weight: FloatArray
+
+    def quantiles(self, values: FloatArray, at: Sequence[float]) -> FloatArray:
+        """Return quantiles of a function of the grid."""
+        every = np.broadcast_to(values, self.weight.shape)
+        keep = self.weight > math.exp(-_NOTHING) * self.weight.max()
+        return weighted_quantiles(every[keep], self.weight[keep], at)
+
+    def reaches(self, content: float, at: Sequence[float]) -> FloatArray:
+        """Return quantiles of the logarithm that a share `content` of all units stays below."""
+        from scipy.special import ndtri
+
+        return self.quantiles(self.mu + float(ndtri(content)) * self.tau, at)
+
+    def prediction(self, at: Sequence[float] | FloatArray) -> FloatArray:
+        """Return quantiles of the logarithm of a unit that was not seen."""
+        from scipy.special import ndtr
+
+        weight = self.weight.sum(axis=0)
+        keep = weight > math.exp(-_NOTHING) * weight.max()
+        mu, tau = (np.broadcast_to(x, self.weight.shape)[0][keep] for x in (self.mu, self.tau))
+        reach = 6 * float(tau.max())
+        grid = np.linspace(float(mu.min()) - reach, float(mu.max()) + reach, 801)
+        below = ndtr((grid[:, None] - mu) / tau) @ weight[keep] / weight[keep].sum()
+        return np.interp(at, below, grid)
+
+    def p_values(self, variance: FloatArray, sd: FloatArray) -> FloatArray:
+        """Return the two-sided chance of squared coefficients like these, known with a normal error."""
+        from scipy.special import ndtr
+
+        at = np.linspace(0.5 / _DRAWS, 1 - 0.5 / _DRAWS, _DRAWS)
+        square = np.exp(2 * self.prediction(at))
+        above = ndtr((square - variance[:, None]) / sd[:, None]).mean(axis=1)
+        result: FloatArray = 2 * np.minimum(above, 1 - above)
+        return result
+
+
+def posterior_of(values: LogValues, omegas: FloatArray, place: Place) -> Posterior:
+    """Return the posterior on a grid that is narrowed until it fits its support.
+
+    Each tau has a grid of mu of its own: the less the spread, the better the median is known.
+    """
+    units = [unit_likelihoods(values, float(omega), place) for omega in omegas]
+    taus = (math.log(0.01 * place.scale), math.log(max(_WIDEST, 2 * place.scale)))
+    for _ in range(_ROUNDS):
+        tau = np.exp(np.linspace(*taus, _TAUS))
+        mu, height = _over_mu(units, tau, place)
+        height -= height.max()
+        narrower = _support(np.log(tau), np.any(height > -_NOTHING, axis=(0, 2)))
+        if 2 * (narrower[1] - narrower[0]) > taus[1] - taus[0]:
+            break
+        taus = narrower
+    weight = np.exp(height)
+    return Posterior(omegas[:, None, None], tau[None, :, None], mu[None], weight / weight.sum())
+
+
+def _over_mu(units: list[UnitLikelihoods], tau: FloatArray, place: Place) -> tuple[FloatArray, FloatArray]:
+    """Return for each tau the grid of mu that fits it, (tau, mu), and the posterior, (omega, tau, mu)."""
+    reach = min(9 * place.scale, _DEEPEST) + 6 * tau
+    ends = np.column_stack([place.centre - reach, place.centre + reach])
+    for _ in range(_ROUNDS):
+        mu = np.linspace(ends[:, 0], ends[:, 1], _MUS, axis=1)
+        height = np.array([_log_posterior(of_omega, tau, mu) for of_omega in units])
+        own = height - height.max(axis=(0, 2), keepdims=True)
+        narrower = np.array(list(map(_support, mu, np.any(own > -_NOTHING, axis=0))))
+        if np.all(2 * np.diff(narrower) > np.diff(ends)):
+            break
+        ends = narrower
+    return mu, height + np.log(mu[:, 1] - mu[:, 0])[:, None]
+
+
+def _support(grid: FloatArray, likely: BoolArray) -> tuple[float, float]:
+    """Return the range of the likely points and one more to each side."""
+    places = np.flatnonzero(likely)
+    return float(grid[max(places[0] - 1, 0)]), float(grid[min(places[-1] + 1, grid.size - 1)])
+
+
+def _log_posterior(units: UnitLikelihoods, tau: FloatArray, mu: FloatArray) -> FloatArray:
+    """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau."""
+    s2, all_s2 = units.deviation[units.normal] ** 2, units.deviation**2
+    result = np.full(mu.shape, units.constant)
+    for row, t in enumerate(tau):
+        v = s2 + t * t
+        y, offset = units.centre[units.normal] - mu[row, 0], mu[row] - mu[row, 0]
+        squares = np.sum(y * y / v) - 2 * offset * np.sum(y / v) + offset**2 * np.sum(1 / v)
+        result[row] -= 0.5 * (squares + np.sum(np.log(v)))
+        result[row] += _weak_part(units, float(t), mu[row])
+        # Jeffreys' prior of tau, and the step from tau to its logarithm.
+        result[row] += 2 * math.log(t) + 0.5 * math.log(np.sum(1 / (all_s2 + t * t) ** 2))
+    return result
+
+
+def _weak_part(units: UnitLikelihoods, tau: float, mu: FloatArray) -> FloatArray | float:
+    """Return what the units on the grid say of mu, at one tau."""
+    if not units.weak.size:
+        return 0.0
+    matrix = blur(mu, units.theta, tau)
+    total = np.zeros(mu.size)
+    for start in range(0, len(units.weak), _CHUNK):
+        some = units.weak[start : start + _CHUNK]
+        top = some.max(axis=1, keepdims=True)
+        total += np.log(matrix @ np.exp(some - top).T + _TINY).sum(axis=1) + top.sum()
+    return total
+
+
+def scatters(values: LogValues) -> FloatArray:
+    """Return the scatters within a unit to consider, evenly spaced; only 0 where no unit has two logs."""
+    from scipy.special import chdtri
+
+    counts = np.bincount(values.unit)
+    degrees = values.unit.size - counts.size
+    if degrees == 0:
+        return np.zeros(1)
+    means = np.bincount(values.unit, values.centre) / counts
+    squares = float(np.sum((values.centre - means[values.unit]) ** 2))
+    if not values.narrow.all():
+        return np.linspace(0.0, min(3 * math.sqrt(squares / degrees) + 0.3, _WIDEST), _OMEGAS)
+    known = float(np.mean(values.deviation**2))
+    low, high = (squares / float(chdtri(degrees, tail)) for tail in (_RARE, 1 - _RARE))
+    most = 10 * math.sqrt(squares / degrees) + 1e-6
+    return np.linspace(math.sqrt(max(low - known, 0.0)), min(math.sqrt(high), most), _OMEGAS)
