@@ -89,7 +89,7 @@ def command(
 
     MODEL_OR_REPORT is a model in SI units, such as "N=1e-4 + B=2e-5 + K=1e-6", or a report.json or its
     folder. Times are from the least error that any method can have (the Cramér-Rao bound), and long
-    enough that four of five records tell the term from zero; a term that a report only bounds is
+    enough that about four of five records tell the term from zero; a term that a report only bounds is
     taken at its bound.
     """
     result = plan(
