@@ -14,7 +14,7 @@ from imucal.errors import ReadError
 from imucal.readers.isolation import isolated
 from imucal.readers.tables.foreign_files import WIDEST, mat_arrays, parquet_columns, parquet_values
 from imucal.readers.tables.npz_members import npz_arrays
-from imucal.resources import memory_limit
+from imucal.resources import column_limit
 
 #: Arrays whose shapes are kept for a message.
 _SHOWN = 12
@@ -84,7 +84,7 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     Parameters
     ----------
     limit
-        Bytes to hold in memory before a temporary file takes them; None for `imucal.resources.memory_limit`.
+        Bytes to hold in memory before a temporary file takes them; None for `imucal.resources.column_limit`.
     heads_above
         Bytes above which a file that is unpacked as it is opened is not: only the heads of its columns hold
         values then.
@@ -145,7 +145,7 @@ def _npy(path: Path) -> _Content:
 
 
 def _npz(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> _Content:
-    size = memory_limit() if limit is None else limit
+    size = column_limit() if limit is None else limit
     with _readable(path, "NPZ"):
         arrays = npz_arrays(path, limit=size, heads_above=heads_above)
     return _of_arrays(arrays)
