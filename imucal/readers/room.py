@@ -31,6 +31,10 @@ class Spill:
         self._file = tempfile.TemporaryFile(prefix="imucal-")  # noqa: SIM115 - closed when it is mapped
         self._size = 0
 
+    def __del__(self) -> None:
+        """Close the file of a log whose reading was given up."""
+        self._file.close()
+
     def write(self, values: NDArray[Any]) -> None:
         """Append values."""
         self._size += values.nbytes

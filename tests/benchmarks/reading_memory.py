@@ -128,7 +128,7 @@ def make_day(path: Path) -> None:
 #: Name -> how a file is made, and the options that it needs to be read.
 FILES: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "zeros": ("zeros.csv.gz", make_zeros, ["--rate", "200"]),
-    "arrays": ("zeros.npz", make_arrays, []),
+    "arrays": ("zeros.npz", make_arrays, ["--gyro-unit", "rad/s", "--accel-unit", "m/s^2"]),
     "rows": ("rows.csv.gz", make_rows, ["--rate", "200"]),
     "stamped": ("stamped.csv.gz", make_stamped, []),
     "day": ("day.mcap", make_day, []),

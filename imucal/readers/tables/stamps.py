@@ -1,12 +1,12 @@
 """Time in a table: joins of columns, counters that wrap, units that the steps show -> ns."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray
 from imucal.mapped import blocks
 from imucal.readers.room import Room, extremes
 from imucal.units import TIME_UNITS_NS
@@ -62,7 +62,7 @@ def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
     low, high = extremes(stamps_ns)
     if low < 0 or high >= period:
         return stamps_ns
-    return _turned(stamps_ns, _places(stamps_ns, lambda steps: steps < -period // 2), period, room)
+    return _turned(stamps_ns, _places(stamps_ns, -period, -period // 2 - 1), period, room)
 
 
 def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
@@ -76,19 +76,17 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
     lowest, highest = extremes(counts)
     if lowest < 0:
         return counts, 0
-    back = _places(counts, lambda steps: steps < 0) - 1
-    if not back.size:
-        return counts, 0
-    usual = _usual_step(counts)
+    usual = 0
     for bits in (8, 16, 32):
         period = 1 << bits
         if highest >= period:
             continue
-        over = counts[back + 1] - counts[back] + period
+        usual = usual or _usual_step(counts)
         # Some samples may be missing at the very wrap.
-        wraps = back[(over > 0) & (over <= max(100 * usual, period // 64))]
+        most = max(100 * usual, period // 64)
+        wraps = _places(counts, -period, min(most - period, -1))
         if wraps.size:
-            return _turned(counts, wraps + 1, period, room), int(wraps.size)
+            return _turned(counts, wraps, period, room), int(wraps.size)
     return counts, 0
 
 
@@ -101,12 +99,13 @@ def _usual_step(counts: IntArray) -> int:
     return int(np.median(forward)) if forward.size else 1
 
 
-def _places(values: IntArray, chosen: Callable[[IntArray], BoolArray]) -> IntArray:
-    """Return the places to which a step leads that is one of the chosen."""
-    found = [
-        np.flatnonzero(chosen(np.diff(values[part.start : part.stop + 1]))) + part.start + 1
-        for part in blocks(values.size - 1, values)
-    ]
+def _places(values: IntArray, above: int, most: int) -> IntArray:
+    """Return the places to which a step leads that is larger than `above` and not larger than `most`."""
+    found = []
+    for part in blocks(values.size - 1, values):
+        steps = np.diff(values[part.start : part.stop + 1])
+        if steps.size and steps.min() <= most:
+            found.append(np.flatnonzero((steps > above) & (steps <= most)) + part.start + 1)
     return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
 
 
