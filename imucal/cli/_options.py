@@ -248,7 +248,7 @@ READING = (
         "--fields",
         multiple=True,
         metavar="TEXT",
-        help="Fields of messages, such as 'gyro=gx,gy,gz accel=ax,ay,az'; info -v lists them.",
+        help="Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v lists them.",
     ),
     click.option(
         "--msg",

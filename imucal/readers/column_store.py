@@ -6,6 +6,7 @@
 
 import mmap
 from collections.abc import Sequence
+from itertools import accumulate, pairwise
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -33,15 +34,22 @@ class Columns:
     stamps, log
         Shape (n,), int64, in ns.
     vectors
-        Sensor -> shape (3, n), float64.
+        Sensor -> shape (3, n), float64; of a sensor with fewer axes a row for each.
     temperature
         Shape (n,), or None.
     """
 
     def __init__(
-        self, n: int, sensors: tuple[Sensor, ...], *, temperature: bool, limit: int | None = None
+        self,
+        n: int,
+        sensors: tuple[Sensor, ...],
+        *,
+        temperature: bool,
+        limit: int | None = None,
+        axes: tuple[int, ...] = (),
     ) -> None:
-        shape = (2 + 3 * len(sensors) + int(temperature), n)
+        self._axes = axes or (3,) * len(sensors)
+        shape = (2 + sum(self._axes) + int(temperature), n)
         size = 8 * shape[0] * n
         self._limit = limit
         self._map: mmap.mmap | None = None
@@ -56,8 +64,9 @@ class Columns:
     def _view(self, data: FloatArray, sensors: tuple[Sensor, ...], *, temperature: bool) -> None:
         self.stamps: IntArray = data[0].view(np.int64)
         self.log: IntArray = data[1].view(np.int64)
+        ends = [2, *(2 + end for end in accumulate(self._axes))]
         self.vectors: dict[Sensor, FloatArray] = {
-            sensor: data[2 + 3 * i : 5 + 3 * i] for i, sensor in enumerate(sensors)
+            sensor: data[first:stop] for sensor, (first, stop) in zip(sensors, pairwise(ends), strict=True)
         }
         self.temperature: FloatArray | None = data[-1] if temperature else None
         self.rows: list[FloatArray] = list(data)
@@ -81,18 +90,26 @@ class Columns:
         if self._map is not None:
             release(self._data)
 
-    def joined(self, other: "Columns") -> "Columns":
-        """Return these samples and those of `other` behind them."""
-        both = Columns(
-            self.n + other.n,
+    def like(self, n: int, *, limit: int | None = None) -> "Columns":
+        """Return columns for n samples of the same sensors."""
+        return Columns(
+            n,
             tuple(self.vectors),
             temperature=self.temperature is not None,
-            limit=self._limit,
+            limit=self._limit if limit is None else limit,
+            axes=self._axes,
         )
-        for row, first, second in zip(both.rows, self.rows, other.rows, strict=True):
-            copy_to(row[: self.n], first)
-            copy_to(row[self.n :], second)
-        return both
+
+    def joined(self, others: Sequence["Columns"]) -> "Columns":
+        """Return these samples and those of others behind them."""
+        parts = [part for part in (self, *others) if part.n]
+        whole = self.like(sum(part.n for part in parts))
+        start = 0
+        for part in parts:
+            for row, values in zip(whole.rows, part.rows, strict=True):
+                copy_to(row[start : start + part.n], values)
+            start += part.n
+        return whole
 
     def keep_spans(self, spans: list[tuple[int, int]]) -> None:
         """Keep the samples of some spans (start, stop), in order, in place."""

@@ -28,15 +28,16 @@ from imucal.readers.messages import (
     read_temperature,
     stream_of,
 )
-from imucal.readers.messages.fields_text import parse_fields_text
+from imucal.readers.messages.fields_text import EACH, parse_fields_text
 from imucal.readers.messages.frames import first_frames
 from imucal.readers.messages.leaves import MOST
+from imucal.readers.messages.list_messages import spread_times
 from imucal.readers.out_of_order import steps_back, unsorted
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.readers.room import Room
 from imucal.readers.tables.columns import Triad
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
-from imucal.recording import Recording, Sensor
+from imucal.recording import AXES, Axis, Recording, Sensor
 from imucal.units import SAMPLE_UNITS
 
 #: Opens the files of a log; also returns the name of its format.
@@ -245,6 +246,7 @@ def _add_topic(
 ) -> None:
     """Add the sensors of one topic."""
     work.findings += [*_other_vectors(choice.topic), *_in_time_order(columns, work.room)]
+    _spread(choice.topic, columns, work.room)
     reading = _clock(work, choice, columns, options)
     clock, order = reading.clock, reading.order
     label = choice.sensors[0].short if not alone and len(choice.sensors) == 1 else None
@@ -263,9 +265,19 @@ def _add_topic(
             continue
         factor, how = scales.get(sensor) or _factor(sensor, choice.topic, options)
         work.decisions.append((f"{sensor} unit", how))
-        work.add_sensor(sensor, rows, clock, order=order, scale=factor)
+        work.add_sensor(sensor, rows, clock, order=order, scale=factor, names=_axes(choice.topic, sensor))
     if columns.temperature is not None and columns.temperature.any():
         work.add_temperature(columns.temperature, clock, order=order)
+
+
+def _spread(topic: Topic, columns: Columns, room: Room) -> None:
+    """Give the elements of lists that have no stamps of their own their times."""
+    if topic.imu is None or not topic.imu.lists:
+        return
+    stamps, log = room.copied(columns.stamps), room.copied(columns.log)
+    if topic.imu.stamp is None or EACH not in topic.imu.stamp.sec:
+        spread_times(columns.stamps, (stamps, log))
+    spread_times(columns.log, (log,))
 
 
 def _other_vectors(topic: Topic) -> list[Finding]:
@@ -350,7 +362,13 @@ def _inferred(
     table = Work(path=f"{work.path}: topic {topic.name}", options=options, dialect=None, rate_hz=None)
     timed = [
         Unscaled(
-            triad=Triad(sensor=sensor, indices=(0, 1, 2), headers=("x", "y", "z"), unit=vectors[sensor].unit),
+            triad=Triad(
+                sensor=sensor,
+                indices=tuple(range(len(vectors[sensor].axes))),
+                headers=vectors[sensor].axes,
+                unit=vectors[sensor].unit,
+                axes=vectors[sensor].axes,
+            ),
             axes=list(rows),
             temperature=None,
             clock=clock,
@@ -361,6 +379,12 @@ def _inferred(
     work.findings += table.findings
     reasons = dict(table.decisions)
     return {sensor: (factor, reasons[f"{sensor} unit"]) for sensor, factor in factors.items()}
+
+
+def _axes(topic: Topic, sensor: Sensor) -> tuple[Axis, ...]:
+    """Return the axes of a sensor that the messages hold."""
+    vectors = topic.imu.vectors if topic.imu is not None else ()
+    return next((vector.axes for vector in vectors if vector.sensor is sensor), AXES)
 
 
 def _factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float, str]:

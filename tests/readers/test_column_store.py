@@ -46,7 +46,7 @@ def test_columns_are_cut_ordered_and_joined(limit: int) -> None:
     expected = np.r_[5:10, 20:60]
     columns.reorder(0, np.arange(columns.n)[::-1])
     columns.release()
-    both = columns.joined(columns)
+    both = columns.joined([columns])
     for one, times in ((columns, 1), (both, 2)):
         npt.assert_array_equal(one.stamps, np.tile(expected[::-1], times))
         npt.assert_array_equal(one.vectors[Sensor.GYROSCOPE], np.tile(expected[::-1], (3, times)))

@@ -41,6 +41,8 @@ def reachable(imu: ImuFields, fields: Sequence[Field]) -> ImuFields | None:
     structures that hold texts. The three elements of an array of three are taken at once.
     """
     known = {entry.path: entry for entry in fields}
+    if imu.lists:
+        return None
     for path in imu.wanted:
         owner = known.get(path.rpartition("[")[0]) if path.endswith("]") else None
         whole = known.get(path)

@@ -85,6 +85,8 @@ def _scaled(counts: NDArray[np.float64], scale: int) -> IntArray:
 
 def adjacent(places: dict[str, Place], vector: Vector) -> bool:
     """Say whether the numbers of a vector lie side by side in every message."""
+    if len(vector.axes) < 3:
+        return False
     if len(vector.paths) == 1:
         return True
     x, y, z = (places[path] for path in vector.paths)

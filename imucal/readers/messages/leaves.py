@@ -1,7 +1,7 @@
 """The numbers that messages of a type hold, by their paths: what a user chooses fields from.
 
 A path is written as in Python: ``imu.gyro.x``, ``gyro[0]``; of a list of structures the first stands for
-all: ``imus[0].gyro.x``.
+all: ``imus[0].gyro.x``. Where the list holds samples, ``imus[].gyro.x`` is that of each.
 """
 
 import re
@@ -11,9 +11,9 @@ from itertools import product
 from typing import Any
 
 from imucal.errors import ChoiceError
-from imucal.readers.messages.fields_text import FieldsText
+from imucal.readers.messages.fields_text import EACH, FieldsText, Named
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
-from imucal.recording import Sensor
+from imucal.recording import AXES, Axis, Sensor
 from imucal.units import TIME_UNITS_NS, parse_sample_unit, parse_time_unit
 
 #: Fields that a message shows, and lists of JSON that are looked into.
@@ -22,6 +22,8 @@ MOST = 60
 #: What names an axis at the end of a path.
 _AXIS = re.compile(r"(\[\d+\]|\.[xyzXYZ])$")
 _INDEX = re.compile(r"\[\d+\]")
+#: The letter of an axis in the name of a number: ``gz``, ``gyro_z_dps``, ``rate.z``, ``rotationRateZ``.
+_LETTER = re.compile(r"(?:(?<![A-Za-z])(?:[gwaf](?=[xyz]))?|(?<=[a-z])(?=[XYZ]))([xyzXYZ])(?![A-Za-z])")
 
 #: Names of the parts of a time.
 _SECONDS, _NANOSECONDS = ("sec", "seconds", "secs"), ("nanosec", "nanos", "nsec", "nanoseconds", "nsecs")
@@ -53,6 +55,33 @@ class Leaf:
         return f"{self.path} {self.type}"
 
 
+def _refuse_half_lists(vectors: Sequence[Vector], stamp: Stamp | None) -> None:
+    """Refuse samples of which some are those of each element of a list, and others those of the message."""
+    paths = [path for vector in vectors for path in vector.paths]
+    each = [path for path in paths if EACH in path]
+    times = [path for path in (stamp.sec, stamp.nanosec) if EACH in path] if stamp is not None else []
+    if each and len(each) < len(paths):
+        other = next(path for path in paths if EACH not in path)
+        msg = f"{each[0]} is that of each element, {other} is not; expected {EACH} in both, or in none"
+        raise ChoiceError(msg)
+    if times and not each:
+        msg = f"{times[0]} is that of each element, {paths[0]} is not; expected {EACH} in both, or in none"
+        raise ChoiceError(msg)
+
+
+def _axis_of(sensor: Sensor, path: str) -> Axis:
+    """Return the axis that the name of a number tells; a ChoiceError where it tells none."""
+    letters = _LETTER.findall(path)
+    axis = next((axis for axis in AXES if letters and axis == letters[-1].lower()), None)
+    if axis is None:
+        msg = (
+            f"the field {path} is one number, and its name does not say of which axis; "
+            f"name the axis, such as {sensor.short}.z={path}"
+        )
+        raise ChoiceError(msg)
+    return axis
+
+
 def _key(path: str) -> str:
     return _INDEX.sub("[]", path)
 
@@ -77,8 +106,8 @@ class Leaves:
         owner = self._by_key.get(_key(path.rpartition("[")[0])) if path.endswith("]") else None
         if owner is None or not owner.is_array:
             return False
-        count = owner.type.rpartition("[")[2].rstrip("]")
-        return not count or int(path.rpartition("[")[2].rstrip("]")) < int(count)
+        count, index = (text.rpartition("[")[2].rstrip("]") for text in (owner.type, path))
+        return not count or not index or int(index) < int(count)
 
     def vector(self, paths: Sequence[str]) -> tuple[str, ...] | None:
         """Return the paths of x, y and z; None where one leads nowhere."""
@@ -88,6 +117,23 @@ class Leaves:
             spelled = ("[0]", "[1]", "[2]") if leaf is not None and leaf.is_three else (".x", ".y", ".z")
             paths = tuple(path + axis for axis in spelled)
         return tuple(paths) if all(map(self.is_number, paths)) else None
+
+    def _asked_vector(self, sensor: Sensor, wanted: Named) -> Vector | None:
+        """Return what a user says are a sensor's fields: a vector, or some axes; None where there are none.
+
+        Raises
+        ------
+        ChoiceError
+            If a number is named, and nothing says which axis it is.
+        """
+        if wanted.axes or (len(wanted.paths) == 1 and self.is_number(wanted.paths[0])):
+            paths: tuple[str, ...] | None = wanted.paths if all(map(self.is_number, wanted.paths)) else None
+            axes = wanted.axes or (_axis_of(sensor, wanted.paths[0]),)
+        else:
+            paths, axes = self.vector(wanted.paths) if wanted.paths else None, AXES
+        if paths is None:
+            return None
+        return Vector(sensor=sensor, paths=paths, axes=axes, unit=_unit(sensor, paths))
 
     def stamp(self, paths: Sequence[str], unit: str | None) -> Stamp | None:
         """Return the time that paths lead to; None where there is none.
@@ -117,14 +163,14 @@ class Leaves:
         """
         vectors, missing = [], ""
         for sensor in Sensor:
-            paths = self.vector(wanted.of(sensor)) if wanted.of(sensor) else None
-            if paths is not None:
-                vectors.append(Vector(sensor=sensor, paths=paths, unit=_unit(sensor, paths)))
-            elif wanted.of(sensor):
-                missing = missing or ",".join(wanted.of(sensor))
-        stamp = self.stamp(wanted.time, time_unit) if wanted.time else self.own_stamp()
+            vector = self._asked_vector(sensor, wanted.of(sensor))
+            vectors += [vector] if vector is not None else []
+            if vector is None and wanted.of(sensor).paths:
+                missing = missing or ",".join(wanted.of(sensor).paths)
+        stamp = self.stamp(wanted.time, time_unit) if wanted.time else self._stamp_of(vectors)
         if not vectors or (wanted.time and stamp is None):
             return missing or ",".join(wanted.time)
+        _refuse_half_lists(vectors, stamp)
         return ImuFields(
             stamp=stamp,
             vectors=tuple(vectors),
@@ -133,9 +179,20 @@ class Leaves:
             asked=True,
         )
 
-    def own_stamp(self) -> Stamp | None:
+    def _stamp_of(self, vectors: Sequence[Vector]) -> Stamp | None:
+        """Return the stamp of each element where elements are read and have one, else the message's."""
+        lists = {path.partition(EACH)[0] for vector in vectors for path in vector.paths if EACH in path}
+        own = (self.own_stamp(within=f"{name}[0].") for name in lists)
+        stamp = next((stamp for stamp in own if stamp is not None), None)
+        if stamp is None:
+            return self.own_stamp()
+        return Stamp(sec=stamp.sec.replace("[0]", EACH, 1), nanosec=stamp.nanosec.replace("[0]", EACH, 1))
+
+    def own_stamp(self, within: str = "") -> Stamp | None:
         """Return the first time of seconds and nanoseconds that is called a stamp or a time."""
         for leaf in self.all:
+            if not leaf.path.startswith(within):
+                continue
             owner, _, last = leaf.path.rpartition(".")
             if last in _NANOSECONDS and owner.rpartition(".")[2] in {"stamp", "timestamp", "time"}:
                 return self.stamp((owner,), None)

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Protocol
+from operator import itemgetter
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from imucal.readers.column_store import Columns
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.containers import Batch, Container, Loss, Task
 from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.messages.list_messages import ListDecoder
 from imucal.readers.messages.message_types import ImuFields
 from imucal.readers.read_options import Progress
 from imucal.resources import threads as allowed_threads
@@ -42,6 +44,9 @@ class Decoder(Protocol):
         """Decode checked messages that may differ; raises DamagedError."""
 
 
+_Found = TypeVar("_Found", Loss, Columns)
+
+
 @dataclass(slots=True, eq=False)
 class Stream:
     """One topic to decode: what to take, and who decodes each channel of each container."""
@@ -62,6 +67,7 @@ class Decoding:
 class _Job:
     """A task, and where its messages go: (stream, key) -> first row and room."""
 
+    number: int
     container: int
     task: Task
     rooms: dict[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
@@ -118,40 +124,42 @@ class _Run:
         totals = [0] * len(streams)
         self.jobs = list(self._plan(containers, totals, most_chunks))
         self.decodings = [
-            Decoding(
-                Columns(total, stream.imu.sensors, temperature=bool(stream.imu.temperature), limit=limit)
-            )
+            Decoding(_columns(stream.imu, total, limit))
             for stream, total in zip(streams, totals, strict=True)
         ]
         self.filled: list[list[tuple[int, int]]] = [[] for _ in streams]
-        self.extra: list[list[Columns]] = [[] for _ in streams]
+        #: Columns that found no room, and what was lost, each with the number of its chunk: threads are not
+        #: done with chunks in their order.
+        self.extra: list[list[tuple[int, Columns]]] = [[] for _ in streams]
+        self.losses: list[list[tuple[int, Loss]]] = [[] for _ in streams]
         # zstd keeps its buffers itself, and what isn't compressed needs none.
         self.allocates = any(container.compression not in {"zstd", "none"} for container in containers)
         self.parallel = all(container.parallel for container in containers)
         self.progress = progress
         self.done, self.total = 0, sum(job.task.size for job in self.jobs)
         self.lock = threading.Lock()
-        self.hopeless = False
 
     def _plan(
         self, containers: Sequence[Container], totals: list[int], most_chunks: int | None
     ) -> Iterator[_Job]:
         """Yield the tasks, each with room behind that of the ones before; adds up the `totals`."""
+        jobs = 0
         for number, container in enumerate(containers):
             keys = frozenset(key for stream in self.streams for at, key in stream.decoders if at == number)
             tasks = container.tasks(keys) if keys else iter(())
             found = False
             for task in islice(tasks, most_chunks):
                 found = True
-                yield self._job(number, task, totals)
+                yield self._job(jobs, number, task, totals)
+                jobs += 1
             if most_chunks is not None and found:
                 return
 
-    def _job(self, number: int, task: Task, totals: list[int]) -> _Job:
-        job = _Job(number, task)
+    def _job(self, number: int, container: int, task: Task, totals: list[int]) -> _Job:
+        job = _Job(number, container, task)
         for index, stream in enumerate(self.streams):
             for key, count in task.counts.items():
-                if (number, key) in stream.decoders:
+                if (container, key) in stream.decoders:
                     job.rooms[index, key] = (totals[index], count)
                     totals[index] += count
         return job
@@ -168,9 +176,11 @@ class _Run:
                 self._work(job, scratch)
         for index, decoding in enumerate(self.decodings):
             decoders = self.streams[index].decoders.values()
+            decoding.losses += [loss for _, loss in _in_order(self.losses[index])][:_MAX_LOSSES]
             decoding.losses += [note for decoder in decoders for note in decoder.notes]
             decoding.columns.keep_spans(_merged(self.filled[index]))
-            for more in self.extra[index]:
+            if self.extra[index]:
+                more = [columns for _, columns in _in_order(self.extra[index])]
                 decoding.columns = decoding.columns.joined(more)
             decoding.columns.release()
         return self.decodings
@@ -178,6 +188,8 @@ class _Run:
     def _in_threads(self, threads: int) -> None:
         """Each thread takes the next chunk when it is done with one, so that writes stay near each other."""
         jobs = iter(self.jobs)
+        # The first chunk, by which the definition is chosen, is the same however many threads there are.
+        self._work(next(jobs), Scratch())
         stop = threading.Event()
 
         def work() -> None:
@@ -206,53 +218,51 @@ class _Run:
                 for index, stream in enumerate(self.streams):
                     if (index, key) in job.rooms and batch.n:
                         decoder = stream.decoders[job.container, key]
-                        self._decode(index, decoder, batch, job.rooms[index, key])
+                        self._decode(_Part(job.number, index, decoder), batch, job.rooms[index, key])
         except DamagedError as error:
             for (index, key), (_, room) in job.rooms.items():
                 if key not in seen:
-                    self._lose(index, _loss(error, room))
+                    self._lose(job.number, index, _loss(error, room))
         if self.progress is not None:
             with self.lock:
                 self.done += job.task.size
                 self.progress(self.done, self.total)
 
-    def _decode(self, index: int, decoder: Decoder, batch: Batch, room: tuple[int, int]) -> None:
+    def _decode(self, part: "_Part", batch: Batch, room: tuple[int, int]) -> None:
+        index, decoder = part.index, part.decoder
         columns = self.decodings[index].columns
         first, most = room
+        lists = isinstance(decoder, ListDecoder)
         try:
             with self.lock:
                 decoder.settle(batch)
-        except DamagedError as error:
-            self._lose(index, _loss(error, batch.n))
-            return
-        if batch.n <= most and decoder.fast(batch, columns, first):
-            self._note_filled(self.filled[index], columns, first, batch.n)
-            return
-        try:
+            if not lists and batch.n <= most and decoder.fast(batch, columns, first):
+                self._note_filled(self.filled[index], columns, first, batch.n)
+                return
             checked = batch.checked()
         except DamagedError as error:
-            self._lose(index, _loss(error, batch.n))
+            self._lose(part.number, index, _loss(error, batch.n))
             return
         if checked.loss is not None:
-            self._lose(index, checked.loss)
-        if checked.n <= most:
-            self._slow(index, decoder, checked, (columns, first), self.filled[index])
+            self._lose(part.number, index, checked.loss)
+        if isinstance(decoder, ListDecoder):
+            more, losses = decoder.elements(checked, columns)
+            for loss in losses:
+                self._lose(part.number, index, loss)
+        elif checked.n <= most:
+            self._slow(part, checked, (columns, first), self.filled[index])
             return
-        # The index counted too few: what it left out goes behind all others.
-        more = Columns(checked.n, tuple(columns.vectors), temperature=columns.temperature is not None)
-        spans: list[tuple[int, int]] = []
-        self._slow(index, decoder, checked, (more, 0), spans)
-        more.keep_spans(_merged(spans))
+        else:
+            # The index counted too few: what it left out goes behind all others.
+            more = columns.like(checked.n)
+            spans: list[tuple[int, int]] = []
+            self._slow(part, checked, (more, 0), spans)
+            more.keep_spans(_merged(spans))
         with self.lock:
-            self.extra[index].append(more)
+            self.extra[index].append((part.number, more))
 
     def _slow(
-        self,
-        index: int,
-        decoder: Decoder,
-        batch: Batch,
-        to: tuple[Columns, int],
-        spans: list[tuple[int, int]],
+        self, part: "_Part", batch: Batch, to: tuple[Columns, int], spans: list[tuple[int, int]]
     ) -> None:
         """Decode message by message where some are damaged: halves, down to the bad ones.
 
@@ -262,15 +272,15 @@ class _Run:
             return
         columns, first = to
         try:
-            decoder.slow(batch, columns, first)
+            part.decoder.slow(batch, columns, first)
         except DamagedError as error:
-            if batch.n == 1 or self.hopeless or error.code in {"encapsulation", "definition"}:
-                self._lose(index, _loss(error, batch.n))
+            if batch.n == 1 or part.hopeless or error.code in {"encapsulation", "definition"}:
+                self._lose(part.number, part.index, _loss(error, batch.n))
                 return
             before, half, chosen = len(spans), batch.n // 2, np.arange(batch.n)
-            self._slow(index, decoder, batch.part(chosen[:half]), (columns, first), spans)
-            self._slow(index, decoder, batch.part(chosen[half:]), (columns, first + half), spans)
-            self.hopeless |= batch.n > 64 and len(spans) == before
+            self._slow(part, batch.part(chosen[:half]), (columns, first), spans)
+            self._slow(part, batch.part(chosen[half:]), (columns, first + half), spans)
+            part.hopeless |= batch.n > 64 and len(spans) == before
             return
         self._note_filled(spans, columns, first, batch.n)
 
@@ -279,11 +289,37 @@ class _Run:
             spans.append((first, first + n))
             columns.wrote(8 * n * len(columns.rows))
 
-    def _lose(self, index: int, loss: Loss) -> None:
+    def _lose(self, number: int, index: int, loss: Loss) -> None:
         with self.lock:
-            losses = self.decodings[index].losses
-            if len(losses) < _MAX_LOSSES:
-                losses.append(loss)
+            losses = self.losses[index]
+            losses.append((number, loss))
+            if len(losses) >= 2 * _MAX_LOSSES:
+                # Those of the first chunks stay, whichever thread came first.
+                self.losses[index] = _in_order(losses)[:_MAX_LOSSES]
+
+
+@dataclass(slots=True, eq=False)
+class _Part:
+    """The messages of a channel in one chunk: its number, the stream, and who decodes them.
+
+    They are `hopeless` when all of many were damaged: the type itself is wrong then, and each of the others
+    would be tried in vain.
+    """
+
+    number: int
+    index: int
+    decoder: Decoder
+    hopeless: bool = False
+
+
+def _columns(imu: ImuFields, n: int, limit: int | None) -> Columns:
+    axes = tuple(len(vector.axes) for vector in imu.vectors)
+    return Columns(n, imu.sensors, temperature=bool(imu.temperature), limit=limit, axes=axes)
+
+
+def _in_order(found: list[tuple[int, _Found]]) -> list[tuple[int, _Found]]:
+    """Return what was found in the order of the chunks, and as it was found in each."""
+    return sorted(found, key=itemgetter(0))
 
 
 def _loss(error: DamagedError, messages: int) -> Loss:

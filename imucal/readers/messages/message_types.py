@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imucal.readers.messages.definitions import Field, plain_type
-from imucal.recording import Sensor
+from imucal.readers.messages.fields_text import EACH
+from imucal.recording import AXES, Axis, Sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,10 +26,12 @@ class Stamp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vector:
-    """Three numbers: the paths of x, y, z, or the one path of an array of three.
+    """Three numbers: the paths of x, y, z, or the one path of an array of three; or those of some axes.
 
     Attributes
     ----------
+    axes
+        What the numbers are, in their order.
     divisor
         Path of a duration in µs that turns an increment into a rate; empty for a plain rate.
     unit
@@ -37,6 +40,7 @@ class Vector:
 
     sensor: Sensor
     paths: tuple[str, ...]
+    axes: tuple[Axis, ...] = AXES
     divisor: str = ""
     unit: str | None = None
 
@@ -80,6 +84,11 @@ class ImuFields:
     def sensors(self) -> tuple[Sensor, ...]:
         """What it measures."""
         return tuple(vector.sensor for vector in self.vectors)
+
+    @property
+    def lists(self) -> bool:
+        """Whether each element of a list in a message is a sample."""
+        return any(EACH in path for vector in self.vectors for path in vector.paths)
 
     @property
     def wanted(self) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from imucal.readers.messages.definitions import (
 )
 from imucal.readers.messages.fields_text import FieldsText, parse_fields_text
 from imucal.readers.messages.leaves import Leaves, leaves_of_tree
+from imucal.readers.messages.list_messages import tree_decoder
 from imucal.readers.messages.loader import Decoder, Stream, decode, first_message
 from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus
 from imucal.readers.messages.tree_messages import JSON_FIELDS, TreeDecoder
@@ -138,9 +139,9 @@ def _decoder(
     """Return what decodes the messages of one channel of a topic."""
     imu = _only(topic.imu or JSON_FIELDS, sensors)
     if channel.encoding == "json":
-        return TreeDecoder(imu)
+        return tree_decoder(imu)
     if channel.encoding == "protobuf":
-        return TreeDecoder(imu, protobuf_messages.parser_of(channel), "protobuf")
+        return tree_decoder(imu, protobuf_messages.parser_of(channel), "protobuf")
     ros1 = channel.encoding == "ros1"
     definition = _definition(channel, options)
     fields = definition.fields(channel)
@@ -148,7 +149,7 @@ def _decoder(
         reached = reachable(imu, fields)
         if reached is None:
             parse = ros_trees.parser_of(channel.type, definition.text, definition.more, ros1=ros1)
-            return TreeDecoder(imu, parse, "ROS")
+            return tree_decoder(imu, parse, "ROS")
         return BinaryDecoder([Shape(fields, reached)], ros1=ros1, exact=definition.assumed)
     shapes = [_shape(channel, fields, topic, sensors)]
     standard = built_in(channel.type, ros1=ros1)

@@ -3,11 +3,12 @@
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
+from imucal.arrays import FloatArray, IntArray
 from imucal.readers.column_store import Columns
 from imucal.readers.containers import Batch, Loss
 from imucal.readers.files import DamagedError
@@ -16,6 +17,7 @@ from imucal.recording import Sensor
 
 #: Bytes of a message -> its tree: mappings, lists and numbers, or objects with attributes.
 Parse: TypeAlias = Callable[[bytes], Any]
+Result = TypeVar("Result")
 
 #: What a JSON message of an IMU is taken to hold, where the user names no fields.
 JSON_FIELDS = ImuFields(
@@ -30,7 +32,10 @@ _STAMPS = ("stamp", "timestamp", "time")
 _NANOSECONDS = ("nanosec", "nsec", "nanos", "nsecs")
 _SECONDS = ("sec", "secs", "seconds")
 
-_STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
+_STEP = re.compile(r"\[(\d*)\]|([^.\[\]]+)")
+
+#: The steps of a path: names, indices, and None for each element of a list.
+Steps: TypeAlias = tuple[str | int | None, ...]
 
 
 class TreeDecoder:
@@ -47,13 +52,13 @@ class TreeDecoder:
     """
 
     def __init__(self, imu: ImuFields, parse: Parse = json.loads, kind: str = "JSON") -> None:
-        self._imu = imu
+        self.imu = imu
         self._parse = parse
         self._kind = kind
-        self._vectors = [[_steps(path) for path in vector.paths] for vector in imu.vectors]
+        self.vectors = [[_steps(path) for path in vector.paths] for vector in imu.vectors]
         stamp = imu.stamp
-        self._stamp = None if stamp is None else [_steps(path) for path in (stamp.sec, stamp.nanosec) if path]
-        self._temperature = _steps(imu.temperature) if imu.temperature else None
+        self.stamp = None if stamp is None else [_steps(path) for path in (stamp.sec, stamp.nanosec) if path]
+        self.temperature = _steps(imu.temperature) if imu.temperature else None
         self.notes: list[Loss] = []
 
     def settle(self, batch: Batch) -> None:
@@ -66,54 +71,75 @@ class TreeDecoder:
 
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:
         """Decode messages; raises DamagedError where one can't be read, or has not the fields wanted."""
-        starts = batch.payload()
-        ends = starts + batch.sizes
-        view = memoryview(batch.buffer)
         stamps = np.empty(batch.n, dtype=np.int64)
-        values = np.empty((batch.n, 3 * len(self._vectors)))
+        values = np.empty((batch.n, sum(len(vector.axes) for vector in self.imu.vectors)))
         warmth = np.empty(batch.n)
-        for row, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-            try:
-                tree = self._parse(bytes(view[start:end]))
-                stamps[row] = self._time(tree)
-                values[row] = [number for paths in self._vectors for number in _vector(tree, paths)]
-                warmth[row] = _number(_follow(tree, self._temperature)) if self._temperature else math.nan
-            except Exception as error:
-                # The packages that parse have error classes of their own.
-                msg = f"a {self._kind} message has no IMU sample: {type(error).__name__} {error}"
-                raise DamagedError(msg) from error
+        for row, data in enumerate(messages_in(batch)):
+            stamps[row], values[row], warmth[row] = self.parsed(data, self._sample)
         part = slice(first, first + batch.n)
+        write_samples(columns, part, values, stamps, warmth)
         columns.log[part] = batch.log_ns
-        columns.stamps[part] = stamps
-        if columns.temperature is not None:
-            columns.temperature[part] = warmth
-        for index, vector in enumerate(self._imu.vectors):
-            columns.vectors[vector.sensor][:, part] = values[:, 3 * index : 3 * index + 3].T
 
-    def _time(self, tree: Any) -> int:  # noqa: ANN401 - any tree
+    def parsed(self, data: bytes, take: Callable[[Any], Result]) -> Result:
+        """Return what is taken from a message; raises DamagedError where that can't be read."""
+        try:
+            return take(self._parse(data))
+        except Exception as error:
+            # The packages that parse have error classes of their own.
+            msg = f"a {self._kind} message has no IMU sample: {type(error).__name__} {error}"
+            raise DamagedError(msg) from error
+
+    def _sample(self, tree: Any) -> tuple[int, list[float], float]:  # noqa: ANN401 - any tree
+        numbers = [number for paths in self.vectors for number in _vector(tree, paths)]
+        warmth = number_of(follow(tree, self.temperature)) if self.temperature else math.nan
+        return self.time_of(tree), numbers, warmth
+
+    def time_of(self, tree: Any) -> int:  # noqa: ANN401 - any tree
         """Return the stamp in ns; 0 where there is none."""
-        if self._stamp is None or self._imu.stamp is None:
+        if self.stamp is None:
             return 0
-        if not self._stamp:
-            return stamp_of(tree)
-        parts = [_follow(tree, steps) for steps in self._stamp]
+        return self.ns_of([follow(tree, steps) for steps in self.stamp]) if self.stamp else stamp_of(tree)
+
+    def ns_of(self, parts: Sequence[Any]) -> int:
+        """Return the ns of a time: of seconds and nanoseconds, or of a count of its own unit."""
         if len(parts) == 2:
             return int(parts[0]) * 1_000_000_000 + int(parts[1])
-        count, scale = parts[0], self._imu.stamp.scale
+        count, scale = parts[0], self.imu.stamp.scale if self.imu.stamp is not None else 1
         if isinstance(count, float):
             whole = math.floor(count)
             return whole * scale + round((count - whole) * scale)
         return int(count) * scale
 
 
-def _steps(path: str) -> tuple[str | int, ...]:
+def messages_in(batch: Batch) -> Iterator[bytes]:
+    """Yield the bytes of each message."""
+    starts = batch.payload()
+    ends = starts + batch.sizes
+    view = memoryview(batch.buffer)
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        yield bytes(view[start:end])
+
+
+def write_samples(
+    columns: Columns, part: slice, values: FloatArray, stamps: IntArray, warmth: FloatArray
+) -> None:
+    """Write samples, shape (n, axes) of all sensors in their order, to some rows of the columns."""
+    columns.stamps[part] = stamps
+    if columns.temperature is not None:
+        columns.temperature[part] = warmth
+    for row, axis in zip([row for rows in columns.vectors.values() for row in rows], values.T, strict=True):
+        row[part] = axis
+
+
+def _steps(path: str) -> Steps:
     """Return the names and indices of a path such as ``imus[1].gyro.x``."""
-    return tuple(int(index) if index else name for index, name in _STEP.findall(path))
+    return tuple(name or (int(index) if index else None) for index, name in _STEP.findall(path))
 
 
-def _follow(tree: Any, steps: tuple[str | int, ...]) -> Any:  # noqa: ANN401 - any tree
+def follow(tree: Any, steps: Steps) -> Any:  # noqa: ANN401 - any tree
+    """Return what a path leads to, which has no None among its steps."""
     for step in steps:
-        tree = tree[step] if isinstance(step, int) or isinstance(tree, Mapping) else getattr(tree, step)
+        tree = tree[step] if isinstance(step, int) or isinstance(tree, Mapping) else getattr(tree, str(step))
     return tree
 
 
@@ -132,15 +158,23 @@ def stamp_of(message: Mapping[str, Any]) -> int:
     return 0
 
 
-def _vector(tree: Any, paths: list[tuple[str | int, ...]]) -> tuple[float, float, float]:  # noqa: ANN401
-    """Return three numbers: at three paths, or of the mapping or list at one."""
-    values = [_follow(tree, steps) for steps in paths]
-    if len(paths) == 1:
+def _vector(tree: Any, paths: Sequence[Steps]) -> list[float]:  # noqa: ANN401 - any tree
+    """Return the numbers at some paths, or the three of the mapping or list at one."""
+    values = [follow(tree, steps) for steps in paths]
+    if len(paths) == 1 and not is_number(values[0]):
         value = values[0]
         values = [value[axis] for axis in "xyz"] if isinstance(value, Mapping) else list(value)
-    x, y, z = values
-    return _number(x), _number(y), _number(z)
+        if len(values) != 3:
+            msg = f"a vector of {len(values)} numbers"
+            raise ValueError(msg)
+    return [number_of(value) for value in values]
 
 
-def _number(value: Any) -> float:  # noqa: ANN401 - whatever stands in a tree
+def is_number(value: Any) -> bool:  # noqa: ANN401 - whatever stands in a tree
+    """Return whether a value is one number, or the null that stands for NaN."""
+    return value is None or isinstance(value, int | float | np.number)
+
+
+def number_of(value: Any) -> float:  # noqa: ANN401 - whatever stands in a tree
+    """Return a value as a float; NaN of none."""
     return math.nan if value is None else float(value)

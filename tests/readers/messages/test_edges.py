@@ -47,10 +47,11 @@ def test_the_stamp_of_a_json_message(message: dict[str, Any], stamp: int) -> Non
 
 
 def test_the_vector_of_a_json_message() -> None:
-    assert _vector({"v": {"z": 3, "x": 1, "y": "2"}}, [_steps("v")]) == (1.0, 2.0, 3.0)
-    assert _vector({"v": [1, 2, 3]}, [_steps("v")]) == (1.0, 2.0, 3.0)
+    assert _vector({"v": {"z": 3, "x": 1, "y": "2"}}, [_steps("v")]) == [1.0, 2.0, 3.0]
+    assert _vector({"v": [1, 2, 3]}, [_steps("v")]) == [1.0, 2.0, 3.0]
+    assert _vector({"v": 7}, [_steps("v")]) == [7.0]
     np.testing.assert_array_equal(_vector({"v": [1, None, 3]}, [_steps("v")]), [1.0, np.nan, 3.0])
-    with pytest.raises(ValueError, match="unpack"):
+    with pytest.raises(ValueError, match="a vector of 2 numbers"):
         _vector({"v": [1, 2]}, [_steps("v")])
 
 

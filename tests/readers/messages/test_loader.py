@@ -1,5 +1,6 @@
 """Chunks into columns: every message in its row, what is damaged lost alone, and what is lost told."""
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -167,11 +168,38 @@ def test_a_layout_that_is_not_known_is_lost_as_a_whole(code: str) -> None:
 
 @pytest.mark.parametrize(("n", "tried"), [(64, True), (65, False)])
 def test_when_all_of_many_are_damaged_the_next_are_not_halved(n: int, tried: bool) -> None:  # noqa: FBT001
-    """More than 64: the type itself is wrong then, and each message would be tried in vain."""
-    decoder = Decoder()
-    values, found = run(Task({1: batch([-1] * n)}), Task({1: batch([-1, 7])}), decoder=decoder)
-    assert values == ([7] if tried else [])
-    assert sum(loss.messages or 0 for loss in found.losses) == (n + 1 if tried else n + 2)
+    """More than 64 of a chunk: the type itself is wrong then, and each message would be tried in vain.
+
+    What one chunk is like says nothing of another, which another thread may have read before.
+    """
+    values, found = run(Task({1: batch([-1] * n + [7] + [-1] * (n - 1))}), Task({1: batch([-1, 8])}))
+    assert values == ([7, 8] if tried else [8])
+    assert sum(loss.messages or 0 for loss in found.losses) == 2 * n + (0 if tried else 1)
+
+
+def test_losses_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They stand in the order of the chunks, and those of the first are kept; so do messages without room."""
+
+    class Late(Task):
+        def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
+            time.sleep(0.03)
+            return super().load(scratch)
+
+    def damaged(kind: type[Task], row: int) -> Task:
+        return kind({2: batch([row])}, {1: 2, 2: 1}, DamagedError(f"gone {row}", code="crc"))
+
+    def without_room(kind: type[Task], row: int) -> Task:
+        return kind({1: batch([row, row + 1])}, {1: 1})
+
+    # Of two neighbours the first takes longer.
+    tasks = [Task({1: batch([1])}), without_room(Late, 81), without_room(Task, 91)]
+    tasks += [damaged(Task if row % 2 else Late, row) for row in range(8)]
+    monkeypatch.setattr(loader, "_MAX_LOSSES", 3)
+    for threads in (1, 2, 4):
+        monkeypatch.setattr(loader, "allowed_threads", lambda threads=threads: threads)
+        (found,) = decode([container(*tasks, parallel=True)], [Stream(IMU, {(0, 1): Decoder()})])
+        assert found.columns.log.tolist() == [1, 81, 82, 91, 92]
+        assert [loss.text for loss in found.losses] == ["gone 0", "gone 1", "gone 2"]
 
 
 def test_what_an_index_lists_wrongly_is_loaded_record_by_record() -> None:
