@@ -28,7 +28,7 @@ OTHERWISE: Mapping[tuple[str, Level], Grade] = {
 }
 
 #: Codes that, said of the whole log, concern the noise of every axis.
-OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate"})
+OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate", "fast-rate"})
 
 #: What the sentence says of a code; the code itself, its hyphens as blanks, where it is not here.
 PHRASES: Mapping[str, str] = {
@@ -41,6 +41,7 @@ PHRASES: Mapping[str, str] = {
     "damaged": "damage to the log",
     "duplicate-axes": "two axes hold the same samples",
     "extra-samples": "samples too many",
+    "fast-rate": "a rate that no MEMS sensor has",
     "file-missing": "a missing file",
     "gaps": "missing samples",
     "log-time-used": "stamps that can't be used",

@@ -38,6 +38,7 @@ FINDING_CODES = frozenset(
         "encapsulation",
         "extra-samples",
         "few-units",
+        "fast-rate",
         "file-missing",
         "gaps",
         "gaps-in-curve",

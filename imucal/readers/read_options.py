@@ -35,8 +35,8 @@ class ReadOptions:
     message_definitions
         ``.msg`` files, or folders of them, for message types whose definitions the log doesn't carry.
     fields
-        Texts such as ``gyro=gx,gy,gz accel=imus[].a`` or ``gyro.z=turn`` that say which fields of messages are
-        which.
+        Texts such as ``gyro=gx,gy,gz accel=imus[].a`` or ``gyro.z=turn`` that say which fields of messages
+        are which.
     join
         Take several logs as parts of one recording, whatever speaks against it.
     strict
