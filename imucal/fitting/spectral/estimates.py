@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import Estimate, Interval
+from imucal.fitting.noise_fit import Estimate, Goodness, Interval
 from imucal.fitting.spectral.intervals import RAMP, profile_limits, quantile, student_quantile
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
@@ -13,6 +13,9 @@ from imucal.fitting.spectral.scoring import Maximum, covariance, misfit_factors
 from imucal.fitting.spectral.structures import Structure, parameter_columns
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
+
+#: Misfit score from which the model does not describe the record.
+MISFIT = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -169,17 +172,19 @@ def _slope(name: str, known: dict[str, Estimate]) -> float:
     return 0.5 * float(found.value or 0.0)
 
 
-def misfits_of(problem: Problem, fitted: Fitted) -> dict[str, float]:
-    """Return for each symbol by what factor a misfit makes its interval wider, one at least."""
+def misfits_of(problem: Problem, fitted: Fitted, found: Goodness) -> dict[str, float]:
+    """Return for each symbol by what factor a misfit makes its interval wider, one at least; {} for none."""
+    if found.statistic < MISFIT:
+        return {}
     factors = misfit_factors(problem.ordinates, fitted.candidate, fitted.maximum.theta)
     missing = [symbol for symbol in ALWAYS if symbol not in fitted.structure]
     columns = parameter_columns(in_order((*fitted.structure, *missing)), fitted.candidate.room_markov)
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for name, column in columns:
         if column < factors.size:
             symbol = name.partition(".")[0].rstrip("0123456789")
-            found[symbol] = max(found.get(symbol, 1.0), float(factors[column]))
-    return found
+            largest[symbol] = max(largest.get(symbol, 1.0), float(factors[column]))
+    return largest
 
 
 def model_of(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> NoiseModel:

@@ -18,7 +18,7 @@ from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.disturbance_findings import disturbance_findings, with_exact_steps
 from imucal.fitting.spectral.disturbances import Disturbance, find_disturbances
-from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, misfits_of, model_of
+from imucal.fitting.spectral.estimates import MISFIT, Fitted, Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.hull import hull_estimates
 from imucal.fitting.spectral.noise_share import noise_share
@@ -35,8 +35,6 @@ from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 from imucal.side_work import findings_or_why_not, try_side_work
 
-#: Misfit score above which the model does not describe the axis.
-_MISFIT = 3.0
 #: Lines named in a finding.
 _NAMED = 4
 
@@ -119,7 +117,7 @@ def fit_mle(
         code="nonstationary",
         axis=series.name,
     )
-    misfits = misfits_of(problem, fitted) if found.statistic >= _MISFIT else {}
+    misfits = misfits_of(problem, fitted, found)
     estimates = widened(estimates, segments, misfits)
     covariance = widened_covariance(names, covariance, segments, misfits)
     estimates, names = numbered(estimates, names)
@@ -302,7 +300,7 @@ def _line_findings(lines: tuple[Line, ...], series: AxisSeries) -> tuple[Finding
 def _misfit_findings(
     found: Goodness, misfits: dict[str, float], model: str, axis: str
 ) -> tuple[Finding, ...]:
-    if found.statistic < _MISFIT:
+    if found.statistic < MISFIT:
         return ()
     wider = ", ".join(f"{symbol} {factor:.3g}" for symbol, factor in misfits.items() if factor > 1)
     allow = f" Intervals are wider to allow for that: {wider} times." if wider else ""

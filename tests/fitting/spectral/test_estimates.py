@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm, t
 
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import Estimate
+from imucal.fitting.noise_fit import Estimate, Goodness
 from imucal.fitting.spectral import estimates
 from imucal.fitting.spectral.estimates import (
     Fitted,
@@ -165,7 +165,9 @@ def test_the_fewer_ordinates_tell_a_variance_the_farther_are_its_limits(
 def test_misfit_factors_have_the_symbols_of_their_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of two Gauss-Markov terms the larger; none below one; of N, B and K also where they are absent."""
     monkeypatch.setattr(estimates, "misfit_factors", lambda *_: np.array([1.5, 0.7, 2.0, 1.2, 1.1, 1.4]))
-    assert misfits_of(problem(), fit()) == {"Q": 1.5, "N": 1.0, "B": 2.0, "GM": 1.4, "K": 1.2}
+    bad, good = (Goodness(statistic=s, p_value=0.5, chi2_per_bin=1.0) for s in (3.0, 2.99))
+    assert misfits_of(problem(), fit(), good) == {}
+    assert misfits_of(problem(), fit(), bad) == {"Q": 1.5, "N": 1.0, "B": 2.0, "GM": 1.4, "K": 1.2}
 
 
 def test_the_covariance_is_in_si(monkeypatch: pytest.MonkeyPatch) -> None:
