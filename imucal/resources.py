@@ -15,6 +15,8 @@ MEMORY, THREADS = "IMUCAL_MEMORY", "IMUCAL_THREADS"
 
 #: Memory that one step may take, in bytes, where the machine does not say how much it has.
 _UNKNOWN = 2_000_000_000
+#: Bytes of samples that are held at most without being asked.
+_COLUMNS = 500_000_000
 #: The share of the memory that one step may take.
 _SHARE = 4
 _SIZE = re.compile(r"(?P<number>\d+(?:\.\d*)?)\s*(?P<prefix>[kmgt]?)i?b?", re.IGNORECASE)
@@ -46,6 +48,21 @@ def memory_limit() -> int:
         msg = f"{MEMORY}: found {text!r}, expected a size such as 500M or 2G; set one, or unset it"
         raise SettingError(msg)
     return int(size)
+
+
+def column_limit() -> int:
+    """Return how many bytes of samples may be held before a temporary file takes them.
+
+    It is ``IMUCAL_MEMORY`` where that is set; else half a gigabyte, or what one step may take where that is
+    less.
+
+    Raises
+    ------
+    SettingError
+        If ``IMUCAL_MEMORY`` is no size.
+    """
+    limit = memory_limit()
+    return limit if os.environ.get(MEMORY, "").strip() else min(limit, _COLUMNS)
 
 
 def threads() -> int:

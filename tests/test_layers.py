@@ -18,6 +18,7 @@ BELOW: dict[str, set[str]] = {
     "_version": set(),
     "atomic": {"errors"},
     "clock": set(),
+    "mapped": set(),
     "printable": set(),
     "resources": {"errors"},
     "recording": {"arrays", "clock", "errors", "findings"},

@@ -5,6 +5,7 @@ from functools import partial
 from typing import TypeAlias
 
 from imucal.findings import Finding
+from imucal.mapped import release
 from imucal.recording import Recording
 from imucal.screening.motion import check_motion, check_tremor, check_turned
 from imucal.screening.profile import Profile, profile
@@ -73,6 +74,7 @@ def _all_findings(recording: Recording) -> Iterator[Finding]:
             partial(profile, series), None, what=what, code=_FAILED, axis=series.name
         )
         profiles += [made] if made else []
+        release(series.samples)
         yield from failed
     empty = [finding for p in profiles for finding in check_no_data(p)]
     dead = {finding.axis for finding in empty}
