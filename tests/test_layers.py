@@ -23,6 +23,7 @@ BELOW: dict[str, set[str]] = {
     "recording": {"arrays", "clock", "errors", "findings"},
     "powerlaw": {"arrays"},
     "side_work": {"errors", "findings"},
+    "solvers": {"arrays"},
     "units": {"recording"},
 }
 BASE = set(BELOW)
