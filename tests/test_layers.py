@@ -21,6 +21,7 @@ BELOW: dict[str, set[str]] = {
     "printable": set(),
     "resources": {"errors"},
     "recording": {"arrays", "clock", "errors", "findings"},
+    "parallel": {"resources"},
     "powerlaw": {"arrays"},
     "side_work": {"errors", "findings"},
     "solvers": {"arrays"},
