@@ -68,6 +68,9 @@ def column_limit() -> int:
 def threads() -> int:
     """Return how many threads may work: ``IMUCAL_THREADS``, or the processors that this process may use.
 
+    Those are the ones it may run on, or as many as its control group (a container) has time of, if that
+    is less.
+
     Raises
     ------
     SettingError
@@ -75,7 +78,8 @@ def threads() -> int:
     """
     text = os.environ.get(THREADS, "").strip()
     if not text:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return min([there, *control_group_processors()])
     if not (text.isascii() and text.isdigit() and int(text)):
         msg = f"{THREADS}: found {text!r}, expected a number from 1; set one, or unset it"
         raise SettingError(msg)
@@ -112,22 +116,56 @@ def control_group_limits(
     return [limit for limit in found if limit is not None]
 
 
+def control_group_processors(
+    groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")
+) -> list[int]:
+    """Return how many processors' time this process's control group and those above it have, rounded up.
+
+    Source: Linux, Documentation/scheduler/sched-bwc.rst and admin-guide/cgroup-v2.rst (``cpu.max``).
+    """
+    try:
+        lines = groups.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+    found = []
+    for folder, unified in (pair for line in lines for pair in _folders(line, root, "cpu")):
+        files = ["cpu.max"] if unified else ["cpu.cfs_quota_us", "cpu.cfs_period_us"]
+        numbers = [word for name in files for word in _words(folder / name)]
+        # The quota of a group without one is "max", or -1.
+        if len(numbers) == 2 and all(word.isdigit() and int(word) for word in numbers):
+            found.append(-(-int(numbers[0]) // int(numbers[1])))
+    return found
+
+
 def _files(line: str, root: Path) -> Iterator[Path]:
-    """Yield the files that limit a group, such as ``4:memory:/docker/1f`` or ``0::/user.slice``."""
+    """Yield the files that limit a group's memory."""
+    for folder, unified in _folders(line, root, "memory"):
+        yield folder / ("memory.max" if unified else "memory.limit_in_bytes")
+
+
+def _folders(line: str, root: Path, controller: str) -> Iterator[tuple[Path, bool]]:
+    """Yield a group's folder and those above it, and whether all controllers have the same.
+
+    A line is such as ``4:memory:/docker/1f``, or ``0::/user.slice`` where they have.
+    """
     _, _, rest = line.partition(":")
     controllers, _, path = rest.partition(":")
-    if controllers and "memory" not in controllers.split(","):
+    if controllers and controller not in controllers.split(","):
         return
-    base, name = (root / "memory", "memory.limit_in_bytes") if controllers else (root, "memory.max")
     group = PurePosixPath(path.lstrip("/"))
     for part in (group, *group.parents):
-        yield base / part / name
+        yield (root / controller if controllers else root) / part, not controllers
 
 
 def _limit(file: Path) -> int | None:
     """Return the number in a file; None for ``max``, or where there is none."""
+    words = _words(file)
+    return int(words[0]) if len(words) == 1 and words[0].isdigit() and int(words[0]) else None
+
+
+def _words(file: Path) -> list[str]:
+    """Return the words in a file; none where there is no such file."""
     try:
-        text = file.read_text(encoding="ascii").strip()
+        return file.read_text(encoding="ascii").split()
     except (OSError, ValueError):
-        return None
-    return int(text) if text.isdigit() and int(text) else None
+        return []

@@ -22,8 +22,10 @@ BELOW: dict[str, set[str]] = {
     "printable": set(),
     "resources": {"errors"},
     "recording": {"arrays", "clock", "errors", "findings"},
+    "parallel": {"resources"},
     "powerlaw": {"arrays"},
     "side_work": {"errors", "findings"},
+    "solvers": {"arrays"},
     "units": {"recording"},
 }
 BASE = set(BELOW)
