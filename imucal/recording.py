@@ -226,7 +226,8 @@ class Source:
     decisions
         How each choice was made, such as ``("gyroscope unit", "deg/s, from the column header")``.
     files
-        Size and checksum of each file; empty where they were not asked for.
+        Size and checksum of each file; empty where they were not asked for, but for standard input, which
+        nobody can read again.
     read
         Which part of the log was read; None for all of it, until a report says which that is.
     """

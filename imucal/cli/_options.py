@@ -140,7 +140,8 @@ class LogRequest:
             recording = self.read()
             with axes_progress(quiet=self.quiet) as progress:
                 report = characterize(recording, settings, progress=progress, workers=workers)
-            return replace(report, source=replace(report.source, files=checksums.files()))
+            files = (*report.source.files, *checksums.files())
+            return replace(report, source=replace(report.source, files=files))
 
     def settings(self) -> dict[str, object]:
         """Return what was asked, for the report: JSON values, defaults left out."""

@@ -104,7 +104,8 @@ def read(
 
         with Checksums([Path(path) for path in paths]) as sums:
             recording = _read([Path(path) for path in paths], options)
-            return replace(recording, source=replace(recording.source, files=sums.files()))
+            files = (*recording.source.files, *sums.files())
+            return replace(recording, source=replace(recording.source, files=files))
     return _read([Path(path) for path in paths], options)
 
 

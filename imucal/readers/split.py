@@ -132,6 +132,7 @@ def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str, lim
     )
     return replace(
         parts[0],
+        source=replace(parts[0].source, files=tuple(file for part in parts for file in part.source.files)),
         series=series,
         temperature=_temperature(parts, clocks, in_order=in_order),
         findings=(

@@ -22,11 +22,9 @@ def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _finding(rate_hz: float) -> Finding:
-    bench = _FASTEST_MEMS < rate_hz <= _FASTEST
-    kind = "MEMS sensor" if bench else "IMU"
-    return Finding(
-        level="warning" if bench else "error",
-        code="fast-rate" if bench else "absurd-rate",
-        text=f"The samples come at {rate_hz:.4g} Hz: no {kind} is so {'slow' if rate_hz < 1 else 'fast'}.",
-        advice="Look at the unit of the stamps (s, ms, us, ns), or give the sampling rate in Hz.",
-    )
+    advice = "Look at the unit of the stamps (s, ms, us, ns), or give the sampling rate in Hz."
+    if _FASTEST_MEMS < rate_hz <= _FASTEST:
+        text = f"The samples come at {rate_hz:.4g} Hz: no MEMS sensor is so fast."
+        return Finding(level="warning", code="fast-rate", text=text, advice=advice)
+    text = f"The samples come at {rate_hz:.4g} Hz: no IMU is so {'slow' if rate_hz < 1 else 'fast'}."
+    return Finding(level="error", code="absurd-rate", text=text, advice=advice)

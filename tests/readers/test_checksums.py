@@ -1,10 +1,14 @@
 """Which bytes and which part of a log a report is of."""
 
+import gzip
 import hashlib
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 
 import imucal
@@ -61,6 +65,27 @@ def test_what_can_not_be_read_has_none(tmp_path: Path, monkeypatch: pytest.Monke
     with Checksums([path]) as sums:
         pass
     assert sums.files() in ((), (LogFileInfo(path=str(path), size_bytes=1 << 16, blake2b=b2sum(path)),))
+
+
+@pytest.mark.parametrize("packed", ["plain", "gzip", "cut", "zeros behind"])
+def test_standard_input_has_size_and_checksum(packed: str, tmp_path: Path) -> None:
+    """Of all its bytes as they came, packed or not, also where reading ends before them."""
+    rng = np.random.default_rng(5)
+    rows = [f"{i / 100},{','.join(map(repr, rng.normal(0, 1e-3, 3).tolist()))}" for i in range(3000)]
+    text = "\n".join(["t_s,gx_rads,gy_rads,gz_rads", *rows, ""]).encode()
+    whole = gzip.compress(text)
+    data = {"plain": text, "gzip": whole, "cut": whole[:-40], "zeros behind": whole + bytes(99) + b"1"}[
+        packed
+    ]
+    command = [sys.executable, "-m", "imucal", "fit", "-", "--model", "N", "--force", "-q", "-o", "r"]
+    done = subprocess.run(command, input=data, cwd=tmp_path, capture_output=True, check=False)  # noqa: S603
+    assert done.returncode == 0, done.stderr
+    document = json.loads((tmp_path / "r" / "report.json").read_text(encoding="utf-8"))
+    jsonschema.validate(document, schema())
+    expected = hashlib.blake2b(data).hexdigest()
+    assert document["source"]["files"] == [
+        {"path": "standard input", "size_bytes": len(data), "blake2b": expected}
+    ]
 
 
 def test_a_report_says_what_was_read(tmp_path: Path) -> None:

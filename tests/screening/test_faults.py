@@ -9,6 +9,7 @@ import pytest
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.findings import Finding
+from imucal.grading import grade_of
 from imucal.screening import screen
 from imucal.units import G0
 from tests.screening.still import recording, still

@@ -38,7 +38,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
     if is_set(path):
         return read_set(path, options)
     with open_text(path, progress=options.progress) as source:
-        return read_table(source, options)
+        recording = read_table(source, options)
+        return replace(recording, source=replace(recording.source, files=source.files()))
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:

@@ -17,7 +17,14 @@ from typing import BinaryIO, Self, cast
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.read_options import Progress
-from imucal.readers.tables.text_streams import compression_of, find_encoding, read_fully, unpacked
+from imucal.readers.tables.text_streams import (
+    CountedStream,
+    compression_of,
+    find_encoding,
+    read_fully,
+    unpacked,
+)
+from imucal.recording import LogFileInfo
 
 #: The path that means standard input.
 STANDARD_INPUT = "-"
@@ -120,6 +127,13 @@ class TextSource:
             return 0
         length = sum(map(len, self.head)) / len(self.head) + 1
         return int(1.05 * self.size / length)
+
+    def files(self) -> tuple[LogFileInfo, ...]:
+        """Return size and checksum of standard input, which nobody can read again; nothing of a file."""
+        if not isinstance(self._raw, CountedStream):
+            return ()
+        checksum = self._raw.checksum()
+        return (LogFileInfo(path=self.name, size_bytes=self._raw.size, blake2b=checksum),)
 
     def blocks(self) -> Iterator[bytes]:
         """Yield all text, in blocks of whole lines; the last line may lack its end.
@@ -254,7 +268,8 @@ def open_text(path: Path, *, progress: Progress | None = None, most: int | None 
         If the file can't be opened, is empty, or is not text.
     """
     if str(path) == STANDARD_INPUT:
-        source = TextSource("standard input", sys.stdin.buffer, size=None, progress=None)
+        stream = cast("BinaryIO", CountedStream(sys.stdin.buffer))
+        source = TextSource("standard input", stream, size=None, progress=None)
     else:
         try:
             # Unbuffered: the blocks are the buffer.

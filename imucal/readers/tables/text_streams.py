@@ -3,6 +3,7 @@
 import bz2
 import codecs
 import gzip
+import hashlib
 import io
 import lzma
 from collections.abc import Callable
@@ -53,6 +54,32 @@ def unpacked(start: bytes, raw: BinaryIO, compression: str) -> BinaryIO:
     joined = cast("BinaryIO", _Joined(start, raw))
     opener = _OPENERS.get(compression)
     return joined if opener is None else cast("BinaryIO", opener(joined))
+
+
+class CountedStream:
+    """A stream whose bytes are counted and hashed as they are read: it can't be read a second time."""
+
+    def __init__(self, raw: BinaryIO) -> None:
+        self._raw = raw
+        self._machine = hashlib.blake2b()
+        self.size = 0
+
+    def read(self, size: int = -1) -> bytes:
+        """Return up to `size` bytes, none at the end."""
+        data = self._raw.read(size)
+        self._machine.update(data)
+        self.size += len(data)
+        return data
+
+    def close(self) -> None:
+        """Close the stream."""
+        self._raw.close()
+
+    def checksum(self) -> str:
+        """Return the BLAKE2b checksum of all of the stream; reads what is left of it."""
+        while self.read(1 << 20):
+            pass
+        return self._machine.hexdigest()
 
 
 class _Joined(io.RawIOBase):
