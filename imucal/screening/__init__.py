@@ -55,8 +55,8 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
     """Return what speaks against trusting a recording, worst first; empty for a good one.
 
     Codes: ``absurd-rate``, ``fast-rate``, ``no-data``, ``not-finite``, ``stuck``, ``saturated``,
-    ``held-samples``, ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``, ``no-gravity``, ``motion``,
-    ``touch``, ``step``, ``warm-up``, ``temperature``, ``tone``, ``roll-off``.
+    ``held-samples``, ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``,
+    ``no-gravity``, ``motion``, ``touch``, ``step``, ``warm-up``, ``temperature``, ``tone``, ``roll-off``.
     What reading the log has said already is not said again. The samples are passed once, in blocks;
     NaN and gaps are left out, and fewer than 16 samples in a row say nothing. So many axes as `workers`
     are passed at a time; the findings are the same for any number.
