@@ -32,6 +32,8 @@ from imucal.readers.messages.fields_text import EACH, parse_fields_text
 from imucal.readers.messages.frames import first_frames
 from imucal.readers.messages.leaves import MOST
 from imucal.readers.messages.list_messages import spread_times
+from imucal.readers.messages.loader import Stream
+from imucal.readers.messages.tree_messages import TreeDecoder
 from imucal.readers.out_of_order import steps_back, unsorted
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.readers.room import Room
@@ -157,8 +159,8 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     work.findings += [finding for container in containers for finding in container.findings]
     work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
     work.decisions += first_frames(containers, choices)
-    for choice, decoding in zip(choices, decodings, strict=True):
-        work.findings += _loss_findings(decoding.losses)
+    for choice, stream, decoding in zip(choices, streams, decodings, strict=True):
+        work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
         if not decoding.columns.n:
             raise _empty(path, choice, decoding.losses, work.findings)
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
@@ -287,6 +289,20 @@ def _other_vectors(topic: Topic) -> list[Finding]:
     read = " and ".join(vector.field for vector in topic.imu.vectors)
     text = f"Messages of {topic.name} hold {', '.join(topic.imu.others)} too; {read} were read."
     return [Finding(level="warning", code="other-vectors", text=text)]
+
+
+def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
+    """Return a finding for each list of which one element was read and others were not."""
+    lengths: dict[str, int] = {}
+    for decoder in stream.decoders.values():
+        lengths |= decoder.lengths if isinstance(decoder, TreeDecoder) else {}
+    texts = [
+        f"Messages of {topic.name} hold {count} elements of {name}; one of them was read. If they are "
+        f"samples of one sensor, {name}{EACH} reads them all."
+        for name, count in lengths.items()
+        if count > 1
+    ]
+    return [Finding(level="warning", code="other-vectors", text=text) for text in texts]
 
 
 def _in_time_order(columns: Columns, room: Room) -> list[Finding]:

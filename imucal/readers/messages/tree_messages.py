@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -34,6 +35,9 @@ _SECONDS = ("sec", "secs", "seconds")
 
 _STEP = re.compile(r"\[(\d*)\]|([^.\[\]]+)")
 
+#: A path into one element of a list of structures.
+_ONE = re.compile(r"([^\[\]]+)\[\d+\]\.")
+
 #: The steps of a path: names, indices, and None for each element of a list.
 Steps: TypeAlias = tuple[str | int | None, ...]
 
@@ -60,9 +64,18 @@ class TreeDecoder:
         self.stamp = None if stamp is None else [_steps(path) for path in (stamp.sec, stamp.nanosec) if path]
         self.temperature = _steps(imu.temperature) if imu.temperature else None
         self.notes: list[Loss] = []
+        #: List of which one element is read -> how many it has in the first message.
+        self.lengths: dict[str, int] = {}
 
     def settle(self, batch: Batch) -> None:
-        """Do nothing: a tree says what it is."""
+        """Count the elements of lists of which one is read, in the first message; before all others."""
+        lists = [match[1] for match in map(_ONE.match, self.imu.wanted) if match]
+        if not lists or self.lengths:
+            return
+        with suppress(DamagedError):
+            few = batch.checked()
+            for data in messages_in(few.part(np.arange(min(few.n, 1)))):
+                self.lengths = self.parsed(data, lambda tree: {name: _length(tree, name) for name in lists})
 
     def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
         """There is no fast way."""
@@ -134,6 +147,10 @@ def write_samples(
 def _steps(path: str) -> Steps:
     """Return the names and indices of a path such as ``imus[1].gyro.x``."""
     return tuple(name or (int(index) if index else None) for index, name in _STEP.findall(path))
+
+
+def _length(tree: Any, name: str) -> int:  # noqa: ANN401 - any tree
+    return len(follow(tree, _steps(name)))
 
 
 def follow(tree: Any, steps: Steps) -> Any:  # noqa: ANN401 - any tree

@@ -97,9 +97,18 @@ def test_a_message_that_is_missing_leaves_a_gap(tmp_path: Path) -> None:
 
 
 def test_one_element_alone_is_read_by_its_index(tmp_path: Path) -> None:
-    """One sample a message."""
-    recording = read(ros_log(tmp_path, "mcap", stamped=True), fields="gyro=imus[0].rate", **RAD)
+    """One sample a message, and a word on the others; what it says to type works."""
+    path = ros_log(tmp_path, "mcap", stamped=True)
+    recording = read(path, fields="gyro=imus[0].rate", **RAD)
     npt.assert_array_equal(axes(recording), TRUTH.gyro[[rows_of(k)[0] for k in range(len(COUNTS))]])
+    (found,) = (finding for finding in recording.findings if finding.code == "other-vectors")
+    assert found.text == (
+        "Messages of /imu/data hold 8 elements of imus; one of them was read. If they are samples of one "
+        "sensor, imus[] reads them all."
+    )
+    everything = read(path, fields="gyro=imus[].rate", **RAD)
+    npt.assert_array_equal(axes(everything), TRUTH.gyro)
+    assert not [finding for finding in everything.findings if finding.code == "other-vectors"]
 
 
 @pytest.mark.parametrize(
