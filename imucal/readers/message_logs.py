@@ -6,18 +6,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-import numpy as np
-
-from imucal.arrays import BoolArray
-from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
-from imucal.mapped import blocks
 from imucal.readers.builder import RecordingBuilder
-from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks
+from imucal.readers.clocks import compare_clocks
 from imucal.readers.column_store import Columns, is_constant
 from imucal.readers.containers import Container, Loss
 from imucal.readers.contents import LogContents, TopicContents
+from imucal.readers.message_times import HEADER, clock_of, in_time_order, spread_lists
+from imucal.readers.message_units import axes_of, inferred_scales, si_factor
 from imucal.readers.messages import (
     Choice,
     Topic,
@@ -31,16 +28,11 @@ from imucal.readers.messages import (
 from imucal.readers.messages.fields_text import EACH, parse_fields_text
 from imucal.readers.messages.frames import first_frames
 from imucal.readers.messages.leaves import MOST
-from imucal.readers.messages.list_messages import spread_times
 from imucal.readers.messages.loader import Stream
 from imucal.readers.messages.tree_messages import TreeDecoder
-from imucal.readers.out_of_order import steps_back, unsorted
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.readers.room import Room
-from imucal.readers.tables.columns import Triad
-from imucal.readers.tables.scales import Unscaled, Work, find_scales
-from imucal.recording import AXES, Axis, Recording, Sensor
-from imucal.units import SAMPLE_UNITS
+from imucal.recording import Recording, Sensor
 
 #: Opens the files of a log; also returns the name of its format.
 OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], str]]
@@ -49,8 +41,6 @@ OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], 
 DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
                     "definition"})  # fmt: skip
 
-#: Name of the time in the messages.
-_HEADER = "header stamp"
 _TIMES = (None, "header", "log")
 
 
@@ -247,39 +237,29 @@ def _add_topic(
     work: RecordingBuilder, choice: Choice, columns: Columns, options: ReadOptions, *, alone: bool
 ) -> None:
     """Add the sensors of one topic."""
-    work.findings += [*_other_vectors(choice.topic), *_in_time_order(columns, work.room)]
-    _spread(choice.topic, columns, work.room)
-    reading = _clock(work, choice, columns, options)
+    work.findings += [*_other_vectors(choice.topic), *in_time_order(columns, work.room)]
+    spread_lists(choice.topic, columns, work.room)
+    reading = clock_of(work, choice, columns, options)
     clock, order = reading.clock, reading.order
     label = choice.sensors[0].short if not alone and len(choice.sensors) == 1 else None
     work.findings += [replace(finding, axis=label) for finding in reading.findings]
-    if clock.source == _HEADER:
+    if clock.source == HEADER:
         work.findings += compare_clocks(columns.stamps, columns.log)
     columns.release()
     work.decisions.append(("time", clock.source))
     asked = choice.topic.imu is not None and choice.topic.imu.asked
-    scales = _inferred(work, choice.topic, columns, clock, options) if asked else {}
+    scales = inferred_scales(work, choice.topic, columns, clock, options) if asked else {}
     for sensor, rows in columns.vectors.items():
         if is_constant(rows):
             value = ", ".join(f"{row[0]:g}" for row in rows)
             text = f"The {sensor} of topic {choice.topic.name} is always ({value}): it has no data."
             work.findings.append(Finding(level="warning", code="no-data", text=text, axis=sensor.short))
             continue
-        factor, how = scales.get(sensor) or _factor(sensor, choice.topic, options)
+        factor, how = scales.get(sensor) or si_factor(sensor, choice.topic, options)
         work.decisions.append((f"{sensor} unit", how))
-        work.add_sensor(sensor, rows, clock, order=order, scale=factor, names=_axes(choice.topic, sensor))
+        work.add_sensor(sensor, rows, clock, order=order, scale=factor, names=axes_of(choice.topic, sensor))
     if columns.temperature is not None and columns.temperature.any():
         work.add_temperature(columns.temperature, clock, order=order)
-
-
-def _spread(topic: Topic, columns: Columns, room: Room) -> None:
-    """Give the elements of lists that have no stamps of their own their times."""
-    if topic.imu is None or not topic.imu.lists:
-        return
-    stamps, log = room.copied(columns.stamps), room.copied(columns.log)
-    if topic.imu.stamp is None or EACH not in topic.imu.stamp.sec:
-        spread_times(columns.stamps, (stamps, log))
-    spread_times(columns.log, (log,))
 
 
 def _other_vectors(topic: Topic) -> list[Finding]:
@@ -303,117 +283,3 @@ def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
         if count > 1
     ]
     return [Finding(level="warning", code="other-vectors", text=text) for text in texts]
-
-
-def _in_time_order(columns: Columns, room: Room) -> list[Finding]:
-    """Sort samples by log time where the file does not hold them in that order, in place.
-
-    Files are joined, channels merged and chunks written by several threads; a recorder's clock that was
-    set back is none of these. So nothing is sorted where it brings the stamps out of order.
-    """
-    late = steps_back(columns.log)
-    if not late:
-        return []
-    orders = [
-        (first, np.argsort(columns.log[first:stop], kind="stable")) for first, stop in unsorted(columns.log)
-    ]
-    sorted_stamps = room.copied(columns.stamps)
-    for first, order in orders:
-        sorted_stamps[first : first + order.size] = columns.stamps[first + order]
-    if steps_back(sorted_stamps) > steps_back(columns.stamps):
-        text = f"The log time goes back {late} times; the stamps do not, so the order of the file is kept."
-    else:
-        for first, order in orders:
-            columns.reorder(first, order)
-        text = f"{late} messages stand in the file before earlier ones; they were put in order of log time."
-    return [Finding(level="info", code="log-out-of-order", text=text)]
-
-
-def _clock(work: RecordingBuilder, choice: Choice, columns: Columns, options: ReadOptions) -> ClockReading:
-    own = choice.topic.imu is not None and choice.topic.imu.stamp is not None
-    by_log = options.time == "log"
-    return clock_from_stamps(
-        columns.log if by_log else columns.stamps,
-        source=LOG_TIME if by_log else (_HEADER if own else "stamp"),
-        where=f"{work.path}: topic {choice.topic.name}",
-        log_ns=columns.log,
-        rate_hz=options.rate_hz,
-        repeated=_repeated(columns, work.room),
-        room=work.room,
-    )
-
-
-def _repeated(columns: Columns, room: Room) -> BoolArray | None:
-    """Return the samples recorded twice: same stamp and same six values; None where there are none."""
-    stamps = columns.stamps
-    found = [
-        np.flatnonzero(stamps[part.start + 1 : part.stop + 1] == stamps[part]) + part.start + 1
-        for part in blocks(columns.n - 1, stamps)
-    ]
-    same = np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
-    if not same.size or len(columns.vectors) < 2:
-        return None
-    twin = stamps[same] != 0
-    for rows in columns.vectors.values():
-        for row in rows:
-            twin &= row[same] == row[same - 1]
-    if not twin.any():
-        return None
-    repeated = room.made(columns.n, np.bool_, lambda _: False)
-    repeated[same[twin]] = True
-    return repeated
-
-
-def _inferred(
-    work: RecordingBuilder, topic: Topic, columns: Columns, clock: Clock, options: ReadOptions
-) -> dict[Sensor, tuple[float, str]]:
-    """Return what turns samples of fields that a user named into SI: as a table's columns have it.
-
-    Raises
-    ------
-    ChoiceError
-        If a unit is open.
-    """
-    vectors = {vector.sensor: vector for vector in (topic.imu.vectors if topic.imu else ())}
-    table = Work(path=f"{work.path}: topic {topic.name}", options=options, dialect=None, rate_hz=None)
-    timed = [
-        Unscaled(
-            triad=Triad(
-                sensor=sensor,
-                indices=tuple(range(len(vectors[sensor].axes))),
-                headers=vectors[sensor].axes,
-                unit=vectors[sensor].unit,
-                axes=vectors[sensor].axes,
-            ),
-            axes=list(rows),
-            temperature=None,
-            clock=clock,
-        )
-        for sensor, rows in columns.vectors.items()
-    ]
-    factors = find_scales(table, timed)
-    work.findings += table.findings
-    reasons = dict(table.decisions)
-    return {sensor: (factor, reasons[f"{sensor} unit"]) for sensor, factor in factors.items()}
-
-
-def _axes(topic: Topic, sensor: Sensor) -> tuple[Axis, ...]:
-    """Return the axes of a sensor that the messages hold."""
-    vectors = topic.imu.vectors if topic.imu is not None else ()
-    return next((vector.axes for vector in vectors if vector.sensor is sensor), AXES)
-
-
-def _factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float, str]:
-    """Return what turns samples into SI, and why."""
-    unit, scale = options.unit_of(sensor), options.scale_of(sensor)
-    if scale is not None:
-        return scale, f"{scale:g} {sensor.unit} per count, given"
-    if unit is not None:
-        if unit not in SAMPLE_UNITS[sensor]:
-            known = ", ".join(SAMPLE_UNITS[sensor])
-            msg = f"the unit {unit!r} of the {sensor} is not known; expected one of {known}"
-            raise ChoiceError(msg)
-        return SAMPLE_UNITS[sensor][unit], f"{unit}, given"
-    standard = topic.imu is not None and topic.imu.standard
-    how = "from the message type" if standard else "assumed for this message type"
-    return 1.0, f"{sensor.unit}, {how}"

@@ -5,7 +5,8 @@ import pytest
 
 from imucal.readers.column_store import Columns
 from imucal.readers.containers import Channel, Loss
-from imucal.readers.message_logs import _in_time_order, _loss_findings, _repeated
+from imucal.readers.message_logs import _loss_findings
+from imucal.readers.message_times import _repeated, in_time_order
 from imucal.readers.messages import Topic
 from imucal.readers.messages.topics import _said
 from imucal.readers.read_options import ReadOptions
@@ -98,14 +99,14 @@ def columns(
 def test_the_order_of_the_log_time() -> None:
     """Samples are sorted, unless that brings more stamps out of order than there were."""
     held = columns([1, 3, 2, 4], [1, 3, 2, 4])
-    (found,) = _in_time_order(held, Room())
+    (found,) = in_time_order(held, Room())
     assert (found.level, found.code) == ("info", "log-out-of-order")
     assert found.text == (
         "1 messages stand in the file before earlier ones; they were put in order of log time."
     )
     assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
     held = columns([1, 2, 3, 4], [1, 3, 2, 4])
-    (found,) = _in_time_order(held, Room())
+    (found,) = in_time_order(held, Room())
     assert (found.level, found.code) == ("info", "log-out-of-order")
     assert found.text == (
         "The log time goes back 1 times; the stamps do not, so the order of the file is kept."
@@ -113,9 +114,9 @@ def test_the_order_of_the_log_time() -> None:
     assert held.vectors[GYRO][0].tolist() == [0, 1, 2, 3]
     # As many steps back before and behind: the log time decides.
     held = columns([2, 1, 4, 3], [1, 3, 2, 4])
-    assert len(_in_time_order(held, Room())) == 1
+    assert len(in_time_order(held, Room())) == 1
     assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
-    assert _in_time_order(columns([1, 1, 2, 2]), Room()) == []
+    assert in_time_order(columns([1, 1, 2, 2]), Room()) == []
 
 
 def test_samples_recorded_twice() -> None:
