@@ -42,6 +42,13 @@ def blocks(n: int, *arrays: NDArray[Any], size: int = 0) -> Iterator[slice]:
         _hand_back(one)
 
 
+def never_changes(values: NDArray[Any]) -> bool:
+    """Return whether values, of which there is one at least, are all what the first one is; so are NaN."""
+    first = values[0]
+    parts = (values[part] for part in blocks(values.size, values))
+    return all(bool((np.isnan(part) if np.isnan(first) else part == first).all()) for part in parts)
+
+
 def _mappings(arrays: tuple[NDArray[Any], ...]) -> list[mmap.mmap]:
     """Return the maps in which arrays lie, each once."""
     found = {id(held): held for array in arrays if (held := _mapping(array)) is not None}

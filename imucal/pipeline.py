@@ -17,7 +17,8 @@ from imucal.fitting.ambiguity import ambiguity_findings
 from imucal.fitting.cross_checks import second_opinion
 from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.robust import clean
-from imucal.mapped import release
+from imucal.fitting.spectral.blocks import no_noise
+from imucal.mapped import never_changes, release
 from imucal.parallel import own_workers, side_by_side
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
@@ -167,6 +168,9 @@ def _characterize_axis(
     if not finite.n:
         msg = f"{series.name}: no finite samples among {series.n}"
         raise DataError(msg)
+    # The fit says so of a short one, for which it needs no time and no memory.
+    if finite.n > _BLOCK and never_changes(finite.samples):
+        raise no_noise(finite)
     at_samples = _same_clock(series, finite, temperature)
     with shared_transform(finite.samples):
         curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)

@@ -94,6 +94,17 @@ def test_a_recording_without_any_usable_axis_is_an_error() -> None:
     )
 
 
+@pytest.mark.parametrize("n", [5000, (1 << 20) + 1])
+def test_an_axis_that_never_changes_is_refused(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the same words whatever its length; a long one before anything is worked out."""
+    still = AxisSeries.from_samples(np.full(n, 0.25), rate_hz=100.0)
+    recording = Recording(source=Source(path="log.csv", format="csv"), series=(still,))
+    if n > 5000:
+        monkeypatch.delattr("imucal.pipeline.allan_curve")
+    with pytest.raises(DataError, match=rf"gyro_x: all {n} samples are equal, expected noise; check that"):
+        characterize(recording)
+
+
 def test_a_report_does_not_depend_on_the_unit_of_the_samples() -> None:
     """Scaling the samples by 1e-9 scales every coefficient and changes nothing else."""
     samples = NoiseModel.parse("N=1e-3 + K=1e-4").simulate(

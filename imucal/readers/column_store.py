@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.mapped import blocks, release
+from imucal.mapped import blocks, never_changes, release
 from imucal.readers.room import Spill
 from imucal.recording import Sensor
 from imucal.resources import column_limit
@@ -237,11 +237,4 @@ class GrowingColumn:
 
 def is_constant(rows: NDArray[Any]) -> bool:
     """Say whether no row of samples ever changes; the first block mostly tells."""
-    return all(_same(row) for row in rows if row.size)
-
-
-def _same(row: NDArray[Any]) -> bool:
-    """Return whether a row is always what it is at first."""
-    first = row[0]
-    parts = (row[part] for part in blocks(row.size, row, size=_FIRST))
-    return all(bool((np.isnan(part) if np.isnan(first) else part == first).all()) for part in parts)
+    return all(never_changes(row) for row in rows if row.size)

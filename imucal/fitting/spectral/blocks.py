@@ -125,11 +125,7 @@ def scale_of(series: AxisSeries) -> float:
     square, bends = _steps_and_bends(samples, largest) if largest > 0 else (0.0, 0.0)
     size = float(np.sqrt(square)) * largest
     if not (np.isfinite(size) and size > 0):
-        msg = (
-            f"{series.name}: all {samples.size} samples are equal, expected noise; "
-            "check that the sensor was on and that its resolution shows its noise"
-        )
-        raise DataError(msg)
+        raise no_noise(series)
     if bends <= max(_STRAIGHT * size / largest, 8 * np.finfo(np.float64).eps):
         msg = (
             f"{series.name}: all {samples.size} samples lie on one straight line, expected noise; "
@@ -137,6 +133,14 @@ def scale_of(series: AxisSeries) -> float:
         )
         raise DataError(msg)
     return float(2.0 ** np.round(np.log2(size)))
+
+
+def no_noise(series: AxisSeries) -> DataError:
+    """Return the error of an axis that never changes."""
+    return DataError(
+        f"{series.name}: all {series.n} samples are equal, expected noise; "
+        "check that the sensor was on and that its resolution shows its noise"
+    )
 
 
 def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]:
