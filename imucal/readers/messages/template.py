@@ -56,6 +56,11 @@ class Template:
     vectors: tuple[tuple[Sensor, int, str], ...]
     others: tuple[Vector, ...]
 
+    def fits(self, batch: Batch) -> bool:
+        """Say whether the records of a batch are those that it was learnt from, by their head and size."""
+        same_size = isinstance(batch.sizes, int) and batch.header + batch.sizes == self.end
+        return same_size and batch.guards == self.guards
+
     def decode(self, batch: Batch, columns: Columns, first: int) -> bool:
         """Write the samples of a batch to the columns; False if a record has another shape."""
         n, starts = batch.n, batch.starts
