@@ -115,7 +115,10 @@ class BinaryDecoder:
         """Decode records that all repeat the shape of the first one seen; False if they don't."""
         template = self._template
         if template is None or not template.fits(batch):
-            template = self._template = self._learn(batch) if batch.n else None
+            try:
+                template = self._template = self._learn(batch) if batch.n else None
+            except DamagedError:
+                return False
         return template is not None and template.decode(batch, columns, first)
 
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:

@@ -225,6 +225,8 @@ class _Run:
             return
         if batch.n <= most and decoder.fast(batch, columns, first):
             self._note_filled(self.filled[index], columns, first, batch.n)
+            if batch.loss is not None:
+                self._lose(index, batch.loss)
             return
         try:
             checked = batch.checked()

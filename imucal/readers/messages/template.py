@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.readers.column_store import Columns
-from imucal.readers.containers import Alike, Batch, Bytes, Guard
+from imucal.readers.containers import Alike, Batch, Bytes
 from imucal.readers.messages.fields import Messages, adjacent
 from imucal.readers.messages.message_types import ImuFields, Vector
 from imucal.readers.messages.walker import Found, Layout, Place, Position
 from imucal.recording import Sensor
 
+#: A position from the start of a record, and the bytes that every record has there.
+_Guard = tuple[int, bytes]
 #: Longest head of a message that is gathered at once, in bytes.
 _HEAD = 256
 _SECOND = 1_000_000_000
@@ -47,7 +49,7 @@ class Template:
         The other vectors.
     """
 
-    guards: tuple[Guard, ...]
+    guards: tuple[_Guard, ...]
     alike: Alike
     head: int
     end: int
@@ -116,7 +118,6 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
     places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
     alike = _alike(batch, found, layout, code, skip)
     head = _head(batch, alike, places, imu)
-    head = -(-head // 8) * 8 if -(-head // 8) * 8 <= end else head
     if head > min(_HEAD, end) or skip + _fixed(found.end) > end:
         return None
     if imu.stamp is not None and places[imu.stamp.sec].dtype[1] == "f":
@@ -135,7 +136,7 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
     )
 
 
-def _alike(batch: Batch, found: Found, layout: Layout, code: bytes, skip: int) -> tuple[Guard, ...]:
+def _alike(batch: Batch, found: Found, layout: Layout, code: bytes, skip: int) -> tuple[_Guard, ...]:
     """Return what every record must repeat: its head, the encapsulation and the lengths of strings."""
     u4 = np.dtype(layout.order + "u4")
     lengths = [
@@ -145,13 +146,15 @@ def _alike(batch: Batch, found: Found, layout: Layout, code: bytes, skip: int) -
     return (*batch.guards, *encapsulation, *lengths)
 
 
-def _head(batch: Batch, alike: Sequence[Guard], places: dict[str, Place], imu: ImuFields) -> int:
+def _head(batch: Batch, alike: Sequence[_Guard], places: dict[str, Place], imu: ImuFields) -> int:
     """Return how many bytes at the start of a record hold what is alike, and the stamps."""
     ends = [at + len(value) for at, value in alike]
     if imu.stamp is not None:
         times = [places[path] for path in (imu.stamp.sec, imu.stamp.nanosec) if path]
         ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
-    return max([*ends, (batch.log_at or 0) + 8])
+    head = max([*ends, (batch.log_at or 0) + 8])
+    whole = -(-head // 8) * 8
+    return whole if whole <= batch.header + batch.sizes else head
 
 
 def _gather(buffer: Bytes, starts: IntArray, at: int, width: int) -> NDArray[np.void]:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucal.readers.containers import Alike, Guard
+from imucal.readers.containers import Alike
+from imucal.readers.containers.alike import Guard
 
 
 def by_hand(records: list[bytes], guards: list[Guard]) -> list[bool]:
