@@ -132,8 +132,6 @@ class _Run:
         #: done with chunks in their order.
         self.extra: list[list[tuple[int, Columns]]] = [[] for _ in streams]
         self.losses: list[list[tuple[int, Loss]]] = [[] for _ in streams]
-        # zstd keeps its buffers itself, and what isn't compressed needs none.
-        self.allocates = any(container.compression not in {"zstd", "none"} for container in containers)
         self.parallel = all(container.parallel for container in containers)
         self.progress = progress
         self.done, self.total = 0, sum(job.task.size for job in self.jobs)
@@ -165,7 +163,7 @@ class _Run:
         return job
 
     def go(self) -> list[Decoding]:
-        if self.allocates and sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
+        if sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
             keep_freed_memory()
         threads = min(_MAX_THREADS, allowed_threads(), len(self.jobs)) if self.parallel else 1
         if threads > 1:
@@ -238,6 +236,8 @@ class _Run:
                 decoder.settle(batch)
             if not lists and batch.n <= most and decoder.fast(batch, columns, first):
                 self._note_filled(self.filled[index], columns, first, batch.n)
+                if batch.loss is not None:
+                    self._lose(part.number, index, batch.loss)
                 return
             checked = batch.checked()
         except DamagedError as error:
