@@ -17,6 +17,7 @@ from imucal.fitting.ambiguity import ambiguity_findings
 from imucal.fitting.cross_checks import second_opinion
 from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.robust import clean
+from imucal.mapped import release
 from imucal.parallel import own_workers, side_by_side
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
@@ -189,6 +190,9 @@ def _characterize_axis(
     findings = [f for f in screened if f.axis == series.name and f.code not in taken_out]
     findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
+    overview = Overview.of(finite)
+    # What lies in a temporary file need not stay in memory: nobody looks at this axis any more.
+    release(series.samples)
     return AxisReport(
         sensor=series.sensor,
         axis=series.axis,
@@ -199,7 +203,7 @@ def _characterize_axis(
         std=std,
         gaps=finite.clock.gaps,
         spectrum=density,
-        overview=Overview.of(finite),
+        overview=overview,
         fit=result,
         findings=_without_repeats(findings),
     )

@@ -5,6 +5,7 @@ from functools import partial
 from typing import TypeAlias
 
 from imucal.findings import Finding
+from imucal.mapped import release
 from imucal.parallel import side_by_side
 from imucal.recording import AxisSeries, Recording
 from imucal.screening.motion import check_motion, check_tremor, check_turned
@@ -72,7 +73,9 @@ def _all_findings(recording: Recording, workers: int) -> Iterator[Finding]:
 
     def made(series: AxisSeries) -> tuple[Profile | None, tuple[Finding, ...]]:
         what = "The axis can't be screened"
-        return try_side_work(partial(profile, series), None, what=what, code=_FAILED, axis=series.name)
+        judged = try_side_work(partial(profile, series), None, what=what, code=_FAILED, axis=series.name)
+        release(series.samples)
+        return judged
 
     profiles: list[Profile] = []
     for one, failed in side_by_side(made, recording.series, workers=workers):

@@ -10,7 +10,7 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Goodness
-from imucal.fitting.spectral.likelihood import Candidates, Evaluation, evaluate
+from imucal.fitting.spectral.likelihood import Candidates, Evaluation, contributions, evaluate
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 
 #: A term whose share of every bin is below exp(-_ABSENT) is absent.
@@ -229,15 +229,43 @@ def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Go
     """
     from scipy.special import ndtr
 
-    found = evaluate(ordinates, candidate, theta)
-    power = ordinates.power.copy()
-    beta = found.beta[0]
-    power += -2 * beta @ ordinates.cross + np.einsum("i,ijb,j->b", beta, ordinates.gram, beta)
-    ratio = power / found.spectrum[0]
-    group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
-    first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
-    size = np.add.reduceat(ordinates.size, first)
-    residual = (np.add.reduceat(ratio, first) - size) / np.sqrt(2 * size)
+    _, size, residual, _ = _residuals(ordinates, candidate, theta)
     square = float(np.mean(residual**2))
     statistic = (square - 1) * size.size / float(np.sqrt(np.sum(2 + 12 / size)))
     return Goodness(statistic=statistic, p_value=float(ndtr(-statistic)), chi2_per_bin=square)
+
+
+def misfit_factors(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> FloatArray:
+    """Return by what factor each variance parameter is less sure than the likelihood says, shape (p,).
+
+    The root of the mean squared residual where the parameter's information lies: the variance that holds
+    for a model which is only nearly right (Huber 1967, Proc. 5th Berkeley Symposium 1, 221) for one
+    parameter by itself. Of a power law that the candidate lacks, where its information would lie.
+    """
+    first, _, residual, spectrum = _residuals(ordinates, candidate, theta)
+    parts = contributions(ordinates, candidate, theta)
+    laws = ordinates.basis.shape[0]
+    absent = np.flatnonzero(np.max(parts[:laws], axis=1) <= 0)
+    parts[absent] = ordinates.basis[absent]
+    # The largest is one, so that the squares of what is far below the line stay numbers.
+    share = parts / spectrum
+    share /= np.maximum(share.max(axis=1, keepdims=True), 1e-300)
+    weight = np.add.reduceat(share**2 * ordinates.size, first, axis=1)
+    factors: FloatArray = np.sqrt(weight @ residual**2 / np.maximum(weight.sum(axis=1), 1e-300))
+    return factors
+
+
+def _residuals(
+    ordinates: Ordinates, candidate: Candidates, theta: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Return groups of bins: the first of each, its degrees of freedom, its residual; and the spectrum."""
+    found = evaluate(ordinates, candidate, theta)
+    beta = found.beta[0]
+    power = ordinates.power - 2 * beta @ ordinates.cross
+    power += np.einsum("i,ijb,j->b", beta, ordinates.gram, beta)
+    spectrum = found.spectrum[0]
+    group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
+    first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
+    size = np.add.reduceat(ordinates.size, first)
+    residual = (np.add.reduceat(power / spectrum, first) - size) / np.sqrt(2 * size)
+    return first, size, residual, spectrum
