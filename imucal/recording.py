@@ -12,6 +12,7 @@ from imucal.arrays import FloatArray, read_only
 from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.findings import Finding
+from imucal.mapped import blocks
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 
@@ -121,12 +122,17 @@ class AxisSeries:
 
     def finite(self) -> "AxisSeries":
         """Return the series without NaN, infinite and absurd samples; they become gaps."""
+        if all(bool(_sane(self.samples[part]).all()) for part in blocks(self.n, self.samples)):
+            return self
         return self.keeping(self.usable)
 
     @property
     def usable(self) -> NDArray[np.bool_]:
         """Which samples a sensor can have given: not NaN, and within `ABSURD`, shape (n,)."""
-        return (self.samples > -ABSURD) & (self.samples < ABSURD)
+        keep = np.empty(self.n, dtype=np.bool_)
+        for part in blocks(self.n, self.samples):
+            keep[part] = _sane(self.samples[part])
+        return keep
 
     def between(self, start_s: float, end_s: float) -> "AxisSeries":
         """Return the samples taken from `start_s` to before `end_s`, in s from the first sample.
@@ -312,6 +318,10 @@ class Recording:
         found = ", ".join(series.name for series in self.series) or "none"
         msg = f"{self.source.path}: no axis {sensor} {axis}; found {found}"
         raise DataError(msg)
+
+
+def _sane(samples: FloatArray) -> NDArray[np.bool_]:
+    return (samples > -ABSURD) & (samples < ABSURD)
 
 
 def _as_text(path: str) -> str:

@@ -22,7 +22,7 @@ BELOW: dict[str, set[str]] = {
     "mapped": set(),
     "printable": set(),
     "resources": {"errors"},
-    "recording": {"arrays", "clock", "errors", "findings"},
+    "recording": {"arrays", "clock", "errors", "findings", "mapped"},
     "parallel": {"resources"},
     "powerlaw": {"arrays"},
     "side_work": {"errors", "findings"},

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucal import mapped
 from imucal.arrays import FloatArray
 from imucal.recording import ABSURD, AxisSeries
 from imucal.screening.stillness import disturbed, without_spikes
@@ -86,8 +87,8 @@ def profile(series: AxisSeries) -> Profile:
 
 def _sane(series: AxisSeries) -> AxisSeries:
     """Return the axis without NaN, infinite and absurd samples; they become gaps."""
-    blocks = [series.samples[first : first + _BLOCK] for first in range(0, series.n, _BLOCK)]
-    keep = [np.abs(block) <= ABSURD for block in blocks]
+    parts = mapped.blocks(series.n, series.samples, size=_BLOCK)
+    keep = [np.abs(series.samples[part]) <= ABSURD for part in parts]
     if all(part.all() for part in keep):
         return series
     return series.keeping(np.concatenate(keep))
