@@ -36,14 +36,28 @@ def memory_limit() -> int:
     SettingError
         If ``IMUCAL_MEMORY`` is no size.
     """
-    text = os.environ.get(MEMORY, "").strip()
+    size = size_setting(MEMORY)
+    if size is not None:
+        return size
+    sizes = [size for size in (_physical(), *control_group_limits()) if size]
+    return min(sizes) // _SHARE if sizes else _UNKNOWN
+
+
+def size_setting(name: str, *, least: int = 1) -> int | None:
+    """Return the bytes that an environment variable says, such as ``500M`` or ``2G``; None where it is not set.
+
+    Raises
+    ------
+    SettingError
+        If it is no size, or less than `least`.
+    """
+    text = os.environ.get(name, "").strip()
     if not text:
-        sizes = [size for size in (_physical(), *control_group_limits()) if size]
-        return min(sizes) // _SHARE if sizes else _UNKNOWN
+        return None
     match = _SIZE.fullmatch(text)
-    size = float(match["number"]) * _PREFIXES[match["prefix"].lower()] if match else 0
-    if size < 1:
-        msg = f"{MEMORY}: found {text!r}, expected a size such as 500M or 2G; set one, or unset it"
+    size = float(match["number"]) * _PREFIXES[match["prefix"].lower()] if match else -1
+    if size < least:
+        msg = f"{name}: found {text!r}, expected a size such as 500M or 2G; set one, or unset it"
         raise SettingError(msg)
     return int(size)
 

@@ -26,8 +26,9 @@ BELOW: dict[str, set[str]] = {
     "units": {"recording"},
 }
 BASE = set(BELOW)
+BELOW["remote"] = {"_version", "errors", "resources"}
 BELOW |= {
-    "readers": BASE,
+    "readers": BASE | {"remote"},
     "screening": BASE,
     "allan": BASE,
     "noise": BASE,
