@@ -44,7 +44,7 @@ def memory_limit() -> int:
 
 
 def size_setting(name: str, *, least: int = 1) -> int | None:
-    """Return the bytes that an environment variable says, such as ``500M`` or ``2G``; None where it is not set.
+    """Return the bytes that an environment variable says, such as ``500M``; None where it is not set.
 
     Raises
     ------

@@ -72,6 +72,8 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Name the command that a mistyped one is near to, or all of them."""
+        from imucal.remote.addresses import is_url, shown
+
         name = args[0]
         if name in COMMANDS or name.startswith("-") or ctx.resilient_parsing:
             return super().resolve_command(ctx, args)
@@ -79,6 +81,10 @@ class LazyGroup(click.Group):
         if near:
             hint = f"did you mean {near[0]!r}?"
         elif Path(name).exists():
+            hint = f"to fit a log write 'imucal fit {shlex.quote(name)}'"
+        elif is_url(name):
+            # What stands behind the question mark of a URL may be a secret.
+            name = shown(name)
             hint = f"to fit a log write 'imucal fit {shlex.quote(name)}'"
         else:
             hint = f"expected one of {', '.join(COMMANDS)}"

@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from imucal.readers import formats
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.formats import FORMATS, detect, load, logs_of
+from imucal.readers.formats import FORMATS, detect, load
 from imucal.readers.read_options import Progress, ReadOptions, options_of
 from imucal.readers.remote_logs import local_logs
 from imucal.recording import Recording
-from imucal.remote import RemoteLog, identify, is_url
+from imucal.remote import RemoteLog, expand, identify, is_url
 
 __all__ = [
     "FORMATS",
@@ -114,12 +115,25 @@ def read(
 
 
 def _read(paths: Sequence[Path], options: ReadOptions) -> Recording:
-    logs = [log for path in paths for log in logs_of(path)]
+    logs = [log for path in paths for log in formats.logs_of(path)]
     if len(logs) == 1:
         return load(detect(logs[0])).read(logs[0], options)
     from imucal.readers.split import read_all
 
     return read_all(logs, options)
+
+
+def logs_of(log: str | Path) -> list[str]:
+    """Return the logs that a path or a URL stands for: itself, or those of a folder or of wildcards.
+
+    Raises
+    ------
+    ReadError
+        If it is a URL of none.
+    """
+    if is_url(log):
+        return expand(str(log))
+    return [str(path) for path in formats.logs_of(Path(log))]
 
 
 def describe(log: str | Path | RemoteLog, options: ReadOptions | None = None) -> LogContents:

@@ -1,8 +1,13 @@
 """What is in a remote log, from its index: some hundred kB instead of the file."""
 
+from collections.abc import Callable
+from pathlib import Path
+
+from imucal.readers.containers import Container
 from imucal.readers.containers.mcap_file import McapFile
 from imucal.readers.containers.ros1_file import BagFile
 from imucal.readers.contents import LogContents
+from imucal.readers.files import LogFile
 from imucal.readers.formats import detect_head
 from imucal.readers.message_logs import describe_logs
 from imucal.readers.ranged_file import RangedFile, TooMuchError
@@ -17,7 +22,7 @@ _SMALL = 1 << 20
 #: First bytes that tell a format.
 _HEAD = 4096
 #: Formats whose description is read from the index.
-_INDEXED = {"MCAP": McapFile, "ROS 1 bag": BagFile}
+_INDEXED: dict[str, Callable[[Path, LogFile], Container]] = {"MCAP": McapFile, "ROS 1 bag": BagFile}
 
 
 def index_of(log: RemoteLog, options: ReadOptions) -> LogContents | None:

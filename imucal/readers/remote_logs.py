@@ -10,7 +10,7 @@ from imucal.findings import Finding
 from imucal.readers.contents import LogContents
 from imucal.readers.read_options import Progress
 from imucal.recording import LogFileInfo, Recording
-from imucal.remote import LocalCopy, RemoteLog, expand, fetched, identify, is_url
+from imucal.remote import LocalCopy, RemoteLog, fetched, is_url, logs_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ def _identified(log: str | Path | RemoteLog) -> list[Path | RemoteLog]:
         return [log]
     if not is_url(log):
         return [Path(log)]
-    return [identify(url) for url in expand(str(log))]
+    return [*logs_at(str(log))]
 
 
 def _summed(progress: Progress | None, sizes: Sequence[int]) -> Iterator[Progress | None]:

@@ -3,10 +3,10 @@
 `identify` asks the store for name, ETag and size; `fetched` lends a copy from the cache.
 """
 
-from imucal.remote.addresses import is_url, shown
+from imucal.remote.addresses import is_url
 from imucal.remote.copies import LocalCopy, fetched
-from imucal.remote.listing import expand, identify
+from imucal.remote.listing import expand, identify, logs_at
 from imucal.remote.log_cache import forget
 from imucal.remote.remote_log import RemoteLog
 
-__all__ = ["LocalCopy", "RemoteLog", "expand", "fetched", "forget", "identify", "is_url", "shown"]
+__all__ = ["LocalCopy", "RemoteLog", "expand", "fetched", "forget", "identify", "is_url", "logs_at"]

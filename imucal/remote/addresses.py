@@ -26,7 +26,8 @@ def is_url(log: object) -> bool:
     """
     if isinstance(log, Path):
         if (match := _COLLAPSED.match(str(log))) and not log.exists():
-            msg = f"{shown(str(log).replace(':/', '://', 1))}: a URL that went through a Path; expected {match[1]}://… as text"
+            url = shown(str(log).replace(":/", "://", 1))
+            msg = f"{url}: a URL that went through a Path; expected {match[1]}://… as text"
             raise ReadError(msg)
         return False
     return isinstance(log, str) and _URL.match(log) is not None
@@ -42,8 +43,10 @@ def shown(url: str) -> str:
     """Return what may be printed and stored of a URL: no user, no password, no query, no fragment.
 
     The query of a signed URL is as good as a password. Keys of an object store may hold question marks,
-    so there it stays.
+    so there it stays. A path of this machine is returned as it is.
     """
+    if not _URL.match(url):
+        return url
     if scheme_of(url) in WEB:
         parts = urlsplit(url)
         return urlunsplit((parts.scheme, parts.netloc.rpartition("@")[2], parts.path, "", ""))

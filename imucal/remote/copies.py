@@ -117,9 +117,11 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
                 os.fsync(out.fileno())
         entry.part.replace(entry.whole)
     except OSError as error:
-        msg = f"{log.shown}: no copy can be written to {entry.root}: {error.strerror or error}"
-        hint = f"free some space, or set {FOLDER} to a folder on another disk"
-        raise ReadError(f"{msg}; {hint}") from error
+        msg = (
+            f"{log.shown}: no copy can be written to {entry.root}: {error.strerror or error}; "
+            f"free some space, or set {FOLDER} to a folder on another disk"
+        )
+        raise ReadError(msg) from error
     finally:
         shutil.rmtree(entry.part, ignore_errors=True)
 
@@ -136,13 +138,12 @@ def _download(file: RemoteFile, out: IO[bytes], tell: Callable[[int], None]) -> 
                 done += len(block)
                 tell(len(block))
                 attempts.went_on()
-            if file.size is not None and done < file.size:
-                msg = f"the connection ended after {done} of {file.size} bytes"
-                raise PassingError(msg)
         except PassingError as error:
             attempts.wait(error)
         else:
-            break
+            if file.size is None or done >= file.size:
+                break
+            attempts.wait(PassingError(f"the connection ended after {done} of {file.size} bytes"))
         if not file.ranges:
             out.seek(0)
             out.truncate()

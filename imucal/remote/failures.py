@@ -1,17 +1,19 @@
 """What goes wrong between here and a store: what may pass is tried again, the rest is a message."""
 
 import os
+import re
 import time
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 from imucal.errors import ReadError, SettingError
-from imucal.remote.addresses import scheme_of, shown, without_secrets
+from imucal.remote.addresses import WEB, scheme_of, shown, without_secrets
 
 Result = TypeVar("Result")
 
 #: Seconds to wait before each further attempt.
 WAITS = (0.5, 1.0, 2.0)
+_RETRIED_HERE = WEB | {"s3", "s3a"}
 TIMEOUT = "IMUCAL_REMOTE_TIMEOUT"
 #: Seconds without an answer before a connection is given up.
 _PATIENCE = 30.0
@@ -22,14 +24,18 @@ _CREDENTIALS = frozenset({
     "CredentialUnavailableError",
 })  # fmt: skip
 #: Names of the errors of libraries that may be missing here: of a connection, and of waiting for an answer.
-_CONNECTION = frozenset({"EndpointConnectionError", "ClientConnectionError", "ConnectionError", "ServiceRequestError",
-                         "ServiceResponseError", "HTTPClientError", "ClientPayloadError", "ResponseStreamingError",
-                         "IncompleteReadError", "IncompleteRead"})  # fmt: skip
+_CONNECTION = frozenset({
+    "EndpointConnectionError", "ClientConnectionError", "ConnectionError", "ServiceRequestError",
+    "ServiceResponseError", "HTTPClientError", "ClientPayloadError", "ResponseStreamingError",
+    "IncompleteReadError", "IncompleteRead", "SSLError",
+})  # fmt: skip
 _LATE = frozenset({"TimeoutError", "ConnectTimeoutError", "ReadTimeoutError", "ServerTimeoutError"})
 _MISSING = frozenset({"FileNotFoundError", "ResourceNotFoundError", "NoSuchBucket", "NoSuchKey"})
+_NO_BUCKET = re.compile(r"NoSuchBucket|(specified )?(bucket|container) does not exist", re.IGNORECASE)
 #: What to do about credentials, by scheme.
 _LOG_IN = {
-    "s3": "set AWS_PROFILE, or AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; for a public bucket FSSPEC_S3_ANON=true",
+    "s3": "set AWS_PROFILE, or AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; "
+          "for a public bucket FSSPEC_S3_ANON=true",
     "gs": "run 'gcloud auth application-default login', or set GOOGLE_APPLICATION_CREDENTIALS",
     "az": "set AZURE_STORAGE_ACCOUNT_NAME with AZURE_STORAGE_ACCOUNT_KEY or AZURE_STORAGE_SAS_TOKEN, "
           "or AZURE_STORAGE_CONNECTION_STRING",
@@ -71,6 +77,8 @@ class Attempts:
     def __init__(self, url: str) -> None:
         self._url = url
         self._failed = 0
+        # The libraries of Google and Azure wait and try again themselves, for half a minute.
+        self._waits = WAITS if scheme_of(url) in _RETRIED_HERE else ()
 
     def went_on(self) -> None:
         """Start to count anew: something came."""
@@ -85,10 +93,11 @@ class Attempts:
             If it was the last one.
         """
         self._failed += 1
-        if self._failed > len(WAITS):
-            msg = f"{shown(self._url)}: {error} ({self._failed} attempts); try again later"
+        if self._failed > len(self._waits):
+            often = f" ({self._failed} attempts)" if self._waits else ""
+            msg = f"{shown(self._url)}: {error}{often}; try again later"
             raise ReadError(msg) from error
-        time.sleep(WAITS[self._failed - 1])
+        time.sleep(self._waits[self._failed - 1])
 
 
 def retried(url: str, work: Callable[[], Result]) -> Result:
@@ -123,29 +132,32 @@ def forbidden(url: str, code: int = 403) -> ReadError:
 
 def explained(error: Exception, url: str) -> Exception:
     """Return a library's error as one of ours: a `PassingError`, or a `ReadError` with a message."""
-    # What asked the store has loaded these already.
-    import socket
-    import ssl
-
-    causes = list(_chain(error))
-    names = {kind.__name__ for cause in causes for kind in type(cause).__mro__}
+    names = {kind.__name__ for cause in _chain(error) for kind in type(cause).__mro__}
     text = without_secrets(" ".join(str(error).split())[:200], url)
-    if names & _CREDENTIALS:
-        hint = _LOG_IN.get(scheme_of(url), "log in")
-        return ReadError(f"{shown(url)}: no credentials were found, or they are not right; {hint}")
     if names & _MISSING:
-        return missing(url, "bucket" if "bucket" in text.lower() or "container" in text.lower() else "object")
+        return missing(url, "bucket" if _NO_BUCKET.search(f"{names} {text}") else "object")
     if "PermissionError" in names:
         return forbidden(url)
-    if any(isinstance(cause, ssl.SSLCertVerificationError) for cause in causes):
-        return ReadError(f"{shown(url)}: the server's certificate is not trusted: {text}")
-    if any(isinstance(cause, socket.gaierror) for cause in causes) or "ClientConnectorDNSError" in names:
-        return PassingError("the host is not found: no network, or a slip in its name")
+    passing = _passing(names, text)
+    if passing:
+        return PassingError(passing)
+    what = f"can't be read: {text or type(error).__name__}"
+    if names & _CREDENTIALS:
+        what = f"no credentials were found, or they are wrong; {_LOG_IN.get(scheme_of(url), 'log in')}"
+    elif "SSLCertVerificationError" in names:
+        what = f"the server's certificate is not trusted: {text}"
+    return ReadError(f"{shown(url)}: {what}")
+
+
+def _passing(names: set[str], text: str) -> str:
+    """Return what may pass; empty where it is something else."""
+    if names & (_CREDENTIALS | {"SSLCertVerificationError"}):
+        return ""
+    if names & {"gaierror", "ClientConnectorDNSError"}:
+        return "the host is not found: no network, or a slip in its name"
     if names & _LATE:
-        return PassingError(f"no answer within {timeout():g} s")
-    if names & _CONNECTION or any(isinstance(cause, ssl.SSLError) for cause in causes):
-        return PassingError(f"the connection failed: {text}")
-    return ReadError(f"{shown(url)}: can't be read: {text or type(error).__name__}")
+        return f"no answer within {timeout():g} s"
+    return f"the connection failed: {text}" if names & _CONNECTION else ""
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:

@@ -82,7 +82,7 @@ class HttpStore:
         parts = urlsplit(url)
         path, _, pattern = parts.path.rpartition("/")
         if "*" in path:
-            msg = f"{shown(url)}: a web address may have * in its last part only; expected such as …/logs/*.mcap"
+            msg = f"{shown(url)}: a web address may have * in its last part only, such as …/logs/*.mcap"
             raise ReadError(msg)
         folder = urlunsplit((parts.scheme, parts.netloc, f"{path}/", parts.query, ""))
         names = {link: unquote(urlsplit(link).path.rpartition("/")[2]) for link in _links(folder)}

@@ -4,7 +4,7 @@ from contextlib import suppress
 
 from imucal.errors import ReadError
 from imucal.remote.addresses import has_wildcards, is_folder_name, name_of, shown
-from imucal.remote.remote_log import RemoteLog
+from imucal.remote.remote_log import RemoteFile, RemoteLog
 from imucal.remote.stores import Store, store_of
 
 #: The file that makes a folder a bag.
@@ -28,6 +28,20 @@ def expand(url: str) -> list[str]:
         If there is none, or it can't be asked.
     """
     store = store_of(url)
+    if not has_wildcards(url) and not is_folder_name(url) and store.look_at(url) is not None:
+        return [url]
+    return _expanded(store, url)
+
+
+def logs_at(url: str) -> list[RemoteLog]:
+    """Return the logs that a URL stands for, as `expand` does, with what `identify` says of each."""
+    store = store_of(url)
+    if not has_wildcards(url) and not is_folder_name(url) and (file := store.look_at(url)) is not None:
+        return [_of_one(url, file)]
+    return [identify(log) for log in _expanded(store, url)]
+
+
+def _expanded(store: Store, url: str) -> list[str]:
     if has_wildcards(url):
         found = [match for match in store.matches(url) if name_of(match).endswith(_LOGS)]
         if found:
@@ -38,8 +52,6 @@ def expand(url: str) -> list[str]:
                 return [url]
         msg = f"{shown(url)}: no log has such a name; expected one with an ending such as .mcap, .bag or .csv"
         raise ReadError(msg)
-    if not is_folder_name(url) and store.look_at(url) is not None:
-        return [url]
     logs = _logs_in(store, url)
     names = [name_of(log) for log in logs]
     if _METADATA in names or not any(name.endswith(_MESSAGES) for name in names):
@@ -58,12 +70,16 @@ def identify(url: str, *, keep: bool = True) -> RemoteLog:
     store = store_of(url)
     file = None if is_folder_name(url) else store.look_at(url)
     if file is not None:
-        if file.size == 0:
-            msg = f"{shown(url)}: the file is empty; expected a log"
-            raise ReadError(msg)
-        return RemoteLog(url=url, files=(file,), keep=keep)
+        return _of_one(url, file, keep=keep)
     found = [store.look_at(log) for log in _logs_in(store, url)]
     return RemoteLog(url=url, files=tuple(file for file in found if file is not None), folder=True, keep=keep)
+
+
+def _of_one(url: str, file: RemoteFile, *, keep: bool = True) -> RemoteLog:
+    if file.size == 0:
+        msg = f"{shown(url)}: the file is empty; expected a log"
+        raise ReadError(msg)
+    return RemoteLog(url=url, files=(file,), keep=keep)
 
 
 def _logs_in(store: Store, url: str) -> list[str]:

@@ -118,7 +118,8 @@ def cache_folder() -> Path:
         if not os.access(root, os.W_OK):
             raise PermissionError(13, os.strerror(13))
     except OSError as error:
-        msg = f"{root}: the cache of remote logs can't be used: {error.strerror or error}; set {FOLDER} to a folder"
+        why = error.strerror or error
+        msg = f"{root}: the cache of remote logs can't be used: {why}; set {FOLDER} to a folder of yours"
         raise ReadError(msg) from error
     return root.resolve()
 
@@ -146,7 +147,9 @@ def forget(log: RemoteLog) -> bool:
 
 
 def make_room(root: Path, wanted: int, *, most: int) -> None:
-    """Remove copies that nobody uses, the least recently used first, until all take `most` and `wanted` are free.
+    """Remove copies that nobody uses, the least recently used first.
+
+    Until all together take `most` bytes, and `wanted` bytes are free on the disk.
 
     Raises
     ------

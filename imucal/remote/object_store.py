@@ -4,6 +4,7 @@ Credentials, endpoints and proxies are found as s3fs, gcsfs and adlfs find them.
 """
 
 import importlib.util
+import logging
 import shlex
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
@@ -103,6 +104,9 @@ def _file_system(protocol: str) -> Any:  # noqa: ANN401 - fsspec has no types
     """Return a file system that remembers no listings: objects change."""
     import fsspec
 
+    for name in ("fsspec", "s3fs", "gcsfs", "adlfs", "botocore", "aiobotocore", "google", "azure"):
+        # What they have to say of a failure stands in its message.
+        logging.getLogger(name).addHandler(logging.NullHandler())
     settings: dict[str, Any] = {"use_listings_cache": False}
     if protocol == "s3":
         # Further attempts are made here, with a message at their end.

@@ -36,7 +36,7 @@ class RemoteFile:
         A time of last change does not: then the query may choose the content.
         """
         url = shown(self.url) if self.etag.startswith(('"', "W/")) else self.url
-        return hashlib.blake2b(f"{url}\n{self.etag}\n{self.size}".encode(), digest_size=16).hexdigest()
+        return _digest(f"{url}\n{self.etag}\n{self.size}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,4 +94,8 @@ class RemoteLog:
         if not self.folder:
             return self.files[0].key
         keys = "\n".join([self.shown, *(file.key for file in self.files)])
-        return hashlib.blake2b(keys.encode(), digest_size=16).hexdigest()
+        return _digest(keys)
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
