@@ -152,6 +152,13 @@ class LogValues:
         weights = np.bincount(self.unit, error**-2)
         return np.bincount(self.unit, own * error**-2) / weights, 1 / np.sqrt(weights)
 
+    def unit_centre(self, unit: int, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return a unit's logarithm and its variance, for each scatter between its logs, shape (omega,)."""
+        own = self.unit == unit
+        weight = 1 / (self.deviation[own] ** 2 + omega[:, None] ** 2)
+        total = weight.sum(axis=1)
+        return weight @ self.centre[own] / total, 1 / total
+
     def without(self, unit: int) -> "LogValues":
         """Return the logs of the other units."""
         keep = self.unit != unit

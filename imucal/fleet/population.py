@@ -33,7 +33,7 @@ from imucal.fleet.unit_likelihood import (
 _FEWEST = 3
 #: Share of bounds above which they are worth a sentence.
 _MOSTLY = 0.5
-#: Units of a weak term that are judged by the others alone: the oddest, up to a chance of being so odd.
+#: Units that are judged by the others alone: the oddest, up to a chance of being so odd at a quick look.
 _SUSPECTS, _SUSPECT = 5, 0.2
 #: Quantile of the normal law at 95 %, two-sided; and where the interval and the median lie.
 _TWO_SIDED = 1.959963984540054
@@ -168,31 +168,41 @@ def _judged(
     values: LogValues, units: UnitLikelihoods, posterior: Posterior, place: Place
 ) -> tuple[UnitValue, ...]:
     """Return each unit with the probability of being so odd by chance."""
-    if units.normal.all():
-        tau = float(posterior.quantiles(posterior.tau, [0.5])[0])
-        p_values = leave_one_out(units.centre, units.deviation, tau)
-    else:
-        p_values = _weak_p_values(values, posterior, place)
     return tuple(
         replace(unit, p_odd=float(p), odd=bool(p <= FALSE_SHARE))
-        for unit, p in zip(_units(values, units), adjusted(p_values), strict=True)
+        for unit, p in zip(
+            _units(values, units), adjusted(_p_values(values, units, posterior, place)), strict=True
+        )
     )
 
 
-def _weak_p_values(values: LogValues, posterior: Posterior, place: Place) -> FloatArray:
-    """Return how probable each unit's variances are in the population: of the oddest, that of the others.
+def _p_values(values: LogValues, units: UnitLikelihoods, posterior: Posterior, place: Place) -> FloatArray:
+    """Return how probable each unit is: the oddest in the posterior of the others, to which they are new.
 
-    Other units than the oddest are judged with themselves among the others, and can only pass.
+    That allows for how badly the spreads between and within units are known. A quick look finds who is to
+    be judged so: Student's t of well told units, else the posterior of all. The rest can only pass.
     """
+    told = bool(units.normal.all())
     variance, sd = values.unit_variances()
-    p_values = posterior.p_values(variance, sd)
-    oddest = np.argsort(p_values)[:_SUSPECTS]
-    result = np.ones(p_values.size)
-    for unit in oddest[p_values[oddest] < _SUSPECT]:
-        others = values.without(int(unit))
-        if len(others.names) >= _FEWEST:
-            alone = posterior_of(others, np.array([float(posterior.omega.mean())]), place)
-            result[unit] = alone.p_values(variance[[unit]], sd[[unit]])[0]
+    scatter = posterior.quantiles(posterior.omega, [0.5])
+    own = scatter / np.sqrt(np.bincount(values.unit))
+    if told:
+        tau = float(posterior.quantiles(posterior.tau, [0.5])[0])
+        quick = leave_one_out(units.centre, units.deviation, tau)
+    else:
+        quick = posterior.p_values(variance, sd, own)
+    result = np.ones(quick.size)
+    oddest = np.argsort(quick)[:_SUSPECTS]
+    for unit in oddest[quick[oddest] < _SUSPECT].tolist():
+        others = values.without(unit)
+        if len(others.names) < _FEWEST:
+            continue
+        if told:
+            alone = posterior_of(others, scatters(others), place)
+            result[unit] = alone.p_value(*values.unit_centre(unit, alone.omega.ravel()))
+        else:
+            alone = posterior_of(others, scatter, place)
+            result[unit] = alone.p_values(variance[[unit]], sd[[unit]], own[[unit]])[0]
     return result
 
 

@@ -22,6 +22,8 @@ _RARE = 1e-3
 _DEEPEST = 4.0
 #: Points of the predictive law that a weak unit is judged by.
 _DRAWS = 4000
+#: Its multiples fill the unit interval evenly, in an order that has nothing to do with theirs.
+_GOLDEN = (math.sqrt(5) - 1) / 2
 #: Keeps the logarithm of a probability that underflows finite.
 _TINY = math.exp(-690)
 #: Largest spread between units that is thought of, in the logarithm.
@@ -65,12 +67,27 @@ class Posterior:
         below = ndtr((grid[:, None] - mu) / tau) @ weight[keep] / weight[keep].sum()
         return np.interp(at, below, grid)
 
-    def p_values(self, variance: FloatArray, sd: FloatArray) -> FloatArray:
-        """Return the two-sided chance of squared coefficients like these, known with a normal error."""
+    def p_value(self, centre: FloatArray, variance: FloatArray) -> float:
+        """Return the two-sided chance of a new unit's logarithm `centre`, known with a normal error.
+
+        Both, shape (omega,), are what its logs make at each scatter within a unit.
+        """
         from scipy.special import ndtr
 
-        at = np.linspace(0.5 / _DRAWS, 1 - 0.5 / _DRAWS, _DRAWS)
-        square = np.exp(2 * self.prediction(at))
+        apart = centre[:, None, None] - self.mu
+        above = float(np.sum(self.weight * ndtr(apart / np.sqrt(self.tau**2 + variance[:, None, None]))))
+        return 2 * min(above, 1 - above)
+
+    def p_values(self, variance: FloatArray, sd: FloatArray, scatter: FloatArray) -> FloatArray:
+        """Return the two-sided chance of squared coefficients like these, known with a normal error.
+
+        `scatter`, shape (units,), is that of the mean of a unit's logs about the unit, in the logarithm.
+        """
+        from scipy.special import ndtr, ndtri
+
+        at = (np.arange(_DRAWS) + 0.5) / _DRAWS
+        log, moved = self.prediction(at), ndtri((at * _DRAWS * _GOLDEN) % 1)
+        square = np.exp(2 * (log + scatter[:, None] * moved))
         above = ndtr((square - variance[:, None]) / sd[:, None]).mean(axis=1)
         result: FloatArray = 2 * np.minimum(above, 1 - above)
         return result

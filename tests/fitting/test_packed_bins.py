@@ -1,0 +1,116 @@
+"""Bins as a few kilobytes: what rounding costs, what the bytes hold, and what is refused."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+import imucal
+from imucal import DataError, NoiseFit
+from imucal.fitting.bins import Bins
+from imucal.fitting.packed_bins import _ramp, pack, unpack
+from imucal.fitting.spectral.bin_fit import fit_bins
+from imucal.recording import AxisSeries
+from tests.fleet.records import RATE, bins_from, fit_of, simulated
+from tests.fleet.test_pooling import one_record
+
+MIXED = "N=1e-3 + B=2e-4 + K=4e-5"
+
+
+def _packed(fit: NoiseFit) -> NoiseFit:
+    assert fit.bins is not None
+    return replace(fit, bins=unpack(pack(fit.bins)))
+
+
+def _same_fit(bins: Bins, model: tuple[str, ...] = ("N", "B", "K")) -> None:
+    one, other = (fit_bins([each], model, level=0.95) for each in (bins, unpack(pack(bins))))
+    for ours, theirs in zip(other.estimates, one.estimates, strict=True):
+        assert ours.status == theirs.status
+        for name in ("value", "low", "high"):
+            npt.assert_allclose(getattr(ours, name) or 0.0, getattr(theirs, name) or 0.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("model", ["N + B + K", "N + K + R"])
+def test_a_pool_of_packed_bins_is_the_fit_of_one_record_with_long_gaps(model: str) -> None:
+    """To 1e-6, as that of the bins themselves."""
+    parts = [simulated("N=1e-3 + K=4e-4", n, 5, n) for n in (6000, 4000, 7500)]
+    whole = fit_of(one_record(parts), model)
+    pooled = imucal.pool([_packed(fit_of(part, model)) for part in parts], model=model)
+    assert not any(test.differs for test in pooled.homogeneity)
+    for ours, theirs in zip(pooled.estimates, whole.estimates, strict=True):
+        npt.assert_allclose(ours.value or 0.0, theirs.value or 0.0, rtol=1e-6)
+        npt.assert_allclose([ours.low, ours.high], [theirs.low, theirs.high], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("n", "most"), [(1_000, 1_450), (10_000, 2_400), (100_000, 3_350)])
+def test_an_axis_takes_three_kilobytes(n: int, most: int) -> None:
+    """And the fit of what is read back is the same."""
+    bins = bins_from(simulated(MIXED, n, 72))
+    assert len(pack(bins)) < most
+    _same_fit(bins)
+
+
+def test_a_drift_far_above_the_noise_does_not_swamp_it() -> None:
+    """The ramp's own square is 1e10 of the noise in the lowest ordinate."""
+    samples = simulated("N=1e-3 + K=1e-4", 5000, 73) + 1e2 * np.linspace(0, 1, 5000)
+    _same_fit(bins_from(samples), ("N", "K", "R"))
+
+
+def test_what_a_fit_took_out_and_gaps_are_kept() -> None:
+    """A temperature's effect, a step, a short gap that is completed, and a long one between blocks."""
+    rng = np.random.default_rng(74)
+    n = 12_000
+    temperature = 25 + 5 * np.sin(np.arange(n) / 2500) + 0.01 * rng.standard_normal(n)
+    samples = simulated("N=1e-3 + K=2e-5", n, 75) + 0.05 * (temperature - 25)
+    samples[7000:] += 0.1
+    samples[100:130] = np.nan
+    samples[3000:3400] = np.nan
+    series = AxisSeries.from_samples(samples, rate_hz=RATE)
+    bins = imucal.fit(series, model="N + K", segments=1, temperature=temperature).bins
+    assert bins is not None
+    assert len(bins.names) > 2
+    assert bins.n.size == 2
+    _same_fit(bins, ("N", "K"))
+    again = unpack(pack(bins))
+    assert again.names == bins.names
+    for name in ("n", "start", "first"):
+        npt.assert_array_equal(getattr(again, name), getattr(bins, name))
+    for name in ("scale", "tau0", "widening", "version"):
+        assert getattr(again, name) == getattr(bins, name)
+    npt.assert_allclose(again.size, bins.size, rtol=1e-6)
+
+
+def test_packing_what_was_packed_changes_nothing_that_matters() -> None:
+    """Rounding again stays within a step."""
+    once = unpack(pack(bins_from(simulated(MIXED, 3000, 76))))
+    npt.assert_allclose(unpack(pack(once)).power, once.power, rtol=2e-6)
+
+
+def test_a_ramp_is_what_the_transform_makes_of_it() -> None:
+    """Squares of a bin, of one ordinate or of many: the law is a multiple of them."""
+    bins = bins_from(simulated("N=1", 20_000, 77))
+    count = np.diff(bins.first, append=20_000).astype(float)
+    law = _ramp(np.full(count.size, 2e4), bins.first, count)
+    square = bins.gram[0, 0]
+    npt.assert_array_equal(law > 0, square > 0)
+    npt.assert_allclose(square[law > 0] / law[law > 0], square[0] / law[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda data: data[:0], "found version no bytes, expected 1.1"),
+        (lambda data: b"\x09" + data[1:], "found version 9.1, expected 1.1; fit the log again"),
+        (lambda data: data[:1] + b"\x07" + data[2:], "found version 1.7"),
+        (lambda data: data[:20], "found damaged bytes"),
+        (lambda data: data[:-9], "found damaged bytes"),
+        (lambda data: data[:200] + b"??" + data[202:], "found damaged bytes"),
+    ],
+)
+def test_other_versions_and_damage_are_refused(change: Callable[[bytes], bytes], text: str) -> None:
+    """In a sentence, and never as other numbers."""
+    data = pack(bins_from(simulated("N=1", 500, 78)))
+    with pytest.raises(DataError, match=text):
+        unpack(change(data))
