@@ -11,6 +11,16 @@ _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
 #: What is left of a URL that went through a `Path`, which takes one of the slashes away.
 _COLLAPSED = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/(?!/)")
 WEB = frozenset({"http", "https"})
+#: Scheme -> protocol of fsspec, its package, and the extra that brings it.
+OBJECT_STORES = {
+    "s3": ("s3", "s3fs", "s3"),
+    "s3a": ("s3", "s3fs", "s3"),
+    "gs": ("gs", "gcsfs", "gcs"),
+    "gcs": ("gs", "gcsfs", "gcs"),
+    "az": ("az", "adlfs", "azure"),
+    "abfs": ("abfs", "adlfs", "azure"),
+    "abfss": ("abfs", "adlfs", "azure"),
+}
 #: Bytes that a file's name may have on every file system that is common.
 _LONGEST = 200
 _GLOB = frozenset("*?[")

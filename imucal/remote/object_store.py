@@ -10,10 +10,9 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 from imucal.errors import ImucalError, ReadError
-from imucal.remote.addresses import scheme_of, shown
+from imucal.remote.addresses import OBJECT_STORES, scheme_of, shown
 from imucal.remote.failures import ChangedError, PassingError, explained, retried, timeout
 from imucal.remote.remote_log import RemoteFile
-from imucal.remote.stores import OBJECT_STORES
 
 Result = TypeVar("Result")
 

@@ -4,19 +4,8 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from imucal.errors import ReadError
-from imucal.remote.addresses import WEB, scheme_of, shown
+from imucal.remote.addresses import OBJECT_STORES, WEB, scheme_of, shown
 from imucal.remote.remote_log import RemoteFile
-
-#: Scheme -> protocol of fsspec, its package, and the extra that brings it.
-OBJECT_STORES = {
-    "s3": ("s3", "s3fs", "s3"),
-    "s3a": ("s3", "s3fs", "s3"),
-    "gs": ("gs", "gcsfs", "gcs"),
-    "gcs": ("gs", "gcsfs", "gcs"),
-    "az": ("az", "adlfs", "azure"),
-    "abfs": ("abfs", "adlfs", "azure"),
-    "abfss": ("abfs", "adlfs", "azure"),
-}
 
 
 class Store(Protocol):

@@ -19,8 +19,8 @@ from imucal.readers import describe, logs_of
 from imucal.readers.containers.rosbag2_folder import ENDINGS
 from imucal.readers.formats import FORMATS
 from imucal.remote import expand, failures, fetched, identify
+from imucal.remote.addresses import OBJECT_STORES
 from imucal.remote.listing import _MESSAGES, _TABLES
-from imucal.remote.stores import OBJECT_STORES
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.remote.one_axis import OPTIONS, one_axis
 from tests.remote.web_server import WebServer
@@ -180,6 +180,7 @@ def test_no_access_and_no_answer(bucket: Any, web: WebServer, monkeypatch: pytes
         imucal.ReadError, match=r"s3://logs/a\.csv: the connection failed: .* \(2 attempts\); try"
     ):
         imucal.read("s3://logs/a.csv")
+    bucket.clear_instance_cache()
 
 
 @pytest.mark.parametrize("scheme", OBJECT_STORES)
