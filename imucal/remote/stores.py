@@ -42,8 +42,10 @@ def store_of(url: str) -> Store:
         return HttpStore()
     if scheme not in OBJECT_STORES:
         hint = "; leave file:// out" if scheme == "file" else ""
-        known = "s3://, gs://, az://, abfs://, https:// or http://"
-        msg = f"{shown(url)}: {scheme}:// is not read; expected {known}{hint}"
+        msg = (
+            f"{shown(url)}: {scheme}:// is not read; expected s3://, gs://, az://, abfs://, https:// or "
+            f"http://{hint}"
+        )
         raise ReadError(msg)
     from imucal.remote.object_store import ObjectStore
 

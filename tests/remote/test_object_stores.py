@@ -1,17 +1,14 @@
 """Logs in object stores: S3 as moto plays it, on this machine."""
 
 import importlib.util
-import logging
 import re
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import fsspec
 import numpy.testing as npt
 import pytest
-from moto.server import ThreadedMotoServer
 
 import imucal
 from imucal.log_files import write_log
@@ -26,35 +23,6 @@ from tests.remote.one_axis import OPTIONS, one_axis
 from tests.remote.web_server import WebServer
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture(scope="module")
-def endpoint() -> Iterator[str]:
-    """Run an S3 server."""
-    logging.getLogger("werkzeug").setLevel(logging.ERROR)
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    yield f"http://{host}:{port}"
-    server.stop()
-
-
-@pytest.fixture
-def bucket(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Any:  # noqa: ANN401 - fsspec has no types
-    """Give the test an empty bucket and credentials, as the environment says them."""
-    for name, value in {
-        "AWS_ENDPOINT_URL": endpoint,
-        "AWS_ACCESS_KEY_ID": "testing",
-        "AWS_SECRET_ACCESS_KEY": "testing",
-        "AWS_DEFAULT_REGION": "us-east-1",
-        "AWS_EC2_METADATA_DISABLED": "true",
-    }.items():
-        monkeypatch.setenv(name, value)
-    files = fsspec.filesystem("s3", use_listings_cache=False)
-    if files.exists("logs"):
-        files.rm("logs", recursive=True)
-    files.mkdir("logs")
-    return files
 
 
 @pytest.mark.parametrize("name", ["consumer_mems.mcap", "tactical.bag"])
