@@ -1,8 +1,14 @@
 """What is in a remote log, from a part of its bytes."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
+import numpy.testing as npt
 import pytest
 
+import imucal
+from imucal.log_files import write_log
 from imucal.readers import describe
 from imucal.readers.files import DamagedError
 from imucal.readers.ranged_file import RangedFile, TooMuchError
@@ -74,3 +80,29 @@ def test_more_than_a_share_is_too_much(web: WebServer) -> None:
     file.read(0, 9_900_000)
     with pytest.raises(TooMuchError):
         file.read(20_000_000, 300_000)
+
+
+def test_a_bag_of_mcap_files_is_described_by_their_indexes(web: WebServer, tmp_path: Path) -> None:
+    """A folder of ROS 2 with metadata, a part of which is missing."""
+    recording = imucal.read(SAMPLE_LOGS / "consumer_mems.mcap")
+    names = [f"bag_{i}.mcap" for i in (0, 1, 10)]
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for i, name in enumerate(names[:2]):
+        write_log(recording.between(350.0 * i, 350.0 * (i + 1)), bag / name)
+    listed = "".join(f"    - {name}\n" for name in names)
+    (bag / "metadata.yaml").write_text(
+        f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}", encoding="utf-8"
+    )
+    for path in bag.iterdir():
+        web.add(f"/run/bag/{path.name}", path.read_bytes())
+    links = "".join(f"<a href='{path.name}'>x</a>" for path in bag.iterdir())
+    web.add("/run/bag/", links.encode(), kind="text/html")
+    here, there = describe(bag), describe(f"{web.url}/run/bag/")
+    assert there.path == f"{web.url}/run/bag"
+    assert [f.code for f in there.findings] == ["file-missing"]
+    assert replace(there, path=here.path) == here
+    assert web.sent < 0.8 * sum(path.stat().st_size for path in bag.iterdir())
+    npt.assert_array_equal(
+        imucal.read(f"{web.url}/run/bag/").series[0].samples, imucal.read(bag).series[0].samples
+    )
