@@ -62,7 +62,9 @@ def shown(url: str) -> str:
         return urlunsplit((parts.scheme, parts.netloc.rpartition("@")[2], parts.path, "", ""))
     scheme, _, rest = url.partition("://")
     host, slash, path = rest.partition("/")
-    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
+    user, _, place = host.rpartition("@")
+    # Azure writes container@account, which is no secret.
+    return f"{scheme}://{place if ':' in user else host}{slash}{path}"
 
 
 def path_of(url: str) -> str:

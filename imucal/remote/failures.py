@@ -142,7 +142,7 @@ def explained(error: Exception, url: str) -> Exception:
     if passing:
         return PassingError(passing)
     what = f"can't be read: {text or type(error).__name__}"
-    if names & _CREDENTIALS:
+    if names & _CREDENTIALS or "Must provide either a connection_string" in text:
         what = f"no credentials were found, or they are wrong; {_LOG_IN.get(scheme_of(url), 'log in')}"
     elif "SSLCertVerificationError" in names:
         what = f"the server's certificate is not trusted: {text}"

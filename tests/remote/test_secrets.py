@@ -75,6 +75,7 @@ def test_a_forgotten_command_shows_no_secret(tmp_path: Path) -> None:
         ("HTTP://host/L%C3%A4ufe/log%201.csv", "http://host/L%C3%A4ufe/log%201.csv", "log 1.csv"),
         ("s3://bucket/what?.csv", "s3://bucket/what?.csv", "what_.csv"),
         ("az://key:a@container/x/", "az://container/x/", "x"),
+        ("abfs://c@account.dfs/a.csv", "abfs://c@account.dfs/a.csv", "a.csv"),
         ("https://host", "https://host", "log"),
         ("gs://b/" + "a" * 300 + ".mcap", "gs://b/" + "a" * 300 + ".mcap", "a" * 195 + ".mcap"),
         ("folder/what?.csv", "folder/what?.csv", None),
