@@ -123,6 +123,7 @@ class LogRequest:
 
     def _read(self, logs: "LocalLogs") -> Recording:
         from imucal.readers import read
+        from imucal.readers.clocks import part_between
 
         with reading_progress(quiet=self.quiet) as progress:
             recording = read(
@@ -144,20 +145,20 @@ class LogRequest:
             )
         if self.skip or self.take is not None:
             end = float("inf") if self.take is None else self.skip + self.take
-            recording = _with_own_gaps(recording.between(self.skip, end))
+            recording = part_between(recording, self.skip, end)
         recording = logs.named(recording)
         _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
         return recording
 
-    def characterise(self, settings: "Settings") -> "Report":
-        """Read and characterise the log, with progress bars where a person watches."""
+    def characterise(self, settings: "Settings", *, workers: int | None = None) -> "Report":
+        """Read and characterise the log, `workers` axes at a time, with progress bars on a terminal."""
         from imucal.pipeline import characterize
         from imucal.readers.checksums import Checksums
 
         with self.local() as logs, Checksums(logs.paths) as checksums:
             recording = self._read(logs)
             with axes_progress(quiet=self.quiet) as progress:
-                report = characterize(recording, settings, progress=progress)
+                report = characterize(recording, settings, progress=progress, workers=workers)
             files = logs.named_files(checksums.files())
             return replace(report, source=replace(report.source, files=files))
 
@@ -375,16 +376,6 @@ def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> N
             say(f"  topic {topic} ({kind})", quiet=quiet)
         for question, answer in source.decisions:
             say(f"  {question}: {answer}", quiet=quiet)
-
-
-def _with_own_gaps(part: Recording) -> Recording:
-    """Return a part of a log with the finding of its own gaps, not of those that were left out."""
-    from imucal.readers.clocks import gap_notes
-
-    clocks = {id(series.clock): series.clock for series in part.series}
-    gaps = [note for clock in clocks.values() for note in gap_notes(clock)]
-    others = [finding for finding in part.findings if finding.code != "gaps"]
-    return replace(part, findings=tuple(dict.fromkeys([*others, *gaps])))
 
 
 def as_typed(path: Path) -> str:
