@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from imucal.readers import formats
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.formats import FORMATS, detect, load, logs_of
+from imucal.readers.formats import FORMATS, detect, load
 from imucal.readers.read_options import Progress, ReadOptions, options_of
+from imucal.readers.remote_logs import local_logs
 from imucal.recording import Recording
+from imucal.remote import RemoteLog, expand, identify, is_url
 
 __all__ = [
     "FORMATS",
@@ -26,7 +29,7 @@ __all__ = [
 
 
 def read(
-    *paths: str | Path,
+    *paths: str | Path | RemoteLog,
     topic: str | Sequence[str] | None = None,
     time: str | None = None,
     time_unit: str | None = None,
@@ -50,7 +53,9 @@ def read(
     ----------
     paths
         One log (a file, or the folder of a ROS 2 bag), or the files of one recording, which are joined
-        with gaps between them; ``-`` is standard input.
+        with gaps between them; ``-`` is standard input. A text such as ``s3://bucket/log.mcap`` (``gs://``,
+        ``az://``, ``https://``) is a log in a store: wildcards and folders stand for their logs, a copy is
+        kept in the cache, and what is returned names the URL without user and query.
     topic
         Topic to read, or two of them where gyroscope and accelerometer are apart.
     time, time_unit, rate_hz, gyro_unit, accel_unit, gyro_scale, accel_scale, columns, message_definition, \
@@ -99,17 +104,18 @@ def read(
     if not paths:
         msg = "no log: name at least one file"
         raise ValueError(msg)
-    if checksums:
+    with local_logs(paths, progress=progress) as logs:
+        if not checksums:
+            return logs.named(_read(logs.paths, options))
         from imucal.readers.checksums import Checksums
 
-        with Checksums([Path(path) for path in paths]) as sums:
-            recording = _read([Path(path) for path in paths], options)
-            return replace(recording, source=replace(recording.source, files=sums.files()))
-    return _read([Path(path) for path in paths], options)
+        with Checksums(logs.paths) as sums:
+            recording = _read(logs.paths, options)
+            return logs.named(replace(recording, source=replace(recording.source, files=sums.files())))
 
 
 def _read(paths: Sequence[Path], options: ReadOptions) -> Recording:
-    logs = [log for path in paths for log in logs_of(path)]
+    logs = [log for path in paths for log in formats.logs_of(path)]
     if len(logs) == 1:
         return load(detect(logs[0])).read(logs[0], options)
     from imucal.readers.split import read_all
@@ -117,13 +123,37 @@ def _read(paths: Sequence[Path], options: ReadOptions) -> Recording:
     return read_all(logs, options)
 
 
-def describe(path: str | Path, options: ReadOptions | None = None) -> LogContents:
+def logs_of(log: str | Path) -> list[str]:
+    """Return the logs that a path or a URL stands for: itself, or those of a folder or of wildcards.
+
+    Raises
+    ------
+    ReadError
+        If it is a URL of none.
+    """
+    if is_url(log):
+        return expand(str(log))
+    return [str(path) for path in formats.logs_of(Path(log))]
+
+
+def describe(log: str | Path | RemoteLog, options: ReadOptions | None = None) -> LogContents:
     """Return what is in a log; reads its index, not its samples.
+
+    Of a log behind a URL parts are fetched where that saves something, else all of it.
 
     Raises
     ------
     ReadError
         If the file is missing, damaged beyond reading or of an unknown format.
     """
-    path = Path(path)
-    return load(detect(path)).describe(path, options or ReadOptions())
+    options = options or ReadOptions()
+    if isinstance(log, RemoteLog) or is_url(log):
+        from imucal.readers.remote_index import index_of
+
+        remote = log if isinstance(log, RemoteLog) else identify(str(log))
+        if contents := index_of(remote, options):
+            return contents
+        log = remote
+    with local_logs([log], progress=options.progress) as logs:
+        (path,) = logs.paths
+        return logs.described(load(detect(path)).describe(path, options))
