@@ -2,13 +2,16 @@
 
     python tests/benchmarks/disturbance_limits.py telegraph [records] [seed]
     python tests/benchmarks/disturbance_limits.py step [records] [seed]
+    python tests/benchmarks/disturbance_limits.py clean [records] [seed]
 
 The ideal test knows every parameter: the background's spectrum, and the levels and how often they jump, or
 the step's height. Its threshold is what one in a hundred clean records exceeds: those of two levels are
-records with a Gauss-Markov process of the same spectrum in their place. imucal knows nothing.
+records with a Gauss-Markov process of the same spectrum in their place. imucal knows nothing. The last
+command counts what imucal finds in records of noise alone, without the rest of the analysis.
 """
 
 import sys
+from collections import Counter
 
 import numpy as np
 
@@ -22,7 +25,7 @@ from imucal.fitting.spectral.two_level_filter import Mixtures, _filtered, _state
 from imucal.fitting.spectral.whitened import Whitened
 from imucal.noise.term import PowerLawTerm
 from imucal.recording import AxisSeries
-from tests.benchmarks.disturbances import CONSUMER, N_SHORT, QUIET, RATE, Array, noise, telegraph
+from tests.benchmarks.disturbances import CLEAN, CONSUMER, N_SHORT, QUIET, RATE, Array, noise, telegraph
 
 LEVEL, DWELL_S, STEP = 6e-5, 40.0, 1e-4
 SPAN = N_SHORT // 1024
@@ -145,15 +148,19 @@ def telegraphs(records: int, seed: int) -> None:
         print(f"| {text} | {powers} | {found[0]} | {found[1]} |", flush=True)
 
 
+def block_of(samples: Array) -> Block:
+    """Return the transform of samples that hold no gap."""
+    return Block(offset=0, bins=dct_bins(samples.size), ordinates=dct_ordinates(samples))
+
+
 def step_gain(samples: Array, text: str) -> tuple[float, bool]:
     """Return what the best step gains beside the known spectrum, and whether imucal finds one."""
-    block = Block(offset=0, bins=dct_bins(samples.size), ordinates=dct_ordinates(samples)).lowest(4000)
+    block = block_of(samples).lowest(4000)
     own = variances(text, 1 / RATE)
     variance = np.array([own.get(symbol, 0.0) for symbol in "QNBK"])
     spectrum = variance @ bin_blocks([block], 1.0).basis
-    _, gain = Whitened.by([block], spectrum, ()).step()
-    scaled = Block(offset=0, bins=dct_bins(samples.size), ordinates=dct_ordinates(1e4 * samples))
-    return gain, any(one.kind == "step" for one in find_disturbances([scaled]))
+    _, gain, _ = Whitened.by([block], spectrum, ()).step()
+    return gain, any(one.kind == "step" for one in find_disturbances([block_of(1e4 * samples)]))
 
 
 def steps(records: int, seed: int) -> None:
@@ -177,7 +184,26 @@ def steps(records: int, seed: int) -> None:
         )
 
 
+def clean(records: int, seed: int) -> None:
+    """Print how often two levels, steps, cycles and warm-ups are found where there is noise alone."""
+    print(f"found in {records} clean records, seed {seed}")
+    more = (
+        f"N=1e-4 + GM(sigma={LEVEL}, T={DWELL_S / 2})",
+        "N=1e-4 + GM(sigma=6e-5, T=10) + GM(sigma=6e-5, T=100)",
+    )
+    for n in (N_SHORT // 10, N_SHORT):
+        for number, text in enumerate((*CLEAN, *more)):
+            found: Counter[str] = Counter()
+            rng = np.random.default_rng([seed, number, n])
+            for _ in range(records):
+                samples = noise(text, n, rng)
+                if find_telegraph(AxisSeries.from_samples(samples, rate_hz=RATE)) is not None:
+                    found["telegraph"] += 1
+                found.update({one.kind for one in find_disturbances([block_of(1e4 * samples)])})
+            print(f"| {text} | {n} | {dict(found)} |", flush=True)
+
+
 if __name__ == "__main__":
     given = [int(text) for text in sys.argv[2:4]]
     count, start = (*given, *(200, 1)[len(given) :])
-    {"telegraph": telegraphs, "step": steps}[sys.argv[1]](count, start)
+    {"telegraph": telegraphs, "step": steps, "clean": clean}[sys.argv[1]](count, start)

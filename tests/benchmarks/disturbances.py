@@ -1,9 +1,9 @@
 """What disturbances do to the fit, and how often a clean record is said to have one.
 
     python tests/benchmarks/disturbances.py table [records] [seed]      input | N, B, K | findings
-    python tests/benchmarks/disturbances.py coverage [records] [seed]   input | how many hold N, B, K | findings
+    python tests/benchmarks/disturbances.py coverage [records] [seed]   input | how many hold N, B, K
     python tests/benchmarks/disturbances.py clean [records] [seed]      truth | how often each finding
-    python tests/benchmarks/disturbances.py filters [records] [seed]    filter | how often line, second-opinion
+    python tests/benchmarks/disturbances.py filters [records] [seed]    filter | how often each finding
     python tests/benchmarks/disturbances.py lengths                     length | CPU of transform and analysis
 
 Run with another version on PYTHONPATH it prints that version's figures.
