@@ -34,7 +34,7 @@ _SPACING, _FINE = 0.25, 1 / 64
 #: What a shape must gain beyond the price of its parameters, in twice the log-likelihood.
 _MARGIN = 7.0
 #: Share of clean records in which a step would gain what it must, were their spectrum known.
-_CHANCE_STEP = 0.003
+_CHANCE_STEP = 0.002
 #: A shape that gains less at the spectrum of the fit without it is not fitted: chance gives so much.
 _WORTH_A_FIT = 15.0
 #: Most shapes that are taken out.
