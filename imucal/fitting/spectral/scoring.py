@@ -19,6 +19,10 @@ _ABSENT = 18.0
 _STEP = 1.5
 #: A parameter with less information than this is not told at all.
 _NONE = 1e-8
+#: Steps -> how far behind the best, in log-likelihood, a candidate may be from then on …
+_BEHIND = {3: 50.0, 12: 37.5, 20: 20.0}
+#: … unless its last step made up more than this share of it.
+_CATCHING_UP = 0.1
 #: Neighbouring bins are joined until they hold so many degrees of freedom.
 _JOIN = 8.0
 
@@ -55,6 +59,32 @@ class Maximum:
         return Maximum(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Race:
+    """A search among candidates of which only the best matter: the others stay where they are.
+
+    Those are given up that are far behind and do not catch up. Of those that ended within 12.5 of the
+    best, on simulated and real logs of all kinds, none was.
+
+    Attributes
+    ----------
+    handicap
+        Added to the objective of each, shape (c,): what its parameters cost.
+    """
+
+    handicap: FloatArray
+
+    def given_up(self, objective: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
+        """Return which candidates to give up after so many steps, of which the last gained `gain`; (c,)."""
+        most = [behind for first, behind in _BEHIND.items() if steps >= first]
+        if not most:
+            return np.zeros(objective.size, dtype=bool)
+        value = objective + self.handicap
+        behind = value - np.min(value)
+        hopeless: BoolArray = (behind > most[-1]) & (gain < _CATCHING_UP * behind)
+        return hopeless
+
+
 def bounds(ordinates: Ordinates, candidates: Candidates, *, shortest: float) -> tuple[FloatArray, FloatArray]:
     """Return the lowest and highest values of each parameter, each of shape (p,).
 
@@ -85,6 +115,7 @@ def maximize(
     ramp: FloatArray | None = None,
     iterations: int = 100,
     tolerance: float = 1e-7,
+    race: Race | None = None,
 ) -> Maximum:
     """Maximise the likelihood of each candidate from its row of `start`, shape (c, p).
 
@@ -100,14 +131,19 @@ def maximize(
         Most steps.
     tolerance
         A step that gains less log-likelihood than this ends the search.
+    race
+        Which candidates are given up on the way; none by default.
     """
     low, high = bounds(ordinates, candidates, shortest=shortest)
     moving = candidates.free if free is None else free & candidates.free
     theta = np.clip(start, low, high)
     state = evaluate(ordinates, candidates, theta, ramp=ramp)
     damping = np.full(candidates.count, 1e-3)
+    last = np.full(candidates.count, np.inf)
     active = np.isfinite(state.objective) & moving.any(axis=1)
-    for _ in range(iterations):
+    for count in range(iterations):
+        if race:
+            active &= ~race.given_up(state.objective, last, count)
         rows = np.flatnonzero(active)
         if not rows.size:
             break
@@ -118,6 +154,7 @@ def maximize(
         better = gain >= -noise
         moved = np.max(np.abs(trial - theta[rows]), axis=1)
         theta[rows[better]] = trial[better]
+        last[rows[better]] = gain[better]
         _accept(state, rows, found, better)
         damping[rows] = np.where(better, np.maximum(damping[rows] * 0.2, 1e-9), damping[rows] * 6)
         done = (better & ((gain < tolerance) & (moved < 1e-3) | (gain < 0.01 * tolerance + noise))) | (
