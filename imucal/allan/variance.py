@@ -9,16 +9,13 @@ each chunk is read once a step.
 import numpy as np
 
 from imucal.allan.estimators import Estimator
-from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray
 
 #: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
 _BLOCK = 32768
 
 #: Factors up to this are served block by block.
 _SMALL = 8192
-
-#: A sum of squared differences below this share of its parts is summed again, difference by difference.
-_LOSSY = 1e-3
 
 #: Row of a sum of squares. OpenBLAS hands a dot product of more than 10,000 elements to its
 #: threads, which stall when others want the processors: up to 50 times slower.
@@ -67,13 +64,8 @@ def square_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
         return _strided_sums(_integral(samples, 1), m, estimator.order)
     sums = np.zeros(m.size)
     small = m <= _SMALL
-    by_difference = small
-    # Sums of sums have no digits to spare.
-    if small.any() and estimator.integrations == 1:
-        sums[small], lossy = _product_sums(samples, m[small], estimator)
-        by_difference = np.isin(m, m[small][lossy])
-    if by_difference.any():
-        sums[by_difference] = _small_sums(samples, m[by_difference], estimator)
+    if small.any():
+        sums[small] = _small_sums(samples, m[small], estimator)
     if not small.all():
         sums[~small] = _large_sums(samples, m[~small], estimator)
     return sums
@@ -115,60 +107,17 @@ class SquareSum:
         return float(self._total.sum()) + self._tails
 
 
-class LagSum:
-    """The sum of squares of v[i+m] - v[i], from products of v with itself: no difference is written.
-
-    (b - a)² = a² + b² - 2ab costs digits where neighbours are alike: `lossy` says where more than ten
-    bits of them may be gone.
-    """
-
-    def __init__(self) -> None:
-        self._squares = self._products = 0.0
-
-    def add(self, values: FloatArray, lag: int) -> None:
-        """Add the differences of a block's values, shape (count + lag,)."""
-        count = values.size - lag
-        rows = count // _ROW
-        whole = rows * _ROW
-        if whole:
-            # Rows of v[i] and of v[i+m], which overlap: squares of the first and products in one call.
-            pair = np.ndarray((2, rows, _ROW), values.dtype, buffer=values, strides=(8 * lag, 8 * _ROW, 8))
-            squares, products = np.vecdot(pair[0], pair).sum(axis=1).tolist()
-            self._squares += 2 * squares + self._edges(values, lag, whole)
-            self._products += products
-        if count > whole:
-            first, last = values[whole:count], values[whole + lag :]
-            self._squares += float(np.vecdot(first, first) + np.vecdot(last, last))
-            self._products += float(np.vecdot(first, last))
-
-    @staticmethod
-    def _edges(values: FloatArray, lag: int, count: int) -> float:
-        """Return by how much the squares of v[i+m], i < count, are more than those of v[i]."""
-        short = min(lag, count)
-        first, last = values[:short], values[count + lag - short : count + lag]
-        if short <= _ROW:
-            return float(np.vecdot(last, last) - np.vecdot(first, first))
-        return sum_of_squares(last) - sum_of_squares(first)
-
-    @property
-    def total(self) -> float:
-        """The sum so far."""
-        return self._squares - 2 * self._products
-
-    @property
-    def lossy(self) -> bool:
-        """Whether the sum is so much smaller than its parts that its digits suffer."""
-        return self.total < _LOSSY * self._squares
-
-
 def _integral(samples: FloatArray, integrations: int) -> FloatArray:
     """Return the samples, their mean removed, summed once or twice from 0; shape (n + integrations,)."""
     mean = samples.mean()
     total = np.empty(samples.size + integrations)
     total[:integrations] = 0.0
     last = [0.0] * integrations
+    # One work array for all blocks: fresh ones cost a page fault for every 512 samples.
+    work = np.empty(min(_BLOCK, samples.size))
     for start in range(0, samples.size, _BLOCK):
-        part = samples[start : start + _BLOCK] - mean
+        block = samples[start : start + _BLOCK]
+        part = np.subtract(block, mean, out=work[: block.size])
         for level in range(integrations):
             np.cumsum(part, out=part)
             part += last[level]
@@ -186,9 +135,10 @@ def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
     work = np.empty(_BLOCK)
     lower = [np.empty(_BLOCK + reach) for _ in range(order - 1)]
     squares = [SquareSum(work) for _ in factors]
+    integral = np.empty(min(_BLOCK + reach, end))
     for start in range(0, end - order * min(factors), _BLOCK):
         stop = min(start + _BLOCK + reach, end)
-        local = _local_integral(samples[start : stop - depth], depth)
+        local = _local_integral(samples[start : stop - depth], depth, integral[: stop - start])
         for factor, square in zip(factors, squares, strict=True):
             count = min(_BLOCK, local.size - order * factor)
             if count > 0:
@@ -197,28 +147,9 @@ def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
     return np.array([square.total() for square in squares])
 
 
-def _product_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> tuple[FloatArray, BoolArray]:
-    """Sum as `_small_sums`, the last difference by its products; also say which sums lost digits."""
-    order, depth = estimator.order, estimator.integrations
-    factors: list[int] = m.tolist()
-    reach = order * max(factors)
-    end = samples.size + depth
-    lower = [np.empty(_BLOCK + reach) for _ in range(order - 1)]
-    sums = [LagSum() for _ in factors]
-    for start in range(0, end - order * min(factors), _BLOCK):
-        stop = min(start + _BLOCK + reach, end)
-        local = _local_integral(samples[start : stop - depth], depth)
-        for factor, found in zip(factors, sums, strict=True):
-            count = min(_BLOCK, local.size - order * factor)
-            if count > 0:
-                _difference(local[: count + order * factor], factor, lower[:-1], lower[-1])
-                found.add(lower[-1][: count + factor], factor)
-    return np.array([found.total for found in sums]), np.array([found.lossy for found in sums])
-
-
-def _local_integral(samples: FloatArray, depth: int) -> FloatArray:
-    """Return a block's own integral, started at 0 with the block's mean removed; shape (n + depth,)."""
-    local = np.zeros(samples.size + depth)
+def _local_integral(samples: FloatArray, depth: int, local: FloatArray) -> FloatArray:
+    """Write a block's own integral, started at 0 with the block's mean removed, to shape (n + depth,)."""
+    local[:depth] = 0.0
     part = local[depth:]
     np.subtract(samples, samples.mean() if samples.size else 0.0, out=part)
     for _ in range(depth):

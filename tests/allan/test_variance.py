@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucal.allan.estimators import ESTIMATORS, estimator_named
-from imucal.allan.variance import LagSum, square_sums, sum_of_squares, variances
+from imucal.allan.variance import sum_of_squares, variances
 from imucal.arrays import FloatArray
 from tests.allan.witness import PUBLISHED, WITNESSES, exact_avar, naive_moav
 from tests.real_data import real_data
@@ -158,52 +158,3 @@ def test_terms_and_reach_agree(name: str) -> None:
         largest = table.largest(n)
         assert table.terms(n, largest) >= 1
         assert table.terms(n, largest + 1) < 1
-
-
-@pytest.mark.parametrize("count", [1, 5, 8191, 8192, 8193, 16384, 20_000])
-@pytest.mark.parametrize("lag", [1, 7, 4096, 8192, 8193, 30_000])
-def test_products_give_the_sum_of_squared_differences(count: int, lag: int) -> None:
-    """Whatever the rows that they are summed in; block after block."""
-    rng = np.random.default_rng([20261122, count, lag])
-    found, expected = LagSum(), 0.0
-    for _ in range(2):
-        values = rng.standard_normal(count + lag) + 1
-        found.add(values, lag)
-        expected += float(np.sum((values[lag:] - values[:-lag]) ** 2))
-    assert found.total == pytest.approx(expected, rel=1e-12)
-    assert not found.lossy or count == 1
-
-
-def test_products_say_where_digits_are_lost() -> None:
-    """Neighbours that are alike to 1 %: (a - b)² is 1e-4 of a² + b²."""
-    values = 1 + 0.01 * np.random.default_rng(20261122).standard_normal(10_001)
-    found = LagSum()
-    found.add(values, 1)
-    assert found.lossy
-    assert found.total == pytest.approx(np.sum(np.diff(values) ** 2), rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["overlapping", "modified", "hadamard"])
-@pytest.mark.parametrize(
-    "kind", ["white", "walk", "white and walk", "ramp", "constant", "offset", "tone", "steps"]
-)
-def test_products_change_no_digit_that_counts(kind: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To 3e-12 the sums are those of differences that are written down, for any noise or drift."""
-    rng = np.random.default_rng(20261122)
-    n = 70_001
-    white, t = rng.standard_normal(n), np.arange(n)
-    samples = {
-        "white": white,
-        "walk": np.cumsum(white),
-        "white and walk": white + 0.01 * np.cumsum(rng.standard_normal(n)),
-        "ramp": 1e-6 * white + 1e-3 * t,
-        "constant": np.full(n, 9.81),
-        "offset": white + 1e6,
-        "tone": 1e-3 * white + np.sin(0.01 * t),
-        "steps": np.round(white / 8) + (t > 40_000),
-    }[kind]
-    m, estimator = np.array([1, 2, 3, 10, 100, 1000, 8192, 8193]), ESTIMATORS[name]
-    found = square_sums(samples, m, estimator)
-    monkeypatch.setattr("imucal.allan.variance._LOSSY", np.inf)
-    expected = square_sums(samples, m, estimator)
-    npt.assert_allclose(found, expected, rtol=3e-12, atol=1e-30 * n)
