@@ -17,12 +17,16 @@ BELOW: dict[str, set[str]] = {
     "grading": {"findings"},
     "_version": set(),
     "atomic": {"errors"},
+    "child_process": set(),
     "clock": set(),
+    "mapped": set(),
     "printable": set(),
     "resources": {"errors"},
     "recording": {"arrays", "clock", "errors", "findings"},
+    "parallel": {"resources"},
     "powerlaw": {"arrays"},
     "side_work": {"errors", "findings"},
+    "solvers": {"arrays"},
     "units": {"recording"},
 }
 BASE = set(BELOW)
@@ -41,6 +45,7 @@ BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
 BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
+BELOW["fleet_run"] = BELOW["pipeline"] | {"fleet", "pipeline", "readers"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 
