@@ -52,7 +52,7 @@ file, 3 the report or log can't be read, 4 the data can't be analysed."""
 )
 @click.option(
     "--baseline",
-    type=click.Path(path_type=Path),
+    type=click.Path(),
     metavar="REPORT",
     help=f"Older report ({REPORT}); alone it allows 20 % more N, B and K.",
 )
@@ -71,7 +71,7 @@ def command(
     *,
     request: LogRequest,
     limits_file: Path | None,
-    baseline: Path | None,
+    baseline: str | None,
     undecided: str | None,
     as_json: bool,
     junit: Path | None,
@@ -92,7 +92,7 @@ def command(
         limits = replace(limits, undecided="fail" if undecided == "fail" else "pass")
     older = None
     if limits.baseline is not None and limits.baseline.report is not None:
-        older = read_report(limits.baseline.report)
+        older = read_report(baseline or limits.baseline.report)
     report = load_report(request)
     result = check(report, limits, baseline=older)
     if junit is not None:
@@ -112,7 +112,7 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
+def _limits(limits_file: Path | None, baseline: str | None) -> Limits:
     from imucal.checking import read_limits
 
     if limits_file is None and baseline is None:
@@ -120,7 +120,7 @@ def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
         raise click.UsageError(msg)
     limits = Limits() if limits_file is None else read_limits(limits_file)
     if baseline is not None:
-        limits = replace(limits, baseline=replace(limits.baseline or Baseline(), report=baseline))
+        limits = replace(limits, baseline=replace(limits.baseline or Baseline(), report=Path(baseline)))
     elif limits.baseline is not None and limits.baseline.report is None:
         msg = f'{limits_file}: the baseline names no report; write report = "…", or give --baseline REPORT'
         raise click.UsageError(msg)
