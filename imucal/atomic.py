@@ -72,3 +72,13 @@ def _refuse_foreign(path: Path, ours: str | None) -> None:
     if ours.encode() not in start:
         msg = f"{path}: exists and was not written by imucal; move it away, or choose another place"
         raise WriteError(msg)
+
+
+def sync_folder(folder: Path) -> None:
+    """Force a folder's entries to disk, where the operating system can."""
+    with suppress(OSError, AttributeError):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -17,6 +17,7 @@ BELOW: dict[str, set[str]] = {
     "grading": {"findings"},
     "_version": set(),
     "atomic": {"errors"},
+    "child_process": set(),
     "clock": set(),
     "printable": set(),
     "resources": {"errors"},

@@ -1,20 +1,17 @@
 """The command line: parse, call, print. One file a command; one line a command in `COMMANDS`."""
 
-import difflib
 import errno
-import importlib
 import io
 import os
 import re
-import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
 import click
-from click.shell_completion import CompletionItem
 
+from imucal.cli._lazy_group import LazyGroup
 from imucal.errors import ChoiceError, DataError, ImucalError, WriteError
 from imucal.printable import printable
 
@@ -31,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("imucal.cli.check", "Pass or fail a report or a log against limits (the CI gate)."),
     "compare": ("imucal.cli.compare", "Say which terms of two reports differ significantly."),
     "export": ("imucal.cli.export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),
+    "fleet": ("imucal.cli.fleet_commands", "Characterise many logs of many units: run, status, report."),
     "completion": ("imucal.cli.completion", "Print the shell's completion script (bash, zsh, fish)."),
 }
 
@@ -55,50 +53,6 @@ _OPTIONS = (
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 
-class LazyGroup(click.Group):
-    """A group that imports a command when it is called."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
-        return list(COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        if cmd_name not in COMMANDS:
-            return None
-        module = importlib.import_module(COMMANDS[cmd_name][0])
-        command: click.Command = module.command
-        return command
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Name the command that a mistyped one is near to, or all of them."""
-        name = args[0]
-        if name in COMMANDS or name.startswith("-") or ctx.resilient_parsing:
-            return super().resolve_command(ctx, args)
-        near = difflib.get_close_matches(name.lower(), COMMANDS, n=1)
-        if near:
-            hint = f"did you mean {near[0]!r}?"
-        elif Path(name).exists():
-            hint = f"to fit a log write 'imucal fit {shlex.quote(name)}'"
-        else:
-            hint = f"expected one of {', '.join(COMMANDS)}"
-        msg = f"No such command {name!r}; {hint}"
-        raise click.UsageError(msg, ctx)
-
-    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Offer commands without importing them, so that the Tab key answers at once."""
-        names = [
-            CompletionItem(name, help=summary)
-            for name, (_, summary) in COMMANDS.items()
-            if name.startswith(incomplete)
-        ]
-        return names + click.Command.shell_complete(self, ctx, incomplete)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
-
-
 def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> None:
     if wanted and not ctx.resilient_parsing:
         from imucal.cli._version_line import version_lines
@@ -107,7 +61,12 @@ def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> No
         ctx.exit()
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup,
+    table=COMMANDS,
+    of_a_log=("fit a log", "fit"),
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.option(
     "--version",
     is_flag=True,

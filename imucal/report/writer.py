@@ -19,6 +19,7 @@ from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
+from imucal.atomic import sync_folder
 from imucal.errors import WriteError
 from imucal.findings import Finding
 from imucal.recording import Sensor
@@ -73,7 +74,7 @@ def write_report(
         _refuse_foreign(out, tuple(renderers))
         with _scratch(out) as scratch:
             left_out = _write_all(report, renderers, scratch, tell or (lambda _: None))
-            _sync_folder(scratch)
+            sync_folder(scratch)
             names = tuple(name for name in renderers if name not in left_out)
             _publish(scratch, out, names)
     return tuple(out / name for name in names)
@@ -238,7 +239,7 @@ def _publish(scratch: Path, out: Path, names: tuple[str, ...]) -> None:
     """Move the complete files to their places, then remove what an older report left over."""
     if not out.exists():
         scratch.rename(out)
-        _sync_folder(out.parent)
+        sync_folder(out.parent)
         return
     moved = 0
     try:
@@ -253,14 +254,4 @@ def _publish(scratch: Path, out: Path, names: tuple[str, ...]) -> None:
             "each file is whole, but old and new ones stand together; write the report again"
         )
         raise WriteError(msg) from error
-    _sync_folder(out)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Force a folder's entries to disk, where the operating system can."""
-    with suppress(OSError, AttributeError):
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+    sync_folder(out)

@@ -1,0 +1,306 @@
+"""The store of a fleet: a folder of parquet parts, which many write at once and any crash leaves whole.
+
+A part is written under another name, forced to disk and then renamed: it is there whole or not at all. Of
+the three parts of a batch of logs the one in ``logs`` comes last and commits the others: what it does not
+name never happened. Nothing is ever changed in place, so several runs on one store add up.
+"""
+
+import io
+import math
+import secrets
+import shutil
+import time
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+import polars as pl
+
+from imucal.atomic import replacing, sync_folder
+from imucal.errors import ReadError, WriteError
+from imucal.fleet.store_columns import BINS, LABELS, LOGS, RESULTS
+
+_TABLES = {"bins": BINS, "results": RESULTS, "logs": LOGS}
+_MANIFEST = "manifest.parquet"
+#: Begins and ends every parquet file. Source: Apache Parquet, file format.
+_MAGIC = b"PAR1"
+#: Scratch files older than this, in s, are those of a process that was killed.
+_ABANDONED_S = 3600.0
+
+Row = Mapping[str, object]
+
+
+class FleetStore:
+    """A fleet's folder: its manifest, and what is known of each log.
+
+    Parameters
+    ----------
+    folder
+        Where it is; `create` makes it.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+
+    @property
+    def exists(self) -> bool:
+        """Whether a fleet has been begun here."""
+        return (self.folder / _MANIFEST).is_file()
+
+    def create(self) -> None:
+        """Make the folder, or check that it is a fleet's and may be written to; sweep what crashes left.
+
+        Raises
+        ------
+        WriteError
+            If it can't be made, or holds something else.
+        """
+        if self.folder.is_dir() and not self.exists:
+            strange = sorted(p.name for p in self.folder.iterdir() if p.name not in {".lock", *_TABLES})
+            if strange:
+                msg = (
+                    f"{self.folder}: holds {', '.join(strange[:3])} but no fleet of imucal's; "
+                    "nothing was changed; choose another folder"
+                )
+                raise WriteError(msg)
+        with _translated(self.folder):
+            for name in _TABLES:
+                (self.folder / name).mkdir(parents=True, exist_ok=True)
+                self._sweep(self.folder / name)
+
+    def clear(self) -> None:
+        """Remove every part and the manifest: start anew.
+
+        Raises
+        ------
+        WriteError
+            If they can't be removed.
+        """
+        with _translated(self.folder):
+            # The commit records first: what they named is nobody's from then on.
+            for name in reversed(_TABLES):
+                for part in (self.folder / name).glob("part-*.parquet"):
+                    part.unlink(missing_ok=True)
+            shutil.rmtree(self.folder / "reports", ignore_errors=True)
+            (self.folder / _MANIFEST).unlink(missing_ok=True)
+
+    def manifest(self) -> pl.DataFrame:
+        """Return the logs asked for, one row each.
+
+        Raises
+        ------
+        ReadError
+            If there is no fleet here, or its manifest can't be read.
+        """
+        path = self.folder / _MANIFEST
+        try:
+            return pl.read_parquet(path, glob=False)
+        except (OSError, pl.exceptions.PolarsError) as error:
+            found = f"can't be read ({_first_line(error)})" if path.exists() else "no such file"
+            msg = f"{path}: {found}; expected the folder of a fleet that imucal fleet run writes"
+            raise ReadError(msg) from error
+
+    def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
+        """Add logs to those asked for; one named before gets its new labels. Return the whole manifest.
+
+        Parameters
+        ----------
+        rows
+            Columns as `MANIFEST`, and free ones.
+
+        Raises
+        ------
+        WriteError
+            If it can't be written.
+        """
+        with self._locked():
+            if self.exists:
+                old = self.manifest().join(rows.select("path"), on="path", how="anti")
+                rows = pl.concat([old, rows], how="diagonal")
+            self._write(self.folder / _MANIFEST, rows)
+        return rows
+
+    def commit(
+        self,
+        logs: Iterable[Row],
+        results: Iterable[Row] = (),
+        bins: Iterable[Row] = (),
+        *,
+        shard: str = "0",
+    ) -> str:
+        """Write what is known of some logs, all or nothing; return the name of the part.
+
+        Parameters
+        ----------
+        logs, results, bins
+            Rows with the columns of `LOGS`, `RESULTS` and `BINS`; what is missing is null.
+        shard
+            Stands in the name of the part.
+
+        Raises
+        ------
+        WriteError
+            If it can't be written: then nothing was.
+        """
+        name = f"part-{shard}-{secrets.token_hex(8)}.parquet"
+        for table, rows in (("bins", bins), ("results", results), ("logs", logs)):
+            schema = _TABLES[table]
+            frame = pl.DataFrame([[row.get(c) for c in schema] for row in rows], schema=schema, orient="row")
+            self._write(self.folder / table / name, frame)
+        return name
+
+    def logs(self) -> pl.DataFrame:
+        """Return what is known of each log: the columns of `LOGS`, and `part`; sorted by path.
+
+        A content counts once (the newest success, else the newest failure), and so does a path (its newest
+        content). Labels are those of the manifest where it has them.
+        """
+        whole = set(self._whole())
+        found = self._read("logs").filter(pl.col("part").is_in(list(whole)))
+        newest = found.sort(pl.col("status") == "ok", "finished", "part", descending=True)
+        newest = newest.unique("key", keep="first", maintain_order=True)
+        newest = newest.sort("finished", "part", descending=True)
+        newest = newest.unique("path", keep="first", maintain_order=True)
+        return self._with_labels(newest).sort("path")
+
+    def results(self) -> pl.DataFrame:
+        """Return one row a log, axis and term: `RESULTS`, and path, model, unit, temperature_c, days.
+
+        `days` since 1970 are those of `started`; nan where it is not known, as the temperature.
+        """
+        logs = self.logs()
+        labels = logs.select("part", "key", "path", "model", "unit", _nan_for_null("temperature_c"))
+        labels = labels.with_columns(pl.Series("days", [*map(_days, logs["started"])], dtype=pl.Float64))
+        found = self._read("results").join(labels, on=["part", "key"], how="inner")
+        first = ("key", "path", "model", "unit", "temperature_c", "days")
+        order = ("path", "sensor", "axis", "term")
+        return found.select(*first, *(name for name in RESULTS if name not in first)).sort(order)
+
+    def bins(self, keys: Collection[str] | None = None) -> pl.DataFrame:
+        """Return the binned spectra of some logs, or of all: the columns of `BINS`."""
+        logs = self.logs().select("part", "key")
+        if keys is not None:
+            logs = logs.filter(pl.col("key").is_in(list(keys)))
+        parts = logs["part"].unique().to_list()
+        found = self._read("bins", parts).join(logs, on=["part", "key"], how="inner")
+        return found.select(*BINS).sort("key", "sensor", "axis")
+
+    def damaged(self) -> list[Path]:
+        """Return the parts that are not whole, as after a loss of power; their logs are not done."""
+        whole = set(self._whole())
+        return sorted(
+            path
+            for table in _TABLES
+            for path in (self.folder / table).glob("part-*.parquet")
+            if not _is_whole(path) or (table == "logs" and path.name not in whole)
+        )
+
+    def _whole(self) -> list[str]:
+        """Return the names of the batches whose three parts are whole."""
+        names = sorted(path.name for path in (self.folder / "logs").glob("part-*.parquet"))
+        return [name for name in names if all(_is_whole(self.folder / table / name) for table in _TABLES)]
+
+    def _read(self, table: str, parts: Iterable[str] | None = None) -> pl.DataFrame:
+        """Return the rows of the whole parts of a table, with the part that each stands in."""
+        folder, schema = self.folder / table, _TABLES[table]
+        names = self._whole() if parts is None else parts
+        empty = pl.DataFrame(schema={**schema, "part": pl.String})
+        paths = [folder / name for name in names]
+        if not paths:
+            return empty
+        try:
+            found = pl.read_parquet(paths, include_file_paths="part", glob=False)
+        except (OSError, pl.exceptions.PolarsError):
+            found = pl.concat(map(_read_part, paths))
+        found = pl.concat([empty, found], how="diagonal")
+        return found.with_columns(pl.col("part").str.split("/").list.last())
+
+    def _with_labels(self, logs: pl.DataFrame) -> pl.DataFrame:
+        """Return logs with the labels of the manifest, which may have been mended since they were done."""
+        if not self.exists:
+            return logs
+        manifest = self.manifest()
+        own = manifest.select("path", *LABELS)
+        # A log that was moved since is known to the manifest by its new path.
+        moved = manifest.filter(pl.col("copy_of").is_not_null()).select(
+            pl.col("copy_of").alias("path"), *LABELS
+        )
+        labels = pl.concat([own, moved]).unique("path", keep="first", maintain_order=True)
+        joined = logs.join(labels, on="path", how="left", suffix="_new")
+        kept = [pl.coalesce(f"{name}_new", name).alias(name) for name in LABELS]
+        return joined.with_columns(kept).select(logs.columns)
+
+    def _write(self, path: Path, frame: pl.DataFrame) -> None:
+        data = io.BytesIO()
+        frame.write_parquet(data, compression="zstd")
+        with replacing(path) as scratch:
+            scratch.write_bytes(data.getbuffer())
+        sync_folder(path.parent)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Let one process at a time change the manifest, where the file system has locks."""
+        with _translated(self.folder), (self.folder / ".lock").open("w") as lock:
+            with suppress(ImportError, OSError):
+                import fcntl
+
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    @staticmethod
+    def _sweep(folder: Path) -> None:
+        for path in folder.glob(".part-*"):
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > _ABANDONED_S:
+                    shutil.rmtree(path)
+
+
+def _read_part(path: Path) -> pl.DataFrame:
+    """Read one part; say which it is where its inside is damaged, which a crash does not do."""
+    try:
+        return pl.read_parquet(path, include_file_paths="part", glob=False)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        msg = f"{path}: is damaged ({_first_line(error)}); remove it: the next run does its logs again"
+        raise ReadError(msg) from error
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a parquet file has its beginning and its end, which is written last."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(4)
+            size = file.seek(0, io.SEEK_END)
+            file.seek(max(size - 8, 0))
+            footer, end = int.from_bytes(file.read(4), "little"), file.read(4)
+    except OSError:
+        return False
+    return start == end == _MAGIC and footer + 12 <= size
+
+
+@contextmanager
+def _translated(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        msg = (
+            f"{folder}: can't be written: {error.strerror or error}; free some space or choose another folder"
+        )
+        raise WriteError(msg) from error
+
+
+def _nan_for_null(name: str) -> pl.Expr:
+    return pl.col(name).fill_null(float("nan"))
+
+
+def _days(started: str | None) -> float:
+    """Return the days since 1970 of a time in ISO 8601, in UTC where it says no zone; nan for none."""
+    try:
+        when = datetime.fromisoformat(started or "")
+    except ValueError:
+        return math.nan
+    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp() / 86400
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__

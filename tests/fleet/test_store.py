@@ -1,0 +1,226 @@
+"""The store of a fleet: parts are whole or not there, keys count once, labels are the manifest's."""
+
+import math
+import multiprocessing
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+from imucal.errors import ReadError, WriteError
+from imucal.fleet.store import FleetStore
+from imucal.fleet.store_columns import LOGS, MANIFEST
+
+
+def manifest(*rows: dict[str, Any]) -> pl.DataFrame:
+    """Return rows as a manifest; what is missing is null."""
+    free = {name for row in rows for name in row} - set(MANIFEST)
+    schema = {**MANIFEST, **dict.fromkeys(sorted(free), pl.String())}
+    return pl.DataFrame([[row.get(name) for name in schema] for row in rows], schema=schema, orient="row")
+
+
+def log(name: str, **more: Any) -> dict[str, Any]:  # noqa: ANN401 - values of any column
+    """Return the commit record of a log that went well."""
+    row = {
+        "key": f"key-{name}",
+        "path": f"{name}.mcap",
+        "status": "ok",
+        "finished": 1.0,
+        "findings": ["gaps"],
+    }
+    return {**row, **more}
+
+
+def result(name: str, value: float | None = 1e-4, **more: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Return a log's gyro_x N."""
+    row = {"key": f"key-{name}", "sensor": "gyroscope", "axis": "x", "term": "N", "value": value}
+    return {**row, "low": 0.0, "high": 2e-4, "level": 0.95, **more}
+
+
+def bin_row(name: str) -> dict[str, Any]:
+    """Return a log's bins."""
+    return {"key": f"key-{name}", "sensor": "gyroscope", "axis": "x", "bins": name.encode()}
+
+
+def fleet(folder: Path, *names: str) -> FleetStore:
+    """Return a store where each of some logs was committed by itself."""
+    store = FleetStore(folder / "fleet")
+    store.create()
+    store.add_to_manifest(manifest(*({"path": f"{name}.mcap"} for name in names)))
+    for name in names:
+        store.commit([log(name)], [result(name)], [bin_row(name)])
+    return store
+
+
+def test_what_was_committed_is_read_back(tmp_path: Path) -> None:
+    """Every column, and null where nothing was said."""
+    store = fleet(tmp_path, "a", "b")
+    store.commit([log("c", status="unreadable", reason="no such file", findings=[])])
+    logs = store.logs()
+    assert logs.columns == [*LOGS, "part"]
+    assert logs["path"].to_list() == ["a.mcap", "b.mcap", "c.mcap"]
+    assert logs["findings"].to_list() == [["gaps"], ["gaps"], []]
+    assert store.results()["value"].to_list() == [1e-4, 1e-4]
+    assert store.bins()["bins"].to_list() == [b"a", b"b"]
+    assert store.bins(["key-b"])["bins"].to_list() == [b"b"]
+    assert store.damaged() == []
+
+
+def test_a_new_store_is_empty(tmp_path: Path) -> None:
+    """Before the first part there are tables without rows."""
+    store = fleet(tmp_path)
+    assert store.logs().is_empty()
+    assert store.results().is_empty()
+    assert store.bins().is_empty()
+
+
+def test_results_without_their_commit_record_do_not_count(tmp_path: Path) -> None:
+    """A process that ended between the parts has done nothing."""
+    store = fleet(tmp_path, "a", "b")
+    part = store.logs().filter(pl.col("key") == "key-a")["part"].item()
+    (store.folder / "logs" / part).unlink()
+    assert store.logs()["key"].to_list() == ["key-b"]
+    assert store.results()["key"].to_list() == ["key-b"]
+    assert store.bins()["key"].to_list() == ["key-b"]
+
+
+@pytest.mark.parametrize("table", ["bins", "results", "logs"])
+@pytest.mark.parametrize("keep", [0.0, 0.02, 0.5, 0.99])
+def test_a_part_cut_off_is_reported_and_ignored(tmp_path: Path, table: str, keep: float) -> None:
+    """Then none of the log's three parts counts, so that the next run does the log again."""
+    store = fleet(tmp_path, "a", "b")
+    part = store.folder / table / store.logs().filter(pl.col("key") == "key-a")["part"].item()
+    data = part.read_bytes()
+    part.write_bytes(data[: int(keep * len(data))])
+    assert part in store.damaged()
+    assert store.logs()["key"].to_list() == ["key-b"]
+    assert store.results()["key"].to_list() == ["key-b"]
+    store.commit([log("a")], [result("a", 3e-4)], [bin_row("a")])
+    assert store.results()["value"].to_list() == [3e-4, 1e-4]
+
+
+def test_a_missing_part_of_three_is_as_a_damaged_one(tmp_path: Path) -> None:
+    """Whose results were removed is not done."""
+    store = fleet(tmp_path, "a", "b")
+    part = store.logs().filter(pl.col("key") == "key-a")["part"].item()
+    (store.folder / "results" / part).unlink()
+    assert store.logs()["key"].to_list() == ["key-b"]
+    assert store.damaged() == [store.folder / "logs" / part]
+
+
+def test_a_part_with_damage_inside_is_named(tmp_path: Path) -> None:
+    """No crash does it; removing the part, as the message says, makes its logs undone."""
+    store = fleet(tmp_path, "a", "b")
+    part = store.folder / "results" / store.logs().filter(pl.col("key") == "key-a")["part"].item()
+    data = bytearray(part.read_bytes())
+    data[4:-12] = bytes(len(data) - 16)
+    part.write_bytes(data)
+    with pytest.raises(
+        ReadError, match=r"is damaged .*; remove it: the next run does its logs again"
+    ) as caught:
+        store.results()
+    assert str(caught.value).startswith(f"{part}: ")
+    part.unlink()
+    assert store.results()["key"].to_list() == ["key-b"]
+
+
+def test_the_same_key_twice_counts_once(tmp_path: Path) -> None:
+    """The newest success; a failure after it does not undo it."""
+    store = fleet(tmp_path, "a")
+    store.commit([log("a", finished=3.0)], [result("a", 3e-4)], [bin_row("a")])
+    store.commit([log("a", finished=2.0)], [result("a", 2e-4)], [bin_row("a")])
+    store.commit([log("a", finished=4.0, status="memory")])
+    assert store.logs()["finished"].to_list() == [3.0]
+    assert store.results()["value"].to_list() == [3e-4]
+    assert store.bins().height == 1
+
+
+def test_the_same_path_with_a_new_content_counts_once(tmp_path: Path) -> None:
+    """A log that was written anew is known by what is in it now."""
+    store = fleet(tmp_path, "a")
+    store.commit([log("a", key="key-new", finished=2.0)], [result("a", 5e-4, key="key-new")])
+    assert store.logs()["key"].to_list() == ["key-new"]
+    assert store.results()["value"].to_list() == [5e-4]
+
+
+def test_labels_are_those_of_the_manifest(tmp_path: Path) -> None:
+    """A label mended after the run costs no second run; one that only the log has stays."""
+    store = fleet(tmp_path, "a", "b")
+    started = "2026-01-02T12:00:00Z"
+    store.commit([log("b", finished=2.0, unit="old", started=started)], [result("b")], [bin_row("b")])
+    store.add_to_manifest(
+        manifest(
+            {"path": "a.mcap", "model": "m", "unit": "7", "temperature_c": 25.0, "started": "1970-01-03"},
+            {"path": "b.mcap", "model": "m", "unit": "8", "note": "odd"},
+        )
+    )
+    assert store.logs()["unit"].to_list() == ["7", "8"]
+    results = store.results()
+    assert results["temperature_c"][0] == 25.0
+    assert math.isnan(results["temperature_c"][1])
+    assert results["days"].to_list() == [2.0, 20455.5]
+    assert store.manifest()["note"].to_list() == [None, "odd"]
+
+
+def test_a_log_that_was_moved_keeps_its_result_and_gets_the_new_labels(tmp_path: Path) -> None:
+    """The manifest knows under which path its content was done."""
+    store = fleet(tmp_path, "a")
+    store.add_to_manifest(manifest({"path": "new/a.mcap", "unit": "7", "copy_of": "a.mcap"}))
+    assert store.logs()["unit"].to_list() == [None]
+    store.clear()
+    store.add_to_manifest(manifest({"path": "new/a.mcap", "unit": "7", "copy_of": "a.mcap"}))
+    store.commit([log("a")], [result("a")], [bin_row("a")])
+    assert store.results()["unit"].to_list() == ["7"]
+
+
+def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
+    """With what to do, and nothing is changed."""
+    store = FleetStore(tmp_path)
+    (tmp_path / "thesis.tex").write_text("x")
+    with pytest.raises(WriteError, match=r"holds thesis\.tex but no fleet of imucal's; nothing was"):
+        store.create()
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+    with pytest.raises(ReadError, match=r"manifest\.parquet: no such file; expected the folder of a"):
+        store.manifest()
+    (tmp_path / "manifest.parquet").write_text("none")
+    with pytest.raises(ReadError, match=r"manifest\.parquet: can't be read \(.*\); expected the folder"):
+        store.manifest()
+
+
+def test_a_folder_that_can_not_be_made_is_an_error(tmp_path: Path) -> None:
+    """As where a file stands in its way."""
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(WriteError, match=r"file/fleet: can't be written: Not a directory; free some"):
+        FleetStore(tmp_path / "file" / "fleet").create()
+
+
+def _add(folder: Path, names: list[str]) -> None:
+    store = FleetStore(folder)
+    for name in names:
+        store.add_to_manifest(manifest({"path": name}))
+        store.commit([log(name)], [result(name)], [bin_row(name)], shard=name)
+
+
+def test_two_processes_may_write_at_once(tmp_path: Path) -> None:
+    """No row of the manifest and no log is lost."""
+    store = fleet(tmp_path)
+    context = multiprocessing.get_context("spawn")
+    names = [[f"{shard}{i}" for i in range(15)] for shard in "ab"]
+    writers = [context.Process(target=_add, args=(store.folder, own)) for own in names]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert sorted(store.manifest()["path"]) == sorted([*names[0], *names[1]])
+    assert store.logs().height == store.results().height == 30
+
+
+def test_a_new_start_forgets_everything(tmp_path: Path) -> None:
+    """Parts, manifest and single reports."""
+    store = fleet(tmp_path, "a")
+    (store.folder / "reports" / "x").mkdir(parents=True)
+    store.clear()
+    assert not store.exists
+    assert store.logs().is_empty()
+    assert not (store.folder / "reports").exists()
