@@ -135,23 +135,22 @@ def _support(grid: FloatArray, likely: BoolArray) -> tuple[float, float]:
 
 def _log_posterior(units: UnitLikelihoods, tau: FloatArray, mu: FloatArray) -> FloatArray:
     """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau."""
-    s2, all_s2 = units.deviation[units.normal] ** 2, units.deviation**2
-    result = np.full(mu.shape, units.constant)
-    for row, t in enumerate(tau):
-        v = s2 + t * t
-        y, offset = units.centre[units.normal] - mu[row, 0], mu[row] - mu[row, 0]
-        squares = np.sum(y * y / v) - 2 * offset * np.sum(y / v) + offset**2 * np.sum(1 / v)
-        result[row] -= 0.5 * (squares + np.sum(np.log(v)))
-        result[row] += _weak_part(units, float(t), mu[row])
-        # Jeffreys' prior of tau, and the step from tau to its logarithm.
-        result[row] += 2 * math.log(t) + 0.5 * math.log(np.sum(1 / (all_s2 + t * t) ** 2))
-    return result
+    t2 = tau[:, None] ** 2
+    v = units.deviation[units.normal] ** 2 + t2
+    y, offset = units.centre[units.normal] - mu[:, :1], mu - mu[:, :1]
+    first, second = (np.sum(part, axis=1)[:, None] for part in (y / v, 1 / v))
+    squares = np.sum(y * y / v, axis=1)[:, None] - 2 * offset * first + offset**2 * second
+    result = units.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
+    if units.weak.size:
+        result += [_weak_part(units, t, of_tau) for t, of_tau in zip(tau.tolist(), mu, strict=True)]
+    # Jeffreys' prior of tau, and the step from tau to its logarithm.
+    prior = 0.5 * np.log(np.sum(1 / (units.deviation**2 + t2) ** 2, axis=1))
+    posterior: FloatArray = result + np.log(t2) + prior[:, None]
+    return posterior
 
 
-def _weak_part(units: UnitLikelihoods, tau: float, mu: FloatArray) -> FloatArray | float:
+def _weak_part(units: UnitLikelihoods, tau: float, mu: FloatArray) -> FloatArray:
     """Return what the units on the grid say of mu, at one tau."""
-    if not units.weak.size:
-        return 0.0
     matrix = blur(mu, units.theta, tau)
     total = np.zeros(mu.size)
     for start in range(0, len(units.weak), _CHUNK):
