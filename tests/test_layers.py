@@ -42,6 +42,7 @@ BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
 BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
+BELOW["fleet_report"] = BELOW["fleet"] | {"fleet", "checking"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

@@ -26,7 +26,7 @@ class LazyGroup(click.Group):
 
     def __init__(
         self, *, table: Mapping[str, tuple[str, str]], of_a_log: tuple[str, str], **attributes: Any
-    ) -> None:  # noqa: ANN401
+    ) -> None:
         super().__init__(**attributes)
         self.table, self._of_a_log = table, of_a_log
 

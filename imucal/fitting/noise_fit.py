@@ -47,6 +47,8 @@ class Estimate:
         Symbols of terms that may stand in this one's place: to this record they are one thing.
     widening
         By what factor the interval is wider than the likelihood says, because the record's segments differ.
+    origin
+        What the number is, where it is no estimate of one record: a bound over many units.
     """
 
     key: str
@@ -58,6 +60,7 @@ class Estimate:
     correlation_time: Interval | None = None
     alternatives: tuple[str, ...] = ()
     widening: float = 1.0
+    origin: str = ""
 
     @classmethod
     def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":

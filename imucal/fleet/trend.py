@@ -17,7 +17,7 @@ from imucal.fitting.noise_fit import Interval
 from imucal.fleet.log_value import LogValue, LogValues
 from imucal.fleet.outliers import adjusted, leave_one_out
 
-#: Adjusted p-value below which a unit moves otherwise than the others: there are many units, labels and terms.
+#: Adjusted p-value below which a unit moves otherwise than the others; there are many labels and terms.
 _RARE = 0.01
 #: Label -> what it must vary by to tell a slope, where it counts from, and the unit of the slope.
 _COLUMNS = {"temperature_c": 1.0, "days": 0.5}

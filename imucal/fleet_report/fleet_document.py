@@ -13,6 +13,7 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import UnitValue
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.report.document import plain
 
 SCHEMA = "imucal/fleet/1"
 
@@ -98,7 +99,7 @@ def _model(model: SensorModel) -> dict[str, object]:
         "name": model.name,
         "units": list(model.units),
         "logs": sum(not log.left_out for log in model.logs),
-        "rate_hz": model.rate_hz,
+        "rate_hz": plain(model.rate_hz),
         "terms": [_term(term) for term in model.terms],
     }
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imucal.fleet_report.fleet_tables import by_term
-from imucal.fleet_report.panels import sorted_units, span
+from imucal.fleet_report.panels import round_ticks, sorted_units, span
 from imucal.fleet_report.shown import bound_name, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.recording import Sensor
 from imucal.report.figure_parts import LABEL_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
+from imucal.report.log_ticks import tick_label
 from imucal.report.palette import DATA, FADED, FRAME, GRID, INK, LEFT_OUT, MODEL
 from imucal.units import pretty
 
@@ -57,7 +58,7 @@ def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
             place.set_visible(False)
     title = f"{model.title}, {sensor}: {len(model.units)} units"
     figure.suptitle(title, fontsize=TITLE_SIZE, color=INK)
-    figure.tight_layout()
+    figure.tight_layout(rect=(0, 0, 1, 0.99))
     return figure
 
 
@@ -77,7 +78,9 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
             value * factor, i, marker=marker, markersize=4.5, color=colour, markerfacecolor=face, linestyle=""
         )
     if found.prediction:
-        axes.axvspan(*(limit * factor for limit in found.prediction), color=MODEL.light, alpha=0.13, linewidth=0)
+        axes.axvspan(
+            *(limit * factor for limit in found.prediction), color=MODEL.light, alpha=0.13, linewidth=0
+        )
     axes.axvline(found.median.value * factor, color=MODEL.light, linewidth=1.4)
     if found.tolerance:
         axes.axvline(found.tolerance * factor, color=_BOUND, linewidth=1.5, linestyle="--")
@@ -137,7 +140,9 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
 
 
 def heat_figure(model: SensorModel) -> "Figure":
-    """Return units × terms: how far each unit lies off the median, in standard deviations of the next unit."""
+    """Return units × terms: how far off the median each unit lies, in standard deviations of the next."""
+    from matplotlib.patches import Rectangle
+
     names = list(model.units)
     values = np.full((len(names), len(model.terms)), np.nan)
     odd: list[tuple[int, int]] = []
@@ -156,7 +161,10 @@ def heat_figure(model: SensorModel) -> "Figure":
     image = axes.imshow(np.ma.masked_invalid(values), cmap="PuOr_r", vmin=-4, vmax=4, aspect="auto")
     axes.set_facecolor(GRID)
     for i, j in odd:
-        axes.text(j, i, "!", ha="center", va="center", color=LEFT_OUT, fontweight="bold", fontsize=LABEL_SIZE)
+        light = abs(values[i, j]) > 2
+        colour = "white" if light else INK
+        axes.text(j, i, "!", ha="center", va="center", color=colour, fontweight="bold", fontsize=LABEL_SIZE)
+        axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=LEFT_OUT, linewidth=1.6))
     labels = [f"{term.name} {term.term}" for term in model.terms]
     axes.set_xticks(range(len(labels)), labels, rotation=90, fontsize=SMALL_SIZE, color=INK)
     if len(names) <= _NAMED:
@@ -178,8 +186,10 @@ def drift_figure(model: SensorModel) -> "Figure":
     for axes, (label, title) in zip(figure.subplots(1, 2, sharey=True), columns, strict=True):
         for i, term in enumerate(terms):
             trend = term.trend
-            interval = trend and (trend.temperature if label == "temperature_c" else trend.drift)
-            if trend is None or interval is None:
+            if trend is None:
+                continue
+            interval = trend.temperature if label == "temperature_c" else trend.drift
+            if interval is None:
                 continue
             axes.plot([100 * interval.low, 100 * interval.high], [i, i], color=DATA.light, linewidth=1.2)
             axes.plot(100 * interval.value, i, marker="o", markersize=5, color=MODEL.light)
@@ -216,9 +226,6 @@ def _style(axes: "Axes", x: str, title: str) -> None:
 
 def _log_ticks(axes: "Axes", low: float, high: float) -> None:
     from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
-
-    from imucal.fleet_report.panels import round_ticks
-    from imucal.report.log_ticks import tick_label
 
     axes.set_xscale("log")
     axes.set_xlim(low, high)

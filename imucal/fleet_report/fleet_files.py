@@ -1,13 +1,16 @@
-"""The files of a fleet's report: ``fleet.json``, ``fleet.csv``, ``fleet.html`` and pictures, in its folder."""
+"""The files of a fleet's report, in its folder: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imucal.atomic import replacing
 from imucal.fleet_report.fleet_document import fleet_csv, fleet_json
 from imucal.fleet_report.summary import Fleet
 from imucal.side_work import try_side_work
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def write_fleet(

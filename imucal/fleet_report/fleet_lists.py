@@ -13,33 +13,29 @@ from imucal.report.numbers import Quantity
 #: Most paths of one reason that stand in sight; most logs without a label that are listed.
 _FEW, _MOST = 5, 500
 
-_WORDS = (
-    ("median unit", "Half of the units of this sensor model are below it, half above; with its 95 % interval."),
-    (
-        "between units",
-        "Standard deviation of the units' coefficients about the median, relative. It is what is left when the "
-        "error of each log is taken out.",
+_WORDS = {
+    "median unit": "Half of the units of this sensor model are below it, half above; with its 95 % interval.",
+    "between units": (
+        "Standard deviation of the units' coefficients about the median, relative. It is what is left when "
+        "the error of each log is taken out."
     ),
-    (
-        "within a unit",
-        "Standard deviation between the logs of one unit beyond the error of each: day, temperature, mounting.",
+    "within a unit": (
+        "Standard deviation between the logs of one unit beyond the error of each: day, temperature, place."
     ),
-    ("next unit", "A new unit of the same model lies within this band with a probability of 95 %."),
-    (
-        "tolerance bound",
-        "The number for the config of every unit. 95/95: with 95 % confidence, 95 of 100 units of this model are "
-        "below it. Few tested units make it large; the price says by how much, and what testing more would save.",
+    "next unit": "A new unit of the same model lies within this band with a probability of 95 %.",
+    "tolerance bound": (
+        "The number for the config of every unit. 95/95: with 95 % confidence, 95 of 100 units of this model "
+        "are below it. Few tested units make it large; the price says by how much, and what testing more "
+        "would save. Odd units count in it, as in all numbers."
     ),
-    (
-        "odd",
-        "A unit that is not like the others, judged by what the others alone are like. In a fleet without odd "
-        "units, each term has a false alarm with a probability of at most 5 %.",
+    "odd": (
+        "A unit that is not like the others, judged by what the others alone are like. In a fleet without "
+        "odd units, each term of each axis has a false alarm with a probability of at most 5 %."
     ),
-    (
-        "upper bound",
-        "The logs of the unit do not show the term; it is below this. It still counts in the median and spread.",
+    "upper bound": (
+        "The logs of the unit do not show the term; it is below this. It still counts in median and spread."
     ),
-)
+}
 
 
 def failures_section(fleet: Fleet) -> Markup:
@@ -66,9 +62,9 @@ def _path(log: FleetLog) -> list[str | Markup]:
 def loose_section(fleet: Fleet) -> Markup:
     """Return the logs without a unit one by one, and the labels that would make a population of them."""
     text = (
-        f"{len(fleet.loose)} logs have no unit's label: which of them are of one unit is not known, so that nothing "
-        "is said of the sensor model. Say where the label stands in the paths, or give a manifest with the columns "
-        "path and unit:"
+        f"{len(fleet.loose)} logs have no unit's label: which of them are of one unit is not known, so that "
+        "nothing is said of the sensor model. Say where the label stands in the paths, or give a manifest "
+        "with the columns path and unit:"
     )
     command = f"imucal fleet run … -o {shlex.quote(str(fleet.folder))} --labels {shlex.quote(fleet.labels)}"
     shown = fleet.loose[:_MOST]
@@ -107,6 +103,5 @@ def _loose_cell(where: tuple[str, str], value: LogValue | None) -> Markup:
 
 def words_section() -> Markup:
     """Return what the words of the page mean."""
-    return element(
-        "dl", *(join([element("dt", element("b", word)), element("dd", text)]) for word, text in _WORDS)
-    )
+    pairs = [(element("dt", element("b", word)), element("dd", text)) for word, text in _WORDS.items()]
+    return element("dl", *map(join, pairs))

@@ -135,12 +135,16 @@ def _few_note(fleet: Fleet) -> str:
     if not few:
         return ""
     return (
-        f"{', '.join(few)}: fewer than 3 units tell no spread between units, and so no bound; 10 are worth testing."
+        f"{', '.join(few)}: fewer than 3 units tell no spread between units, and so no bound; 10 are worth "
+        "testing."
     )
 
 
 def _units(model: SensorModel) -> Markup:
-    key = [element("li", Markup(f'<svg class="units-plot" aria-hidden="true">{svg}</svg>'), f" {text}") for svg, text in _KEY]
+    key = [
+        element("li", Markup(f'<svg class="units-plot" aria-hidden="true">{svg}</svg>'), f" {text}")
+        for svg, text in _KEY
+    ]
     parts = [element("ul", *key, class_="keyline")]
     for (sensor, name), terms in by_term(model).items():
         title = f"{name} {TERMS[terms[0].symbol].name(terms[0].sensor)}, {sensor}"
@@ -170,15 +174,17 @@ def _strips(models: tuple[SensorModel, ...]) -> Markup:
     for name, key in keys:
         own = [(m, t) for m in models for t in m.terms if (t.name, t.term) == (name, key)]
         label = f"{name} {key}: a row a model, a dot a unit"
-        panels.append(element("figure", strip_panel(own, label), element("figcaption", element("b", f"{name} {key}"))))
+        panels.append(
+            element("figure", strip_panel(own, label), element("figcaption", element("b", f"{name} {key}")))
+        )
     return element("div", *panels, class_="panels")
 
 
 def _heat_note() -> Markup:
     return element(
         "p",
-        "Colour: how many standard deviations of the next unit a unit lies above (warm) or below (cold) the median, "
-        "one, two or three. A frame and ! mark an odd unit.",
+        "Colour: how many standard deviations of the next unit a unit lies above (warm) or below (cold) the "
+        "median, one, two or three. A frame and ! mark an odd unit.",
     )
 
 

@@ -15,9 +15,10 @@ from imucal.fleet_report.shown import (
 )
 from imucal.fleet_report.summary import FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
+from imucal.recording import Axis
 from imucal.report.markup import Markup, element, join, labelled, row, table
 
-_AXES = ("x", "y", "z")
+_AXES: tuple[Axis, ...] = ("x", "y", "z")
 #: Most rows of the table of units: the strangest ones.
 _MOST = 200
 
@@ -40,7 +41,9 @@ def config_table(model: SensorModel) -> Markup:
         body.append(row(head, *(element("td", _config_cell(axes.get(axis))) for axis in _AXES)))
     bound = bound_name(model.terms[0]) if model.terms else "95/95"
     head = row(element("td"), *(element("th", axis, scope="col") for axis in _AXES))
-    return table(f"{model.title}: {bound} tolerance bound, median unit, spreads", [head], body, class_="summary config")
+    return table(
+        f"{model.title}: {bound} tolerance bound, median unit, spreads", [head], body, class_="summary config"
+    )
 
 
 def _config_cell(term: FleetTerm | None) -> Markup:
@@ -147,7 +150,7 @@ def _heat_cell(term: FleetTerm, unit: UnitValue | None, *, first: bool) -> Marku
         text = "<"
     else:
         change = 100 * math.expm1(math.log(unit.value / term.population.median.value))
-        text = f"{change:+.0f}".replace("-", "\N{MINUS SIGN}")
+        text = f"{change:+.0f}".replace("-", "\N{MINUS SIGN}") if abs(change) >= 0.5 else "0"
         level = min(int(abs(_deviation(term, unit))), 3)
         classes += [f"{'u' if change > 0 else 'd'}{level}"] * (level > 0)
     if unit.odd:
@@ -163,7 +166,9 @@ def slope_table(models: Iterable[SensorModel]) -> Markup:
     titles = ("temperature", "drift", "units", "units that move otherwise")
     for model in several:
         for term in model.terms:
-            where = f"{model.title} {term.name} {term.term}" if len(several) > 1 else f"{term.name} {term.term}"
+            where = (
+                f"{model.title} {term.name} {term.term}" if len(several) > 1 else f"{term.name} {term.term}"
+            )
             if term.trend is None:
                 refused.setdefault(term.no_trend, []).append(where)
                 continue
@@ -201,7 +206,11 @@ def unit_logs_table(model: SensorModel) -> Markup:
             continue
         differing = [unit for unit in term.unit_logs if unit.differs]
         said = join(
-            element("li", f"{unit.unit} by {percent(unit.spread)} (p = {unit.p_value:.2g}): ", with_limits(term, unit.value, unit.low, unit.high))
+            element(
+                "li",
+                f"{unit.unit} by {percent(unit.spread)} (p = {unit.p_value:.2g}): ",
+                with_limits(term, unit.value, unit.low, unit.high),
+            )
             for unit in differing
         )
         cells = (str(len(term.unit_logs)), str(len(differing)), element("ul", said) if differing else "–")

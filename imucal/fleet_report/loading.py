@@ -1,9 +1,8 @@
 """The store of a fleet -> Fleet: logs grouped by model and unit, and the statistics of each term."""
 
 import math
-import os
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from imucal._version import __version__
@@ -13,8 +12,8 @@ from imucal.fleet.population import population
 from imucal.fleet.store import FleetStore
 from imucal.fleet.trend import Trend, trend
 from imucal.fleet_report.sample_size import prices
-from imucal.fleet_report.unit_tests import TermKey, unit_tests
 from imucal.fleet_report.summary import Fleet, FleetLog, FleetTerm, LooseLog, SensorModel, UnitLogs
+from imucal.fleet_report.unit_tests import TermKey, unit_tests
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 
@@ -86,7 +85,7 @@ def load_fleet(folder: str | Path, *, content: float = 0.95, confidence: float =
 def labels_to_type(paths: Sequence[str]) -> str:
     """Return a text of labels that tells a unit for each path: the last folder that differs, or the name."""
     parts = [path.replace("\\", "/").split("/") for path in paths]
-    suffixes = {os.path.splitext(names[-1])[1] for names in parts}
+    suffixes = {PurePosixPath(names[-1]).suffix for names in parts}
     suffix = suffixes.pop() if len(suffixes) == 1 else ""
     folders = {names[-2] if len(names) > 1 else "" for names in parts}
     if len(folders) > 1 and "" not in folders:
@@ -141,7 +140,7 @@ def _term(
     moves, why = _trend(logs)
     return FleetTerm(
         sensor=Sensor(sensor),
-        axis=axis,
+        axis=axis,  # type: ignore[arg-type]  # "x", "y" or "z", from a table
         term=term,
         logs=logs,
         population=found,

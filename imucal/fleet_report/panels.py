@@ -69,7 +69,9 @@ def strip_panel(models: Sequence[tuple[SensorModel, FleetTerm]], label: str) -> 
     parts = [*_frame(models[0][1], x, height)]
     for i, (model, term) in enumerate(models):
         top, found = _TOP + i * row, term.population
-        parts.append(_text(_LEFT - 8, top + row / 2 + 4, _short(model.title), text_anchor="end", class_="name"))
+        parts.append(
+            _text(_LEFT - 8, top + row / 2 + 4, _short(model.title), text_anchor="end", class_="name")
+        )
         if found.prediction:
             low, high = map(x, found.prediction)
             parts.append(_rect(low, top + 5, high - low, row - 10, "band"))
@@ -110,7 +112,9 @@ def _frame(term: FleetTerm, x: Callable[[float], float], height: float) -> list[
                 _text(at, _TOP + height + 15, tick_label(place), text_anchor="middle"),
             ]
         middle = (_LEFT + _WIDTH - _RIGHT) / 2
-        inside.append(_text(middle, _TOP + height + 33, f"{term.term} in {pretty(name)}", text_anchor="middle"))
+        inside.append(
+            _text(middle, _TOP + height + 33, f"{term.term} in {pretty(name)}", text_anchor="middle")
+        )
         parts.append(element("g", *inside, class_=class_))
     return parts
 
@@ -146,7 +150,9 @@ def _unit(unit: UnitValue, x: Callable[[float], float], y: float, *, named: bool
 
 def _mark(unit: UnitValue, at: float, y: float) -> Markup:
     """Return a dot; a diamond for an odd unit, an open triangle that points down the scale for a bound."""
-    title = element("title", f"{unit.unit}{' (odd)' if unit.odd else ''}{' (upper bound)' * (unit.value is None)}")
+    title = element(
+        "title", f"{unit.unit}{' (odd)' if unit.odd else ''}{' (upper bound)' * (unit.value is None)}"
+    )
     if unit.value is None:
         points = f"{at - 7:g},{y:g} {at:g},{y - 4:g} {at:g},{y + 4:g}"
         return element("polygon", title, points=points, class_="mark open odd" if unit.odd else "mark open")

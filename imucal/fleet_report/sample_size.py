@@ -26,7 +26,7 @@ def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confid
     content, confidence
         Of the bound.
     """
-    from scipy.special import ndtri, nctdtrit
+    from scipy.special import nctdtrit, ndtri
 
     z = float(ndtri(content))
     root = math.sqrt(units)

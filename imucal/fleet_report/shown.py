@@ -56,7 +56,9 @@ def plain_text(one: Quantity) -> str:
 
 def percent(value: float) -> str:
     """Return a relative standard deviation of two digits, such as ``6.2 %``."""
-    return f"{100 * value:.2g}\N{NO-BREAK SPACE}%" if value < 0.995 else f"{100 * value:.0f}\N{NO-BREAK SPACE}%"
+    return (
+        f"{100 * value:.2g}\N{NO-BREAK SPACE}%" if value < 0.995 else f"{100 * value:.0f}\N{NO-BREAK SPACE}%"
+    )
 
 
 def slope_text(slope: Interval, unit: str) -> str:

@@ -220,4 +220,3 @@ class Fleet:
         asked = "no model's name" if name is None else repr(name)
         msg = f"{self.folder}: found {asked}, expected one of the sensor models: {names}"
         raise ChoiceError(msg)
-

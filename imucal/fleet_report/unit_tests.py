@@ -5,7 +5,6 @@ from typing import Any, TypeAlias
 
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.bins import Bins
 from imucal.fitting.packed_bins import unpack
 from imucal.fleet.pooling import PooledFit, pool_bins
 from imucal.fleet.store import FleetStore
@@ -56,9 +55,7 @@ def unit_tests(
     return {key: tuple(tests) for key, tests in found.items()}, tuple(findings)
 
 
-def _packed(
-    store: FleetStore, logs: Mapping[str, FleetLog]
-) -> dict[tuple[str, str, str, str], list[bytes]]:
+def _packed(store: FleetStore, logs: Mapping[str, FleetLog]) -> dict[tuple[str, str, str, str], list[bytes]]:
     """Return the packed bins of units with several logs, by model, sensor, axis and unit."""
     keys: dict[tuple[str, str], list[str]] = {}
     for key, log in logs.items():
@@ -75,7 +72,7 @@ def _packed(
 
 
 def _pooled(packed: Sequence[bytes], symbols: tuple[str, ...], sensor: Sensor) -> PooledFit:
-    every: list[Bins] = [unpack(data) for data in packed]
+    every = [unpack(data) for data in packed]
     first = every[0].tau0
     rates = sorted({f"{1 / one.tau0:.6g} Hz" for one in every if abs(one.tau0 / first - 1) > _SAME_RATE})
     if rates:
