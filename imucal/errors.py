@@ -8,7 +8,9 @@
     ├── DataError      4  the data can't be analysed: no IMU samples, too short, not finite
     ├── WriteError     5  the output can't be written
     ├── SettingError   2  an environment variable of imucal's is wrong
-    └── LimitsError    2  the limits file of a check is wrong (2 is usage, as for a wrong option)
+    ├── LimitsError    2  the limits file of a check is wrong (2 is usage, as for a wrong option)
+    ├── ManifestError  2  the manifest of a fleet is wrong
+    └── EngineError    5  the workers of a fleet, or who hands out their work, are gone
 
 A message reads *where: what was found, what was expected, what to do*.
 A caller's mistake (an argument out of range) is a plain `ValueError`.
@@ -55,3 +57,15 @@ class SettingError(ImucalError):
     """An environment variable that sets imucal up holds what it can't."""
 
     exit_code = 2
+
+
+class ManifestError(ImucalError):
+    """The manifest of a fleet can't be read, or says what can't be meant."""
+
+    exit_code = 2
+
+
+class EngineError(ImucalError):
+    """The workers of a fleet can't be reached, or are gone; what they have done is in the store."""
+
+    exit_code = 5

@@ -20,7 +20,7 @@ _SHARE = 4
 _SIZE = re.compile(r"(?P<number>\d+(?:\.\d*)?)\s*(?P<prefix>[kmgt]?)i?b?", re.IGNORECASE)
 _PREFIXES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
 #: What the libraries beneath read when they are loaded.
-_POOLS = (
+POOLS = (
     *("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS"),
     *("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"),
 )
@@ -38,13 +38,33 @@ def memory_limit() -> int:
     """
     text = os.environ.get(MEMORY, "").strip()
     if not text:
-        sizes = [size for size in (_physical(), *control_group_limits()) if size]
-        return min(sizes) // _SHARE if sizes else _UNKNOWN
-    match = _SIZE.fullmatch(text)
+        size = memory_there_is()
+        return size // _SHARE if size else _UNKNOWN
+    try:
+        return parse_size(text)
+    except ValueError as error:
+        msg = f"{MEMORY}: found {text!r}, expected {error}; set one, or unset it"
+        raise SettingError(msg) from error
+
+
+def memory_there_is() -> int | None:
+    """Return how many bytes of memory the machine has, or its control group may take if that is less."""
+    return min((size for size in (_physical(), *control_group_limits()) if size), default=None)
+
+
+def parse_size(text: str) -> int:
+    """Return the bytes of a size such as ``500M`` or ``2GB``; a K is 1024.
+
+    Raises
+    ------
+    ValueError
+        If it is none; says what is expected.
+    """
+    match = _SIZE.fullmatch(text.strip())
     size = float(match["number"]) * _PREFIXES[match["prefix"].lower()] if match else 0
     if size < 1:
-        msg = f"{MEMORY}: found {text!r}, expected a size such as 500M or 2G; set one, or unset it"
-        raise SettingError(msg)
+        msg = "a size such as 500M or 2G"
+        raise ValueError(msg)
     return int(size)
 
 
@@ -69,7 +89,7 @@ def limit_pools() -> None:
     """Let the libraries beneath start no more threads than ``IMUCAL_THREADS``; before they are loaded."""
     text = os.environ.get(THREADS, "").strip()
     if text.isascii() and text.isdigit() and int(text):
-        for name in _POOLS:
+        for name in POOLS:
             os.environ.setdefault(name, text)
 
 

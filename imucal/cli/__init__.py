@@ -100,7 +100,13 @@ def _fill_streams() -> None:
 def _run(arguments: Sequence[str] | None) -> int:
     """Run a command; the one place that turns exceptions into messages and exit codes."""
     try:
-        code = imucal.main(args=arguments, prog_name="imucal", standalone_mode=False)
+        code = imucal.main(
+            args=arguments,
+            prog_name="imucal",
+            standalone_mode=False,
+            # What was typed, for a command that says how to go on.
+            obj=list(sys.argv[1:] if arguments is None else arguments),
+        )
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output has left, as in `imucal adev LOG | head`: nobody is there to be told.

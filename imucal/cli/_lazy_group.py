@@ -25,7 +25,11 @@ class LazyGroup(click.Group):
     """
 
     def __init__(
-        self, *, table: Mapping[str, tuple[str, str]], of_a_log: tuple[str, str], **attributes: Any
+        self,
+        *,
+        table: Mapping[str, tuple[str, str]],
+        of_a_log: tuple[str, str],
+        **attributes: Any,  # noqa: ANN401 - as click has them
     ) -> None:
         super().__init__(**attributes)
         self.table, self._of_a_log = table, of_a_log

@@ -105,6 +105,7 @@ class LogRequest:
     def read(self) -> Recording:
         """Read the log, with a progress bar where a person watches."""
         from imucal.readers import read
+        from imucal.readers.clocks import part_between
 
         with reading_progress(quiet=self.quiet) as progress:
             recording = read(
@@ -126,7 +127,7 @@ class LogRequest:
             )
         if self.skip or self.take is not None:
             end = float("inf") if self.take is None else self.skip + self.take
-            recording = _with_own_gaps(recording.between(self.skip, end))
+            recording = part_between(recording, self.skip, end)
         _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
         return recording
 
@@ -355,16 +356,6 @@ def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> N
             say(f"  topic {topic} ({kind})", quiet=quiet)
         for question, answer in source.decisions:
             say(f"  {question}: {answer}", quiet=quiet)
-
-
-def _with_own_gaps(part: Recording) -> Recording:
-    """Return a part of a log with the finding of its own gaps, not of those that were left out."""
-    from imucal.readers.clocks import gap_notes
-
-    clocks = {id(series.clock): series.clock for series in part.series}
-    gaps = [note for clock in clocks.values() for note in gap_notes(clock)]
-    others = [finding for finding in part.findings if finding.code != "gaps"]
-    return replace(part, findings=tuple(dict.fromkeys([*others, *gaps])))
 
 
 def as_typed(path: Path) -> str:

@@ -3,6 +3,10 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from imucal.fleet_run.running import RunCount
 
 
 @contextmanager
@@ -24,6 +28,21 @@ def smoothing_progress(axis: str, *, quiet: bool) -> Iterator[Callable[[int, int
     """Show how much of an axis has been decomposed, on a terminal; nothing elsewhere."""
     with _bar(f"decomposing {axis}", "TaskProgressColumn", quiet=quiet) as update:
         yield update and (lambda done, total: update(completed=done, total=total))
+
+
+@contextmanager
+def fleet_progress(*, quiet: bool) -> Iterator[Callable[["RunCount"], None] | None]:
+    """Show logs done, failed and in hand, bytes and time left on a terminal; nothing elsewhere."""
+    text = "{task.fields[axis]}"
+    with _bar(text, "DownloadColumn", quiet=quiet) as update:
+        yield update and (
+            lambda count: update(
+                # A byte at least, so that logs of unknown size are seen too.
+                completed=count.done_size + count.done,
+                total=count.size + count.logs,
+                axis=f"{count.done} of {count.logs} logs, {count.failed} failed, {count.running} in hand",
+            )
+        )
 
 
 @contextmanager

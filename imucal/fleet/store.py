@@ -6,6 +6,7 @@ name never happened. Nothing is ever changed in place, so several runs on one st
 """
 
 import io
+import json
 import math
 import secrets
 import shutil
@@ -22,7 +23,7 @@ from imucal.errors import ReadError, WriteError
 from imucal.fleet.store_columns import BINS, LABELS, LOGS, RESULTS
 
 _TABLES = {"bins": BINS, "results": RESULTS, "logs": LOGS}
-_MANIFEST = "manifest.parquet"
+_MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"
 #: Begins and ends every parquet file. Source: Apache Parquet, file format.
 _MAGIC = b"PAR1"
 #: Scratch files older than this, in s, are those of a process that was killed.
@@ -57,7 +58,9 @@ class FleetStore:
             If it can't be made, or holds something else.
         """
         if self.folder.is_dir() and not self.exists:
-            strange = sorted(p.name for p in self.folder.iterdir() if p.name not in {".lock", *_TABLES})
+            strange = sorted(
+                p.name for p in self.folder.iterdir() if p.name not in {".lock", _SETTINGS, *_TABLES}
+            )
             if strange:
                 msg = (
                     f"{self.folder}: holds {', '.join(strange[:3])} but no fleet of imucal's; "
@@ -83,7 +86,27 @@ class FleetStore:
                 for part in (self.folder / name).glob("part-*.parquet"):
                     part.unlink(missing_ok=True)
             shutil.rmtree(self.folder / "reports", ignore_errors=True)
-            (self.folder / _MANIFEST).unlink(missing_ok=True)
+            for name in (_MANIFEST, _SETTINGS):
+                (self.folder / name).unlink(missing_ok=True)
+
+    def settings(self) -> dict[str, object]:
+        """Return what holds for every log, as `keep_settings` got it; empty where nothing is known."""
+        try:
+            found = json.loads((self.folder / _SETTINGS).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def keep_settings(self, settings: Row) -> None:
+        """Write down what holds for every log.
+
+        Raises
+        ------
+        WriteError
+            If it can't be written.
+        """
+        with replacing(self.folder / _SETTINGS) as scratch:
+            scratch.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
 
     def manifest(self) -> pl.DataFrame:
         """Return the logs asked for, one row each.

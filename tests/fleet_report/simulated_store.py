@@ -149,10 +149,9 @@ def _error(sensor: str, axis: str, error: float, weak: str) -> tuple[float, bool
 def _told(
     rng: np.random.Generator,
     truth: float,
-    error: float,
-    weak: bool,
+    told: tuple[float, bool],
     *,
-    median: float,  # noqa: FBT001
+    median: float,
 ) -> dict[str, float | None]:
     error, weak = told
     if not weak:

@@ -1,5 +1,7 @@
 """What stamps look like, as findings."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from imucal.arrays import IntArray
@@ -7,6 +9,7 @@ from imucal.clock import Clock
 from imucal.findings import Finding
 from imucal.readers.clocks.placing import Breaks, Steps
 from imucal.readers.clocks.rate import Period
+from imucal.recording import Recording
 
 #: Share of missing samples up to which gaps are not worth a warning.
 _FEW = 1e-3
@@ -132,3 +135,18 @@ def _times(count: int) -> str:
 
 def _gaps(count: int) -> str:
     return "one gap" if count == 1 else f"{count} gaps"
+
+
+def part_between(recording: Recording, start_s: float, end_s: float) -> Recording:
+    """Return a part of a log with the finding of its own gaps, not of those that were left out.
+
+    Raises
+    ------
+    DataError
+        As `Recording.between`.
+    """
+    part = recording.between(start_s, end_s)
+    clocks = {id(series.clock): series.clock for series in part.series}
+    gaps = [note for clock in clocks.values() for note in gap_notes(clock)]
+    others = [finding for finding in part.findings if finding.code != "gaps"]
+    return replace(part, findings=tuple(dict.fromkeys([*others, *gaps])))

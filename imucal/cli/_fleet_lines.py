@@ -1,0 +1,123 @@
+"""What the commands of a fleet print: what is to be done, what became of it, and why logs failed."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imucal.cli._echo import echo
+from imucal.cli._options import say
+from imucal.grading import GRADES
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from imucal.fleet.store import FleetStore
+    from imucal.fleet_run import FleetPlan
+
+#: So many logs of each kind of failure are named.
+_NAMED = 3
+
+
+def print_plan(plan: "FleetPlan", workers: int) -> None:
+    """Print a line for each log: what would be done with it, its labels."""
+    done, again = set(plan.done), set(plan.again)
+    tasks = {task.path for task in plan.tasks}
+    for entry in plan.entries:
+        what = "again" if entry.path in again else "run" if entry.path in tasks else "other"
+        what = "done" if entry.path in done else what
+        labels = " ".join(f"{name}={value}" for name, value in entry.labels.items())
+        copy = f"same content as {plan.copies[entry.path]}" if entry.path in plan.copies else ""
+        if copy and what == "other":
+            what = "copy"
+        if what != "other":
+            echo("\t".join((what, entry.path, labels or copy, copy if labels else "")).rstrip())
+    size = sum(task.size for task in plan.tasks)
+    minutes = plan.seconds() / workers / 60
+    say(f"{len(plan.tasks)} logs, {size / 1e6:.4g} MB, about {minutes:.2g} min on {workers} workers")
+
+
+def say_plan(plan: "FleetPlan", *, quiet: bool) -> None:
+    """Say what is to be done, what stands twice, and what labels would bring."""
+    size = sum(task.size for task in plan.tasks)
+    parts = [f"{len(plan.tasks)} logs to do, {size / 1e6:.4g} MB"]
+    parts += [f"{len(plan.done)} done before"] if plan.done else []
+    parts += [f"{len(plan.again)} tried again"] if plan.again else []
+    parts += [f"{len(plan.copies)} copies of others, counted once"] if plan.copies else []
+    say("; ".join(parts), quiet=quiet)
+    for path, other in plan.copies.items():
+        say(f"  {path}: same content as {other}", quiet=quiet)
+    if not any(entry.labels.get("unit") for entry in plan.entries):
+        example = "--labels '{model}/{unit}/*.mcap'"
+        say(
+            f"No log has a label unit: logs stand one by one; say which units they are: {example}",
+            quiet=quiet,
+        )
+
+
+def conclude(
+    ctx: click.Context, store: "FleetStore", plan: "FleetPlan", out: Path, *, max_failed: float, quiet: bool
+) -> None:
+    """Print what became of the logs asked for, and end with the exit code of it."""
+    counted = {plan.copies.get(path, path) for path in plan.own}
+    logs = store.logs()
+    logs = logs.filter(logs["path"].is_in(sorted(counted)))
+    print_standing(logs, out)
+    failed = failed_logs(logs)
+    print_failures(failed, quiet=quiet)
+    readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
+    if logs.height and not readable:
+        say(f"Error: {out}: none of {logs.height} logs can be read")
+        ctx.exit(3)
+    if failed.height > max_failed * max(logs.height, 1):
+        share = f"{failed.height} of {logs.height} logs failed ({100 * failed.height / logs.height:.3g} %)"
+        say(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%")
+        ctx.exit(4)
+
+
+def failed_logs(logs: "pl.DataFrame") -> "pl.DataFrame":
+    """Return the rows of logs that gave no numbers which may be used."""
+    from imucal.fleet_run.log_tasks import has_failed
+
+    pairs = zip(logs["status"], logs["verdict"], strict=True)
+    return logs.filter([has_failed(status, verdict) for status, verdict in pairs])
+
+
+def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
+    """Print how many logs ended how, and what they took."""
+    verdicts = {grade: count(logs, "ok", grade) for grade in GRADES}
+    failed = {
+        status: n
+        for status in ("unreadable", "no-data", "memory", "timeout", "crash")
+        if (n := count(logs, status))
+    }
+    said = [
+        f"{verdicts['good']} good",
+        f"{verdicts['look']} to look at",
+        f"{verdicts['not-noise']} not noise",
+    ]
+    said += [f"{count} {status}" for status, count in failed.items()]
+    echo(f"{folder}: {logs.height} logs done: {', '.join(said)}")
+    cpu, size = float(logs["cpu_s"].sum() or 0.0), int(logs["bytes"].sum() or 0)
+    if cpu:
+        echo(f"{size / 1e6:.4g} MB in {cpu:.4g} s of one core, {size / cpu / 1e6:.3g} MB/s")
+
+
+def print_failures(failed: "pl.DataFrame", *, quiet: bool) -> None:
+    """Print the logs that failed, by kind; of many the first ones."""
+    groups: dict[str, list[str]] = {}
+    for status, path, reason in failed.select("status", "path", "reason").iter_rows():
+        text = f"{path}: not noise" if status == "ok" else reason if path in reason else f"{path}: {reason}"
+        groups.setdefault("not noise" if status == "ok" else status, []).append(text)
+    for kind, texts in groups.items():
+        say(f"{kind}: {len(texts)}", quiet=quiet)
+        for text in texts[:_NAMED]:
+            say(f"  {text}", quiet=quiet)
+        if len(texts) > _NAMED:
+            say(f"  and {len(texts) - _NAMED} more", quiet=quiet)
+
+
+def count(logs: "pl.DataFrame", status: str, verdict: str | None = None) -> int:
+    """Return how many logs ended so."""
+    rows = zip(logs["status"], logs["verdict"], strict=True)
+    return sum(s == status and (verdict is None or v == verdict) for s, v in rows)

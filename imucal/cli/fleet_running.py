@@ -1,0 +1,277 @@
+"""``imucal fleet run``: one noise model for many logs."""
+
+import contextlib
+import shlex
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imucal.cli._fleet_lines import conclude, print_plan, say_plan
+from imucal.cli._fleet_types import FixedStructure, Labels, Patience, Shard, Size
+from imucal.cli._options import LEVEL, Duration, Number, quiet_option, reading_options, say, shown
+from imucal.cli._progress import fleet_progress
+from imucal.resources import memory_there_is, threads
+
+if TYPE_CHECKING:
+    from imucal.fleet.store import FleetStore
+    from imucal.fleet_run import FleetPlan, FleetSettings
+    from imucal.fleet_run.manifest_file import LogEntry
+    from imucal.fleet_run.path_labels import LabelPattern
+
+#: The share of the machine's memory that all workers may take, and what is taken where none is known.
+_SHARE, _UNKNOWN = 0.8, 2 << 30
+#: Model and level of a fleet that says nothing else.
+_MODEL, _LEVEL = "N + B + K", 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Asked:
+    """Which logs, with which labels."""
+
+    logs: tuple[str, ...]
+    manifest: Path | None
+    labels: "LabelPattern | None"
+    quiet: bool
+
+    def entries(self, store: "FleetStore") -> list["LogEntry"]:
+        """Return the logs asked for; those of the store's manifest where none is named."""
+        from imucal.fleet_run.log_list import find_logs
+        from imucal.fleet_run.manifest_file import read_manifest, stored_entries
+
+        if not self.logs and self.manifest is None:
+            if not store.exists:
+                msg = "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"
+                raise click.UsageError(msg)
+            return stored_entries(store.manifest())
+        found = {entry.path: entry for entry in (read_manifest(self.manifest) if self.manifest else [])}
+        listed = sys.stdin if "-" in self.logs else ()
+        unlike = 0
+        for path in find_logs(self.logs, listed):
+            entry = self._entry(path)
+            unlike += self.labels is not None and not entry.labels
+            found.setdefault(path, entry)
+        if unlike and self.labels is not None:
+            say(f"{unlike} of {len(found)} logs do not fit {self.labels.pattern}", quiet=self.quiet)
+        return list(found.values())
+
+    def _entry(self, path: str) -> "LogEntry":
+        from imucal.fleet_run.manifest_file import LogEntry, label_of
+
+        texts = (self.labels.of(path) if self.labels else None) or {}
+        labels = {}
+        for name, text in texts.items():
+            try:
+                labels[name] = label_of(name, text)
+            except ValueError as error:
+                msg = f"--labels: {path}: {name} is {text!r}, expected {error}"
+                raise click.UsageError(msg) from error
+        return LogEntry(path=path, labels=labels)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  imucal fleet run logs --labels '{model}/{unit}/*.mcap' -o fleet
+  imucal fleet run --manifest units.csv --jobs 8 --memory 2GB
+  imucal fleet run 'logs/**/*.bag' --dry-run
+  imucal fleet run logs --scheduler tcp://head:8786
+  imucal fleet run logs --shard 3/8        (the third of eight such runs)
+  imucal fleet run -o fleet                (go on with what is left)
+
+\b
+Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
+--max-failed, 5 the store can't be written or the workers are gone,
+130 interrupted. Run it again to go on: what is done stays done."""
+)
+@click.argument("logs", metavar="LOGS...", nargs=-1, type=click.Path(allow_dash=True, readable=False))
+@shown(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("fleet"),
+    metavar="DIR",
+    help="Folder of the fleet; what it has is not done again.",
+)
+@click.option(
+    "--manifest",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="CSV",
+    help="Table with a column path; model, unit, temperature_c, started; arguments of imucal.read.",
+)
+@click.option(
+    "--labels", type=Labels(), metavar="TEXT", help="Labels in paths, such as '{model}/{unit}/*.mcap'."
+)
+@click.option(
+    "--model", type=FixedStructure(), metavar="TEXT", help=f"Terms, for every log. [default: {_MODEL}]"
+)
+@click.option("--level", type=LEVEL, help=f"Confidence level of every interval. [default: {_LEVEL}]")
+@click.option("--jobs", type=click.IntRange(1, 4096), metavar="N", help="Workers. [default: all processors]")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster, such as tcp://head:8786.")
+@click.option("--shard", type=Shard(), metavar="I/N", help="Do part I of N, in this process, without Dask.")
+@click.option("--memory", type=Size(), metavar="SIZE", help="Memory of each worker, such as 2GB.")
+@shown("--timeout", type=Patience(), default="auto", metavar="TIME", help="Time of each log, such as 10min.")
+@shown("--reports", type=click.Choice(["none", "failed", "all"]), default="failed", help="Reports of logs.")
+@shown(
+    "--max-failed",
+    type=Number(0, 1, percent=True),
+    default="5%",
+    metavar="SHARE",
+    help="Share of logs that may fail before the exit code is 4.",
+)
+@click.option("--fresh", is_flag=True, help="Forget what the folder has, and do every log anew.")
+@click.option("--dry-run", is_flag=True, help="Print what would be done; write nothing.")
+@click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor.")
+@reading_options
+@click.option("--skip", type=Duration(), default=0.0, metavar="TIME", help="Leave out the start of each log.")
+@click.option("--take", type=Duration(), metavar="TIME", help="Use only so much of each log, such as 2h.")
+@click.option("--strict", is_flag=True, help="Refuse damaged logs.")
+@quiet_option
+@click.pass_context
+def command(
+    ctx: click.Context,
+    *,
+    logs: tuple[str, ...],
+    out: Path,
+    manifest: Path | None,
+    labels: "LabelPattern | None",
+    model: str | None,
+    level: float | None,
+    jobs: int | None,
+    scheduler: str | None,
+    shard: tuple[int, int] | None,
+    memory: int | None,
+    timeout: float,
+    reports: str,
+    max_failed: float,
+    fresh: bool,
+    dry_run: bool,
+    topic: tuple[str, ...],
+    reading: dict[str, object],
+    skip: float,
+    take: float | None,
+    strict: bool,
+    quiet: bool,
+) -> None:
+    """Fit the same noise model to every one of many LOGS, and keep the results in a folder.
+
+    LOGS are files, folders of any depth, names with wildcards, URLs, or - for a list on standard
+    input. Each log is by itself. Units need labels: from the paths (--labels) or a table
+    (--manifest). What is done is kept: the same command again does what is left, also after a
+    crash; a log that was changed is done anew, and a content that stands twice counts once.
+    """
+    from imucal.fleet.store import FleetStore
+    from imucal.fleet_run import FleetSettings, plan_fleet
+
+    if shard and scheduler:
+        msg = "--shard works without a cluster; give --shard or --scheduler, not both"
+        raise click.UsageError(msg)
+    store = FleetStore(out.absolute())
+    kept = _kept(store, out, {"model": model, "level": level}, fresh=fresh)
+    workers = 1 if shard else jobs or threads()
+    settings = FleetSettings(
+        store=str(store.folder),
+        folder=str(Path.cwd()),
+        model=str(kept["model"]),
+        level=float(str(kept["level"])),
+        memory=memory or int((memory_there_is() or _UNKNOWN) * _SHARE) // workers,
+        timeout=None if timeout < 0 else timeout,
+        reports=reports,
+        shard=str(shard[0]) if shard else "0",
+    )
+    asked = _Asked(logs=logs, manifest=manifest, labels=labels, quiet=quiet)
+    options = {**reading, "topic": topic, "skip_s": skip, "take_s": take, "strict": strict}
+    known = FleetStore(out / "none") if fresh else store
+    plan = plan_fleet(asked.entries(store), settings, known, reading=_json(options))
+    plan = plan.shard(*shard) if shard else plan
+    if dry_run:
+        print_plan(plan, workers)
+        return
+    _prepare(store, plan, settings, fresh=fresh, quiet=quiet)
+    with _saying_how_to_go_on(_resume(ctx.obj or [], out)):
+        _run(plan, settings, workers=workers, scheduler=scheduler, here=shard is not None, quiet=quiet)
+    conclude(ctx, store, plan, out, max_failed=max_failed, quiet=quiet)
+
+
+def _prepare(
+    store: "FleetStore", plan: "FleetPlan", settings: "FleetSettings", *, fresh: bool, quiet: bool
+) -> None:
+    """Make the store, write down what is asked for, and say what is to be done."""
+    if fresh and store.exists:
+        store.clear()
+    store.create()
+    store.keep_settings({"model": settings.model, "level": settings.level})
+    store.add_to_manifest(plan.manifest())
+    for part in store.damaged():
+        say(f"{part}: was cut off; its logs are done again", quiet=quiet)
+    say_plan(plan, quiet=quiet)
+
+
+def _kept(
+    store: "FleetStore", out: Path, asked: dict[str, str | float | None], *, fresh: bool
+) -> dict[str, object]:
+    """Return model and level: as asked, as those of a fleet that is there, or the usual ones.
+
+    A fleet has one structure for all of its logs.
+    """
+    kept = store.settings() if store.exists and not fresh else {}
+    given = {name: value for name, value in asked.items() if value is not None}
+    for name, value in given.items():
+        if kept.get(name, value) != value:
+            msg = (
+                f"{out}: holds fits with {name} {kept[name]}, found {value}; choose another folder with -o, "
+                "or start anew with --fresh"
+            )
+            raise click.UsageError(msg)
+    return {"model": _MODEL, "level": _LEVEL, **kept, **given}
+
+
+def _json(options: dict[str, object]) -> dict[str, object]:
+    """Return options that were given as JSON values."""
+    texts = {
+        name: [str(one) for one in value] if isinstance(value, tuple) else value
+        for name, value in options.items()
+    }
+    return {name: value for name, value in texts.items() if value}
+
+
+def _run(
+    plan: "FleetPlan",
+    settings: "FleetSettings",
+    *,
+    workers: int,
+    scheduler: str | None,
+    here: bool,
+    quiet: bool,
+) -> None:
+    from imucal.fleet_run.dask_engine import Engine
+    from imucal.fleet_run.running import run_plan
+
+    if not plan.tasks:
+        return
+    engine = None if here else Engine(address=scheduler, jobs=workers, memory=settings.memory)
+    with fleet_progress(quiet=quiet) as progress:
+        run_plan(plan, settings, engine=engine, tell=progress or (lambda _: None))
+
+
+@contextlib.contextmanager
+def _saying_how_to_go_on(resume: str) -> Iterator[None]:
+    """Print the command that goes on, where a run ends before its end."""
+    from imucal.errors import ImucalError
+
+    try:
+        yield
+    except (KeyboardInterrupt, ImucalError):
+        say(f"What is done is kept; to go on: {resume}")
+        raise
+
+
+def _resume(typed: list[str], out: Path) -> str:
+    """Return the command that goes on: the one that was typed, without what must not be done again."""
+    kept = [word for word in typed if word not in {"--fresh", "-"}]
+    if not kept:
+        kept = ["fleet", "run", "-o", str(out)]
+    return shlex.join(["imucal", *kept])

@@ -1,0 +1,69 @@
+"""``imucal fleet status``: what of a fleet is done, what failed and why, what is left."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imucal.cli._echo import echo, echo_json
+from imucal.cli._fleet_lines import count, failed_logs, print_failures, print_standing
+from imucal.cli._options import as_typed, quiet_option, say
+from imucal.grading import GRADES
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  imucal fleet status fleet
+  imucal fleet status fleet --json | jq .left"""
+)
+@click.argument("folder", type=click.Path(path_type=Path), metavar="FLEET")
+@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+@quiet_option
+def command(*, folder: Path, as_json: bool, quiet: bool) -> None:
+    """Say what of FLEET is done, what failed and why, and what is left; while it runs, too."""
+    from imucal.fleet.store import FleetStore
+
+    store = FleetStore(folder)
+    manifest = store.manifest()
+    logs = store.logs()
+    damaged = store.damaged()
+    known = set(logs["path"])
+    copies = manifest.drop_nulls("copy_of")
+    left = [path for path in manifest["path"] if path not in known and path not in set(copies["path"])]
+    if as_json:
+        echo_json(json.dumps(_document(logs, manifest, left, damaged), indent=2))
+        return
+    print_standing(logs, folder)
+    print_failures(failed_logs(logs), quiet=quiet)
+    for path, other in copies.select("path", "copy_of").iter_rows():
+        say(f"  {path}: same content as {other}, counted once", quiet=quiet)
+    for part in damaged:
+        say(f"  {part}: was cut off; the next run does its logs again", quiet=quiet)
+    if left:
+        echo(
+            f"{len(left)} of {manifest.height} logs are left; imucal fleet run -o {as_typed(folder)} goes on"
+        )
+
+
+def _document(
+    logs: "pl.DataFrame", manifest: "pl.DataFrame", left: list[str], damaged: list[Path]
+) -> dict[str, object]:
+    from imucal.fleet.store_columns import STATUSES
+
+    copies = manifest.drop_nulls("copy_of").select("path", "copy_of").iter_rows()
+    return {
+        "asked": manifest.height,
+        "done": logs.height,
+        "statuses": {status: count(logs, status) for status in STATUSES},
+        "verdicts": {grade: count(logs, "ok", grade) for grade in GRADES},
+        "copies": dict(copies),
+        "left": left,
+        "cut_off": [str(part) for part in damaged],
+        "bytes": int(logs["bytes"].sum() or 0),
+        "cpu_s": float(logs["cpu_s"].sum() or 0.0),
+    }

@@ -1,0 +1,172 @@
+"""``imucal fleet run`` and ``status``: what a person sees, and the exit codes."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from imucal.fleet.store import FleetStore
+from tests.cli.run import run
+from tests.fleet.simulated_fleet import make_fleet
+
+LABELS = ("--labels", "{model}/{unit}/{temperature_c}C/*.npz")
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with seven short logs in it, and one that is cut off."""
+    folder = tmp_path_factory.mktemp("logs")
+    made = make_fleet(folder / "logs", logs=8, seconds=20.0, seed=4)
+    assert [log.broken for log in made] == [""] * 7 + ["cut"]
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(logs: Path) -> Path:
+    """Return the working folder, with the fleet of the logs in it, done in one process."""
+    ended = run("fleet", "run", "logs", *LABELS, "--shard", "1/1", "--max-failed", "20%", cwd=logs)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.startswith("fleet: 8 logs done: 7 good, 0 to look at, 0 not noise, 1 unreadable\n")
+    assert "unreadable: 1\n  logs/beta/u02/15C/log0007.npz: not a readable NPZ file: " in ended.stderr
+    return logs
+
+
+def test_every_log_has_its_results_and_labels(done: Path) -> None:
+    """Seven logs of six axes and three terms, and as many binned spectra as axes."""
+    store = FleetStore(done / "fleet")
+    results = store.results()
+    assert results.height == 7 * 6 * 3
+    assert store.bins().height == 7 * 6
+    assert sorted(set(results["model"])) == ["alpha", "beta", "gamma"]
+    assert sorted(set(results["unit"])) == ["u00", "u01", "u02"]
+    assert set(results["temperature_c"]) == {15.0}
+    assert set(results["days"]) == {1_767_225_600 / 86400}
+    assert set(results.filter(term="N", sensor="gyroscope")["unit_si"]) == {"rad/s/sqrt(Hz)"}
+    logs = store.logs()
+    failed = logs.filter(status="unreadable")
+    assert failed["content"][0]
+    assert failed["reason"][0].startswith("logs/beta/u02/15C/log0007.npz: ")
+    assert set(logs["samples"].drop_nulls()) == {2000}
+    assert logs.filter(status="ok")["seconds"].to_list() == pytest.approx([20.0] * 7)
+
+
+def test_the_same_command_again_does_nothing_twice(done: Path) -> None:
+    """Nor does one that names only the folder."""
+    parts = sorted((done / "fleet" / "logs").iterdir())
+    for arguments in (("logs", *LABELS), ()):
+        again = run("fleet", "run", *arguments, "--shard", "1/1", "--max-failed", "20%", cwd=done)
+        assert again.returncode == 0, again.stderr
+        assert again.stderr.startswith("0 logs to do, 0 MB; 8 done before\n")
+    assert sorted((done / "fleet" / "logs").iterdir()) == parts
+
+
+def test_status_says_it_too(done: Path) -> None:
+    """For people and for programs."""
+    said = run("fleet", "status", "fleet", cwd=done)
+    assert said.returncode == 0
+    assert said.stdout.startswith("fleet: 8 logs done: 7 good, 0 to look at, 0 not noise, 1 unreadable\n")
+    document = json.loads(run("fleet", "status", "fleet", "--json", cwd=done).stdout)
+    assert document["statuses"]["ok"] == 7
+    assert document["statuses"]["unreadable"] == 1
+    assert (document["asked"], document["done"], document["left"]) == (8, 8, [])
+
+
+def test_more_failures_than_allowed_end_with_4(done: Path) -> None:
+    """One of eight is more than 5 %."""
+    ended = run("fleet", "run", "logs", *LABELS, "--shard", "1/1", cwd=done)
+    assert ended.returncode == 4
+    message = "Error: fleet: 1 of 8 logs failed (12.5 %), more than --max-failed 5%\n"
+    assert ended.stderr.endswith(message)
+
+
+def test_a_dry_run_writes_nothing(logs: Path) -> None:
+    """And says of every log what would be done with it."""
+    ended = run("fleet", "run", "logs", *LABELS, "-o", "other", "--dry-run", cwd=logs)
+    assert ended.returncode == 0
+    lines = ended.stdout.splitlines()
+    assert lines[0] == "run\tlogs/alpha/u00/15C/log0000.npz\tmodel=alpha unit=u00 temperature_c=15.0"
+    assert len(lines) == 8
+    assert ended.stderr.startswith("8 logs, ")
+    assert not (logs / "other").exists()
+
+
+def test_a_dry_run_says_what_is_done_and_what_stands_twice(done: Path, tmp_path: Path) -> None:
+    """The manifest's own folder is where its paths begin."""
+    (done / "copy.npz").write_bytes((done / "logs/alpha/u00/15C/log0000.npz").read_bytes())
+    (tmp_path / "m.csv").write_text(f"path,unit\n{done}/copy.npz,9\n")
+    ended = run("fleet", "run", "--manifest", str(tmp_path / "m.csv"), "logs", "--dry-run", cwd=done)
+    (done / "copy.npz").unlink()
+    first, *others = ended.stdout.splitlines()
+    assert first == f"done\t{done}/copy.npz\tunit=9\tsame content as logs/alpha/u00/15C/log0000.npz"
+    assert [line.split("\t")[0] for line in others] == ["done"] * 8
+
+
+def test_two_shards_do_all_of_it(done: Path) -> None:
+    """Each its part, on one store; the results are those of one run."""
+    for shard, code in (("2/2", 4), ("1/2", 0)):
+        ended = run("fleet", "run", "logs", "-o", "halves", *LABELS, "--shard", shard, cwd=done)
+        assert ended.stdout.startswith("halves: 4 logs done: ")
+        assert ended.returncode == code
+    one, two = FleetStore(done / "fleet"), FleetStore(done / "halves")
+    assert one.results().equals(two.results())
+    assert one.bins().equals(two.bins())
+
+
+def test_nothing_readable_ends_with_3(tmp_path: Path) -> None:
+    """As a single log that can't be read does."""
+    for name in "ab":
+        (tmp_path / f"{name}.mcap").write_bytes(name.encode() * 100)
+    ended = run("fleet", "run", "a.mcap", "b.mcap", "missing.bag", "--shard", "1/1", cwd=tmp_path)
+    assert ended.returncode == 3, ended.stderr
+    assert "missing.bag: can't be opened: No such file or directory" in ended.stderr
+    assert ended.stderr.endswith("Error: fleet: none of 3 logs can be read\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        ((), 2, "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"),
+        (("*.bag",), 3, "*.bag: no log has such a name; expected files, or folders with logs in them"),
+        (("x", "--shard", "0/4"), 2, "'0/4' is no part; write i/n with i from 1 to n, such as 1/8"),
+        (("x", "--shard", "1/2", "--scheduler", "tcp://h:1"), 2, "give --shard or --scheduler, not both"),
+        (("x", "--labels", "*.csv"), 2, "no label; write such as '{model}/{unit}/*.mcap'"),
+        (("x", "--memory", "much"), 2, "'much': expected a size such as 500M or 2G"),
+        (("x", "--timeout", "0"), 2, "'0' is no time to work; write such as 10min, or auto"),
+        (("x", "--model", "auto+"), 2, "model 'auto+'"),
+        (("x", "--model", "auto"), 2, "auto would choose by the log; give the terms, such as 'N + B + K'"),
+        (("x", "--max-failed", "5"), 2, "'5' is more than all; did you mean 0.05 or 5%?"),
+        (("x/1.csv", "--labels", "{temperature_c}/*.csv"), 2, "temperature_c is 'x', expected a number"),
+        (("x", "-o", "thesis"), 5, "holds thesis.tex but no fleet of imucal's; nothing was changed; choose"),
+    ],
+)
+def test_slips(arguments: tuple[str, ...], code: int, said: str, tmp_path: Path) -> None:
+    """Each has its message and its exit code; nothing is written."""
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "thesis.tex").write_text("x")
+    ended = run("fleet", "run", *arguments, cwd=tmp_path)
+    assert (ended.returncode, said in " ".join(ended.stderr.split())) == (code, True), ended.stderr
+    assert os.listdir(tmp_path) == ["thesis"]  # noqa: PTH208 - names
+
+
+def test_another_model_in_the_same_folder_is_refused(done: Path) -> None:
+    """One structure a fleet; what the message says to type works."""
+    ended = run("fleet", "run", "logs", "--model", "N + K", "--shard", "1/1", cwd=done)
+    assert ended.returncode == 2
+    message = "fleet: holds fits with model N + B + K, found N + K; choose another folder with -o, or start"
+    assert message in " ".join(ended.stderr.split())
+
+
+def test_status_of_what_is_no_fleet(tmp_path: Path) -> None:
+    """Exit code 3, and what was expected."""
+    ended = run("fleet", "status", "nowhere", cwd=tmp_path)
+    assert ended.returncode == 3
+    assert "no such file; expected the folder of a fleet that imucal fleet run writes" in ended.stderr
+
+
+def test_a_mistyped_command_of_the_group(tmp_path: Path) -> None:
+    """As in the group above."""
+    (tmp_path / "logs").mkdir()
+    assert "did you mean 'run'?" in run("fleet", "rum", cwd=tmp_path).stderr
+    said = run("fleet", "logs", cwd=tmp_path).stderr
+    assert "No such command 'logs'; to characterise a fleet write 'imucal fleet run logs'" in said

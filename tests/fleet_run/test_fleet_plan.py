@@ -1,0 +1,158 @@
+"""What of a fleet is to be done: less what is done, each content once, the same in every shard."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from imucal.fleet.store import FleetStore
+from imucal.fleet_run import FleetPlan, FleetSettings, LogTask, plan_fleet
+from imucal.fleet_run.batch_work import commit, failure
+from imucal.fleet_run.fleet_plan import batches, expected_seconds
+from imucal.fleet_run.log_identity import content_of, edge_of, stamp_of
+from imucal.fleet_run.manifest_file import LogEntry
+from imucal.fleet_run.work import LogRows, first_row
+
+
+@pytest.fixture
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FleetSettings:
+    """Return settings of a store in an empty folder, which is the working one."""
+    monkeypatch.chdir(tmp_path)
+    return FleetSettings(store=str(tmp_path / "fleet"), folder=str(tmp_path), memory=1 << 30)
+
+
+def plan(settings: FleetSettings, *paths: str, **reading: object) -> FleetPlan:
+    """Return the plan of some logs."""
+    return plan_fleet(
+        [LogEntry(path=p) for p in paths], settings, FleetStore(settings.store), reading=reading
+    )
+
+
+def finish(settings: FleetSettings, made: FleetPlan, status: str = "ok") -> None:
+    """Commit that all tasks of a plan ended so, without doing them."""
+    store = FleetStore(settings.store)
+    store.create()
+    store.add_to_manifest(made.manifest())
+    rows = []
+    for task in made.tasks:
+        path = Path(task.path)
+        stamp = stamp_of(path)
+        assert stamp is not None
+        known = {"content": content_of(path), "edge": edge_of(path), "mtime_ns": stamp.mtime_ns}
+        key = settings.key(known["content"], task.reading)  # type: ignore[arg-type] # a text
+        rows.append(LogRows(log={**first_row(task, settings), **known, "key": key, "status": status}))
+    commit(rows, settings)
+
+
+def paths(tasks: tuple[LogTask, ...]) -> list[str]:
+    """Return the paths of tasks."""
+    return [task.path for task in tasks]
+
+
+def write(**contents: str) -> None:
+    """Write files."""
+    for name, text in contents.items():
+        Path(name).write_text(text)
+
+
+def test_what_is_done_is_not_done_again(settings: FleetSettings) -> None:
+    """But a changed file, changed settings and changed ways of reading are new."""
+    write(a="aaa", b="bb")
+    finish(settings, plan(settings, "a", "b"))
+    again = plan(settings, "a", "b")
+    assert (again.tasks, again.done) == ((), ("a", "b"))
+    assert paths(plan(settings, "a", "b", rate_hz=100.0).tasks) == ["a", "b"]
+    assert paths(plan(replace(settings, model="N + K"), "a", "b").tasks) == ["a", "b"]
+    assert paths(plan(replace(settings, level=0.9), "a", "b").tasks) == ["a", "b"]
+    write(a="aax")
+    os.utime("a", (1, 1))
+    assert paths(plan(settings, "a", "b").tasks) == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("status", "again"),
+    [("ok", False), ("unreadable", False), ("no-data", False)]
+    + [(status, True) for status in ("memory", "timeout", "crash")],
+)
+def test_what_may_go_better_is_tried_again(settings: FleetSettings, status: str, *, again: bool) -> None:
+    """Time, memory and crashes are not the log's alone."""
+    write(a="aaa")
+    finish(settings, plan(settings, "a"), status)
+    found = plan(settings, "a")
+    assert (paths(found.tasks), found.again) == ((["a"], ("a",)) if again else ([], ()))
+
+
+def test_a_log_that_could_not_be_opened_is_tried_again(settings: FleetSettings) -> None:
+    """Nothing is known of its content."""
+    store = FleetStore(settings.store)
+    store.create()
+    store.add_to_manifest(plan(settings, "a").manifest())
+    commit([failure(LogTask(path="a"), settings, "unreadable", "no such file")], settings)
+    assert plan(settings, "a").again == ("a",)
+
+
+def test_equal_contents_are_done_once(settings: FleetSettings) -> None:
+    """The first counts; a file of the same size is another one, and so is one of the same edges."""
+    edge = "e" * (1 << 16)
+    write(a="same", b="size", c="same", d=edge + "x" + edge, e=edge + "y" + edge)
+    found = plan(settings, "a", "b", "c", "d", "e")
+    assert paths(found.tasks) == ["a", "b", "d", "e"]
+    assert found.copies == {"c": "a"}
+    assert found.manifest()["copy_of"].to_list() == [None, None, "a", None, None]
+
+
+def test_a_log_that_was_moved_is_known_by_its_content(settings: FleetSettings) -> None:
+    """Also beside the old one, whichever is named first."""
+    write(a="same", other="else")
+    finish(settings, plan(settings, "a"))
+    Path("a").rename("b")
+    moved = plan(settings, "b", "other")
+    assert (paths(moved.tasks), moved.done, moved.copies) == (["other"], ("b",), {"b": "a"})
+    write(a="same")
+    both = plan(settings, "b", "a")
+    assert (both.tasks, both.copies) == ((), {"b": "a"})
+
+
+def test_the_same_content_read_in_two_ways_is_two_results(settings: FleetSettings) -> None:
+    """A key is of content and settings."""
+    write(a="same", b="same")
+    entries = [LogEntry(path="a"), LogEntry(path="b", reading={"rate_hz": 2.0})]
+    found = plan_fleet(entries, settings, FleetStore(settings.store))
+    assert (paths(found.tasks), found.copies) == (["a", "b"], {})
+
+
+def test_a_bag_is_all_of_its_files(settings: FleetSettings) -> None:
+    """Not their names."""
+    for name, text in (("one", "x"), ("two", "x"), ("three", "y")):
+        Path(name).mkdir()
+        write(**{f"{name}/metadata.yaml": "m", f"{name}/{name}_0.db3": text})
+    found = plan(settings, "one", "two", "three")
+    assert (paths(found.tasks), found.copies) == (["one", "three"], {"two": "one"})
+    assert found.tasks[0].size == 2
+
+
+def test_shards_share_all_logs_whenever_they_start(settings: FleetSettings) -> None:
+    """Which logs are whose does not change with what is done."""
+    names = [f"log{i}" for i in range(10)]
+    write(**{name: name * (i + 1) for i, name in enumerate(names)})
+    first = plan(settings, *names).shard(1, 3)
+    finish(settings, first)
+    later = [plan(settings, *names).shard(number, 3) for number in (2, 3)]
+    assert sorted(path for part in (first, *later) for path in paths(part.tasks)) == sorted(names)
+
+
+@pytest.mark.parametrize(("workers", "seconds"), [(2, 30.0), (50, 30.0), (1, 0.0), (3, 1e9)])
+def test_batches_hold_every_task_once(workers: int, seconds: float) -> None:
+    """Of about the time that is asked, or so many that every worker has some."""
+    tasks = [LogTask(path=str(i), size=i * 10**6) for i in range(100)]
+    made = list(batches(tasks, workers=workers, seconds=seconds))
+    assert [task for batch in made for task in batch] == tasks
+    longest = max(sum(map(expected_seconds, batch[:-1])) for batch in made)
+    assert longest < max(seconds, 1e-9)
+    assert len(made) >= min(2 * workers, 90)
+
+
+def test_no_tasks_are_no_batches() -> None:
+    """Nothing to hand out."""
+    assert list(batches([], workers=2, seconds=30.0)) == []

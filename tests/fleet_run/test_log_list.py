@@ -1,0 +1,73 @@
+"""Names that a person gives -> logs."""
+
+from pathlib import Path
+
+import pytest
+
+from imucal.errors import ReadError
+from imucal.fleet_run.log_list import find_logs
+
+
+@pytest.fixture
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder of logs, a bag that is a folder, and what is no log."""
+    for name in (
+        *("logs/b/2.mcap", "logs/b/10.mcap", "logs/a/x.csv.gz", "logs/a/notes.txt", "logs/.hidden.csv"),
+        *("logs/bag/metadata.yaml", "logs/bag/bag_0.db3", "logs/a/readme.md"),
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("x")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+ALL = ["logs/a/x.csv.gz", "logs/b/2.mcap", "logs/b/10.mcap", "logs/bag"]
+
+
+@pytest.mark.parametrize(
+    ("names", "logs"),
+    [
+        (["logs"], ALL),
+        (["logs/**"], ALL),
+        (["logs/*"], ALL),
+        (["logs/*/*"], [*ALL[:3], "logs/bag/bag_0.db3"]),
+        (["logs/a/*.txt"], ["logs/a/notes.txt"]),
+        (["logs/b/*.mcap"], ["logs/b/2.mcap", "logs/b/10.mcap"]),
+        (["logs/**/*.db3"], ["logs/bag/bag_0.db3"]),
+        (["logs/bag"], ["logs/bag"]),
+        (["logs/a/notes.txt", "missing.bag"], ["logs/a/notes.txt", "missing.bag"]),
+        (["logs/b/10.mcap", "logs/b"], ["logs/b/10.mcap", "logs/b/2.mcap"]),
+    ],
+)
+@pytest.mark.usefixtures("tree")
+def test_names_stand_for_logs(names: list[str], logs: list[str]) -> None:
+    """Each once, natural numbers in their order; a named file is taken whatever it is."""
+    found = find_logs(names)
+    assert found == logs
+
+
+@pytest.mark.usefixtures("tree")
+def test_a_list_has_a_name_a_line() -> None:
+    """Of which each may be a folder, too."""
+    assert find_logs(["-"], ["logs/b\n", "\n", " logs/a/x.csv.gz \n"]) == [*ALL[1:3], ALL[0]]
+
+
+@pytest.mark.usefixtures("tree")
+def test_a_name_with_brackets_that_exists_is_no_wildcard(tree: Path) -> None:
+    """As [1].csv."""
+    (tree / "log[1].csv").write_text("x")
+    assert find_logs(["log[1].csv"]) == ["log[1].csv"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("*.bag", r"\*\.bag: no log has such a name; expected files, or folders with logs"),
+        ("empty", r"empty: no log in this folder; expected files that end in \.mcap"),
+    ],
+)
+def test_nothing_is_an_error(tree: Path, name: str, message: str) -> None:
+    """It is a slip, never an empty fleet."""
+    (tree / "empty").mkdir()
+    with pytest.raises(ReadError, match=message):
+        find_logs([name])
