@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from imucal.fitting.noise_fit import Interval
+from imucal.fleet.population import UnitValue
 from imucal.fleet_report.fleet_tables import by_term
 from imucal.fleet_report.panels import round_ticks, sorted_units, span
 from imucal.fleet_report.shown import bound_name, sheet_unit
@@ -72,11 +74,7 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
         start, value = (low, one.high) if one.value is None else (one.low * factor, one.value)
         style = ":" if one.value is None else "-"
         axes.plot([start, one.high * factor], [i, i], color=colour, linewidth=1, linestyle=style)
-        marker = "<" if one.value is None else "D" if one.odd else "o"
-        face = "white" if one.value is None else colour
-        axes.plot(
-            value * factor, i, marker=marker, markersize=4.5, color=colour, markerfacecolor=face, linestyle=""
-        )
+        _draw_mark(axes, one, value * factor, i, size=4.5)
     if found.prediction:
         axes.axvspan(
             *(limit * factor for limit in found.prediction), color=MODEL.light, alpha=0.13, linewidth=0
@@ -111,23 +109,7 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
         own = [(m, t) for m in models for t in m.terms if (t.name, t.term) == (name, key)]
         unit = sheet_unit(own[0][1])
         for i, (_, term) in enumerate(own):
-            found = term.population
-            if found.prediction:
-                low, high = (limit * unit.factor for limit in found.prediction)
-                place.barh(i, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
-            middle = found.median.value * unit.factor
-            place.plot([middle, middle], [i - 0.4, i + 0.4], color=MODEL.light, linewidth=1.4)
-            for j, one in enumerate(found.units):
-                at = (one.value or one.high) * unit.factor
-                colour = LEFT_OUT if one.odd else DATA.light
-                face = "white" if one.value is None else colour
-                place.plot(
-                    *(at, i + 0.18 * (j % 3 - 1)),
-                    marker="<" if one.value is None else "D" if one.odd else "o",
-                    markersize=3.5,
-                    color=colour,
-                    markerfacecolor=face,
-                )
+            _draw_strip(place, term, i)
         spans = [span(term) for _, term in own]
         place.set_yticks(range(len(own)), [model.title for model, _ in own], fontsize=SMALL_SIZE, color=INK)
         _style(place, f"{key} in {pretty(unit.name)}", f"{name} {key}")
@@ -137,6 +119,33 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
         place.set_visible(False)
     figure.tight_layout()
     return figure
+
+
+def _draw_strip(axes: "Axes", term: FleetTerm, row: int) -> None:
+    """Draw the units of one model as a row: a dot each, the median and the next unit's band."""
+    found, factor = term.population, sheet_unit(term).factor
+    if found.prediction:
+        low, high = (limit * factor for limit in found.prediction)
+        axes.barh(row, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
+    middle = found.median.value * factor
+    axes.plot([middle, middle], [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
+    for j, one in enumerate(found.units):
+        _draw_mark(axes, one, (one.value or one.high) * factor, row + 0.18 * (j % 3 - 1), size=3.5)
+
+
+def _draw_mark(axes: "Axes", unit: UnitValue, x: float, y: float, *, size: float) -> None:
+    """Draw a dot; a diamond for an odd unit, an open triangle for a bound."""
+    colour = LEFT_OUT if unit.odd else DATA.light
+    bounded = unit.value is None
+    axes.plot(
+        x,
+        y,
+        marker="<" if bounded else "D" if unit.odd else "o",
+        markersize=size,
+        color=colour,
+        markerfacecolor="white" if bounded else colour,
+        linestyle="",
+    )
 
 
 def heat_figure(model: SensorModel) -> "Figure":
@@ -185,25 +194,7 @@ def drift_figure(model: SensorModel) -> "Figure":
     columns = (("temperature_c", "% a °C"), ("days", "% a year"))
     for axes, (label, title) in zip(figure.subplots(1, 2, sharey=True), columns, strict=True):
         for i, term in enumerate(terms):
-            trend = term.trend
-            if trend is None:
-                continue
-            interval = trend.temperature if label == "temperature_c" else trend.drift
-            if interval is None:
-                continue
-            axes.plot([100 * interval.low, 100 * interval.high], [i, i], color=DATA.light, linewidth=1.2)
-            axes.plot(100 * interval.value, i, marker="o", markersize=5, color=MODEL.light)
-            for slope in trend.slopes:
-                if slope.odd and slope.label == label:
-                    at = 100 * slope.slope.value
-                    axes.plot(at, i, marker="D", markersize=5, color=LEFT_OUT)
-                    axes.annotate(
-                        *(slope.unit, (at, i)),
-                        xytext=(5, 3),
-                        textcoords="offset points",
-                        fontsize=SMALL_SIZE,
-                        color=LEFT_OUT,
-                    )
+            _draw_slopes(axes, term, label, i)
         axes.axvline(0, color=FADED, linewidth=1)
         _style(axes, title, "")
         axes.set_yticks(range(len(terms)), [f"{t.name} {t.term}" for t in terms], fontsize=SMALL_SIZE)
@@ -211,6 +202,27 @@ def drift_figure(model: SensorModel) -> "Figure":
     figure.suptitle(f"{model.title}: temperature and time", fontsize=TITLE_SIZE, color=INK)
     figure.tight_layout()
     return figure
+
+
+def _draw_slopes(axes: "Axes", term: FleetTerm, label: str, row: int) -> None:
+    """Draw a term's change by one label with its interval, and the units that move otherwise."""
+    trend = term.trend
+    interval = trend and (trend.temperature if label == "temperature_c" else trend.drift)
+    if trend is None or not isinstance(interval, Interval):
+        return
+    axes.plot([100 * interval.low, 100 * interval.high], [row, row], color=DATA.light, linewidth=1.2)
+    axes.plot(100 * interval.value, row, marker="o", markersize=5, color=MODEL.light)
+    for slope in trend.slopes:
+        if slope.odd and slope.label == label:
+            at = 100 * slope.slope.value
+            axes.plot(at, row, marker="D", markersize=5, color=LEFT_OUT)
+            axes.annotate(
+                *(slope.unit, (at, row)),
+                xytext=(5, 3),
+                textcoords="offset points",
+                fontsize=SMALL_SIZE,
+                color=LEFT_OUT,
+            )
 
 
 def _style(axes: "Axes", x: str, title: str) -> None:

@@ -64,19 +64,8 @@ def render_fleet_page(fleet: Fleet) -> str:
 
 def verdict(fleet: Fleet) -> tuple[str, str]:
     """Return the grade of a fleet and one sentence: which units are odd, and how many logs do not count."""
-    said = []
-    for model in fleet.models:
-        odd: dict[str, list[str]] = {}
-        for term in model.terms:
-            for unit in term.odd:
-                odd.setdefault(unit.unit, []).append(f"{term.name} {term.term}")
-        title = f"{model.title}: " if len(fleet.models) > 1 else ""
-        if odd:
-            listed = "; ".join(f"{unit} ({', '.join(where)})" for unit, where in odd.items())
-            said.append(f"{title}odd {'units' if len(odd) > 1 else 'unit'} {listed}")
-        moving = {unit for term in model.terms for unit in term.drifting} - odd.keys()
-        if moving:
-            said.append(f"{title}{', '.join(sorted(moving))} moves with time or temperature as no other")
+    several = len(fleet.models) > 1
+    said = [text for model in fleet.models for text in _strange(model, f"{model.title}: " if several else "")]
     failed = sum(len(logs) for logs in fleet.failures.values())
     if failed:
         said.append(f"{failed} of {len(fleet.logs)} logs do not count")
@@ -89,6 +78,26 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
         return "good", "No unit is odd, and every log counts."
     text = "; ".join(said)
     return "look", f"{text[0].upper()}{text[1:]}."
+
+
+def _strange(model: SensorModel, title: str) -> list[str]:
+    """Return which units of a model are odd, and which move otherwise than the others."""
+    odd: dict[str, list[str]] = {}
+    for term in model.terms:
+        for unit in term.odd:
+            odd.setdefault(unit.unit, []).append(f"{term.name} {term.term}")
+    said = []
+    if odd:
+        listed = "; ".join(f"{unit} ({', '.join(where)})" for unit, where in odd.items())
+        said.append(f"{title}odd {'units' if len(odd) > 1 else 'unit'} {listed}")
+    moving: dict[str, list[str]] = {}
+    for term in model.terms:
+        for name in term.drifting:
+            moving.setdefault(name, []).append(f"{term.name} {term.term}")
+    if moving:
+        listed = "; ".join(f"{unit} ({', '.join(where)})" for unit, where in moving.items())
+        said.append(f"{title}moving with time or temperature as no other: {listed}")
+    return said
 
 
 def _lead(fleet: Fleet) -> str:

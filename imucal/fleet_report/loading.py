@@ -51,24 +51,16 @@ def load_fleet(folder: str | Path, *, content: float = 0.95, confidence: float =
         raise DataError(msg)
     groups = _grouped(store.results(), logs)
     tests, findings = unit_tests(store, logs, groups)
+    names = sorted({log.model for log in logs.values() if _counts(log)})
     models = []
-    for name in sorted({log.model for log in logs.values() if log.unit is not None and not log.left_out}):
-        own = [log for log in logs.values() if log.model == name and log.unit is not None]
+    for name in names:
+        own = tuple(log for log in logs.values() if log.model == name and log.unit is not None)
         terms = [
             _term(key, rows, tests.get(key, ()), content, confidence)
             for key, rows in groups.items()
             if key[0] == name
         ]
-        rates = sorted(log.rate_hz for log in own if log.rate_hz)
-        models.append(
-            SensorModel(
-                name=name,
-                units=tuple(sorted({log.unit for log in own if log.unit and not log.left_out})),
-                logs=tuple(own),
-                rate_hz=rates[len(rates) // 2] if rates else math.nan,
-                terms=tuple(sorted(terms, key=_place)),
-            )
-        )
+        models.append(_model(name, own, terms))
     loose = _loose(store.results(), logs)
     return Fleet(
         folder=Path(folder),
@@ -91,6 +83,22 @@ def labels_to_type(paths: Sequence[str]) -> str:
     if len(folders) > 1 and "" not in folders:
         return f"{{unit}}/*{suffix}"
     return f"{{unit}}{suffix}"
+
+
+def _counts(log: FleetLog) -> bool:
+    """Return whether the numbers of a log belong to a unit of a model."""
+    return log.unit is not None and not log.left_out
+
+
+def _model(name: str, logs: tuple[FleetLog, ...], terms: Sequence[FleetTerm]) -> SensorModel:
+    rates = sorted(log.rate_hz for log in logs if log.rate_hz)
+    return SensorModel(
+        name=name,
+        units=tuple(sorted({log.unit for log in logs if log.unit and _counts(log)})),
+        logs=logs,
+        rate_hz=rates[len(rates) // 2] if rates else math.nan,
+        terms=tuple(sorted(terms, key=_place)),
+    )
 
 
 def _log(row: Row) -> FleetLog:
@@ -121,7 +129,7 @@ def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[Term
     groups: dict[TermKey, list[Row]] = {}
     for row in results.iter_rows(named=True):
         log = logs[row["key"]]
-        if log.unit is not None and not log.left_out:
+        if _counts(log):
             groups.setdefault((log.model, row["sensor"], row["axis"], row["term"]), []).append(row)
     return groups
 
