@@ -103,7 +103,8 @@ def _model(name: str, logs: tuple[FleetLog, ...], terms: Sequence[FleetTerm]) ->
 
 def _log(row: Row) -> FleetLog:
     status, verdict = row["status"], row["verdict"] or ""
-    left_out = (row["reason"] or status) if status != "ok" else ""
+    # Reasons are grouped: the path, which they begin with, is none.
+    left_out = (row["reason"] or status).removeprefix(f"{row['path']}: ") if status != "ok" else ""
     findings = tuple(row["findings"] or ())
     if not left_out and verdict in ("not-noise", "empty"):
         left_out = f"{_NOT_NOISE}: {', '.join(findings) or verdict}"

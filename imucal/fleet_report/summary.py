@@ -1,5 +1,6 @@
 """Fleet: what many logs say of each sensor model, as values; renderers are functions of it."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -196,14 +197,17 @@ class Fleet:
 
     @property
     def failures(self) -> dict[tuple[str, str], tuple[FleetLog, ...]]:
-        """Logs that do not count, by status and reason; the most frequent first."""
+        """Logs that do not count, by status and reason; the most frequent first.
+
+        Reasons that differ in numbers alone, such as a place in the file, are one: that of the first log.
+        """
         groups: dict[tuple[str, str], list[FleetLog]] = {}
         for log in self.logs:
             if log.left_out:
                 kind = log.status if log.status != "ok" else log.verdict
-                groups.setdefault((kind, log.left_out), []).append(log)
+                groups.setdefault((kind, re.sub(r"\d+", "#", log.left_out)), []).append(log)
         ordered = sorted(groups.items(), key=lambda group: (-len(group[1]), group[0]))
-        return {key: tuple(logs) for key, logs in ordered}
+        return {(kind, logs[0].left_out): tuple(logs) for (kind, _), logs in ordered}
 
     def model(self, name: str | None = None) -> SensorModel:
         """Return a sensor model by its name; without one the only model.

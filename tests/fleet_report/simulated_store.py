@@ -177,10 +177,11 @@ def _failures(model: str) -> list[dict[str, Any]]:
             row | {"status": status, "reason": reason, "verdict": "", "seconds": None, "rate_hz": None} | more
         )
 
-    cut = "the file is damaged: no MCAP magic at the start"
+    cut = "logs/{}: the file is damaged: no footer after byte {}"
+    one, other = (cut.format(f"{model}/{name}", n) for name, n in (("u90/a.mcap", 12), ("u91/b.mcap", 99)))
     return [
-        failed("u90/a.mcap", "unreadable", cut, report="reports/fa"),
-        failed("u91/b.mcap", "unreadable", cut, report="reports/fb"),
+        failed("u90/a.mcap", "unreadable", one, report="reports/fa"),
+        failed("u91/b.mcap", "unreadable", other, report="reports/fb"),
         failed("u92/c.mcap", "timeout", "took longer than 600 s"),
         failed("u93/d.mcap", "memory", "needed more than 2 GB"),
         failed("u94/e.mcap", "ok", "", verdict="not-noise", findings=["motion", "touch"], seconds=60.0),

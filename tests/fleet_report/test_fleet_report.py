@@ -70,6 +70,7 @@ def test_logs_that_do_not_count_are_grouped(fleet: Fleet) -> None:
         ("not-noise", 1),
         ("timeout", 1),
     ]
+    assert ("unreadable", "the file is damaged: no footer after byte 12") in fleet.failures
     assert "u94" not in fleet.model().units
     assert verdict(fleet)[0] == "look"
     assert "u07 (gyro_z N)" in verdict(fleet)[1]
