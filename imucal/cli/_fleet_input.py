@@ -20,7 +20,7 @@ def is_fleet(path: Path) -> bool:
 
 
 def read_fleet(path: Path) -> "Fleet":
-    """Load a fleet."""
+    """Load a fleet, as far as exports, checks and comparisons need it."""
     from imucal.fleet_report import load_fleet
 
-    return load_fleet(path)
+    return load_fleet(path, unit_logs=False)

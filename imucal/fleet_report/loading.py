@@ -26,7 +26,9 @@ Row = Mapping[str, Any]
 _NOT_NOISE = "not noise at rest"
 
 
-def load_fleet(folder: str | Path, *, content: float = 0.95, confidence: float = 0.95) -> Fleet:
+def load_fleet(
+    folder: str | Path, *, content: float = 0.95, confidence: float = 0.95, unit_logs: bool = True
+) -> Fleet:
     """Return what the logs of a fleet say of each sensor model.
 
     Parameters
@@ -35,6 +37,8 @@ def load_fleet(folder: str | Path, *, content: float = 0.95, confidence: float =
         Where ``imucal fleet run`` keeps a fleet.
     content, confidence
         Of the tolerance bounds: a share `content` of all units with probability `confidence`.
+    unit_logs
+        Whether to test if several logs of a unit have one coefficient, which takes the most time.
 
     Raises
     ------
@@ -50,7 +54,7 @@ def load_fleet(folder: str | Path, *, content: float = 0.95, confidence: float =
         msg = f"{folder}: found {asked} logs and none done, expected some; run the fleet first"
         raise DataError(msg)
     groups = _grouped(store.results(), logs)
-    tests, findings = unit_tests(store, logs, groups)
+    tests, findings = unit_tests(store, logs, groups) if unit_logs else ({}, ())
     names = sorted({log.model for log in logs.values() if _counts(log)})
     models = []
     for name in names:
