@@ -17,14 +17,20 @@ from imucal.fitting.ambiguity import ambiguity_findings
 from imucal.fitting.cross_checks import second_opinion
 from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.robust import clean
+from imucal.mapped import release
+from imucal.parallel import own_workers, side_by_side
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
+from imucal.resources import memory_limit
 from imucal.screening import screen
 from imucal.side_work import findings_or_why_not
 
 #: Samples looked at at once.
 _BLOCK = 1 << 20
+#: Bytes that the analysis of an axis takes for each of its samples, and those that all axes may take that are
+#: worked on at a time.
+_BYTES, _ROOM = 32, 500_000_000
 #: A remark of the screening, and the finding of the fit that says the same with more.
 _SAID_BETTER = (("roll-off", "output-filter"), ("tone", "line"))
 #: The settings in the order of report.json; `reading` comes last.
@@ -57,36 +63,58 @@ class Settings(FitSettings):
 
 
 def characterize(
-    recording: Recording, settings: Settings | None = None, *, progress: Progress | None = None
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    progress: Progress | None = None,
+    workers: int | None = None,
 ) -> Report:
     """Screen a recording and fit a noise model to every axis.
 
     An axis that can't be analysed is left out and named in a finding.
+
+    Parameters
+    ----------
+    recording
+        What was measured.
+    settings
+        How; by default `Settings()`.
+    progress
+        Called by the calling thread with the number of axes done, of all, and the name of the next.
+    workers
+        Most axes at a time, each in a thread, at least 1. By default as many as the processors that this
+        process may use, or ``IMUCAL_THREADS``; 1 inside a thread or a process of other parallel work. Fewer
+        where so many would take more memory than the samples of a log may (see ``IMUCAL_MEMORY``).
+        The result is the same for any number.
 
     Raises
     ------
     DataError
         If no axis can be analysed.
     ValueError
-        If a setting is not known.
+        If a setting is not known, or `workers` is less than 1.
     """
     settings = settings or Settings()
-    findings = recording.findings + screen(recording)
-    axes: list[AxisReport] = []
-    failures: list[Finding] = []
-    for done, series in enumerate(recording.series):
-        if progress:
-            progress(done, len(recording.series), series.name)
+    workers = _workers(recording, workers)
+    findings = recording.findings + screen(recording, workers=workers)
+
+    def work(series: AxisSeries) -> AxisReport | Finding:
         try:
-            axes.append(_characterize_axis(series, settings, recording.temperature, findings))
+            return _characterize_axis(series, settings, recording.temperature, findings)
         except DataError as error:
-            failures.append(_no_result(series, error, findings))
+            return _no_result(series, error, findings)
+
+    def tell(done: int, following: AxisSeries | None) -> None:
+        if progress:
+            progress(done, len(recording.series), following.name if following else "")
+
+    found = side_by_side(work, recording.series, workers=workers, done=tell)
+    axes = [axis for axis in found if isinstance(axis, AxisReport)]
+    failures = [failure for failure in found if isinstance(failure, Finding)]
     if not axes:
         reasons = _reasons(failures) or "the log holds no samples"
         msg = f"{recording.source.path}: no axis can be analysed: {reasons}"
         raise DataError(msg)
-    if progress:
-        progress(len(recording.series), len(recording.series), "")
     return Report(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
@@ -94,6 +122,17 @@ def characterize(
         version=__version__,
         findings=_of_no_result(findings, axes, failures),
     )
+
+
+def _workers(recording: Recording, wanted: int | None) -> int:
+    """Return how many axes to work on at a time: as many as wanted, and as the memory holds."""
+    if wanted is not None and wanted < 1:
+        msg = f"workers must be at least 1, got {wanted}"
+        raise ValueError(msg)
+    count = own_workers() if wanted is None else wanted
+    largest = max((series.n for series in recording.series), default=0)
+    room = min(memory_limit(), _ROOM) // (_BYTES * largest + 1)
+    return max(1, min(count, room))
 
 
 def _no_result(series: AxisSeries, error: DataError, screened: tuple[Finding, ...]) -> Finding:
@@ -150,6 +189,9 @@ def _characterize_axis(
     findings = [f for f in screened if f.axis == series.name and f.code not in taken_out]
     findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
+    overview = Overview.of(finite)
+    # What lies in a temporary file need not stay in memory: nobody looks at this axis any more.
+    release(series.samples)
     return AxisReport(
         sensor=series.sensor,
         axis=series.axis,
@@ -160,7 +202,7 @@ def _characterize_axis(
         std=std,
         gaps=finite.clock.gaps,
         spectrum=density,
-        overview=Overview.of(finite),
+        overview=overview,
         fit=result,
         findings=_without_repeats(findings),
     )

@@ -18,11 +18,14 @@ from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.result import Report
+from imucal.solvers import root
 
 #: The level of an interval of one standard deviation to each side.
 ONE_DEVIATION = math.erf(math.sqrt(0.5))
 #: Nobody records for longer, in s: ten years. Longer needs are infinite.
 _LONGEST = 10 * 365.25 * 86400
+#: Natural logarithm of the standard error of a record that tells nothing.
+_NOTHING_TOLD = 50.0
 #: A record that is so much of a factor too short is worth a sentence.
 _WORTH_SAYING = 1.05
 #: Half of all records show a term whose standard error is the first figure; the normal law of what the
@@ -270,16 +273,25 @@ def _share_shown(bound: float) -> float:
 
 
 def _needed(model: NoiseModel, name: str, rate_hz: float, wanted: float) -> float:
-    """Return the length of record that shows a parameter to a relative standard error, in s, by bisection."""
+    """Return the length of record that shows a parameter to a relative standard error, in s."""
+    target = math.log(_largest_bound(wanted))
 
-    def told(duration_s: float) -> bool:
-        bound = _bound(model, name, rate_hz, duration_s)
-        return _found(bound) <= wanted and _share_shown(bound) >= MOSTLY_SHOWN
+    def excess(log_duration: float) -> float:
+        bound = _bound(model, name, rate_hz, math.exp(log_duration))
+        # A record too short to tell anything: finite, so that the search goes on from there.
+        return math.log(max(bound, 1e-300)) - target if bound < math.inf else _NOTHING_TOLD
 
     low, high = math.log(2 / rate_hz), math.log(_LONGEST)
-    if not told(_LONGEST):
+    if excess(high) > 0:
         return math.inf
-    while high - low > 1e-3:
-        middle = (low + high) / 2
-        low, high = (low, middle) if told(math.exp(middle)) else (middle, high)
-    return math.exp(high)
+    return math.exp(root(excess, low, high, tolerance=1e-4)) if excess(low) > 0 else math.exp(low)
+
+
+def _largest_bound(wanted: float) -> float:
+    """Return the largest least standard error for a fit's to be `wanted` and most records to show it."""
+    from scipy.special import ndtri
+
+    most = _HALF_SHOW - _SHOW_WIDTH * float(ndtri(MOSTLY_SHOWN))
+    # The inverse of `_found`: b where b <= 0.1, b (0.9 + b) up to 0.4, and 1.3 b beyond.
+    within = wanted if wanted <= 0.1 else (math.sqrt(0.81 + 4 * wanted) - 0.9) / 2
+    return min(within if within <= 0.4 else wanted / 1.3, most)

@@ -15,6 +15,8 @@ MEMORY, THREADS = "IMUCAL_MEMORY", "IMUCAL_THREADS"
 
 #: Memory that one step may take, in bytes, where the machine does not say how much it has.
 _UNKNOWN = 2_000_000_000
+#: Bytes of samples that are held at most without being asked.
+_COLUMNS = 500_000_000
 #: The share of the memory that one step may take.
 _SHARE = 4
 _SIZE = re.compile(r"(?P<number>\d+(?:\.\d*)?)\s*(?P<prefix>[kmgt]?)i?b?", re.IGNORECASE)
@@ -68,8 +70,26 @@ def parse_size(text: str) -> int:
     return int(size)
 
 
+def column_limit() -> int:
+    """Return how many bytes of samples may be held before a temporary file takes them.
+
+    It is ``IMUCAL_MEMORY`` where that is set; else half a gigabyte, or what one step may take where that is
+    less.
+
+    Raises
+    ------
+    SettingError
+        If ``IMUCAL_MEMORY`` is no size.
+    """
+    limit = memory_limit()
+    return limit if os.environ.get(MEMORY, "").strip() else min(limit, _COLUMNS)
+
+
 def threads() -> int:
     """Return how many threads may work: ``IMUCAL_THREADS``, or the processors that this process may use.
+
+    Those are the ones it may run on, or as many as its control group (a container) has time of, if that
+    is less.
 
     Raises
     ------
@@ -78,7 +98,8 @@ def threads() -> int:
     """
     text = os.environ.get(THREADS, "").strip()
     if not text:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return min([there, *control_group_processors()])
     if not (text.isascii() and text.isdigit() and int(text)):
         msg = f"{THREADS}: found {text!r}, expected a number from 1; set one, or unset it"
         raise SettingError(msg)
@@ -115,22 +136,56 @@ def control_group_limits(
     return [limit for limit in found if limit is not None]
 
 
+def control_group_processors(
+    groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")
+) -> list[int]:
+    """Return how many processors' time this process's control group and those above it have, rounded up.
+
+    Source: Linux, Documentation/scheduler/sched-bwc.rst and admin-guide/cgroup-v2.rst (``cpu.max``).
+    """
+    try:
+        lines = groups.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+    found = []
+    for folder, unified in (pair for line in lines for pair in _folders(line, root, "cpu")):
+        files = ["cpu.max"] if unified else ["cpu.cfs_quota_us", "cpu.cfs_period_us"]
+        numbers = [word for name in files for word in _words(folder / name)]
+        # The quota of a group without one is "max", or -1.
+        if len(numbers) == 2 and all(word.isdigit() and int(word) for word in numbers):
+            found.append(-(-int(numbers[0]) // int(numbers[1])))
+    return found
+
+
 def _files(line: str, root: Path) -> Iterator[Path]:
-    """Yield the files that limit a group, such as ``4:memory:/docker/1f`` or ``0::/user.slice``."""
+    """Yield the files that limit a group's memory."""
+    for folder, unified in _folders(line, root, "memory"):
+        yield folder / ("memory.max" if unified else "memory.limit_in_bytes")
+
+
+def _folders(line: str, root: Path, controller: str) -> Iterator[tuple[Path, bool]]:
+    """Yield a group's folder and those above it, and whether all controllers have the same.
+
+    A line is such as ``4:memory:/docker/1f``, or ``0::/user.slice`` where they have.
+    """
     _, _, rest = line.partition(":")
     controllers, _, path = rest.partition(":")
-    if controllers and "memory" not in controllers.split(","):
+    if controllers and controller not in controllers.split(","):
         return
-    base, name = (root / "memory", "memory.limit_in_bytes") if controllers else (root, "memory.max")
     group = PurePosixPath(path.lstrip("/"))
     for part in (group, *group.parents):
-        yield base / part / name
+        yield (root / controller if controllers else root) / part, not controllers
 
 
 def _limit(file: Path) -> int | None:
     """Return the number in a file; None for ``max``, or where there is none."""
+    words = _words(file)
+    return int(words[0]) if len(words) == 1 and words[0].isdigit() and int(words[0]) else None
+
+
+def _words(file: Path) -> list[str]:
+    """Return the words in a file; none where there is no such file."""
     try:
-        text = file.read_text(encoding="ascii").strip()
+        return file.read_text(encoding="ascii").split()
     except (OSError, ValueError):
-        return None
-    return int(text) if text.isdigit() and int(text) else None
+        return []

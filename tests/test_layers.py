@@ -19,11 +19,14 @@ BELOW: dict[str, set[str]] = {
     "atomic": {"errors"},
     "child_process": set(),
     "clock": set(),
+    "mapped": set(),
     "printable": set(),
     "resources": {"errors"},
     "recording": {"arrays", "clock", "errors", "findings"},
+    "parallel": {"resources"},
     "powerlaw": {"arrays"},
     "side_work": {"errors", "findings"},
+    "solvers": {"arrays"},
     "units": {"recording"},
 }
 BASE = set(BELOW)

@@ -10,9 +10,11 @@ import pytest
 
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
-from imucal.pipeline import Settings, characterize
+from imucal.pipeline import Settings, _workers, characterize
 from imucal.readers import read
-from imucal.recording import AxisSeries, Recording, Source
+from imucal.recording import Axis, AxisSeries, Recording, Source
+from imucal.report.document import to_document
+from imucal.report.json_file import dumps
 from imucal.report.result import AxisReport, Report
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
@@ -125,3 +127,45 @@ def test_every_setting_is_in_the_report() -> None:
     assert set(document) == {field.name for field in dataclasses.fields(Settings)}
     assert list(document)[-1] == "reading"
     assert document["level"] == 0.9
+
+
+def test_a_report_does_not_depend_on_how_many_axes_are_worked_on_at_a_time() -> None:
+    """Axes, an axis without a result, and findings stand in the same order with the same numbers."""
+    rng = np.random.default_rng(913)
+    model = NoiseModel.parse("N=1e-3 + K=1e-4")
+    samples = [model.simulate(4000, rate_hz=50.0, rng=rng) for _ in range(4)]
+    axes: tuple[Axis, ...] = ("x", "y", "z")
+    series = [
+        AxisSeries.from_samples(own, rate_hz=50.0, axis=a) for own, a in zip(samples, axes, strict=False)
+    ]
+    series.append(AxisSeries.from_samples(samples[3], rate_hz=50.0, sensor="accelerometer"))
+    series[1] = AxisSeries.from_samples(np.zeros(4000), rate_hz=50.0, sensor="gyroscope", axis="y")
+    told: list[tuple[int, int, str]] = []
+
+    def document(workers: int) -> str:
+        told.clear()
+        report = characterize(
+            recording_of(*series), progress=lambda *what: told.append(what), workers=workers
+        )
+        return dumps(to_document(report))
+
+    alone = document(1)
+    assert [what[:2] for what in told] == [(done, 4) for done in range(5)]
+    for workers in (2, 3, 9):
+        assert document(workers) == alone
+        assert [what[:2] for what in told] == [(done, 4) for done in range(5)]
+        assert told[-1] == (4, 4, "")
+
+
+def test_work_on_several_axes_keeps_to_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many as wanted of short axes; one at a time where two would take more than half a gigabyte."""
+    short, long = (
+        recording_of(AxisSeries.from_samples(np.broadcast_to(0.0, n), rate_hz=50.0)) for n in (1000, 10**7)
+    )
+    monkeypatch.setenv("IMUCAL_MEMORY", "10G")
+    assert _workers(short, 9) == 9
+    assert _workers(long, 9) == 1
+    monkeypatch.setenv("IMUCAL_MEMORY", "100k")
+    assert _workers(short, 9) == 3
+    with pytest.raises(ValueError, match=r"^workers must be at least 1, got 0$"):
+        characterize(short, workers=0)

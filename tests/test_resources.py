@@ -10,7 +10,13 @@ import pytest
 
 from imucal import resources
 from imucal.errors import SettingError
-from imucal.resources import control_group_limits, limit_pools, memory_limit, threads
+from imucal.resources import (
+    control_group_limits,
+    control_group_processors,
+    limit_pools,
+    memory_limit,
+    threads,
+)
 from tests.cli.run import run
 from tests.readers.logs import imu_messages, samples, write_mcap
 
@@ -76,6 +82,39 @@ def test_the_limits_of_a_control_group(line: str, file: str, limits: list[int], 
     limit.write_text("max\n", encoding="utf-8")
     assert control_group_limits(tmp_path / "cgroup", tmp_path / "root") == []
     assert control_group_limits(tmp_path / "none", tmp_path / "root") == []
+
+
+@pytest.mark.parametrize(
+    ("line", "files", "processors"),
+    [
+        ("0::/job/a", {"job/a/cpu.max": "150000 100000"}, [2]),
+        ("0::/job/a", {"job/a/cpu.max": "max 100000", "job/cpu.max": "100000 100000"}, [1]),
+        ("0::/job/a", {"job/a/cpu.max": "max 100000"}, []),
+        ("3:cpu,cpuacct:/d", {"cpu/d/cpu.cfs_quota_us": "350000", "cpu/d/cpu.cfs_period_us": "100000"}, [4]),
+        ("3:cpu,cpuacct:/d", {"cpu/d/cpu.cfs_quota_us": "-1", "cpu/d/cpu.cfs_period_us": "100000"}, []),
+        ("3:memory:/d", {"cpu/d/cpu.cfs_quota_us": "350000", "cpu/d/cpu.cfs_period_us": "100000"}, []),
+        ("0::/job/a", {}, []),
+    ],
+)
+def test_the_processors_of_a_control_group(
+    line: str, files: dict[str, str], processors: list[int], tmp_path: Path
+) -> None:
+    """As much time as it may take in a period, rounded up; of both versions, its own or of a group above."""
+    (tmp_path / "cgroup").write_text(f"9:name=systemd:/\n{line}\n", encoding="utf-8")
+    for name, text in files.items():
+        (tmp_path / "root" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "root" / name).write_text(f"{text}\n", encoding="utf-8")
+    assert control_group_processors(tmp_path / "cgroup", tmp_path / "root") == processors
+    assert control_group_processors(tmp_path / "none", tmp_path / "root") == []
+
+
+def test_a_container_has_fewer_threads_than_its_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of processors it may run on and time it may take, what is less."""
+    monkeypatch.delenv("IMUCAL_THREADS", raising=False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    for groups, count in (([], 8), ([3], 3), ([16, 2], 2)):
+        monkeypatch.setattr(resources, "control_group_processors", lambda value=groups: value)
+        assert threads() == count
 
 
 def test_the_threads_that_are_set(monkeypatch: pytest.MonkeyPatch) -> None:

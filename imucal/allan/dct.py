@@ -59,6 +59,7 @@ class DctBins:
         return self.first.size
 
 
+@lru_cache(maxsize=64)
 def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
     """Return the bins for `n` samples.
 

@@ -131,15 +131,15 @@ class LogRequest:
         _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
         return recording
 
-    def characterise(self, settings: "Settings") -> "Report":
-        """Read and characterise the log, with progress bars where a person watches."""
+    def characterise(self, settings: "Settings", *, workers: int | None = None) -> "Report":
+        """Read and characterise the log, `workers` axes at a time, with progress bars on a terminal."""
         from imucal.pipeline import characterize
         from imucal.readers.checksums import Checksums
 
         with Checksums([Path(log) for log in self.logs]) as checksums:
             recording = self.read()
             with axes_progress(quiet=self.quiet) as progress:
-                report = characterize(recording, settings, progress=progress)
+                report = characterize(recording, settings, progress=progress, workers=workers)
             return replace(report, source=replace(report.source, files=checksums.files()))
 
     def settings(self) -> dict[str, object]:

@@ -107,6 +107,12 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 )
 @click.option("--no-html", is_flag=True, help="Write no HTML page.")
 @click.option("--no-report", is_flag=True, help="Write no files at all.")
+@click.option(
+    "--jobs",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Axes fitted at a time. [default: the processors there are]",
+)
 @click.option("--bins", is_flag=True, help="Put each axis's binned spectrum into report.json, to pool logs.")
 @click.option("--json", "as_json", is_flag=True, help="Print report.json on standard output.")
 @click.option("--curve", is_flag=True, help="LOG is a table of tau and Allan deviations, without headings.")
@@ -129,6 +135,7 @@ def command(
     formats: tuple[str, ...],
     no_html: bool,
     no_report: bool,
+    jobs: int | None,
     bins: bool,
     as_json: bool,
     curve: bool,
@@ -181,7 +188,7 @@ def command(
     folder = out or report_folder(request.logs[0])
     if not no_report:
         check_folder(folder)
-    report = request.characterise(settings)
+    report = request.characterise(settings, workers=jobs)
     if as_json:
         echo_json(dumps(to_document(report)), nl=False)
     else:

@@ -3,7 +3,8 @@
 The likelihood's interval says how well one stationary process describes this record; a user reads it
 as what the next record will give. Where the segments of a record differ by more than chance, the
 interval is widened by the Birge ratio sqrt(Q/dof), as if each segment's error were so many times what
-it is.
+it is. Where the model does not describe the spectrum, the misfit asks for wider intervals as well;
+the larger of both counts, since what changes over time is also one reason why a model does not fit.
 
 Sources: Cochran (1954), Biometrics 10, 101 (Q); Birge (1932), Physical Review 40, 207 (the ratio);
 DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett
@@ -11,8 +12,9 @@ DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread betwee
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -29,6 +31,8 @@ _NARROW = 0.8
 _NOUGHT = 0.02
 #: Relative spread between segments from which a user should look before using the numbers.
 _NOTABLE = 0.05
+#: Of a model that describes the record.
+_NONE: Mapping[str, float] = MappingProxyType({})
 
 
 def homogeneity(
@@ -79,25 +83,39 @@ def bartlett_correction(information: FloatArray) -> float:
     return 1 + part / (3 * (information.size - 1))
 
 
-def widened(estimates: Iterable[Estimate], segments: Segments | None) -> tuple[Estimate, ...]:
-    """Return the estimates with intervals as wide as the segments ask for.
+def widened(
+    estimates: Iterable[Estimate], segments: Segments | None, misfits: Mapping[str, float] = _NONE
+) -> tuple[Estimate, ...]:
+    """Return the estimates with intervals as wide as the segments and the misfit ask for.
 
     A slow term that then reaches down to zero is bounded.
+
+    Parameters
+    ----------
+    estimates
+        As the likelihood gives them.
+    segments
+        What the parts of the record say; None for nothing.
+    misfits
+        Symbol -> factor where the model does not describe the record.
     """
-    if segments is None:
-        return tuple(estimates)
-    return tuple(_wider(estimate, segments.widening(estimate.symbol)) for estimate in estimates)
+    return tuple(_wider(estimate, _factor(estimate.symbol, segments, misfits)) for estimate in estimates)
 
 
 def widened_covariance(
-    names: tuple[str, ...], covariance: FloatArray, segments: Segments | None
+    names: tuple[str, ...],
+    covariance: FloatArray,
+    segments: Segments | None,
+    misfits: Mapping[str, float] = _NONE,
 ) -> FloatArray:
     """Return the covariance of parameters, shape (p, p), that belongs to the wider intervals."""
-    if segments is None:
-        return covariance
-    factor = np.array([segments.widening(symbol_of(name.partition(".")[0])) for name in names])
+    factor = np.array([_factor(symbol_of(name.partition(".")[0]), segments, misfits) for name in names])
     wider: FloatArray = covariance * np.outer(factor, factor)
     return wider
+
+
+def _factor(symbol: str, segments: Segments | None, misfits: Mapping[str, float]) -> float:
+    return max(segments.widening(symbol) if segments else 1.0, misfits.get(symbol, 1.0))
 
 
 def nonstationary_finding(

@@ -46,7 +46,8 @@ class Estimate:
     alternatives
         Symbols of terms that may stand in this one's place: to this record they are one thing.
     widening
-        By what factor the interval is wider than the likelihood says, because the record's segments differ.
+        By what factor the interval is wider than the likelihood says, because the record's segments differ
+        or the model does not describe it.
     origin
         What the number is, where it is no estimate of one record: a bound over many units.
     """

@@ -344,7 +344,7 @@ def _widened(
         # Of the square, relative to the upper end where the mean is not told from zero.
         spread = 0.5 * spread / max(value, 0.5 * high) ** 2
     low, high = min(low, joint.low), max(high, joint.high)
-    widening = max((high - low) / (joint.high - joint.low), 1.0)
+    widening = joint.widening * max((high - low) / (joint.high - joint.low), 1.0)
     if low <= 0 or value <= 0:
         return replace(Estimate.bounded(test.key, test.symbol, high), widening=widening), spread
     estimate = replace(joint, status="estimated", value=value, low=low, high=high, widening=widening)

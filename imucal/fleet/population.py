@@ -239,7 +239,7 @@ def _unlabelled(values: LogValues) -> tuple[Finding, ...]:
     text = (
         f"{100 * share:.0f} % of the logs only bound this term: longer logs would say more than more units."
     )
-    return (Finding(level="info", code="weak-term", text=f"{text}."),)
+    return (Finding(level="info", code="weak-term", text=text),)
 
 
 def _interval(limits: FloatArray) -> Interval:

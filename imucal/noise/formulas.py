@@ -86,14 +86,17 @@ def gauss_markov_dct(
     a = np.exp(-log_time)
     phi, one_minus = np.exp(-a), -np.expm1(-a)
     power = -np.expm1(-2 * a)
-    den = one_minus**2 + phi * lam
-    ends = sign * np.exp(-length * a)
-    share = 2 * phi * one_minus * (2 - lam / 2) / (length * (1 + phi) * den)
-    bracket = 1 - (1 - ends) * share
+    inverse = 1 / (one_minus**2 + phi * lam)
+    share = (2 * phi * one_minus / (1 + phi)) * ((2 - lam / 2) / length) * inverse
     # d/dlog T of a is -a; every factor's logarithmic slope follows from that.
-    slope_den = a * phi * (lam - 2 * one_minus) / den
+    slope_den = (a * phi) * (lam - 2 * one_minus) * inverse
     slope_power = -2 * a * np.exp(-2 * a) / power
     slope_share = share * (a - a * phi * (1 / one_minus + 1 / (1 + phi)) - slope_den)
-    slope_bracket = ends * length * a * share - (1 - ends) * slope_share
-    shape = power / den
+    bracket, slope_bracket = 1 - share, -slope_share
+    # The end of the series is seen by bins of a single ordinate, which are few.
+    single = np.flatnonzero(sign)
+    ends = sign[single] * np.exp(-length[single] * a)
+    bracket[:, single] += ends * share[:, single]
+    slope_bracket[:, single] += ends * (length[single] * a * share[:, single] + slope_share[:, single])
+    shape = power * inverse
     return shape * bracket, shape * (bracket * (slope_power - slope_den) + slope_bracket)

@@ -8,6 +8,8 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Clock
 from imucal.findings import Finding
+from imucal.mapped import blocks
+from imucal.readers.room import Room
 from imucal.recording import AXES, Axis, AxisSeries, Recording, Sensor, Source, Temperature
 
 
@@ -23,12 +25,15 @@ class RecordingBuilder:
         What was decided, and why, in order.
     findings
         What was seen, in order; what is said twice is kept once.
+    room
+        Where samples are put that are not kept as they are.
     """
 
     path: str
     format: str
     decisions: list[tuple[str, str]] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
+    room: Room = field(default_factory=Room)
     series: list[AxisSeries] = field(default_factory=list)
     temperature: Temperature | None = None
 
@@ -55,13 +60,13 @@ class RecordingBuilder:
             Samples to keep, in order, shape (clock.n,); None for all.
         """
         for axis, values in zip(names, axes, strict=True):
-            samples = _scaled(_kept(values, order), scale)
+            samples = _scaled(_kept(values, order, self.room), scale, self.room)
             self.series.append(AxisSeries(sensor=sensor, axis=axis, samples=samples, clock=clock))
 
     def add_temperature(self, samples: FloatArray, clock: Clock, *, order: IntArray | None = None) -> None:
         """Add a temperature in degrees Celsius, shape (n,); only the first one is kept."""
         if self.temperature is None:
-            self.temperature = Temperature(samples=_kept(samples, order), clock=clock)
+            self.temperature = Temperature(samples=_kept(samples, order, self.room), clock=clock)
 
     def build(self, *, topics: Sequence[str], message_types: Sequence[str] = ()) -> Recording:
         """Return the recording."""
@@ -80,16 +85,16 @@ class RecordingBuilder:
         )
 
 
-def _kept(values: FloatArray, order: IntArray | None) -> FloatArray:
-    """Return the samples to keep side by side in memory."""
-    return np.ascontiguousarray(values) if order is None else values[order]
+def _kept(values: FloatArray, order: IntArray | None, room: Room) -> FloatArray:
+    """Return the samples to keep side by side."""
+    return np.ascontiguousarray(values) if order is None else room.taken(values, order)
 
 
-def _scaled(samples: FloatArray, scale: float) -> FloatArray:
+def _scaled(samples: FloatArray, scale: float, room: Room) -> FloatArray:
     """Return samples in SI; in place where they are this package's own memory."""
     if scale == 1.0:
         return samples
-    if samples.flags.writeable:
-        np.multiply(samples, scale, out=samples)
-        return samples
-    return samples * scale
+    scaled = samples if samples.flags.writeable else room.empty(samples.size, np.float64)
+    for part in blocks(samples.size, samples, scaled):
+        np.multiply(samples[part], scale, out=scaled[part])
+    return scaled

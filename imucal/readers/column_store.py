@@ -1,73 +1,28 @@
 """Columns of numbers while a log is read: in memory, or in a temporary file above a limit of bytes.
 
 `Columns` are written at any place by several threads, their number of samples known beforehand; a
-`GrowingColumn` takes block after block. The file has no name, so nothing is left behind whatever happens.
+`GrowingColumn` takes block after block.
 """
 
 import mmap
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.errors import ReadError
+from imucal.mapped import blocks, release
+from imucal.readers.room import Spill
 from imucal.recording import Sensor
-from imucal.resources import memory_limit
+from imucal.resources import column_limit
 
 #: Bytes written before their pages are given back to the system.
 _FLUSH = 1 << 25
+#: Bytes that wait for the temporary file.
+_PIECE = 1 << 22
 #: Values that a growing column has room for at first.
 _FIRST = 1 << 16
-
-
-class _Spill:
-    """The temporary file of some columns."""
-
-    def __init__(self) -> None:
-        self._file = tempfile.TemporaryFile(prefix="imucal-")  # noqa: SIM115 - closed when it is mapped
-        self._size = 0
-
-    def write(self, values: NDArray[Any]) -> None:
-        """Append values."""
-        self._size += values.nbytes
-        try:
-            self._file.write(values.data)
-        except OSError as error:
-            raise self._full(error) from error
-
-    def become_float(self) -> None:
-        """Turn the integers written so far into floats, which take as many bytes."""
-        if self._size:
-            integers, _ = self._map(np.int64)
-            self._file.seek(0)
-            self._file.write(integers.astype(np.float64).data)
-
-    def take(self, dtype: np.dtype[Any], size: int = 0) -> tuple[NDArray[Any], mmap.mmap]:
-        """Return an array of all that was written, or of `size` bytes; the file vanishes with it."""
-        try:
-            if size:
-                self._size = size
-                self._file.truncate(size)
-            return self._map(dtype)
-        except OSError as error:
-            raise self._full(error) from error
-        finally:
-            self._file.close()
-
-    def _map(self, dtype: type[Any] | np.dtype[Any]) -> tuple[NDArray[Any], mmap.mmap]:
-        self._file.flush()
-        held = mmap.mmap(self._file.fileno(), self._size)
-        return np.frombuffer(held, dtype=dtype), held
-
-    def _full(self, error: OSError) -> ReadError:
-        where = Path(tempfile.gettempdir())
-        return ReadError(
-            f"{where}: no room for {self._size / 1e9:.1f} GB of samples: {error.strerror or error}"
-        )
 
 
 class Columns:
@@ -88,10 +43,11 @@ class Columns:
     ) -> None:
         shape = (2 + 3 * len(sensors) + int(temperature), n)
         size = 8 * shape[0] * n
+        self._limit = limit
         self._map: mmap.mmap | None = None
         self._written = 0
-        if size > (memory_limit() if limit is None else limit):
-            values, self._map = _Spill().take(np.dtype(np.float64), size)
+        if size > (column_limit() if limit is None else limit):
+            values, self._map = Spill().take(np.dtype(np.float64), size)
             self._data: FloatArray = values.reshape(shape)
         else:
             self._data = np.empty(shape)
@@ -122,14 +78,20 @@ class Columns:
 
     def release(self) -> None:
         """Hand the pages of a mapped file back to the system; they are read again when used."""
-        if self._map is not None and hasattr(self._map, "madvise"):
-            self._map.madvise(mmap.MADV_DONTNEED)
+        if self._map is not None:
+            release(self._data)
 
     def joined(self, other: "Columns") -> "Columns":
         """Return these samples and those of `other` behind them."""
-        both = Columns(self.n + other.n, tuple(self.vectors), temperature=self.temperature is not None)
+        both = Columns(
+            self.n + other.n,
+            tuple(self.vectors),
+            temperature=self.temperature is not None,
+            limit=self._limit,
+        )
         for row, first, second in zip(both.rows, self.rows, other.rows, strict=True):
-            row[: self.n], row[self.n :] = first, second
+            copy_to(row[: self.n], first)
+            copy_to(row[self.n :], second)
         return both
 
     def keep_spans(self, spans: list[tuple[int, int]]) -> None:
@@ -139,19 +101,25 @@ class Columns:
             if start != end:
                 for row in self.rows:
                     # Forward moves of overlapping ranges: NumPy copies through a buffer where they overlap.
-                    row[end : end + stop - start] = row[start:stop]
+                    copy_to(row[end : end + stop - start], row[start:stop])
             end += stop - start
         self._keep_first(end)
 
-    def reorder(self, order: IntArray) -> None:
-        """Take the samples in another order, row by row."""
+    def reorder(self, first: int, order: IntArray) -> None:
+        """Put the samples from `first` on in another order, in place, row by row; `order` counts from it."""
         for row in self.rows:
-            row[: order.size] = row[order]
-        self._keep_first(order.size)
+            part = row[first : first + order.size]
+            part[:] = part[order]
 
     def _keep_first(self, n: int) -> None:
         if n != self.n:
             self._view(self._data[:, :n], tuple(self.vectors), temperature=self.temperature is not None)
+
+
+def copy_to(target: NDArray[Any], source: NDArray[Any]) -> None:
+    """Copy an array block by block; the pages of mapped ones are handed back."""
+    for part in blocks(source.size, target, source):
+        target[part] = source[part]
 
 
 def map_stream(stream: BinaryIO, size: int) -> mmap.mmap:
@@ -164,7 +132,7 @@ def map_stream(stream: BinaryIO, size: int) -> mmap.mmap:
     ReadError
         If there is no room for the file.
     """
-    spill, left = _Spill(), size
+    spill, left = Spill(), size
     while left:
         piece = stream.read(min(left, _FLUSH))
         if not piece:
@@ -182,12 +150,14 @@ def join_rows(pieces: Sequence[Sequence[FloatArray]], *, limit: int | None = Non
     """
     rows = [sum(piece.size for piece in row) for row in pieces]
     size = 8 * sum(rows)
-    spilled = size > (memory_limit() if limit is None else limit)
-    held = _Spill().take(np.dtype(np.float64), size)[0] if spilled else np.empty(sum(rows))
+    spilled = size > (column_limit() if limit is None else limit)
+    held = Spill().take(np.dtype(np.float64), size)[0] if spilled else np.empty(sum(rows))
     joined, start = [], 0
     for row, n in zip(pieces, rows, strict=True):
-        joined.append(np.concatenate(row, out=held[start : start + n]) if n else held[start:start])
-        start += n
+        joined.append(held[start : start + n])
+        for piece in row:
+            copy_to(held[start : start + piece.size], piece)
+            start += piece.size
     return joined
 
 
@@ -209,7 +179,7 @@ class GrowingColumn:
         room = min(max(expected, _FIRST), limit // 8 + _FIRST)
         self._held: NDArray[Any] = np.empty(room, dtype=dtype)
         self._filled = 0
-        self._file: _Spill | None = None
+        self._file: Spill | None = None
 
     def append(self, values: NDArray[Any]) -> None:
         """Append a block; a block of floats turns a column of integers into one of floats."""
@@ -225,8 +195,11 @@ class GrowingColumn:
         self._held[self._filled : stop] = values
         self._filled = stop
         if self._filled * self._held.itemsize > self._limit:
-            self._file = self._file or _Spill()
+            self._file = self._file or Spill()
             self._spill(self._file)
+            # What follows need not wait in memory.
+            self._limit = min(self._limit, _PIECE)
+            self._held = self._held[: self._limit // 8 + _FIRST].copy()
 
     def take(self) -> NDArray[Any]:
         """Return all values as one array, and forget them."""
@@ -240,16 +213,18 @@ class GrowingColumn:
         self._file = None
         return values
 
-    def _spill(self, file: _Spill) -> None:
+    def _spill(self, file: Spill) -> None:
         file.write(self._held[: self._filled])
         self._filled = 0
 
 
-def is_constant(rows: FloatArray) -> bool:
-    """Say whether no row of samples ever changes; the first thousand mostly tell."""
-    return all(bool(_same(row[:1000]).all()) and bool(_same(row).all()) for row in rows if row.size)
+def is_constant(rows: NDArray[Any]) -> bool:
+    """Say whether no row of samples ever changes; the first block mostly tells."""
+    return all(_same(row) for row in rows if row.size)
 
 
-def _same(row: FloatArray) -> NDArray[np.bool_]:
-    """Return where a row is what it is at first."""
-    return np.isnan(row) if np.isnan(row[0]) else row == row[0]
+def _same(row: NDArray[Any]) -> bool:
+    """Return whether a row is always what it is at first."""
+    first = row[0]
+    parts = (row[part] for part in blocks(row.size, row, size=_FIRST))
+    return all(bool((np.isnan(part) if np.isnan(first) else part == first).all()) for part in parts)

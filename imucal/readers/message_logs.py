@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucal.arrays import BoolArray
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
+from imucal.mapped import blocks
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks
 from imucal.readers.column_store import Columns, is_constant
@@ -30,7 +31,9 @@ from imucal.readers.messages import (
 from imucal.readers.messages.fields_text import parse_fields_text
 from imucal.readers.messages.frames import first_frames
 from imucal.readers.messages.leaves import MOST
+from imucal.readers.out_of_order import steps_back, unsorted
 from imucal.readers.read_options import Progress, ReadOptions
+from imucal.readers.room import Room
 from imucal.readers.tables.columns import Triad
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.recording import Recording, Sensor
@@ -149,7 +152,7 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
         streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
     decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
-    work = RecordingBuilder(path=str(path), format=form)
+    work = RecordingBuilder(path=str(path), format=form, room=Room(options.memory_limit))
     work.findings += [finding for container in containers for finding in container.findings]
     work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
     work.decisions += first_frames(containers, choices)
@@ -241,8 +244,8 @@ def _add_topic(
     work: RecordingBuilder, choice: Choice, columns: Columns, options: ReadOptions, *, alone: bool
 ) -> None:
     """Add the sensors of one topic."""
-    work.findings += [*_other_vectors(choice.topic), *_in_time_order(columns)]
-    reading = _clock(work.path, choice, columns, options)
+    work.findings += [*_other_vectors(choice.topic), *_in_time_order(columns, work.room)]
+    reading = _clock(work, choice, columns, options)
     clock, order = reading.clock, reading.order
     label = choice.sensors[0].short if not alone and len(choice.sensors) == 1 else None
     work.findings += [replace(finding, axis=label) for finding in reading.findings]
@@ -274,53 +277,61 @@ def _other_vectors(topic: Topic) -> list[Finding]:
     return [Finding(level="warning", code="other-vectors", text=text)]
 
 
-def _in_time_order(columns: Columns) -> list[Finding]:
+def _in_time_order(columns: Columns, room: Room) -> list[Finding]:
     """Sort samples by log time where the file does not hold them in that order, in place.
 
     Files are joined, channels merged and chunks written by several threads; a recorder's clock that was
-    set back is none of these. So the sort is undone where it brings the stamps out of order.
+    set back is none of these. So nothing is sorted where it brings the stamps out of order.
     """
-    late = _steps_back(columns.log)
+    late = steps_back(columns.log)
     if not late:
         return []
-    order = np.argsort(columns.log, kind="stable")
-    if _steps_back(columns.stamps[order]) > _steps_back(columns.stamps):
+    orders = [
+        (first, np.argsort(columns.log[first:stop], kind="stable")) for first, stop in unsorted(columns.log)
+    ]
+    sorted_stamps = room.copied(columns.stamps)
+    for first, order in orders:
+        sorted_stamps[first : first + order.size] = columns.stamps[first + order]
+    if steps_back(sorted_stamps) > steps_back(columns.stamps):
         text = f"The log time goes back {late} times; the stamps do not, so the order of the file is kept."
     else:
-        columns.reorder(order)
+        for first, order in orders:
+            columns.reorder(first, order)
         text = f"{late} messages stand in the file before earlier ones; they were put in order of log time."
     return [Finding(level="info", code="log-out-of-order", text=text)]
 
 
-def _steps_back(times: NDArray[np.int64]) -> int:
-    return int(np.count_nonzero(times[1:] < times[:-1]))
-
-
-def _clock(path: str, choice: Choice, columns: Columns, options: ReadOptions) -> ClockReading:
+def _clock(work: RecordingBuilder, choice: Choice, columns: Columns, options: ReadOptions) -> ClockReading:
     own = choice.topic.imu is not None and choice.topic.imu.stamp is not None
     by_log = options.time == "log"
     return clock_from_stamps(
         columns.log if by_log else columns.stamps,
         source=LOG_TIME if by_log else (_HEADER if own else "stamp"),
-        where=f"{path}: topic {choice.topic.name}",
+        where=f"{work.path}: topic {choice.topic.name}",
         log_ns=columns.log,
         rate_hz=options.rate_hz,
-        repeated=_repeated(columns),
+        repeated=_repeated(columns, work.room),
+        room=work.room,
     )
 
 
-def _repeated(columns: Columns) -> NDArray[np.bool_] | None:
+def _repeated(columns: Columns, room: Room) -> BoolArray | None:
     """Return the samples recorded twice: same stamp and same six values; None where there are none."""
-    same = np.flatnonzero(columns.stamps[1:] == columns.stamps[:-1]) + 1
+    stamps = columns.stamps
+    found = [
+        np.flatnonzero(stamps[part.start + 1 : part.stop + 1] == stamps[part]) + part.start + 1
+        for part in blocks(columns.n - 1, stamps)
+    ]
+    same = np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
     if not same.size or len(columns.vectors) < 2:
         return None
-    twin = columns.stamps[same] != 0
+    twin = stamps[same] != 0
     for rows in columns.vectors.values():
         for row in rows:
             twin &= row[same] == row[same - 1]
     if not twin.any():
         return None
-    repeated = np.zeros(columns.n, dtype=np.bool_)
+    repeated = room.made(columns.n, np.bool_, lambda _: False)
     repeated[same[twin]] = True
     return repeated
 

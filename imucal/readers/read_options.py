@@ -41,8 +41,8 @@ class ReadOptions:
     strict
         Refuse a log that is damaged instead of recovering what is whole.
     memory_limit
-        Bytes of samples to hold in memory before a temporary file takes them; None for a quarter
-        of the machine's memory.
+        Bytes of samples to hold in memory before a temporary file takes them; None for
+        `imucal.resources.column_limit`.
     progress
         Called now and then while reading.
     """

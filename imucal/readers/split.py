@@ -14,7 +14,7 @@ from imucal.readers.join_checks import overlap, span_ns, why_not_one
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import read_many
 from imucal.recording import AxisSeries, Recording, Temperature
-from imucal.resources import memory_limit
+from imucal.resources import column_limit
 
 #: Two parts of one recording may differ this much in their measured rates.
 _SAME_RATE = 0.01
@@ -42,7 +42,7 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
         # A gyroscope's file and an accelerometer's, perhaps with one of their times.
         return _named(found, ordered)
     # Half of what may be held is for the parts, half for what they become.
-    limit = options.memory_limit or memory_limit()
+    limit = options.memory_limit or column_limit()
     part_options = replace(options, memory_limit=max(1, limit // (2 * len(ordered))))
     parts = [load(f).read(path, part_options) for path, f in zip(ordered, formats, strict=True)]
     ordered, parts = _in_time_order(ordered, parts)

@@ -115,7 +115,7 @@ def _method_paragraphs(axis: AxisReport) -> list[Markup]:
         element(
             "p",
             "The misfit score is a standard normal number: between −3 and 3 the model describes the data; "
-            "above 3 something else is in them, and the intervals are too narrow.",
+            "above 3 something else is in them, and the intervals are widened to allow for it.",
         ),
     ]
 

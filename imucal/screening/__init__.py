@@ -5,7 +5,9 @@ from functools import partial
 from typing import TypeAlias
 
 from imucal.findings import Finding
-from imucal.recording import Recording
+from imucal.mapped import release
+from imucal.parallel import side_by_side
+from imucal.recording import AxisSeries, Recording
 from imucal.screening.motion import check_motion, check_tremor, check_turned
 from imucal.screening.profile import Profile, profile
 from imucal.screening.rolloff import check_roll_off
@@ -49,30 +51,35 @@ _AXIS_CHECKS: tuple[AxisCheck, ...] = (check_not_finite, check_stuck, check_satu
 _NOISE_CHECKS: tuple[AxisCheck, ...] = (check_steps, check_warm_up, check_tones, check_roll_off)
 
 
-def screen(recording: Recording) -> tuple[Finding, ...]:
+def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
     """Return what speaks against trusting a recording, worst first; empty for a good one.
 
     Codes: ``absurd-rate``, ``no-data``, ``not-finite``, ``stuck``, ``saturated``, ``held-samples``,
     ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``, ``no-gravity``, ``motion``,
     ``touch``, ``step``, ``warm-up``, ``temperature``, ``tone``, ``roll-off``.
     What reading the log has said already is not said again. The samples are passed once, in blocks;
-    NaN and gaps are left out, and fewer than 16 samples in a row say nothing.
+    NaN and gaps are left out, and fewer than 16 samples in a row say nothing. So many axes as `workers`
+    are passed at a time; the findings are the same for any number.
     """
     said = {(finding.code, finding.axis) for finding in recording.findings}
-    findings = [finding for finding in _all_findings(recording) if (finding.code, finding.axis) not in said]
+    every = _all_findings(recording, workers)
+    findings = [finding for finding in every if (finding.code, finding.axis) not in said]
     order = ("error", "warning", "info")
     return tuple(sorted(findings, key=lambda finding: order.index(finding.level)))
 
 
-def _all_findings(recording: Recording) -> Iterator[Finding]:
+def _all_findings(recording: Recording, workers: int) -> Iterator[Finding]:
     """Yield what each check says, in the order of the tables; one that can't judge says that."""
-    profiles: list[Profile] = []
-    for series in recording.series:
+
+    def made(series: AxisSeries) -> tuple[Profile | None, tuple[Finding, ...]]:
         what = "The axis can't be screened"
-        made, failed = try_side_work(
-            partial(profile, series), None, what=what, code=_FAILED, axis=series.name
-        )
-        profiles += [made] if made else []
+        judged = try_side_work(partial(profile, series), None, what=what, code=_FAILED, axis=series.name)
+        release(series.samples)
+        return judged
+
+    profiles: list[Profile] = []
+    for one, failed in side_by_side(made, recording.series, workers=workers):
+        profiles += [one] if one else []
         yield from failed
     empty = [finding for p in profiles for finding in check_no_data(p)]
     dead = {finding.axis for finding in empty}

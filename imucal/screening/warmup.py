@@ -6,6 +6,7 @@ from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.screening.profile import Blocks, Profile, blocks
 from imucal.screening.words import amount, time
+from imucal.solvers import non_negative
 
 #: Numbers of means tried: many see a quick warm-up, few average more noise away. With each, how many
 #: deviations of the wander over as long a span the drift must be; few means know that wander less well.
@@ -61,12 +62,10 @@ def _drifts(level: FloatArray, limit: float) -> bool:
 
 def _wander(spans: FloatArray, squares: FloatArray) -> FloatArray:
     """Return 2 a + b k fitted to the mean squares over spans k, a and b not negative."""
-    from scipy.optimize import nnls
-
     # The relative deviation of a mean square grows as sqrt(k): it holds fewer independent spans.
     weight = 1 / (squares * np.sqrt(spans))
     design = np.stack([np.ones_like(spans), spans], axis=1)
-    coefficients, _ = nnls(design * weight[:, None], squares * weight)
+    coefficients, _ = non_negative(design * weight[:, None], squares * weight)
     wander: FloatArray = np.maximum(design @ coefficients, squares)
     return wander
 

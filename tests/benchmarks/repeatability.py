@@ -1,12 +1,16 @@
 """Whether repeats of one measurement agree within their intervals, on real and on simulated records.
 
     python tests/benchmarks/repeatability.py real [--model auto] [--segments 8 1]
+    python tests/benchmarks/repeatability.py control --records 10 --seed 1 [--model auto]
     python tests/benchmarks/repeatability.py simulated --records 100 --seed 1 [--truth "N + B" …]
 
 `real`: the quarters and halves of each run of the ADIS16405 (two runs of 1e6 samples at 100 Hz, six
 axes), and run against run, from the folder that IMUCAL_REAL_DATA names. A pair disagrees where the
 score of its difference (as `imucal compare` has it) is beyond 1.96: 5 of 100 by chance; two bounds
 agree. Overdispersion is sqrt(chi2/dof) of the logarithms of those that are shown: 1 by chance.
+
+`control`: what the quarters of such records give by chance: the same statistics of stationary simulations
+of the models that were fitted to each whole run; medians and 95 % ranges over the simulated sets.
 
 `simulated`: stationary records, 33 min at 100 Hz: of how many axes any interval was widened, and how
 much wider the intervals are on average (logarithm of high over low; of the bound where there is none).
@@ -77,6 +81,43 @@ def chi_squared(estimates: list[Estimate]) -> tuple[float, int]:
     return float(np.sum(((logs - mean) / error) ** 2)), len(shown) - 1
 
 
+def agreement(groups: list[list[NoiseFit]], symbol: str) -> tuple[float, int, float, int]:
+    """Return the share of pairs that disagree, of how many; the overdispersion and its degrees of freedom."""
+    pairs = [
+        disagree(a[symbol], b[symbol], a.level)
+        for group in groups
+        for a, b in itertools.combinations(group, 2)
+    ]
+    squares = [chi_squared([fit[symbol] for fit in group]) for group in groups]
+    dof = sum(d for _, d in squares)
+    over = math.sqrt(sum(s for s, _ in squares) / dof) if dof else math.nan
+    return float(np.mean(pairs)), len(pairs), over, dof
+
+
+def control(model: str, records: int, seed: int) -> None:
+    """Print what stationary records of the fitted models give by chance."""
+    models = [(imucal.fit(series, model=model).model, series.n) for _, _, series in real_axes()]
+    found: dict[str, list[tuple[float, int, float, int]]] = {symbol: [] for symbol in ALWAYS}
+    for record in range(records):
+        groups = []
+        for number, (truth, n) in enumerate(models):
+            rng = np.random.default_rng([seed, record, number])
+            samples = truth.simulate(n, rate_hz=RATE_HZ, rng=rng)
+            series = imucal.AxisSeries.from_samples(samples, rate_hz=RATE_HZ)
+            groups.append([imucal.fit(part, model=model) for part in parts_of(series, 4)])
+        for symbol in ALWAYS:
+            found[symbol].append(agreement(groups, symbol))
+    cells = []
+    for symbol in ALWAYS:
+        shares = 100 * np.array([share for share, _, _, _ in found[symbol]])
+        over = np.array([value for _, _, value, dof in found[symbol] if dof])
+        dof = np.median([dof for _, _, _, dof in found[symbol]])
+        spans = (np.quantile(values, [0.025, 0.5, 0.975]) for values in (shares, over) if values.size)
+        said = " · ".join(f"{middle:.3g} ({low:.3g} to {high:.3g})" for low, middle, high in spans)
+        cells.append(f"{said}, {dof:.0f} degrees of freedom")
+    print(f"| quarters, {records} simulated sets | {' | '.join(cells)} |", flush=True)
+
+
 def real(model: str, segments: int) -> None:
     """Print the table of the real records."""
     fits: dict[tuple[str, int, str], list[NoiseFit]] = {}
@@ -91,17 +132,10 @@ def real(model: str, segments: int) -> None:
             groups = [fits[name, 1, kind] + fits[name, 2, kind] for name in names]
         cells = []
         for symbol in ALWAYS:
-            pairs = [
-                disagree(a[symbol], b[symbol], a.level)
-                for group in groups
-                for a, b in itertools.combinations(group, 2)
-            ]
-            squares = [chi_squared([fit[symbol] for fit in group]) for group in groups]
-            dof = sum(d for _, d in squares)
-            over = f"{math.sqrt(sum(s for s, _ in squares) / dof):.2f}" if dof else "–"
+            share, pairs, over, dof = agreement(groups, symbol)
             widening = [fit[symbol].widening for group in groups for fit in group]
             cells.append(
-                f"{100 * np.mean(pairs):.0f} % of {len(pairs)} · {over} · "
+                f"{100 * share:.0f} % of {pairs} · {over:.2f} of {dof} · "
                 f"{np.median(widening):.2f}, {max(widening):.1f}"
             )
         print(f"| {kind}, segments {segments} | {' | '.join(cells)} |", flush=True)
@@ -132,7 +166,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["real", "simulated"])
+    parser.add_argument("what", choices=["real", "control", "simulated"])
     parser.add_argument("--model", default="auto")
     parser.add_argument("--segments", type=int, nargs="*", default=[1, 8])
     parser.add_argument("--records", type=int, default=100)
@@ -144,6 +178,11 @@ def main() -> None:
         print(f"| {options.model} | {' | '.join(heads)} |\n|{'---|' * 4}")
         for segments in options.segments:
             real(options.model, segments)
+        return
+    if options.what == "control":
+        heads = [f"{s}: % of pairs that disagree · overdispersion" for s in ALWAYS]
+        print(f"| {options.model} | {' | '.join(heads)} |\n|{'---|' * 4}")
+        control(options.model, options.records, options.seed)
         return
     print(f"| truth | axes widened, of 100 | {' | '.join(f'{s} wider by' for s in ALWAYS)} | CPU s |")
     print(f"|{'---|' * 6}")

@@ -150,3 +150,12 @@ def test_parts_of_the_record_are_compared_unless_asked_not_to(tmp_path: Path) ->
     refused = run("fit", "log.csv", "--segments", "0", cwd=tmp_path)
     assert refused.returncode == 2
     assert "1<=x<=64" in refused.stderr
+
+
+def test_axes_fitted_at_a_time_change_nothing_in_the_report(tmp_path: Path) -> None:
+    """`--jobs` is how, not what: the same JSON to the byte; no axis at a time is a usage error."""
+    command = ["fit", SHORT, "--json", "--no-report", "-q", "--jobs"]
+    one, two, none = (run(*command, jobs, cwd=tmp_path) for jobs in "120")
+    assert (one.returncode, two.returncode, none.returncode) == (0, 0, 2)
+    assert one.stdout == two.stdout != ""
+    assert "--jobs" in none.stderr

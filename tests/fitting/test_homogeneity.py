@@ -146,6 +146,17 @@ def test_correlation_time_is_widened_too() -> None:
     npt.assert_allclose([found.correlation_time.low, found.correlation_time.high], [2.5, 40.0])
 
 
+def test_the_larger_of_segments_and_misfit_counts() -> None:
+    """Not their product: what changes over time is one reason why a model does not fit."""
+    terms = [estimate(key, 1.0, 0.9, 1.1) for key in ("N", "B")]
+    changing = segments(term("N", 28.0), term("B", 28.0))
+    found = {e.key: e.widening for e in widened(terms, changing, {"N": 1.5, "B": 3.0})}
+    assert found == {"N": 2.0, "B": 3.0}
+    assert [e.widening for e in widened(terms, None, {"B": 3.0})] == [1.0, 3.0]
+    covariance = widened_covariance(("N", "B"), np.eye(2), changing, {"N": 1.5, "B": 3.0})
+    npt.assert_allclose(covariance, np.diag([4.0, 9.0]))
+
+
 def test_covariance_is_that_of_the_wider_intervals() -> None:
     """Standard errors grow by the factors, correlations stay."""
     covariance = np.array([[4.0, 1.0], [1.0, 9.0]])

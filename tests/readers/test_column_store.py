@@ -44,7 +44,7 @@ def test_columns_are_cut_ordered_and_joined(limit: int) -> None:
         row[:] = np.arange(100)
     columns.keep_spans([(5, 10), (20, 60)])
     expected = np.r_[5:10, 20:60]
-    columns.reorder(np.arange(columns.n)[::-1])
+    columns.reorder(0, np.arange(columns.n)[::-1])
     columns.release()
     both = columns.joined(columns)
     for one, times in ((columns, 1), (both, 2)):

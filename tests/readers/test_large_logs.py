@@ -14,6 +14,7 @@ import pytest
 from imucal.errors import ReadError
 from imucal.readers import describe, read
 from imucal.readers.tables import csv_log, typed_table
+from imucal.readers.tables.mat_size import MOST_GROWTH, unpacks_to_more
 from imucal.readers.tables.npz_members import npz_arrays
 from imucal.readers.tables.text import TextSource, open_text
 from tests.cli.run import run
@@ -156,6 +157,50 @@ def test_info_reads_no_samples_of_what_unpacks_to_many(
     assert "no gaps" in run("info", "--gaps", "log.npz", cwd=tmp_path).stdout
     listed = json.loads(run("info", "--json", "log.npz", cwd=tmp_path).stdout)
     assert listed["logs"][0]["unpacked_bytes"] == 8 * 7 * 3000
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_a_matlab_file_that_is_too_large_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, packed: bool
+) -> None:
+    """Before it is unpacked, as it is read whole; each thing that the message says to do works."""
+    import scipy.io
+
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, arrays(), do_compression=packed)
+    assert path.stat().st_size < 8 * 7 * 3000 + 1000
+    monkeypatch.setenv("IMUCAL_MEMORY", str(4 * 8 * 7 * 3000))
+    with pytest.raises(ReadError) as caught:
+        read(path)
+    assert str(caught.value) == (
+        f"{path}: its arrays unpack to more than 0.168 MB, and a MAT file is read whole; expected at most a "
+        "quarter of the memory that one step may take; save them as NPZ or CSV, or let IMUCAL_MEMORY be four "
+        "times what they hold"
+    )
+    done = run("info", "log.mat", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "log.mat: its arrays unpack to more than 0.168 MB" in done.stderr
+    monkeypatch.setenv("IMUCAL_MEMORY", str(4 * (8 * 7 * 3000 + 1000)))
+    assert read(path).series[0].n == 3000
+
+
+def test_what_a_matlab_file_unpacks_to(tmp_path: Path) -> None:
+    """Counted without being kept; a damaged or cut stream as far as it goes."""
+    import scipy.io
+
+    path = tmp_path / "log.mat"
+    scipy.io.savemat(path, {"a": np.zeros(100_000), "b": np.zeros(100_000)}, do_compression=True)
+    whole = 2 * (800_000 + 56)
+    assert unpacks_to_more(path, whole - 1)
+    assert not unpacks_to_more(path, whole)
+    # A file of few bytes can't hold so much.
+    assert not unpacks_to_more(path, path.stat().st_size * MOST_GROWTH)
+    data = path.read_bytes()
+    path.write_bytes(data[:-300])
+    assert unpacks_to_more(path, 800_056)
+    assert not unpacks_to_more(path, whole - 1)
+    path.write_bytes(data[:128] + data[128:136] + bytes(len(data) - 136))
+    assert not unpacks_to_more(path, 1)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

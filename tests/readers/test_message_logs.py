@@ -9,6 +9,7 @@ from imucal.readers.message_logs import _in_time_order, _loss_findings, _repeate
 from imucal.readers.messages import Topic
 from imucal.readers.messages.topics import _said
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.room import Room
 from imucal.recording import Sensor
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
@@ -97,14 +98,14 @@ def columns(
 def test_the_order_of_the_log_time() -> None:
     """Samples are sorted, unless that brings more stamps out of order than there were."""
     held = columns([1, 3, 2, 4], [1, 3, 2, 4])
-    (found,) = _in_time_order(held)
+    (found,) = _in_time_order(held, Room())
     assert (found.level, found.code) == ("info", "log-out-of-order")
     assert found.text == (
         "1 messages stand in the file before earlier ones; they were put in order of log time."
     )
     assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
     held = columns([1, 2, 3, 4], [1, 3, 2, 4])
-    (found,) = _in_time_order(held)
+    (found,) = _in_time_order(held, Room())
     assert (found.level, found.code) == ("info", "log-out-of-order")
     assert found.text == (
         "The log time goes back 1 times; the stamps do not, so the order of the file is kept."
@@ -112,26 +113,26 @@ def test_the_order_of_the_log_time() -> None:
     assert held.vectors[GYRO][0].tolist() == [0, 1, 2, 3]
     # As many steps back before and behind: the log time decides.
     held = columns([2, 1, 4, 3], [1, 3, 2, 4])
-    assert len(_in_time_order(held)) == 1
+    assert len(_in_time_order(held, Room())) == 1
     assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
-    assert _in_time_order(columns([1, 1, 2, 2])) == []
+    assert _in_time_order(columns([1, 1, 2, 2]), Room()) == []
 
 
 def test_samples_recorded_twice() -> None:
     """The stamp and all six values repeat; zero stamps and a sensor alone tell nothing."""
     held = columns([1, 1, 2, 2])
-    assert _repeated(held) is None
+    assert _repeated(held, Room()) is None
     for rows in held.vectors.values():
         rows[:, 1] = rows[:, 0]
-    found = _repeated(held)
+    found = _repeated(held, Room())
     assert found is not None
     assert found.tolist() == [False, True, False, False]
     held.vectors[ACCEL][2, 1] = 9
-    assert _repeated(held) is None
+    assert _repeated(held, Room()) is None
     zero = columns([0, 0, 1, 2])
     alone = columns([1, 1, 2, 2], sensors=(GYRO,))
     for other in (zero, alone):
         for rows in other.vectors.values():
             rows[:] = 5
-        assert _repeated(other) is None
-    assert _repeated(columns([1, 2, 3])) is None
+        assert _repeated(other, Room()) is None
+    assert _repeated(columns([1, 2, 3]), Room()) is None

@@ -19,10 +19,11 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.fitting.moments.av_covariance import AvarCovariance, avar_covariance
 from imucal.fitting.moments.av_points import AvarPoints, columns, processes
-from imucal.fitting.moments.av_search import Solution, Weight, non_negative
+from imucal.fitting.moments.av_search import Solution, Weight
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
+from imucal.solvers import non_negative, root
 
 _ORDER = "QNBKR"
 
@@ -86,8 +87,6 @@ def limits(value: float, spread_at: Callable[[float], float], quantile: float) -
     quantile
         Chi-squared quantile with one degree of freedom.
     """
-    from scipy.optimize import brentq
-
     own = spread_at(value)
 
     def excess(trial: float) -> float:
@@ -95,7 +94,7 @@ def limits(value: float, spread_at: Callable[[float], float], quantile: float) -
 
     low = 0.0
     if excess(0.0) > 0:
-        low = float(brentq(excess, 0.0, value, xtol=1e-6 * value, rtol=1e-6))
+        low = root(excess, 0.0, value, tolerance=1e-6 * value)
     high = value + np.sqrt(quantile) * own
     for _ in range(200):
         if excess(high) > 0:
@@ -103,7 +102,7 @@ def limits(value: float, spread_at: Callable[[float], float], quantile: float) -
         high = value + 2 * (high - value)
     else:
         return low, float("inf")
-    return low, float(brentq(excess, value, high, xtol=1e-6 * high, rtol=1e-6))
+    return low, root(excess, value, high, tolerance=1e-6 * high)
 
 
 def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> Goodness:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imucal.allan.confidence import excess_kurtosis
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
@@ -158,14 +159,10 @@ def _excess_kurtosis(series: AxisSeries) -> float:
     Differences of neighbours hold white noise twice and hardly anything else, and their excess
     kurtosis is half of it. What has lighter tails than a uniform distribution is a tone, no noise.
     """
-    steps = np.diff(series.samples)
-    if steps.size < 100:
+    steps = series.n - 1
+    if steps < 100:
         return 0.0
-    square = np.square(steps - steps.mean())
-    variance = float(square.mean())
-    if variance == 0:
-        return 0.0
-    excess = float(np.mean(np.square(square / variance))) - 3.0
+    excess = excess_kurtosis(series.samples)
     # Neighbouring differences share a sample: their squares correlate by 1/4.
-    deviation = np.sqrt(24 / steps.size * 1.5)
+    deviation = np.sqrt(24 / steps * 1.5)
     return max(2 * excess, _LIGHTEST) if abs(excess) > 4 * deviation else 0.0

@@ -14,6 +14,7 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.fitting.moments.av_points import columns
+from imucal.solvers import non_negative
 
 #: Correlation times a decade in the grid.
 _PER_DECADE = 5
@@ -39,8 +40,6 @@ class Weight:
         DataError
             If the covariance is of no noise, as that of a curve that falls by many decades.
         """
-        from scipy.linalg import solve_triangular
-
         variance = np.diag(covariance)
         if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
             msg = (
@@ -58,8 +57,7 @@ class Weight:
                 "inverse; expected noise, look at the samples"
             )
             raise DataError(msg) from error
-        inverse = solve_triangular(factor, np.diag(1 / deviation), lower=True)
-        return cls(whiten=np.asarray(inverse, dtype=np.float64))
+        return cls(whiten=np.linalg.solve(factor, np.diag(1 / deviation)))
 
     @classmethod
     def of_deviations(cls, deviations: FloatArray) -> "Weight":
@@ -144,15 +142,6 @@ def minimise(
     times = np.sort(np.exp(min(found, key=lambda pair: pair[1])[0]))
     variances, objective = non_negative(np.hstack([fixed, weight.whiten @ columns(m, "", times)]), target)
     return Solution(laws=laws, times=times, variances=variances, objective=objective)
-
-
-def non_negative(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, float]:
-    """Return the non-negative least-squares solution, shape (p,), and its sum of squares."""
-    from scipy.optimize import nnls
-
-    length = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
-    solution, residual = nnls(matrix / length, target)
-    return solution / length, float(residual) ** 2
 
 
 def _best_of_grid(

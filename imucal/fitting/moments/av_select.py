@@ -18,8 +18,9 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.fitting.moments.av_intervals import CurveSpread, goodness
 from imucal.fitting.moments.av_points import AvarPoints, columns
-from imucal.fitting.moments.av_search import Solution, Weight, minimise, non_negative, time_grid
+from imucal.fitting.moments.av_search import Solution, Weight, minimise, time_grid
 from imucal.fitting.settings import CRITERIA, FitSettings
+from imucal.solvers import non_negative
 
 _LAWS = "QNBKR"
 #: Models whose screened criterion is within so much of the best are computed in full, at most so many.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.fitting.bins import Bins
+from imucal.fitting.homogeneity import widened
 from imucal.fitting.noise_fit import Estimate, Goodness
 from imucal.fitting.spectral.absent_terms import (
     add_term,
@@ -15,7 +16,7 @@ from imucal.fitting.spectral.absent_terms import (
     with_absent,
 )
 from imucal.fitting.spectral.band import find_band
-from imucal.fitting.spectral.estimates import Fitted, Problem, model_of
+from imucal.fitting.spectral.estimates import Fitted, Problem, misfits_of, model_of
 from imucal.fitting.spectral.filter_response import Band
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
@@ -87,7 +88,7 @@ def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm
         band=band,
         whole=whole,
         model=model_of(problem, fitted, own),
-        estimates=estimates,
+        estimates=widened(estimates, None, misfits_of(problem, fitted, found)),
         goodness=found,
     )
 

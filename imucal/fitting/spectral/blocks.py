@@ -23,6 +23,8 @@ _FEWEST = 64
 _LONG = 64
 #: Most blocks; the shorter ones of more long gaps are completed too.
 _MOST = 48
+#: Samples looked at at a time, so that they stay in the cache.
+_PART = 1 << 16
 #: Up to so many blocks have bins as fine as a record without gaps.
 _FINE = 4
 
@@ -119,16 +121,15 @@ def scale_of(series: AxisSeries) -> float:
             "record for longer"
         )
         raise DataError(msg)
-    largest = float(np.max(np.abs(samples)))
-    steps = np.diff(samples / largest) if largest > 0 else np.zeros(1)
-    size = float(np.sqrt(np.mean(np.square(steps)))) * largest
+    largest = max(float(samples.max()), -float(samples.min()))
+    square, bends = _steps_and_bends(samples, largest) if largest > 0 else (0.0, 0.0)
+    size = float(np.sqrt(square)) * largest
     if not (np.isfinite(size) and size > 0):
         msg = (
             f"{series.name}: all {samples.size} samples are equal, expected noise; "
             "check that the sensor was on and that its resolution shows its noise"
         )
         raise DataError(msg)
-    bends = float(np.max(np.abs(np.diff(steps))))
     if bends <= max(_STRAIGHT * size / largest, 8 * np.finfo(np.float64).eps):
         msg = (
             f"{series.name}: all {samples.size} samples lie on one straight line, expected noise; "
@@ -136,6 +137,18 @@ def scale_of(series: AxisSeries) -> float:
         )
         raise DataError(msg)
     return float(2.0 ** np.round(np.log2(size)))
+
+
+def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]:
+    """Return the mean square of the steps and the largest bend, of the samples over `largest`."""
+    total = bends = 0.0
+    for start in range(0, samples.size - 1, _PART):
+        steps = np.diff(samples[start : start + _PART + 2] / largest)
+        # The last step belongs to the next part, but where there is none.
+        own = steps[:_PART]
+        total += float(own @ own)
+        bends = max(bends, float(np.max(np.abs(np.diff(steps)), initial=0.0)))
+    return total / (samples.size - 1), bends
 
 
 def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> SeriesBlocks:

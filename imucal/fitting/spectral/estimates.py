@@ -5,14 +5,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.fitting.spectral.intervals import RAMP, profile_limits
+from imucal.fitting.noise_fit import Estimate, Goodness, Interval
+from imucal.fitting.spectral.intervals import RAMP, profile_limits, quantile, student_quantile
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
-from imucal.fitting.spectral.scoring import Maximum, covariance
+from imucal.fitting.spectral.scoring import Maximum, covariance, misfit_factors
 from imucal.fitting.spectral.structures import Structure, parameter_columns
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import TERMS, term_keys
+from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
+
+#: Misfit score from which the model does not describe the record.
+MISFIT = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,13 +76,18 @@ class Problem:
 
     def limits(self, fitted: "Fitted", columns: list[int]) -> tuple[FloatArray, FloatArray]:
         """Return the limits of some parameters of a fit, shape (k,) each; see `profile_limits`."""
-        rows = np.zeros(len(columns), dtype=np.int64)
+        rows, places = np.zeros(len(columns), dtype=np.int64), np.array(columns)
+        reach = np.full(places.size, quantile(self.level))
+        variances = (places >= 0) & (places < MARKOV + fitted.candidate.room_markov)
+        inverse = covariance(fitted.maximum.information[0], fitted.candidate.free[0])
+        deviation = np.sqrt(np.diag(inverse)[places[variances]])
+        reach[variances] = student_quantile(self.level, deviation)
         return profile_limits(
             self.ordinates,
             fitted.candidate.take(rows),
             fitted.maximum.take(rows),
-            np.array(columns),
-            level=self.level,
+            places,
+            reach=reach,
             shortest=self.shortest,
         )
 
@@ -162,6 +170,21 @@ def _slope(name: str, known: dict[str, Estimate]) -> float:
     if part == "T" and found.correlation_time is not None:
         return found.correlation_time.value
     return 0.5 * float(found.value or 0.0)
+
+
+def misfits_of(problem: Problem, fitted: Fitted, found: Goodness) -> dict[str, float]:
+    """Return for each symbol by what factor a misfit makes its interval wider, one at least; {} for none."""
+    if found.statistic < MISFIT:
+        return {}
+    factors = misfit_factors(problem.ordinates, fitted.candidate, fitted.maximum.theta)
+    missing = [symbol for symbol in ALWAYS if symbol not in fitted.structure]
+    columns = parameter_columns(in_order((*fitted.structure, *missing)), fitted.candidate.room_markov)
+    largest: dict[str, float] = {}
+    for name, column in columns:
+        if column < factors.size:
+            symbol = name.partition(".")[0].rstrip("0123456789")
+            largest[symbol] = max(largest.get(symbol, 1.0), float(factors[column]))
+    return largest
 
 
 def model_of(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> NoiseModel:

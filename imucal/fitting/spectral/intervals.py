@@ -1,9 +1,11 @@
 """Profile-likelihood limits of each parameter, also where zero is a possible value.
 
 A limit is where twice the drop of the log-likelihood, maximised over all other parameters, reaches
-the chi-squared quantile of the level. An interval that holds zero is [0, U].
+the square of a quantile: the normal one, which makes it that of chi-squared, or Student's where few
+degrees of freedom tell a variance. An interval that holds zero is [0, U].
 
-Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1987), JASA 82.
+Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1987), JASA 82; few degrees
+of freedom: Satterthwaite (1946), Biometrics Bulletin 2, 110.
 """
 
 import numpy as np
@@ -21,6 +23,9 @@ _CLOSE = 0.01
 _ROUNDS = 40
 #: A step that ends inside the limit is followed by one that is longer by this factor.
 _STRIDE = 1.7
+#: Fewest degrees of freedom that tell a variance: less is said of one near zero, whose logarithm the
+#: expansion about the maximum makes too unsure.
+_FEWEST = 10.0
 
 
 def quantile(level: float) -> float:
@@ -30,13 +35,24 @@ def quantile(level: float) -> float:
     return float(ndtri((1 + level) / 2))
 
 
+def student_quantile(level: float, deviation: FloatArray) -> FloatArray:
+    """Return Student's two-sided quantiles for variances whose logarithms have these standard errors.
+
+    That of a variance told by n degrees of freedom is the root of 2/n.
+    """
+    from scipy.special import stdtrit
+
+    freedom = np.maximum(2 / deviation**2, _FEWEST)
+    return np.asarray(stdtrit(freedom, (1 + level) / 2), dtype=np.float64)
+
+
 def profile_limits(
     ordinates: Ordinates,
     candidates: Candidates,
     maximum: Maximum,
     columns: IntArray,
     *,
-    level: float,
+    reach: FloatArray,
     shortest: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of parameter `columns[i]` of candidate i, shape (k,) each.
@@ -50,13 +66,15 @@ def profile_limits(
         One row for each parameter that is profiled; a model stands once for each of them.
     columns
         Place of the parameter in the row, or `RAMP`.
+    reach
+        Root of twice the drop at the limits of each, shape (k,): a quantile of its level.
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
     search = _ProfileSearch(
         ordinates, candidates.take(both), maximum, both, columns=columns[both], shortest=shortest
     )
-    limit = search.run(toward, quantile(level))
+    limit = search.run(toward, reach[both])
     return limit[: columns.size], limit[columns.size :]
 
 
@@ -115,11 +133,11 @@ class _ProfileSearch:
                 width[i] = min(deviation, 1.0)
         return width
 
-    def run(self, toward: FloatArray, z: float) -> FloatArray:
+    def run(self, toward: FloatArray, z: FloatArray) -> FloatArray:
         """Return the limits in log units, ±inf where there is none."""
         size = toward.size
         inside, outside = self.centre.copy(), np.full(size, np.nan)
-        z_inside, z_outside = np.full(size, -z), np.full(size, np.nan)
+        z_inside, z_outside = -z, np.full(size, np.nan)
         limit = np.full(size, np.nan)
         step = z * self.width
         active = np.ones(size, dtype=bool)
@@ -132,7 +150,7 @@ class _ProfileSearch:
             u = np.where(bracketed, secant, inside + toward * step)[rows]
             u = np.clip(u, self.low[rows], self.high[rows])
             drop, theta = self.drop(rows, u)
-            found = drop - z
+            found = drop - z[rows]
             within = found < 0
             # From inside only: far outside the other parameters may have gone to another maximum.
             self.theta[rows[within]] = theta[within]
@@ -145,7 +163,7 @@ class _ProfileSearch:
             inside[ins], z_inside[ins] = u[within], found[within]
             outside[out], z_outside[out] = u[~within], found[~within]
             step[ins] *= _STRIDE
-            near = np.abs(found) < _CLOSE * z
+            near = np.abs(found) < _CLOSE * z[rows]
             narrow = np.abs(outside[rows] - inside[rows]) < 1e-4 * np.abs(inside[rows])
             limit[rows] = np.where(unlimited, toward[rows] * np.inf, self.from_u(rows, u))
             active[rows[unlimited | near | narrow]] = False

@@ -17,7 +17,6 @@ with the response of the output filter |H|² = (1 - lam/4)^zeros / (1 + sum a_i 
 """
 
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
@@ -222,18 +221,21 @@ def _regress(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return beta (c, r), its covariance (c, r, r) and the squares it leaves in each bin (c, b)."""
     beta = np.zeros(candidates.regressors.shape)
-    number = len(ordinates.names)
-    covariance = np.zeros((candidates.count, number, number))
+    covariance = np.zeros((*candidates.regressors.shape, candidates.regressors.shape[1]))
     rest = np.broadcast_to(ordinates.power, spectrum.shape)
     rows = np.flatnonzero(candidates.regressors.any(axis=1))
     if not rows.size:
         return beta, covariance, rest
-    use = candidates.regressors[rows]
+    # Only what some candidate has: where there are many regressors, most steps are with few of them.
+    columns = np.flatnonzero(candidates.regressors.any(axis=0))
+    number = columns.size
+    grams, crosses = ordinates.gram[np.ix_(columns, columns)], ordinates.cross[columns]
+    use = candidates.regressors[np.ix_(rows, columns)]
     weight = 1 / spectrum[rows]
-    gram = np.einsum("cb,ijb->cij", weight, ordinates.gram)
-    cross = np.einsum("cb,ib->ci", weight, ordinates.cross)
+    gram = np.einsum("cb,ijb->cij", weight, grams)
+    cross = np.einsum("cb,ib->ci", weight, crosses)
     if ramp is not None:
-        held = np.isfinite(ramp[rows]) & use[:, 0]
+        held = np.isfinite(ramp[rows]) & candidates.regressors[rows, 0]
         value = np.where(held, ramp[rows], 0.0)
         cross -= gram[:, :, 0] * value[:, None]
         use = use.copy()
@@ -246,13 +248,16 @@ def _regress(
     both = size[:, :, None] * size[:, None, :]
     # The ridge is far below any error; it only keeps regressors that are alike from being singular.
     inverse = np.linalg.inv(gram / both + _RIDGE * np.eye(number)) / both
-    covariance[rows] = np.where(use[:, :, None] & use[:, None, :], inverse, 0.0)
+    covariance[np.ix_(rows, columns, columns)] = np.where(use[:, :, None] & use[:, None, :], inverse, 0.0)
     solution = np.matmul(inverse, cross[:, :, None])[:, :, 0]
     if ramp is not None:
         solution[held, 0] = value[held]
-    beta[rows] = solution
+    beta[np.ix_(rows, columns)] = solution
+    left = ordinates.power - 2 * np.einsum("ci,ib->cb", solution, crosses)
+    for i in range(number):
+        left += (solution[:, i] ** 2)[:, None] * grams[i, i]
+        for j in range(i):
+            left += (2 * solution[:, i] * solution[:, j])[:, None] * grams[i, j]
     rest = np.array(rest)
-    rest[rows] -= 2 * np.einsum("ci,ib->cb", solution, ordinates.cross)
-    for i, j in product(range(number), repeat=2):
-        rest[rows] += (solution[:, i] * solution[:, j])[:, None] * ordinates.gram[i, j]
+    rest[rows] = left
     return beta, covariance, rest

@@ -18,7 +18,7 @@ from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.disturbance_findings import disturbance_findings, with_exact_steps
 from imucal.fitting.spectral.disturbances import Disturbance, find_disturbances
-from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, model_of
+from imucal.fitting.spectral.estimates import MISFIT, Fitted, Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
 from imucal.fitting.spectral.hull import hull_estimates
 from imucal.fitting.spectral.noise_share import noise_share
@@ -35,8 +35,6 @@ from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 from imucal.side_work import findings_or_why_not, try_side_work
 
-#: Misfit score above which the model does not describe the axis.
-_MISFIT = 3.0
 #: Lines named in a finding.
 _NAMED = 4
 
@@ -119,14 +117,15 @@ def fit_mle(
         code="nonstationary",
         axis=series.name,
     )
-    estimates = widened(estimates, segments)
-    covariance = widened_covariance(names, covariance, segments)
+    misfits = misfits_of(problem, fitted, found)
+    estimates = widened(estimates, segments, misfits)
+    covariance = widened_covariance(names, covariance, segments, misfits)
     estimates, names = numbered(estimates, names)
     findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
     findings += filter_finding(
         view.ordinates, fitted, band, response, rate_hz=series.rate_hz, axis=series.name
     )
-    findings += _misfit_findings(found, str(model), series.name)
+    findings += _misfit_findings(found, misfits, str(model), series.name)
     findings += [*not_compared, *nonstationary_finding(segments, change, series.name)]
     if structure is None:
         findings += choice_findings(choice, series.name)
@@ -298,16 +297,20 @@ def _line_findings(lines: tuple[Line, ...], series: AxisSeries) -> tuple[Finding
     )
 
 
-def _misfit_findings(found: Goodness, model: str, axis: str) -> tuple[Finding, ...]:
-    if found.statistic < _MISFIT:
+def _misfit_findings(
+    found: Goodness, misfits: dict[str, float], model: str, axis: str
+) -> tuple[Finding, ...]:
+    if found.statistic < MISFIT:
         return ()
+    wider = ", ".join(f"{symbol} {factor:.3g}" for symbol, factor in misfits.items() if factor > 1)
+    allow = f" Intervals are wider to allow for that: {wider} times." if wider else ""
     return (
         Finding(
             level="warning",
             code="model-misfit",
             axis=axis,
             text=f"{model} does not describe this axis: the squared residuals of its spectrum are "
-            f"{found.chi2_per_bin:.3g} on average where 1 is expected (score {found.statistic:.1f}).",
-            advice="Look at the spectrum for what is not noise of these kinds; the intervals are too narrow.",
+            f"{found.chi2_per_bin:.3g} on average where 1 is expected (score {found.statistic:.1f}).{allow}",
+            advice="Look at the spectrum for what is not noise of these kinds.",
         ),
     )

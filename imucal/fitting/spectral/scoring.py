@@ -10,7 +10,7 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Goodness
-from imucal.fitting.spectral.likelihood import Candidates, Evaluation, evaluate
+from imucal.fitting.spectral.likelihood import Candidates, Evaluation, contributions, evaluate
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 
 #: A term whose share of every bin is below exp(-_ABSENT) is absent.
@@ -19,6 +19,10 @@ _ABSENT = 18.0
 _STEP = 1.5
 #: A parameter with less information than this is not told at all.
 _NONE = 1e-8
+#: Steps -> how far behind the best, in log-likelihood, a candidate may be from then on …
+_BEHIND = {3: 50.0, 12: 37.5, 20: 20.0}
+#: … unless its last step made up more than this share of it.
+_CATCHING_UP = 0.1
 #: Neighbouring bins are joined until they hold so many degrees of freedom.
 _JOIN = 8.0
 
@@ -55,6 +59,32 @@ class Maximum:
         return Maximum(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Race:
+    """A search among candidates of which only the best matter: the others stay where they are.
+
+    Those are given up that are far behind and do not catch up. Of those that ended within 12.5 of the
+    best, on simulated and real logs of all kinds, none was.
+
+    Attributes
+    ----------
+    handicap
+        Added to the objective of each, shape (c,): what its parameters cost.
+    """
+
+    handicap: FloatArray
+
+    def given_up(self, objective: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
+        """Return which candidates to give up after so many steps, of which the last gained `gain`; (c,)."""
+        most = [behind for first, behind in _BEHIND.items() if steps >= first]
+        if not most:
+            return np.zeros(objective.size, dtype=bool)
+        value = objective + self.handicap
+        behind = value - np.min(value)
+        hopeless: BoolArray = (behind > most[-1]) & (gain < _CATCHING_UP * behind)
+        return hopeless
+
+
 def bounds(ordinates: Ordinates, candidates: Candidates, *, shortest: float) -> tuple[FloatArray, FloatArray]:
     """Return the lowest and highest values of each parameter, each of shape (p,).
 
@@ -85,6 +115,7 @@ def maximize(
     ramp: FloatArray | None = None,
     iterations: int = 100,
     tolerance: float = 1e-7,
+    race: Race | None = None,
 ) -> Maximum:
     """Maximise the likelihood of each candidate from its row of `start`, shape (c, p).
 
@@ -100,14 +131,19 @@ def maximize(
         Most steps.
     tolerance
         A step that gains less log-likelihood than this ends the search.
+    race
+        Which candidates are given up on the way; none by default.
     """
     low, high = bounds(ordinates, candidates, shortest=shortest)
     moving = candidates.free if free is None else free & candidates.free
     theta = np.clip(start, low, high)
     state = evaluate(ordinates, candidates, theta, ramp=ramp)
     damping = np.full(candidates.count, 1e-3)
+    last = np.full(candidates.count, np.inf)
     active = np.isfinite(state.objective) & moving.any(axis=1)
-    for _ in range(iterations):
+    for count in range(iterations):
+        if race:
+            active &= ~race.given_up(state.objective, last, count)
         rows = np.flatnonzero(active)
         if not rows.size:
             break
@@ -118,6 +154,7 @@ def maximize(
         better = gain >= -noise
         moved = np.max(np.abs(trial - theta[rows]), axis=1)
         theta[rows[better]] = trial[better]
+        last[rows[better]] = gain[better]
         _accept(state, rows, found, better)
         damping[rows] = np.where(better, np.maximum(damping[rows] * 0.2, 1e-9), damping[rows] * 6)
         done = (better & ((gain < tolerance) & (moved < 1e-3) | (gain < 0.01 * tolerance + noise))) | (
@@ -192,15 +229,43 @@ def misfit(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> Go
     """
     from scipy.special import ndtr
 
-    found = evaluate(ordinates, candidate, theta)
-    power = ordinates.power.copy()
-    beta = found.beta[0]
-    power += -2 * beta @ ordinates.cross + np.einsum("i,ijb,j->b", beta, ordinates.gram, beta)
-    ratio = power / found.spectrum[0]
-    group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
-    first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
-    size = np.add.reduceat(ordinates.size, first)
-    residual = (np.add.reduceat(ratio, first) - size) / np.sqrt(2 * size)
+    _, size, residual, _ = _residuals(ordinates, candidate, theta)
     square = float(np.mean(residual**2))
     statistic = (square - 1) * size.size / float(np.sqrt(np.sum(2 + 12 / size)))
     return Goodness(statistic=statistic, p_value=float(ndtr(-statistic)), chi2_per_bin=square)
+
+
+def misfit_factors(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> FloatArray:
+    """Return by what factor each variance parameter is less sure than the likelihood says, shape (p,).
+
+    The root of the mean squared residual where the parameter's information lies: the variance that holds
+    for a model which is only nearly right (Huber 1967, Proc. 5th Berkeley Symposium 1, 221) for one
+    parameter by itself. Of a power law that the candidate lacks, where its information would lie.
+    """
+    first, _, residual, spectrum = _residuals(ordinates, candidate, theta)
+    parts = contributions(ordinates, candidate, theta)
+    laws = ordinates.basis.shape[0]
+    absent = np.flatnonzero(np.max(parts[:laws], axis=1) <= 0)
+    parts[absent] = ordinates.basis[absent]
+    # The largest is one, so that the squares of what is far below the line stay numbers.
+    share = parts / spectrum
+    share /= np.maximum(share.max(axis=1, keepdims=True), 1e-300)
+    weight = np.add.reduceat(share**2 * ordinates.size, first, axis=1)
+    factors: FloatArray = np.sqrt(weight @ residual**2 / np.maximum(weight.sum(axis=1), 1e-300))
+    return factors
+
+
+def _residuals(
+    ordinates: Ordinates, candidate: Candidates, theta: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Return groups of bins: the first of each, its degrees of freedom, its residual; and the spectrum."""
+    found = evaluate(ordinates, candidate, theta)
+    beta = found.beta[0]
+    power = ordinates.power - 2 * beta @ ordinates.cross
+    power += np.einsum("i,ijb,j->b", beta, ordinates.gram, beta)
+    spectrum = found.spectrum[0]
+    group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
+    first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
+    size = np.add.reduceat(ordinates.size, first)
+    residual = (np.add.reduceat(power / spectrum, first) - size) / np.sqrt(2 * size)
+    return first, size, residual, spectrum

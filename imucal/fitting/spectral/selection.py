@@ -12,7 +12,7 @@ from imucal.fitting.settings import CRITERIA
 from imucal.fitting.spectral.filter_response import Band
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.fitting.spectral.scoring import Maximum, maximize
+from imucal.fitting.spectral.scoring import Maximum, Race, maximize
 from imucal.fitting.spectral.starts import find_starts
 from imucal.fitting.spectral.structures import Structure, candidates_of
 from imucal.noise.model import structure_text
@@ -80,6 +80,7 @@ def choose(
     free = candidates.free[owner]
     if band:
         free[:, candidates.width - poles :] = False
+    cost = CRITERIA[criterion](ordinates.count) * candidates.parameters.astype(np.float64)
     rough = maximize(
         coarse,
         candidates.take(owner),
@@ -88,6 +89,7 @@ def choose(
         shortest=shortest,
         tolerance=1e-3,
         iterations=40,
+        race=Race(handicap=cost[owner] / 2),
     )
     if not np.isfinite(rough.objective).any():
         msg = (
@@ -95,7 +97,6 @@ def choose(
             "look at the samples for values that are not measurements"
         )
         raise DataError(msg)
-    cost = CRITERIA[criterion](ordinates.count) * candidates.parameters.astype(np.float64)
     best = np.full(candidates.count, np.inf)
     np.minimum.at(best, owner, 2 * rough.objective)
     value = best + cost

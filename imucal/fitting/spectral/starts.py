@@ -20,7 +20,7 @@ from imucal.noise.formulas import gauss_markov_dct
 
 _GRID = 16
 #: Rounds of updates of every mixture, and more of a candidate's best few.
-_FIRST_ROUNDS, _MORE_ROUNDS = 25, 25
+_FIRST_ROUNDS, _MORE_ROUNDS = 12, 38
 _BEST = 40
 #: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.
 _ROWS = 96
@@ -50,16 +50,14 @@ def find_starts(
     """
     times = time_grid(ordinates, shortest)
     plans = [_combinations(int(count)) for count in candidates.markov]
+    every = np.concatenate([_padded(plan, candidates.room_markov) for plan in plans])
     owner = np.repeat(np.arange(candidates.count), [len(plan) for plan in plans])
     theta = np.empty((owner.size, candidates.width))
     score = np.empty(owner.size)
     ramped: BoolArray = np.any(candidates.regressors, axis=1)[owner]
     for rows, seen in ((~ramped, ordinates), (ramped, ordinates.detrended())):
         if rows.any():
-            chosen = [combo for plan in plans for combo in plan]
-            picked = [chosen[i] for i in np.flatnonzero(rows)]
-            laws = candidates.laws[owner[rows]]
-            sought = _Sought(owner=owner[rows], laws=laws, combos=picked)
+            sought = _Sought(owner=owner[rows], laws=candidates.laws[owner[rows]], places=every[rows])
             theta[rows], score[rows] = _mixtures(coarser(seen), sought, times, candidates)
     best = [
         start + np.argsort(score[start : start + len(plan)], kind="stable")[: keep[min(int(count), 2)]]
@@ -71,6 +69,13 @@ def find_starts(
     return owner[index], theta[index]
 
 
+def _padded(combos: list[tuple[int, ...]], room: int) -> IntArray:
+    """Return combinations as rows of `room` places; -1 stands for none."""
+    places = np.full((len(combos), room), -1, dtype=np.int64)
+    places[:, : len(combos[0])] = combos
+    return places
+
+
 def _combinations(count: int) -> list[tuple[int, ...]]:
     if count > 2:
         return [tuple(np.linspace(0, _GRID - 1, count).round().astype(int).tolist())]
@@ -79,11 +84,11 @@ def _combinations(count: int) -> list[tuple[int, ...]]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Sought:
-    """Mixtures: the candidate of each, shape (s,), its laws, shape (s, 4), and places of its times."""
+    """Mixtures: candidate of each, shape (s,), its laws, shape (s, 4), places of its times, shape (s, g)."""
 
     owner: IntArray
     laws: BoolArray
-    combos: list[tuple[int, ...]]
+    places: IntArray
 
 
 def _mixtures(
@@ -93,30 +98,28 @@ def _mixtures(
 
     That of a mixture which is not among the best of its candidate after the first rounds is infinite.
     """
-    combos = sought.combos
+    places = sought.places
+    row, column = np.nonzero(places >= 0)
+    place = places[row, column]
     shapes, _ = gauss_markov_dct(
         np.log(times)[:, None], ordinates.lam, ordinates.length, np.zeros(ordinates.lam.shape)
     )
     dictionary = np.concatenate([ordinates.basis, shapes])
-    use = np.zeros((len(combos), MARKOV + times.size))
+    use = np.zeros((len(places), MARKOV + times.size))
     use[:, :MARKOV] = sought.laws
-    for row, combo in enumerate(combos):
-        use[row, [MARKOV + place for place in combo]] = 1.0
+    use[row, MARKOV + place] = 1.0
     level = np.maximum(ordinates.power, _TINY) / ordinates.size
     weights = use * np.quantile(level / dictionary, 0.2, axis=1) / use.sum(axis=1, keepdims=True)
-    every = np.arange(len(combos))
+    every = np.arange(len(places))
     first = _mixed(ordinates, dictionary, weights, every, _FIRST_ROUNDS)
     best = _best_of_each(first, sought.owner)
-    objective = np.full(len(combos), np.inf)
+    objective = np.full(len(places), np.inf)
     objective[best] = _mixed(ordinates, dictionary, weights, best, _MORE_ROUNDS)
-    room = candidates.room_markov
-    theta = np.zeros((len(combos), candidates.width))
+    theta = np.zeros((len(places), candidates.width))
     logs = np.log(weights + _TINY)
     theta[:, :MARKOV] = logs[:, :MARKOV]
-    for row, combo in enumerate(combos):
-        for column, place in enumerate(combo):
-            theta[row, MARKOV + column] = logs[row, MARKOV + place]
-            theta[row, MARKOV + room + column] = np.log(times[place])
+    theta[row, MARKOV + column] = logs[row, MARKOV + place]
+    theta[row, MARKOV + candidates.room_markov + column] = np.log(times[place])
     return theta, objective
 
 

@@ -21,6 +21,7 @@ from imucal.fitting.spectral.starts import find_starts
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.fitting.spectral.transform import bin_blocks
 from imucal.recording import AxisSeries
+from imucal.solvers import lowest
 from imucal.units import pretty
 
 #: Spans, and fewest samples of one; a span is short against the time between jumps that can be told.
@@ -122,8 +123,6 @@ def _two_levels(means: FloatArray, rich: float) -> tuple[float, FloatArray]:
     `means`, shape (p, n/p), in parts; parameters: the logarithms of half the levels' distance, of the
     noise and of the mean spans between jumps; then the mean of the levels in each part.
     """
-    from scipy.optimize import minimize
-
     between = np.median(np.diff(means, axis=1) ** 2) / (2 * 0.4549)
     noise = 0.5 * np.log(max(between, _QUIETEST**2))
     starts = []
@@ -135,13 +134,8 @@ def _two_levels(means: FloatArray, rich: float) -> tuple[float, FloatArray]:
     best = int(np.argmin(costs))
     if costs[best] - rich > _HOPELESS * means.size:
         return rich - costs[best], starts[best]
-    found = minimize(
-        *(_cost, starts[best]),
-        args=(means,),
-        method="Nelder-Mead",
-        options={"xatol": 1e-2, "fatol": 0.05, "maxfev": 400},
-    )
-    return rich - float(found.fun), np.asarray(found.x, dtype=np.float64)
+    found, cost = lowest(lambda at: _cost(at, means), starts[best], near=1e-2, alike=0.05, most=400)
+    return rich - cost, found
 
 
 def _jumps_often(parameters: FloatArray, means: FloatArray) -> bool:

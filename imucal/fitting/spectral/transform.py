@@ -1,16 +1,20 @@
 """Blocks -> Ordinates: sums of squares in bins, and of products with the regressors."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from imucal.arrays import FloatArray
+from imucal.allan.dct import DctBins
+from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import LAWS, Ordinates
 
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
+#: Ordinates that are summed at a time.
+_PART = 1 << 16
 
 
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
@@ -22,25 +26,30 @@ def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = (
 
 def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
     """Return the arrays of one block's `Ordinates`, by their names."""
-    bins, kept = block.bins, block.kept
-
-    def total(values: FloatArray) -> FloatArray:
-        used = values if kept is None else np.where(kept, values, 0.0)
-        summed: FloatArray = np.add.reduceat(used, bins.first - 1)
-        return summed
-
-    count = bins.count.astype(np.float64)
-    size = count if kept is None else np.add.reduceat(kept.astype(np.float64), bins.first - 1)
-    square = block.ordinates**2
-    # The transform's own rounding: no bin of exactly no power, not even of a straight line.
-    square += _ROUNDING * float(square.mean())
-    power = total(square if block.variance is None else square + block.variance)
+    bins = block.bins
     vectors = [block.regressor(name) for name in names]
-    cross = np.array([total(block.ordinates * v) for v in vectors]).reshape(len(names), bins.size)
-    gram = np.zeros((len(names), len(names), bins.size))
-    for i, v in enumerate(vectors):
-        for j, w in enumerate(vectors[: i + 1]):
-            gram[i, j] = gram[j, i] = total(v * w)
+    size, power = np.empty((2, bins.size))
+    cross = np.empty((len(names), bins.size))
+    gram = np.empty((len(names), len(names), bins.size))
+    whole = 0.0
+    for here, seen, starts in _parts(bins):
+        kept = None if block.kept is None else block.kept[seen]
+
+        def total(values: FloatArray, kept: BoolArray | None = kept, starts: IntArray = starts) -> FloatArray:
+            summed: FloatArray = np.add.reduceat(values if kept is None else values * kept, starts)
+            return summed
+
+        own = block.ordinates[seen]
+        square = own * own
+        whole += float(square.sum())
+        size[here] = bins.count[here] if kept is None else total(np.ones(own.size))
+        power[here] = total(square if block.variance is None else square + block.variance[seen])
+        for i, v in enumerate(vectors):
+            cross[i, here] = total(own * v[seen])
+            for j, w in enumerate(vectors[: i + 1]):
+                gram[i, j, here] = gram[j, i, here] = total(v[seen] * w[seen])
+    # The transform's own rounding: no bin of exactly no power, not even of a straight line.
+    power += _ROUNDING * whole / block.ordinates.size * size
     if block.loss is not None:
         keep = 1 - block.loss
         size, power, cross, gram = size * keep, power * keep, cross * keep, gram * keep
@@ -50,7 +59,24 @@ def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
         "lam": LAWS[0].psd(bins.omega),
         "length": np.full(bins.size, float(bins.n)),
         "sign": np.where(bins.count == 1, np.where(bins.first % 2 == 0, 1.0, -1.0), 0.0),
-        "basis": np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in LAWS]),
+        "basis": _basis(bins),
         "cross": cross,
         "gram": gram,
     }
+
+
+def _parts(bins: DctBins) -> Iterator[tuple[slice, slice, IntArray]]:
+    """Yield runs of bins, few enough for their ordinates to stay in the cache: bins, ordinates, starts."""
+    start = 0
+    while start < bins.size:
+        stop = max(int(np.searchsorted(bins.first, bins.first[start] + _PART)), start + 1)
+        low = int(bins.first[start]) - 1
+        high = int(bins.first[stop - 1] + bins.count[stop - 1]) - 1
+        yield slice(start, stop), slice(low, high), bins.first[start:stop] - 1 - low
+        start = stop
+
+
+@lru_cache(maxsize=16)
+def _basis(bins: DctBins) -> FloatArray:
+    """Return the expected squares; segments, and axes of the same length, have the very same bins."""
+    return read_only(np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in LAWS]))

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import IntArray
+from imucal.arrays import BoolArray, IntArray
 from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.findings import Finding
+from imucal.mapped import blocks
 from imucal.readers.clocks.clock_notes import (
     gap_notes,
     jump_notes,
@@ -26,6 +26,8 @@ from imucal.readers.clocks.clock_notes import (
 )
 from imucal.readers.clocks.placing import NO_BREAKS, Breaks, find_breaks, fit_period, step_statistics
 from imucal.readers.clocks.rate import Period, estimate_period
+from imucal.readers.column_store import is_constant
+from imucal.readers.room import Room, count
 
 #: Name of the time at which a message was recorded.
 LOG_TIME = "log time"
@@ -64,7 +66,8 @@ def clock_from_stamps(
     where: str = "",
     log_ns: IntArray | None = None,
     rate_hz: float | None = None,
-    repeated: NDArray[np.bool_] | None = None,
+    repeated: BoolArray | None = None,
+    room: Room | None = None,
 ) -> ClockReading:
     """Return the clock of samples from their stamps.
 
@@ -83,6 +86,8 @@ def clock_from_stamps(
         Sampling rate that overrides the measured one.
     repeated
         Samples with the stamp *and* the values of the one before, shape (n,); they are dropped.
+    room
+        Where arrays as long as the stamps are made; None for the usual limit.
 
     Raises
     ------
@@ -90,7 +95,7 @@ def clock_from_stamps(
         If there is no sample, or no rate can be measured and none is given.
     """
     try:
-        return _Stamps(stamps_ns, source, log_ns).read(rate_hz, repeated)
+        return _Stamps(stamps_ns, source, log_ns, room or Room()).read(rate_hz, repeated)
     except DataError as error:
         if not where:
             raise
@@ -101,19 +106,20 @@ def clock_from_stamps(
 class _Stamps:
     """Stamps while their clock is looked for, and what was seen."""
 
-    def __init__(self, stamps: IntArray, source: str, log_ns: IntArray | None) -> None:
+    def __init__(self, stamps: IntArray, source: str, log_ns: IntArray | None, room: Room) -> None:
         self.stamps = np.ascontiguousarray(stamps, dtype=np.int64)
         self.source = source
         self.log_ns = log_ns
+        self.room = room
         self.order: IntArray | None = None
         self.notes: list[Finding] = []
 
-    def read(self, rate_hz: float | None, repeated: NDArray[np.bool_] | None) -> ClockReading:
+    def read(self, rate_hz: float | None, repeated: BoolArray | None) -> ClockReading:
         if not self.stamps.size:
             msg = f"no samples to take the {self.source} of; expected at least two"
             raise DataError(msg)
-        if repeated is not None and repeated.any():
-            self._drop(repeated)
+        if repeated is not None and (twice := count(repeated)):
+            self._drop(repeated, twice)
         self._replace_zeros()
         period = estimate_period(self.stamps)
         if period is None and self.log_ns is not None and self.source != LOG_TIME and self.stamps.size > 1:
@@ -130,23 +136,24 @@ class _Stamps:
             raise DataError(msg)
         return ClockReading(clock=clock, order=self.order, findings=tuple(self.notes))
 
-    def _drop(self, repeated: NDArray[np.bool_]) -> None:
-        self.order = np.flatnonzero(~repeated)
-        self.notes.append(repeated_note(self.stamps.size - self.order.size, self.stamps.size))
-        self.stamps = self.stamps[self.order]
-        self.log_ns = self.log_ns[self.order] if self.log_ns is not None else None
+    def _drop(self, repeated: BoolArray, twice: int) -> None:
+        self.notes.append(repeated_note(twice, self.stamps.size))
+        keep = self.room.made(repeated.size, np.bool_, lambda part: ~repeated[part], repeated)
+        self.order = self.room.places(keep)
+        self.stamps = self.room.chosen(self.stamps, keep)
+        self.log_ns = self.room.chosen(self.log_ns, keep) if self.log_ns is not None else None
 
     def _replace_zeros(self) -> None:
         """Take log time instead of zeros or constants; fill single zeros."""
-        stamps = self.stamps
-        zeros = int(np.count_nonzero(stamps == 0))
-        constant = stamps.size > 1 and bool((stamps == stamps[0]).all())
-        if (zeros > _ZEROS * stamps.size or constant) and self.log_ns is not None:
-            what = "are all the same" if constant and not zeros else f"{zeros} of {stamps.size} are zero"
-            self._use(self.log_ns, "are all zero" if zeros == stamps.size else what)
-        elif 0 < zeros <= _ZEROS * stamps.size:
-            self.stamps = _filled(stamps)
-            self.notes.append(zero_note(zeros, stamps.size))
+        stamps, n = self.stamps, self.stamps.size
+        zeros = n - sum(int(np.count_nonzero(stamps[part])) for part in blocks(n, stamps))
+        constant = n > 1 and is_constant(stamps[None])
+        if (zeros > _ZEROS * n or constant) and self.log_ns is not None:
+            what = "are all the same" if constant and not zeros else f"{zeros} of {n} are zero"
+            self._use(self.log_ns, "are all zero" if zeros == n else what)
+        elif 0 < zeros <= _ZEROS * n:
+            self.stamps = _filled(stamps, self.room)
+            self.notes.append(zero_note(zeros, n))
 
     def _use(self, log_ns: IntArray, why: str) -> None:
         """Take log time instead of the stamps."""
@@ -186,20 +193,30 @@ class _Stamps:
         )
         notes += gap_notes(clock)
         if breaks.doubled.size:
-            kept = np.delete(np.arange(stamps.size), breaks.doubled)
-            self.order = kept if self.order is None else self.order[kept]
+            keep = self.room.made(stamps.size, np.bool_, lambda _: True)
+            keep[breaks.doubled] = False
+            kept = self.room.places(keep)
+            self.order = kept if self.order is None else self.room.taken(self.order, kept)
         return clock
 
 
-def _filled(stamps: IntArray) -> IntArray:
+def _filled(stamps: IntArray, room: Room) -> IntArray:
     """Put zero stamps between their neighbours; before the first and after the last, go on evenly."""
-    good, bad = np.flatnonzero(stamps), np.flatnonzero(stamps == 0)
-    since = stamps[good] - stamps[good[0]]
-    step = float(since[-1]) / max(int(good[-1] - good[0]), 1)
+    found = [np.flatnonzero(stamps[part] == 0) + part.start for part in blocks(stamps.size, stamps)]
+    bad = np.concatenate(found)
+    # The good ones beside them say all that the others do.
+    starts = bad[np.flatnonzero(np.diff(bad, prepend=-2) > 1)]
+    ends = bad[np.flatnonzero(np.diff(bad, append=stamps.size + 1) > 1)]
+    first = int(ends[0]) + 1 if starts[0] == 0 else 0
+    last = int(starts[-1]) - 1 if ends[-1] == stamps.size - 1 else stamps.size - 1
+    good = np.unique(np.concatenate([starts - 1, ends + 1, [first, last]]))
+    good = good[(good >= first) & (good <= last)]
+    since = stamps[good] - stamps[first]
+    step = float(since[-1]) / max(last - first, 1)
     between = np.interp(bad, good, since)
-    between += np.minimum(bad - good[0], 0) * step + np.maximum(bad - good[-1], 0) * step
-    filled = stamps.copy()
-    filled[bad] = stamps[good[0]] + np.round(between).astype(np.int64)
+    between += np.minimum(bad - first, 0) * step + np.maximum(bad - last, 0) * step
+    filled = room.copied(stamps)
+    filled[bad] = stamps[first] + np.round(between).astype(np.int64)
     return filled
 
 

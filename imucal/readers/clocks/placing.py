@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
+from imucal.mapped import blocks
 from imucal.readers.clocks.rate import Period
 
 #: Samples worked on at once: what fits the processor's cache.
@@ -67,7 +68,8 @@ def step_statistics(stamps: IntArray, tau: float) -> Steps:
     found = []
     same = back = 0
     even = True
-    for start in range(0, stamps.size - 1, _BLOCK):
+    for part in blocks(stamps.size - 1, stamps, size=_BLOCK):
+        start = part.start
         steps = np.diff(stamps[start : start + _BLOCK + 1])
         low, high = int(steps.min()), int(steps.max())
         even = even and 0.5 * tau <= low and high <= 1.5 * tau
@@ -96,7 +98,7 @@ def find_breaks(stamps: IntArray, period: Period) -> Breaks:
     spread = (period.burst - 1) if period.burst > 1 else min(3 * period.jitter, 0.3)
     near = min(max(_SAMPLES_AROUND, 2 * period.burst), _REACH)
     at, missing, doubled = [], [], []
-    for first, block, inner in _blocks(stamps, period.tau_ns):
+    for first, block, inner in _odd_blocks(stamps, period.tau_ns):
         lifts, counts, extra = _breaks(block, inner, period, near, spread)
         at.append(lifts + first)
         missing.append(counts)
@@ -137,8 +139,8 @@ def fit_period(
     at, missing = breaks.at[exact], breaks.missing[exact]
     moment = weight = square = 0.0
     count = 0
-    for first in range(0, stamps.size, _BLOCK):
-        block = stamps[first : first + _BLOCK]
+    for part in blocks(stamps.size, stamps, size=_BLOCK):
+        first, block = part.start, stamps[part]
         lo, hi = np.searchsorted(starts, [first, first + block.size])
         edges = np.unique(np.concatenate([[0], starts[lo:hi] - first]))
         sizes = np.diff(np.append(edges, block.size))
@@ -188,10 +190,11 @@ def _center(values: FloatArray, edges: IntArray, sizes: IntArray) -> None:
         values -= np.repeat(np.add.reduceat(values, edges) / sizes, sizes)
 
 
-def _blocks(stamps: IntArray, tau: float) -> Iterator[tuple[int, IntArray, slice]]:
+def _odd_blocks(stamps: IntArray, tau: float) -> Iterator[tuple[int, IntArray, slice]]:
     """Yield each block with odd steps: where it begins, its stamps and those around, and its own part."""
     n = stamps.size
-    for start in range(0, n, _BLOCK):
+    for part in blocks(n, stamps, size=_BLOCK):
+        start = part.start
         steps = np.diff(stamps[max(start - 1, 0) : start + _BLOCK])
         if not steps.size or (steps.min() >= 0.5 * tau and steps.max() <= 1.5 * tau):
             continue

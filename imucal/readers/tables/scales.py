@@ -15,6 +15,7 @@ from imucal.clock import Clock
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.room import Room
 from imucal.readers.tables.columns import Triad
 from imucal.readers.tables.dialects import Dialect
 from imucal.recording import Sensor
@@ -59,6 +60,11 @@ class Work:
     rate_hz: float | None
     decisions: list[tuple[str, str]] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def room(self) -> Room:
+        """Where what becomes of the columns is held."""
+        return Room(self.options.memory_limit)
 
     def decide(self, what: str, how: str) -> None:
         if (what, how) not in self.decisions:

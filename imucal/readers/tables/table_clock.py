@@ -2,30 +2,32 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.clock import Clock
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
+from imucal.mapped import blocks
 from imucal.readers.clocks import ClockReading, clock_from_stamps
+from imucal.readers.room import Room, count, extremes
 from imucal.readers.tables.column_plan import SensorPlan
 from imucal.readers.tables.dates import HALF_DAY
 from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import (
     DAY,
-    WEEK,
     Numbers,
     date_stamps,
     infer_time_unit,
+    pair_stamps,
     rates_by_unit,
     rolled,
     to_ns,
     typical_step,
     unwrapped,
+    week_stamps,
 )
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Sensor
@@ -56,14 +58,20 @@ class SensorColumns:
     temperature: FloatArray | None = None
     sparse: bool = False
 
-    def rows(self, chosen: NDArray[np.bool_] | IntArray) -> "SensorColumns":
-        """Return some rows of the columns."""
+    def rows(self, chosen: BoolArray | IntArray, room: Room) -> "SensorColumns":
+        """Return some rows of the columns: those where `chosen` is true, or at the places that it names."""
+
+        def some(column: Any) -> Any:  # noqa: ANN401 - of integers or of floats
+            if chosen.dtype == np.bool_:
+                return room.chosen(column, cast("BoolArray", chosen))
+            return room.taken(column, cast("IntArray", chosen))
+
         return replace(
             self,
-            axes=[axis[chosen] for axis in self.axes],
-            time=[column[chosen] for column in self.time],
-            log_time=[column[chosen] for column in self.log_time],
-            temperature=self.temperature[chosen] if self.temperature is not None else None,
+            axes=[some(axis) for axis in self.axes],
+            time=[some(column) for column in self.time],
+            log_time=[some(column) for column in self.log_time],
+            temperature=some(self.temperature) if self.temperature is not None else None,
         )
 
 
@@ -87,9 +95,11 @@ def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
     log = columns.log_time
     log_ns = _stamps(work, plan.log_time, log, sensor) if plan.log_time and log else None
     # A device's clock may start at zero, which is a stamp like any other.
-    shift = 1_000_000_000 if stamps.min() == 0 and stamps[0] == 0 and stamps.any() and log_ns is None else 0
+    low, high = extremes(stamps)
+    shift = 1_000_000_000 if low == 0 and stamps[0] == 0 and high and log_ns is None else 0
     if shift:
-        stamps = stamps + shift
+        since = stamps
+        stamps = work.room.made(since.size, np.int64, lambda part: since[part] + shift, since)
     reading = clock_from_stamps(
         stamps,
         source=source,
@@ -97,6 +107,7 @@ def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
         log_ns=log_ns,
         rate_hz=work.options.rate_hz,
         repeated=_sent_twice(work, stamps, columns),
+        room=work.room,
     )
     if shift and reading.clock.start_ns is not None:
         reading = replace(reading, clock=replace(reading.clock, start_ns=reading.clock.start_ns - shift))
@@ -105,14 +116,14 @@ def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
     return reading
 
 
-def _sent_twice(work: Work, stamps: IntArray, columns: SensorColumns) -> NDArray[np.bool_] | None:
+def _sent_twice(work: Work, stamps: IntArray, columns: SensorColumns) -> BoolArray | None:
     """Return which samples are the one before, sent again; None where there are none."""
-    still = stamps[1:] == stamps[:-1]
-    if not still.any():
+    rows = blocks(stamps.size - 1, stamps)
+    if not any(bool((stamps[part.start + 1 : part.stop + 1] == stamps[part]).any()) for part in rows):
         return None
-    same = np.zeros(stamps.size, dtype=np.bool_)
-    same[1:] = still & _repeats(columns.axes)
-    share = float(np.mean(same))
+    sources: tuple[Numbers, ...] = (stamps, *columns.axes)
+    same = work.room.made(stamps.size, np.bool_, lambda part: _repeats(sources, part), *sources)
+    share = count(same) / same.size
     if share <= _SENT_TWICE:
         return same if share else None
     sensor = columns.plan.triad.sensor
@@ -127,11 +138,13 @@ def _sent_twice(work: Work, stamps: IntArray, columns: SensorColumns) -> NDArray
     return None
 
 
-def _repeats(axes: Sequence[FloatArray]) -> NDArray[np.bool_]:
-    """Return which samples, from the second on, have the values of the one before."""
-    same: NDArray[np.bool_] = axes[0][1:] == axes[0][:-1]
-    for axis in axes[1:]:
-        same &= axis[1:] == axis[:-1]
+def _repeats(columns: Sequence[Numbers], part: slice) -> BoolArray:
+    """Return which rows of a block have the values of the row before in all columns; the first has none."""
+    same = np.ones(part.stop - part.start, dtype=np.bool_)
+    first = max(part.start, 1)
+    same[: first - part.start] = False
+    for column in columns:
+        same[first - part.start :] &= column[first : part.stop] == column[first - 1 : part.stop - 1]
     return same
 
 
@@ -156,36 +169,37 @@ def _compare_rates(work: Work, measured: float) -> None:
 
 def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor) -> IntArray:
     """Return the stamps of a time in ns."""
+    room = work.room
     if time.kind == "text":
-        return _of_texts(cast("Sequence[IntArray]", columns))
+        return _of_texts(cast("Sequence[IntArray]", columns), room)
     if time.kind == "pair":
-        return to_ns(columns[0], TIME_UNITS_NS["s"]) + to_ns(columns[1], 1)
+        return pair_stamps(columns[0], columns[1], room)
     if time.kind == "date":
-        return date_stamps(columns)
+        return date_stamps(columns, room)
     if time.kind == "week":
-        ns = _ns_per_count(work, time, columns[1], sensor)
-        tow = to_ns(columns[1], ns)
-        weeks = to_ns(columns[0], WEEK)
-        # A receiver without a fix leaves the week at zero or at its last value.
-        return rolled(tow, WEEK) if bool((weeks == weeks[0]).all()) else weeks + tow
+        return week_stamps(columns[0], columns[1], _ns_per_count(work, time, columns[1], sensor), room)
     values = columns[0]
     if values.dtype.kind == "i":
-        values, wraps = unwrapped(cast("IntArray", values))
+        values, wraps = unwrapped(cast("IntArray", values), room)
         if wraps:
             text = (
                 f"Column {time.name} started again {wraps} times at the end of its range; "
                 "it was put in order."
             )
             work.findings.append(Finding(level="info", code="wrapped", text=text))
-    return to_ns(values, _ns_per_count(work, time, values, sensor))
+    return to_ns(values, _ns_per_count(work, time, values, sensor), room)
 
 
-def _of_texts(columns: Sequence[IntArray]) -> IntArray:
+def _of_texts(columns: Sequence[IntArray], room: Room) -> IntArray:
     """Return the stamps of texts: dates with times, or dates, times of day and perhaps AM and PM."""
     if len(columns) == 1:
-        return rolled(columns[0], DAY)
-    date, time, *half = columns
-    return date + (time % HALF_DAY + half[0] if half else time)
+        return rolled(columns[0], DAY, room)
+
+    def of(part: slice) -> IntArray:
+        date, time, *half = (column[part] for column in columns)
+        return np.asarray(date + (time % HALF_DAY + half[0] if half else time), dtype=np.int64)
+
+    return room.made(columns[0].size, np.int64, of, *columns)
 
 
 def _tells_time(work: Work, time: TimeChoice, columns: SensorColumns) -> bool:
@@ -260,7 +274,8 @@ def _open_unit(
         f"{path}: column {time.name!r}, the time of the {sensor}, has no unit, and goes on by "
         f"{typical_step(values):g} a row"
     )
-    span = float(np.max(values) - np.min(values))
+    low, high = extremes(values)
+    span = float(high - low)
     rates = {
         unit: rate
         for unit, rate in rates_by_unit(values).items()
@@ -291,13 +306,23 @@ def _counted_clock(work: Work, columns: SensorColumns) -> ClockReading:
         raise ChoiceError(msg)
     work.decide("time", f"{rate:g} Hz, the {source}")
     if plan.time is not None and time and time[0].dtype.kind == "i":
-        counts, _ = unwrapped(cast("IntArray", time[0]))
-        steps = np.diff(counts)
-        if steps.size and float(np.mean(steps == 1)) >= 0.9:
+        counts, _ = unwrapped(cast("IntArray", time[0]), work.room)
+        single = sum(
+            int(np.count_nonzero(np.diff(counts[part.start : part.stop + 1]) == 1))
+            for part in blocks(counts.size - 1, counts)
+        )
+        if counts.size > 1 and single >= 0.9 * (counts.size - 1):
+            first, tau = int(counts[0]), 1e9 / rate
             reading = clock_from_stamps(
-                1_000_000_000 + np.round((counts - counts[0]) * (1e9 / rate)).astype(np.int64),
+                work.room.made(
+                    counts.size,
+                    np.int64,
+                    lambda part: 1_000_000_000 + np.round((counts[part] - first) * tau).astype(np.int64),
+                    counts,
+                ),
                 source=f"counter {plan.time.name} at the {source}",
                 rate_hz=rate,
+                room=work.room,
             )
             return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
         text = (

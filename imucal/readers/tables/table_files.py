@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 from imucal.errors import ReadError
 from imucal.readers.isolation import isolated
 from imucal.readers.tables.foreign_files import WIDEST, mat_arrays, parquet_columns, parquet_values
+from imucal.readers.tables.mat_size import unpacks_to_more
 from imucal.readers.tables.npz_members import npz_arrays
-from imucal.resources import memory_limit
+from imucal.resources import MEMORY, column_limit, memory_limit
 
 #: Arrays whose shapes are kept for a message.
 _SHOWN = 12
+
+#: How often the arrays of a MAT file are in memory while it is read.
+_MAT_COPIES = 4
 
 #: Names of a single number that is the sampling rate, in Hz.
 _RATES = frozenset(
@@ -84,7 +88,7 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     Parameters
     ----------
     limit
-        Bytes to hold in memory before a temporary file takes them; None for `imucal.resources.memory_limit`.
+        Bytes to hold in memory before a temporary file takes them; None for `imucal.resources.column_limit`.
     heads_above
         Bytes above which a file that is unpacked as it is opened is not: only the heads of its columns hold
         values then.
@@ -145,7 +149,7 @@ def _npy(path: Path) -> _Content:
 
 
 def _npz(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> _Content:
-    size = memory_limit() if limit is None else limit
+    size = column_limit() if limit is None else limit
     with _readable(path, "NPZ"):
         arrays = npz_arrays(path, limit=size, heads_above=heads_above)
     return _of_arrays(arrays)
@@ -163,6 +167,15 @@ def _readable(path: Path, kind: str) -> Iterator[None]:
 
 
 def _mat(path: Path) -> _Content:
+    # The package reads it whole; the arrays are there, on their way to this process, and here.
+    limit = memory_limit() // _MAT_COPIES
+    if unpacks_to_more(path, limit):
+        msg = (
+            f"{path}: its arrays unpack to more than {limit / 1e6:.4g} MB, and a MAT file is read whole; "
+            "expected at most a quarter of the memory that one step may take; save them as NPZ or CSV, "
+            f"or let {MEMORY} be four times what they hold"
+        )
+        raise ReadError(msg)
     return _of_arrays(isolated(path, mat_arrays, "MAT")(path))
 
 

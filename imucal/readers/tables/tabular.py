@@ -1,20 +1,23 @@
 """Columns of numbers -> Recording: units, stamps, clocks, temperature, and how each was decided."""
 
 from collections.abc import Sequence
+from functools import partial
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucal.arrays import IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.room import count
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
+from imucal.readers.tables.stamps import Numbers
 from imucal.readers.tables.table_clock import SensorColumns, table_clock
 from imucal.recording import Recording
 
@@ -23,6 +26,8 @@ _Clocks: TypeAlias = dict[tuple[Any, ...], tuple[Clock, IntArray | None]]
 
 #: Temperatures in which electronics work, in degrees Celsius; others are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
+#: Of so many of them at least the median is taken.
+_LOOKED_AT = 1_000_000
 
 
 def assemble(work: Work, sensors: Sequence[SensorColumns], form: str, topics: Sequence[str]) -> Recording:
@@ -38,7 +43,9 @@ def assemble(work: Work, sensors: Sequence[SensorColumns], form: str, topics: Se
     clocks: _Clocks = {}
     timed = [_timed(work, columns, clocks) for columns in sensors]
     scales = find_scales(work, timed)
-    builder = RecordingBuilder(path=work.path, format=form, decisions=work.decisions, findings=work.findings)
+    builder = RecordingBuilder(
+        path=work.path, format=form, decisions=work.decisions, findings=work.findings, room=work.room
+    )
     for entry in timed:
         sensor = entry.triad.sensor
         names = entry.triad.axes
@@ -88,7 +95,7 @@ def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> Unscaled:
     triad = columns.plan.triad
     keep = _rows_of_sensor(work, columns)
     if keep is not None:
-        columns = columns.rows(keep)
+        columns = columns.rows(keep, work.room)
     n = columns.axes[0].size
     if not n:
         names = ", ".join(triad.headers)
@@ -97,32 +104,48 @@ def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> Unscaled:
             "expected a row per sample"
         )
         raise DataError(msg)
-    key = (columns.plan.time, triad.rows, None if keep is None else keep.tobytes(), n)
+    key = (columns.plan.time, triad.rows, None if keep is None else blake2b(keep.data).digest(), n)
     if key not in clocks:
         reading = table_clock(work, columns)
         work.findings.extend(reading.findings)
         clocks[key] = (reading.clock, reading.order)
     clock, order = clocks[key]
     if order is not None:
-        columns = columns.rows(order)
+        columns = columns.rows(order, work.room)
     return Unscaled(triad=triad, axes=columns.axes, temperature=columns.temperature, clock=clock)
 
 
-def _rows_of_sensor(work: Work, columns: SensorColumns) -> NDArray[np.bool_] | None:
+def _rows_of_sensor(work: Work, columns: SensorColumns) -> BoolArray | None:
     """Return which rows are samples of the sensor; None where all are."""
-    keep: NDArray[np.bool_] | None = None
+    room, n = work.room, columns.axes[0].size
+    keep: BoolArray | None = None
     if columns.sparse:
-        keep = ~np.logical_and.reduce([np.isnan(axis) for axis in columns.axes])
+        keep = room.made(n, np.bool_, lambda part: _filled(columns.axes, part), *columns.axes)
     for column in columns.time:
         if column.dtype.kind == "f":
-            finite = np.isfinite(column)
-            if not finite.all():
-                lost = int(np.count_nonzero(~finite if keep is None else keep & ~finite))
-                keep = finite if keep is None else keep & finite
-                if lost:
-                    text = f"{lost} rows have no finite time; they were dropped."
-                    work.findings.append(Finding(level="warning", code="bad-rows", text=text))
-    return None if keep is None or bool(keep.all()) else keep
+            finite = room.made(n, np.bool_, partial(_finite, column), column)
+            before = n if keep is None else count(keep)
+            both = partial(_both, finite if keep is None else keep, finite)
+            keep = room.made(n, np.bool_, both, finite)
+            lost = before - count(keep)
+            if lost:
+                text = f"{lost} rows have no finite time; they were dropped."
+                work.findings.append(Finding(level="warning", code="bad-rows", text=text))
+    return None if keep is None or count(keep) == n else keep
+
+
+def _filled(axes: Sequence[FloatArray], part: slice) -> BoolArray:
+    """Return which rows of a block hold a value."""
+    empty: BoolArray = np.logical_and.reduce([np.isnan(axis[part]) for axis in axes])
+    return ~empty
+
+
+def _finite(column: Numbers, part: slice) -> BoolArray:
+    return np.asarray(np.isfinite(column[part]))
+
+
+def _both(first: BoolArray, second: BoolArray, part: slice) -> BoolArray:
+    return first[part] & second[part]
 
 
 def _add_temperature(builder: RecordingBuilder, work: Work, timed: Sequence[Unscaled]) -> None:
@@ -131,7 +154,8 @@ def _add_temperature(builder: RecordingBuilder, work: Work, timed: Sequence[Unsc
     if found is None:
         return
     values = np.asarray(found.temperature, dtype=np.float64)
-    finite = values[np.isfinite(values)]
+    some = values[:: max(1, values.size // _LOOKED_AT)]
+    finite = some[np.isfinite(some)]
     if not finite.size:
         return
     usual = float(np.median(finite))

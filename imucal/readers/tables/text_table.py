@@ -23,7 +23,7 @@ from imucal.readers.tables.text import TextSource
 from imucal.readers.tables.text_layout import lay_out
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording
-from imucal.resources import memory_limit
+from imucal.resources import column_limit
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
@@ -165,7 +165,8 @@ def _reader(
     # A row that lacks its last cell was cut, perhaps within a number that stands before it.
     if all(layout.cells(last)):
         needed |= {last}
-    limit = (options.memory_limit or memory_limit()) // max(1, len(kinds))
+    # Half of what may be held is for what the columns become.
+    limit = (options.memory_limit or column_limit()) // (2 * max(1, len(kinds)))
     return BlockReader(
         layout=layout,
         kinds=kinds,

@@ -19,6 +19,7 @@ from imucal.findings import Finding
 from imucal.readers.column_store import join_rows
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.room import Room
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.dates import parse_texts, text_kind
 from imucal.readers.tables.scales import Work
@@ -28,7 +29,7 @@ from imucal.readers.tables.table_files import TableFile, TypedColumn, open_table
 from imucal.readers.tables.tabular import assemble, contents_of, refuse_topics
 from imucal.readers.tables.timing import TimeChoice
 from imucal.recording import Recording, Sensor
-from imucal.resources import memory_limit
+from imucal.resources import column_limit
 
 #: Tables up to this size are read to be described, in bytes: they take less than half a second.
 _SMALL = 64 << 20
@@ -168,7 +169,7 @@ def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions, shap
 def _columns(part: _Part, sensor: SensorPlan, options: ReadOptions) -> SensorColumns:
     indices, at = sensor.triad.indices, part.plan.temperature
     # Copies, as samples are scaled in place; half of what may be held is for each of two sensors.
-    limit = (options.memory_limit or memory_limit()) // 2
+    limit = (options.memory_limit or column_limit()) // 2
     columns = SensorColumns(
         plan=sensor,
         axes=join_rows([[part.columns[index].values()] for index in indices], limit=limit),
@@ -180,7 +181,7 @@ def _columns(part: _Part, sensor: SensorPlan, options: ReadOptions) -> SensorCol
     if sensor.triad.rows is None:
         return columns
     index, tag = sensor.triad.rows
-    return columns.rows(part.columns[index].is_text(tag))
+    return columns.rows(part.columns[index].is_text(tag), Room(options.memory_limit))
 
 
 def _times(part: _Part, time: TimeChoice | None) -> tuple[Numbers, ...]:

@@ -5,11 +5,20 @@ from dataclasses import replace
 import numpy as np
 import numpy.testing as npt
 import pytest
+from scipy.stats import norm, t
 
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import Estimate
+from imucal.fitting.noise_fit import Estimate, Goodness
 from imucal.fitting.spectral import estimates
-from imucal.fitting.spectral.estimates import Fitted, Problem, covariance_of, estimate, model_of
+from imucal.fitting.spectral.estimates import (
+    Fitted,
+    Problem,
+    covariance_of,
+    estimate,
+    misfits_of,
+    model_of,
+)
+from imucal.fitting.spectral.intervals import RAMP as RAMP_COLUMN
 from imucal.fitting.spectral.scoring import Maximum
 from imucal.fitting.spectral.structures import candidates_of
 from tests.fitting.fits import ordinates_of, simulated
@@ -56,9 +65,9 @@ def found(
     """Return the estimates, where every limit lies so far below and above its parameter."""
 
     def limits(
-        _: object, candidates: object, maximum: Maximum, columns: FloatArray, **options: float
+        _: object, candidates: object, maximum: Maximum, columns: FloatArray, **options: object
     ) -> object:
-        assert options == {"level": 0.9, "shortest": 2.0}
+        assert options["shortest"] == 2.0
         del candidates
         rows = np.arange(columns.size)
         values = np.where(columns == -1, maximum.beta[:, 0], maximum.theta[rows, columns])
@@ -133,6 +142,32 @@ def test_an_interval_is_widened_in_logarithms(monkeypatch: pytest.MonkeyPatch) -
     assert table["K"] == plain["K"]
     bounded = found(monkeypatch, lowest=-np.inf, N=2.0)["N"]
     assert bounded.high == pytest.approx(UNIT * 3 * TAU0**0.5 * np.exp(0.4))
+
+
+def test_the_fewer_ordinates_tell_a_variance_the_farther_are_its_limits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Student's quantile with 2/variance degrees of freedom, ten at least; of times and ramps the normal."""
+    seen: list[FloatArray] = []
+
+    def limits(*_: object, reach: FloatArray, **options: object) -> tuple[FloatArray, FloatArray]:
+        del options
+        seen.append(reach)
+        return np.zeros(reach.size), np.zeros(reach.size)
+
+    monkeypatch.setattr(estimates, "profile_limits", limits)
+    # The information of N is 4, of B 9, of K 16, of both sigmas 25 and 36: 2, 18, 32, 50, 72 of freedom.
+    problem().limits(fit(structure=("N", "B", "GM", "GM", "K", "R")), [1, 2, 3, 4, 5, 6, RAMP_COLUMN])
+    freedom = [10.0, 18.0, 32.0, 50.0, 72.0]
+    npt.assert_allclose(seen[0], np.append(t.ppf(0.95, freedom), [norm.ppf(0.95)] * 2), rtol=1e-9)
+
+
+def test_misfit_factors_have_the_symbols_of_their_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two Gauss-Markov terms the larger; none below one; of N, B and K also where they are absent."""
+    monkeypatch.setattr(estimates, "misfit_factors", lambda *_: np.array([1.5, 0.7, 2.0, 1.2, 1.1, 1.4]))
+    bad, good = (Goodness(statistic=s, p_value=0.5, chi2_per_bin=1.0) for s in (3.0, 2.99))
+    assert misfits_of(problem(), fit(), good) == {}
+    assert misfits_of(problem(), fit(), bad) == {"Q": 1.5, "N": 1.0, "B": 2.0, "GM": 1.4, "K": 1.2}
 
 
 def test_the_covariance_is_in_si(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -72,13 +72,17 @@ def test_at_most_four_lines_are_named(count: int, text: str | None) -> None:
 def test_a_misfit_from_a_score_of_three_is_said(statistic: float, *, said: bool) -> None:
     """With its mean squared residual and its score."""
     found = _misfit_findings(
-        Goodness(statistic=statistic, p_value=0.1, chi2_per_bin=1.234), "N=1 + K=2", "gyro_x"
+        Goodness(statistic=statistic, p_value=0.1, chi2_per_bin=1.234),
+        {"N": 1.3, "B": 2.0, "K": 1.0},
+        "N=1 + K=2",
+        "gyro_x",
     )
     assert [f.text for f in found] == (
         [
             (
                 "N=1 + K=2 does not describe this axis: the squared residuals of its spectrum are 1.23 on "
-                "average where 1 is expected (score 3.0)."
+                "average where 1 is expected (score 3.0). Intervals are wider to allow for that: "
+                "N 1.3, B 2 times."
             )
         ]
         if said

@@ -67,7 +67,12 @@ def limits(columns: list[int], level: float = 0.95) -> tuple[FloatArray, FloatAr
     """Return the limits of some columns."""
     rows = np.zeros(len(columns), dtype=np.int64)
     return profile_limits(
-        DATA, CANDIDATES.take(rows), maximum().take(rows), np.array(columns), level=level, shortest=2.0
+        DATA,
+        CANDIDATES.take(rows),
+        maximum().take(rows),
+        np.array(columns),
+        reach=np.full(len(columns), quantile(level)),
+        shortest=2.0,
     )
 
 

@@ -1,5 +1,6 @@
 """The search for a maximum: its bounds, its steps, and what the maximum is worth."""
 
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.fitting.spectral.likelihood import evaluate
-from imucal.fitting.spectral.scoring import _step, bounds, covariance, maximize, misfit
+from imucal.fitting.spectral.scoring import _step, bounds, covariance, maximize, misfit, misfit_factors
 from imucal.fitting.spectral.structures import candidates_of
 from tests.fitting.fits import ordinates_of, simulated
 
@@ -93,3 +94,38 @@ def test_the_misfit_is_its_definition() -> None:
     assert found.chi2_per_bin == pytest.approx(np.mean(squares), rel=1e-12)
     assert found.statistic == pytest.approx((sum(squares) - len(squares)) / spread, rel=1e-9)
     assert found.p_value == pytest.approx(NormalDist().cdf(-found.statistic), rel=1e-9)
+
+
+def test_the_factor_of_the_only_term_is_the_root_of_the_mean_squared_residual() -> None:
+    """White noise lies in all groups alike; the model says too little where a walk is beside it."""
+    data = ordinates_of(simulated("N=1 + K=0.05", 400, 2))
+    candidate = candidates_of([("N",)], data.names)
+    theta = np.zeros((1, 4))
+    size, squares = [], []
+    for group in np.unique((np.cumsum(data.size) - data.size / 2) // 8):
+        own = (np.cumsum(data.size) - data.size / 2) // 8 == group
+        size.append(data.size[own].sum())
+        squares.append((data.power[own].sum() - size[-1]) ** 2 / (2 * size[-1]))
+    factors = misfit_factors(data, candidate, theta)
+    assert factors[1] == pytest.approx(np.sqrt(np.average(squares, weights=size)), rel=1e-9)
+
+
+def test_a_misfit_counts_for_the_terms_that_lie_there() -> None:
+    """A hump at high frequency makes N less sure and leaves K as it is."""
+    data = ordinates_of(simulated("N=1 + K=0.05", 20_000, 3))
+    candidate = candidates_of([("N", "K")], data.names)
+    theta = np.array([[0.0, 0.0, 0.0, 2 * np.log(0.05)]])
+    plain = misfit_factors(data, candidate, theta)
+    upper = np.cumsum(data.size) > 0.5 * data.size.sum()
+    hump = replace(data, power=np.where(upper, 1.5 * data.power, data.power))
+    found = misfit_factors(hump, candidate, theta)
+    assert 0.8 < plain[1] < 1.2
+    assert found[1] > 3.0
+    assert found[3] == pytest.approx(plain[3], rel=0.01)
+
+
+def test_an_absent_law_has_the_factor_of_where_it_would_lie() -> None:
+    """Whatever its size: a walk that is too much for white noise alone would be at the lowest ordinates."""
+    data = ordinates_of(simulated("N=1 + K=0.05", 20_000, 4))
+    factors = misfit_factors(data, candidates_of([("N",)], data.names), np.zeros((1, 4)))
+    assert factors[3] > 10 * factors[1]

@@ -18,6 +18,7 @@ from imucal.readers.clocks.placing import (
     step_statistics,
 )
 from imucal.readers.clocks.rate import Period
+from imucal.readers.room import Room
 
 TAU = 1000
 EVEN = np.arange(200, dtype=np.int64) * TAU
@@ -203,7 +204,7 @@ def test_a_stamp_that_is_far_off_has_no_weight() -> None:
 )
 def test_zero_stamps_are_filled(stamps: list[int], filled: list[int]) -> None:
     """Between neighbours, and evenly on at both ends."""
-    assert _filled(np.array(stamps, dtype=np.int64)).tolist() == filled
+    assert _filled(np.array(stamps, dtype=np.int64), Room()).tolist() == filled
 
 
 DAY = 86_400 * 10**9

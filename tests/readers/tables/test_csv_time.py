@@ -8,6 +8,7 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.room import Room
 from imucal.readers.tables.csv_log import read
 from imucal.readers.tables.dates import parse_texts
 from imucal.readers.tables.stamps import infer_time_unit, to_ns, unwrapped
@@ -115,7 +116,7 @@ def test_stamps_go_before_the_rate_of_the_preamble(tmp_path: Path) -> None:
 def test_wrapping_counters(bits: int) -> None:
     """A counter that starts again at the end of its range goes on."""
     true = np.arange(1000, dtype=np.int64) * 3 + (1 << bits) - 300
-    counts, wraps = unwrapped(true % (1 << bits))
+    counts, wraps = unwrapped(true % (1 << bits), Room())
     npt.assert_array_equal(np.diff(counts), np.diff(true))
     assert wraps == (int(true[-1]) >> bits) - (int(true[0]) >> bits)
 
@@ -123,7 +124,7 @@ def test_wrapping_counters(bits: int) -> None:
 def test_a_restart_is_no_wrap() -> None:
     """A logger that starts again from the middle of its range is left as it is."""
     counts = np.concatenate([np.arange(1000), np.arange(1000)]) + 20_000
-    result, wraps = unwrapped(counts)
+    result, wraps = unwrapped(counts, Room())
     npt.assert_array_equal(result, counts)
     assert wraps == 0
 
@@ -162,13 +163,13 @@ def test_texts(cell: str, ns: int) -> None:
 def test_floats_lose_nothing_but_their_own_resolution() -> None:
     """Seconds as doubles become the nearest ns; integers stay exact beyond 2**53."""
     values = np.array([0.1, 1.25, 1_700_000_000.5, -0.25])
-    assert to_ns(values, 10**9).tolist() == [
+    assert to_ns(values, 10**9, Room()).tolist() == [
         100_000_000,
         1_250_000_000,
         1_700_000_000_500_000_000,
         -250_000_000,
     ]
-    assert to_ns(np.array([2**62 - 1, 5], dtype=np.int64), 1).tolist() == [2**62 - 1, 5]
+    assert to_ns(np.array([2**62 - 1, 5], dtype=np.int64), 1, Room()).tolist() == [2**62 - 1, 5]
 
 
 def test_date_in_columns(tmp_path: Path) -> None:

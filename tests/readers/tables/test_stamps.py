@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
+from imucal.readers.room import Room
 from imucal.readers.tables.dates import NO_STAMP, parse_texts
 from imucal.readers.tables.stamps import (
     DAY,
@@ -94,7 +95,7 @@ def test_usual_steps(values: list[int], step: float) -> None:
 )
 def test_wraps(counts: list[int], turns: int) -> None:
     """From near the end of a range to near its start."""
-    values, found = unwrapped(np.array(counts, dtype=np.int64))
+    values, found = unwrapped(np.array(counts, dtype=np.int64), Room())
     assert found == turns
     if turns == 0:
         assert values.tolist() == counts
@@ -117,7 +118,7 @@ def test_wraps(counts: list[int], turns: int) -> None:
 )
 def test_midnight(stamps: list[int], expected: list[int]) -> None:
     """A time of day that falls by more than half a day is the next day's."""
-    assert rolled(np.array(stamps, dtype=np.int64), DAY).tolist() == expected
+    assert rolled(np.array(stamps, dtype=np.int64), DAY, Room()).tolist() == expected
 
 
 def test_dates_of_columns() -> None:
@@ -125,8 +126,11 @@ def test_dates_of_columns() -> None:
     parts = [np.array([value, value]) for value in (2024, 3, 1, 1, 2)]
     second, nano = np.array([3.5, 4.0]), np.array([7, 8])
     start = 1_709_254_800 + 120
-    assert date_stamps([*parts, second]).tolist() == [start * SECOND + 3_500_000_000, (start + 4) * SECOND]
-    assert date_stamps([*parts, second, nano]).tolist() == [
+    assert date_stamps([*parts, second], Room()).tolist() == [
+        start * SECOND + 3_500_000_000,
+        (start + 4) * SECOND,
+    ]
+    assert date_stamps([*parts, second, nano], Room()).tolist() == [
         start * SECOND + 3_500_000_007,
         (start + 4) * SECOND + 8,
     ]
@@ -151,19 +155,19 @@ def test_texts(cell: str, ns: int) -> None:
 def test_counts_that_do_not_fit_begin_at_zero() -> None:
     """Whole numbers whose ns leave int64 are told from their first; floats become zero."""
     most = (1 << 62) // 1000
-    assert to_ns(np.array([most, most - 1]), 1000).tolist() == [most * 1000, (most - 1) * 1000]
-    assert to_ns(np.array([most + 1, most + 2]), 1000).tolist() == [0, 1000]
-    assert to_ns(np.array([-most - 1, -most]), 1000).tolist() == [0, 1000]
-    assert to_ns(np.array([1e30, 2.5]), 1000).tolist() == [0, 2500]
+    assert to_ns(np.array([most, most - 1]), 1000, Room()).tolist() == [most * 1000, (most - 1) * 1000]
+    assert to_ns(np.array([most + 1, most + 2]), 1000, Room()).tolist() == [0, 1000]
+    assert to_ns(np.array([-most - 1, -most]), 1000, Room()).tolist() == [0, 1000]
+    assert to_ns(np.array([1e30, 2.5]), 1000, Room()).tolist() == [0, 2500]
 
 
 def test_a_repeated_count_is_no_wrap() -> None:
     """Even where the steps are so large that a whole period is within what a wrap may skip."""
     counts = np.array([0, 3, 6, 6, 9], dtype=np.int64)
-    found, wraps = unwrapped(counts)
+    found, wraps = unwrapped(counts, Room())
     assert (found.tolist(), wraps) == (counts.tolist(), 0)
     # The same beside a wrap.
-    found, wraps = unwrapped(np.array([250, 253, 253, 0, 3], dtype=np.int64))
+    found, wraps = unwrapped(np.array([250, 253, 253, 0, 3], dtype=np.int64), Room())
     assert (found.tolist(), wraps) == ([250, 253, 253, 256, 259], 1)
 
 

@@ -1,0 +1,170 @@
+"""Two small solvers: a root in a bracket, and least squares without negative solutions.
+
+Problems here have one variable, or a handful of them; loading `scipy.optimize` takes longer than solving
+all of them.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+
+#: Most steps of a search for a root: each at least halves the bracket.
+_MOST_STEPS = 200
+#: A share of the largest product with the residuals below which no variable is worth adding.
+_NO_GAIN = 1e-12
+
+
+def root(function: Callable[[float], float], low: float, high: float, *, tolerance: float) -> float:
+    """Return where a continuous function changes its sign between `low` and `high`, to within `tolerance`.
+
+    Raises
+    ------
+    ValueError
+        If it has the same sign at both ends.
+
+    Notes
+    -----
+    Two evaluations a step; near a simple root a step doubles the number of right digits.
+
+    Source: Ridders (1979), IEEE Trans. Circuits Syst. 26, 979.
+    """
+    at_low, at_high = function(low), function(high)
+    if at_low * at_high > 0:
+        msg = f"the function is {at_low} at {low} and {at_high} at {high}, expected different signs"
+        raise ValueError(msg)
+    for end, value in ((low, at_low), (high, at_high)):
+        if value == 0:
+            return end
+    best = low
+    for _ in range(_MOST_STEPS):
+        middle = (low + high) / 2
+        at_middle = function(middle)
+        scale = math.sqrt(at_middle * at_middle - at_low * at_high)
+        if at_middle == 0 or scale == 0:
+            return middle
+        step = (middle - low) * at_middle / scale
+        trial = middle + (step if at_low > at_high else -step)
+        at_trial = function(trial)
+        done = at_trial == 0 or abs(trial - best) <= tolerance
+        best = trial
+        if done:
+            break
+        if at_middle * at_trial < 0:
+            low, at_low, high, at_high = middle, at_middle, trial, at_trial
+        elif at_low * at_trial < 0:
+            high, at_high = trial, at_trial
+        else:
+            low, at_low = trial, at_trial
+        if abs(high - low) <= tolerance:
+            break
+    return best
+
+
+def non_negative(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, float]:
+    """Return x >= 0 that makes |matrix x - target|² least, shape (p,), and that sum of squares.
+
+    Parameters
+    ----------
+    matrix
+        Shape (k, p), p at most some dozens; its columns may be of any length.
+    target
+        Shape (k,).
+
+    Notes
+    -----
+    Most often no variable of the ordinary solution is negative, and it is the answer.
+
+    Source: Lawson & Hanson (1974), "Solving least squares problems", ch. 23.
+    """
+    length = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+    length[length == 0] = 1.0
+    columns = matrix / length
+    solution = _active_set(columns, target)
+    rest = columns @ solution - target
+    return solution / length, float(rest @ rest)
+
+
+def _active_set(columns: FloatArray, target: FloatArray) -> FloatArray:
+    size = columns.shape[1]
+    solution = np.zeros(size)
+    if not size:
+        return solution
+    whole = np.linalg.lstsq(columns, target, rcond=None)[0]
+    if whole.min() > 0:
+        return np.asarray(whole)
+    used = np.zeros(size, dtype=bool)
+    gain = columns.T @ target
+    least = _NO_GAIN * float(np.abs(gain).max())
+    for _ in range(3 * size + 10):
+        entering = np.where(used, -np.inf, gain)
+        if entering.max() <= least:
+            break
+        used[np.argmax(entering)] = True
+        while True:
+            trial = np.zeros(size)
+            trial[used] = np.linalg.lstsq(columns[:, used], target, rcond=None)[0]
+            negative = used & (trial <= 0)
+            if not negative.any():
+                break
+            # As far towards the trial as no variable falls below zero; the first at zero is out.
+            share = (solution[negative] / (solution[negative] - trial[negative])).min()
+            solution += share * (trial - solution)
+            used &= solution > 1e-15 * np.abs(solution).max()
+            solution[~used] = 0.0
+            if not used.any():
+                break
+        solution = trial if used.any() else np.zeros(size)
+        gain = columns.T @ (target - columns @ solution)
+    return solution
+
+
+def lowest(
+    function: Callable[[FloatArray], float], start: FloatArray, *, near: float, alike: float, most: int
+) -> tuple[FloatArray, float]:
+    """Return where a function of a few variables is lowest, shape (p,), from `start` on, and its value.
+
+    Parameters
+    ----------
+    near, alike
+        The search ends where the corners of the simplex are so near to the best, and their values too.
+    most
+        Evaluations after which it ends in any case.
+
+    Source: Nelder & Mead (1965), Computer Journal 7, 308.
+    """
+    size = start.size
+    corners = np.repeat(start[None].astype(np.float64), size + 1, axis=0)
+    corners[1:][np.diag_indices(size)] = np.where(start != 0, 1.05 * start, 2.5e-4)
+    values = np.array([function(corner) for corner in corners])
+    count = size + 1
+    while True:
+        order = np.argsort(values, kind="stable")
+        corners, values = corners[order], values[order]
+        close = (
+            np.abs(corners[1:] - corners[0]).max() <= near and np.abs(values[1:] - values[0]).max() <= alike
+        )
+        if close or count >= most:
+            return corners[0], float(values[0])
+        middle, worst = corners[:-1].mean(axis=0), corners[-1]
+        trial = 2 * middle - worst
+        at_trial = function(trial)
+        count += 1
+        if values[0] <= at_trial < values[-2]:
+            corners[-1], values[-1] = trial, at_trial
+            continue
+        # Beyond a new best; else half the way on the better side of the middle.
+        share = 2.0 if at_trial < values[0] else 0.5 if at_trial < values[-1] else -0.5
+        other = middle + share * (middle - worst)
+        at_other = function(other)
+        count += 1
+        if at_other < min(at_trial, values[-1]) or (share == 0.5 and at_other <= at_trial):
+            corners[-1], values[-1] = other, at_other
+        elif share == 2.0:
+            corners[-1], values[-1] = trial, at_trial
+        else:
+            corners[1:] = (corners[1:] + corners[0]) / 2
+            values[1:] = [function(corner) for corner in corners[1:]]
+            count += size

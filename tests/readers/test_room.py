@@ -1,0 +1,181 @@
+"""Arrays in memory and in temporary files, in blocks of any size, are the same."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from imucal import mapped
+from imucal.arrays import IntArray
+from imucal.errors import ReadError
+from imucal.mapped import blocks, release
+from imucal.readers.clocks.from_stamps import _filled
+from imucal.readers.column_store import copy_to, is_constant
+from imucal.readers.out_of_order import steps_back, unsorted
+from imucal.readers.room import Room, Spill, count, equal, extremes
+from imucal.readers.tables.stamps import DAY, date_stamps, pair_stamps, rolled, to_ns, unwrapped, week_stamps
+
+RNG = np.random.default_rng(2026)
+VALUES = RNG.integers(-1000, 1000, 500)
+KEEP = RNG.random(500) < 0.3
+
+
+@pytest.fixture(params=[1 << 18, 1, 7, 500], autouse=True)
+def _block(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mapped, "BLOCK", request.param)
+    monkeypatch.setattr(mapped, "_HELD", 20)
+
+
+@pytest.fixture(params=[None, 0])
+def room(request: pytest.FixtureRequest) -> Room:
+    return Room(request.param)
+
+
+def test_what_is_made(room: Room) -> None:
+    """Is what NumPy makes of all at once."""
+    npt.assert_array_equal(room.copied(VALUES), VALUES)
+    order = RNG.permutation(500)[:300]
+    npt.assert_array_equal(room.taken(VALUES, order), VALUES[order])
+    npt.assert_array_equal(room.chosen(VALUES, KEEP), VALUES[KEEP])
+    npt.assert_array_equal(room.places(KEEP), np.flatnonzero(KEEP))
+    assert count(KEEP) == np.count_nonzero(KEEP)
+    assert extremes(VALUES) == (VALUES.min(), VALUES.max())
+    assert room.empty(0, np.int64).size == 0
+    other = room.copied(VALUES)
+    assert equal(VALUES, other)
+    other[499] += 1
+    assert not equal(VALUES, other)
+
+
+def test_a_large_array_lies_in_a_file() -> None:
+    """Above a sixteenth of what may be held, and keeps its values when its pages are handed back."""
+    small, large = Room(16 * 800).empty(100, np.float64), Room(16 * 800).empty(101, np.float64)
+    assert small.flags.owndata
+    assert not large.flags.owndata
+    large[:] = np.arange(101)
+    release(large, large[3:], small)
+    npt.assert_array_equal(large, np.arange(101))
+
+
+def test_pages_are_handed_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind the blocks of mapped arrays, and at the end; each map once."""
+    seen: list[int] = []
+    monkeypatch.setattr(mapped, "_hand_back", lambda held: seen.append(len(held)))
+    held = Room(0).empty(100, np.float64)
+    parts = list(blocks(100, held, held[50:], np.zeros(100), size=10))
+    assert parts == [slice(i, i + 10) for i in range(0, 100, 10)]
+    assert seen == [800] * 6
+    assert list(blocks(0, held)) == []
+
+
+def test_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Is said before anything is written, with the folder and what was wanted."""
+
+    def full(*_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("imucal.readers.room.os.posix_fallocate", full)
+    with pytest.raises(ReadError, match=r"no room for 8\.0 GB of samples: No space left on device"):
+        Room(0).empty(10**9, np.float64)
+
+
+def test_integers_in_a_file_become_floats() -> None:
+    """All of them, block by block."""
+    spill = Spill()
+    spill.write(VALUES)
+    spill.become_float()
+    spill.write(np.array([0.5]))
+    npt.assert_array_equal(spill.take(np.dtype(np.float64))[0], [*VALUES, 0.5])
+
+
+def test_copies_of_overlapping_parts() -> None:
+    """Towards the front, as when samples close up."""
+    for shift in (1, 3, 100):
+        values = np.arange(500)
+        copy_to(values[: 500 - shift], values[shift:])
+        npt.assert_array_equal(values[: 500 - shift], np.arange(shift, 500))
+
+
+@pytest.mark.parametrize(("changed", "constant"), [([], True), ([0], False), ([499], False)])
+@pytest.mark.parametrize("value", [3.0, np.nan])
+def test_constant_rows(changed: list[int], value: float, *, constant: bool) -> None:
+    """Are found whatever they hold."""
+    rows = np.full((2, 500), value)
+    rows[1, changed] = 7.0
+    assert is_constant(rows) is constant
+
+
+def wraps(values: IntArray, period: int) -> IntArray:
+    """Return a running count, the definition: a period more at each step back."""
+    turns, result = 0, []
+    for before, value in zip([values[0], *values], values, strict=False):
+        turns += int(value < before)
+        result.append(int(value) + turns * period)
+    return np.array(result)
+
+
+def test_counters_and_times_of_day_go_on(room: Room) -> None:
+    """Wherever they start again, also at the very end of a block."""
+    counts = np.arange(37, 537) % 256
+    found, times = unwrapped(counts, room)
+    assert times == 2
+    npt.assert_array_equal(found, wraps(counts, 256))
+    day = (np.arange(500) * (DAY // 100) + DAY // 3) % DAY
+    npt.assert_array_equal(rolled(day, DAY, room), wraps(day, DAY))
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda room: to_ns(VALUES, 1000, room),
+        lambda room: to_ns(VALUES / 7, 10**9, room),
+        lambda room: to_ns(VALUES + (1 << 61), 1000, room),
+        lambda room: pair_stamps(np.arange(500), VALUES + 1000, room),
+        lambda room: week_stamps(np.arange(500) // 100, VALUES + 1000, 10**6, room),
+        lambda room: week_stamps(np.full(500, 9), np.arange(500), 10**6, room),
+        lambda room: date_stamps([np.full(500, k) for k in (2024, 2, 29, 13)] + [VALUES, VALUES / 9], room),
+        lambda room: _filled(np.where(KEEP, 0, np.arange(500) ** 2), room),
+        lambda room: _filled(np.where(np.arange(500) % 490 < 6, 0, np.arange(500) * 3), room),
+    ],
+)
+def test_stamps_do_not_depend_on_blocks(made: Callable[[Room], Any], room: Room) -> None:
+    """Nor on where they lie: they are those of one block in memory."""
+    mapped_block, mapped.BLOCK = mapped.BLOCK, 1 << 18
+    expected = made(Room())
+    mapped.BLOCK = mapped_block
+    npt.assert_array_equal(made(room), expected)
+
+
+def logs() -> Iterator[IntArray]:
+    """Yield times in order, locally out of order, in two runs, backwards, and with equal ones."""
+    rng = np.random.default_rng(77)
+    even = np.arange(300)
+    yield even
+    yield even + rng.integers(0, 4, 300)
+    yield np.where(rng.random(300) < 0.02, even - 9, even)
+    yield np.concatenate([even[::2], even[1::2]])
+    yield even[::-1].copy()
+    yield even // 5
+    yield np.concatenate([even[:100] + 3, even[100:]])
+    yield even[:1]
+
+
+@pytest.mark.parametrize("times", list(logs()))
+def test_parts_that_are_sorted(times: IntArray) -> None:
+    """Put the whole in the order of a stable sort, and nothing is sorted that need not be."""
+    order = np.arange(times.size)
+    end = 0
+    for start, stop in unsorted(times):
+        assert start >= end
+        assert stop - start > 1
+        assert np.any(np.diff(times[start:stop]) < 0)
+        # None of its places is a cut.
+        highest = np.maximum.accumulate(times)
+        lowest = np.minimum.accumulate(times[::-1])[::-1]
+        assert all(highest[k - 1] > lowest[k] for k in range(start + 1, stop))
+        order[start:stop] = start + np.argsort(times[start:stop], kind="stable")
+        end = stop
+    npt.assert_array_equal(order, np.argsort(times, kind="stable"))
+    assert steps_back(times) == np.count_nonzero(np.diff(times) < 0)
