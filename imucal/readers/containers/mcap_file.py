@@ -40,9 +40,9 @@ class McapFile:
     format = "mcap"
     parallel = True
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, file: LogFile | None = None) -> None:
         self.path = path
-        self._file = LogFile(path)
+        self._file = file or LogFile(path)
         self.size = self._file.size
         try:
             self._prepare()
