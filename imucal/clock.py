@@ -1,5 +1,6 @@
 """When samples were taken: an even grid, of which unbroken segments are filled."""
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,6 +146,14 @@ class Clock:
             if place <= segment.offset + segment.size - 1:
                 return segment.start + max(0, int(np.ceil(place - segment.offset)))
         return self.n
+
+    def index_from(self, place: int) -> int:
+        """Return the index of the first sample at a place of the grid or after it; n if none."""
+        at = bisect_left(self.segments, place, key=lambda s: s.offset + s.size - self.segments[0].offset - 1)
+        if at == len(self.segments):
+            return self.n
+        segment = self.segments[at]
+        return segment.start + max(0, place - segment.offset + self.segments[0].offset)
 
     def slice(self, first: int, stop: int) -> "Clock":
         """Return the clock of the samples from index `first` to before `stop`."""

@@ -170,8 +170,9 @@ def _characterize_axis(
     at_samples = _same_clock(series, finite, temperature)
     with shared_transform(finite.samples):
         curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
-        result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
         density = spectrum(finite)
+        # Last: the fit takes the transform for its own.
+        result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
     found = result.findings + findings_or_why_not(
         lambda: resolution_findings(result, finite.duration_s),
         what="How long a record would do is not known",

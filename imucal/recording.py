@@ -163,17 +163,20 @@ class LogFileInfo:
     Attributes
     ----------
     path
-        As it was read.
+        As it was read; a URL without user and query.
     size_bytes
         Its size.
     blake2b
         Its BLAKE2b checksum of 64 bytes in hexadecimal digits, as ``b2sum`` prints it; None where the file
         could not be read to its end. Source: RFC 7693.
+    etag
+        ETag of the object behind a URL, or the time of its last change; None of a file of this machine.
     """
 
     path: str
     size_bytes: int
     blake2b: str | None = None
+    etag: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "path", _as_text(self.path))

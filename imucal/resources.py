@@ -38,14 +38,28 @@ def memory_limit() -> int:
     SettingError
         If ``IMUCAL_MEMORY`` is no size.
     """
-    text = os.environ.get(MEMORY, "").strip()
+    size = size_setting(MEMORY)
+    if size is not None:
+        return size
+    there_is = memory_there_is()
+    return there_is // _SHARE if there_is else _UNKNOWN
+
+
+def size_setting(name: str, *, least: int = 1) -> int | None:
+    """Return the bytes that an environment variable says, such as ``500M``; None where it is not set.
+
+    Raises
+    ------
+    SettingError
+        If it is no size, or less than `least`.
+    """
+    text = os.environ.get(name, "").strip()
     if not text:
-        size = memory_there_is()
-        return size // _SHARE if size else _UNKNOWN
+        return None
     try:
-        return parse_size(text)
+        return parse_size(text, least=least)
     except ValueError as error:
-        msg = f"{MEMORY}: found {text!r}, expected {error}; set one, or unset it"
+        msg = f"{name}: found {text!r}, expected {error}; set one, or unset it"
         raise SettingError(msg) from error
 
 
@@ -54,17 +68,17 @@ def memory_there_is() -> int | None:
     return min((size for size in (_physical(), *control_group_limits()) if size), default=None)
 
 
-def parse_size(text: str) -> int:
+def parse_size(text: str, *, least: int = 1) -> int:
     """Return the bytes of a size such as ``500M`` or ``2GB``; a K is 1024.
 
     Raises
     ------
     ValueError
-        If it is none; says what is expected.
+        If it is none, or less than `least`; says what is expected.
     """
     match = _SIZE.fullmatch(text.strip())
-    size = float(match["number"]) * _PREFIXES[match["prefix"].lower()] if match else 0
-    if size < 1:
+    size = float(match["number"]) * _PREFIXES[match["prefix"].lower()] if match else -1
+    if size < least:
         msg = "a size such as 500M or 2G"
         raise ValueError(msg)
     return int(size)

@@ -20,7 +20,7 @@ DOCS = ROOT / "docs"
 _GAP = "\0"
 
 
-def _texts() -> Iterator[str]:
+def texts() -> Iterator[str]:
     """Yield every string of the package, with a gap where a value stands."""
     for file in (ROOT / "imucal").rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
@@ -33,7 +33,7 @@ def _texts() -> Iterator[str]:
                 yield node.value
 
 
-def _says(message: str, text: str) -> bool:
+def says(message: str, text: str) -> bool:
     """Return whether the words between the gaps of a message stand in a text, in order."""
     parts = [re.escape(words) for part in message.split("…") if (words := part.strip(" :'"))]
     return re.search(".*".join(parts), text, re.DOTALL) is not None
@@ -45,16 +45,16 @@ def test_troubleshooting_quotes_what_is_printed() -> None:
     messages = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)
     assert len(messages) >= 20
     assert len(set(messages)) == len(messages)
-    texts = [text for text in _texts() if len(text) > 12]
-    assert [message for message in messages if not any(_says(message, text) for text in texts)] == []
+    said = [text for text in texts() if len(text) > 12]
+    assert [message for message in messages if not any(says(message, text) for text in said)] == []
 
 
 def test_a_message_that_nobody_prints_is_caught() -> None:
     """The words, and their order."""
     text = f"{_GAP}: there is no topic {_GAP}; choose one of these topics {_GAP}"
-    assert _says("…: there is no topic …; choose one of these topics", text)
-    assert not _says("choose one … there is no topic", text)
-    assert not _says("…: there is no such topic …", text)
+    assert says("…: there is no topic …; choose one of these topics", text)
+    assert not says("choose one … there is no topic", text)
+    assert not says("…: there is no such topic …", text)
 
 
 def test_the_tutorial_shows_the_pictures_of_its_script() -> None:

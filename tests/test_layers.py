@@ -30,8 +30,9 @@ BELOW: dict[str, set[str]] = {
     "units": {"recording"},
 }
 BASE = set(BELOW)
+BELOW["remote"] = {"_version", "errors", "resources"}
 BELOW |= {
-    "readers": BASE,
+    "readers": BASE | {"remote"},
     "screening": BASE,
     "allan": BASE,
     "noise": BASE,
@@ -46,7 +47,7 @@ BELOW["checking"] = BELOW["planning"]
 BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
 BELOW["fleet_report"] = BELOW["fleet"] | {"fleet", "checking"}
-BELOW["fleet_run"] = BELOW["pipeline"] | {"fleet", "pipeline", "readers"}
+BELOW["fleet_run"] = BELOW["pipeline"] | {"fleet", "pipeline", "readers", "remote"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

@@ -22,8 +22,8 @@ from imucal.recording import AxisSeries
 _BLOCK = 65536
 #: Shorter transforms are quick at any length, longer ones where no prime factor is larger than this.
 _QUICK, _PRIME = 65536, 127
-#: A ramp of so many ordinates is kept for the next axis.
-_KEPT = range(1 << 16, 1 << 22)
+#: Angles of a ramp whose sines are computed; those of the others follow from them.
+_TABLE = 1 << 12
 #: Largest share of the samples that a quick length leaves out.
 _CUT = 1e-4
 
@@ -57,6 +57,20 @@ class DctBins:
     def size(self) -> int:
         """Number of bins."""
         return self.first.size
+
+    def parts(self) -> Iterator[tuple[slice, slice, IntArray]]:
+        """Yield runs of bins so short that their ordinates stay in the cache.
+
+        That is which bins; which ordinates, counted from 0 as they stand in an array; and where in those
+        each bin begins.
+        """
+        start = 0
+        while start < self.size:
+            stop = max(int(np.searchsorted(self.first, self.first[start] + _BLOCK)), start + 1)
+            low = int(self.first[start]) - 1
+            high = int(self.first[stop - 1] + self.count[stop - 1]) - 1
+            yield slice(start, stop), slice(low, high), self.first[start:stop] - 1 - low
+            start = stop
 
 
 @lru_cache(maxsize=64)
@@ -117,6 +131,13 @@ def shared_transform(samples: FloatArray) -> Iterator[None]:
 
     The curve's intervals, the spectrum and the likelihood of an axis are made of the same ordinates.
     """
+    shared = _SHARED.get()
+    if shared and shared.samples.size == samples.size and shared.place(samples) == (0, samples.size):
+        yield
+        return
+    if shared:
+        # These are other samples, such as those without spikes: one transform at a time is enough.
+        shared.known.clear()
     token = _SHARED.set(_Shared(samples.view(), {}))
     try:
         yield
@@ -141,8 +162,19 @@ def dct_ordinates(samples: FloatArray) -> FloatArray:
     if not (shared and place):
         return _transform(samples)
     if place not in shared.known:
-        shared.known[place] = read_only(_transform(samples))
-    return shared.known[place]
+        shared.known[place] = _transform(samples)
+    return read_only(shared.known[place])
+
+
+def own_ordinates(samples: FloatArray) -> FloatArray:
+    """Return what `dct_ordinates` does as an array to write to: a shared transform is given away.
+
+    What `dct_ordinates` returned of it before may not be used any more.
+    """
+    shared = _SHARED.get()
+    place = shared.place(samples) if shared else None
+    known = shared.known.pop(place, None) if shared and place else None
+    return _transform(samples) if known is None else known
 
 
 def _transform(samples: FloatArray) -> FloatArray:
@@ -171,34 +203,30 @@ def bin_power(ordinates: FloatArray, bins: DctBins) -> FloatArray:
         msg = f"ordinates must have shape ({bins.n - 1},), got {ordinates.shape}"
         raise ValueError(msg)
     power = np.empty(bins.size)
-    start = 0
-    while start < bins.size:
-        # Bins by the block, so that the squares stay in the cache.
-        stop = max(int(np.searchsorted(bins.first, bins.first[start] + _BLOCK)), start + 1)
-        low = int(bins.first[start]) - 1
-        high = int(bins.first[stop - 1] + bins.count[stop - 1]) - 1
-        power[start:stop] = np.add.reduceat(np.square(ordinates[low:high]), bins.first[start:stop] - 1 - low)
-        start = stop
+    for here, seen, starts in bins.parts():
+        power[here] = np.add.reduceat(np.square(ordinates[seen]), starts)
     return power
 
 
-def ramp_ordinates(n: int, count: int) -> FloatArray:
-    """Return the orthonormal DCT-II ordinates k = 1 … count of the ramp 0, 1, … n-1; read-only.
+def ramp_ordinates(n: int, count: int, *, first: int = 1) -> FloatArray:
+    """Return the orthonormal DCT-II ordinates k = first … first+count-1 of the ramp 0, 1, … n-1.
 
     -sqrt(2/n) cos(theta/2) / (2 sin²(theta/2)) for odd k, 0 for even k.
     """
-    # Every step of a fit and every axis of a log asks for the same; longer ones would take up memory.
-    return _kept_ramp(n, count) if count in _KEPT else _ramp(n, count)
-
-
-def _ramp(n: int, count: int) -> FloatArray:
-    half = np.pi / (2 * n) * np.arange(1, count + 1, 2, dtype=np.float64)
     ramp = np.zeros(count)
-    ramp[::2] = -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2)
-    return read_only(ramp)
-
-
-_kept_ramp = lru_cache(maxsize=1)(_ramp)
+    odd = ramp[(first + 1) % 2 :: 2]
+    lowest, step = np.pi / (2 * n) * (first + (first + 1) % 2), np.pi / n
+    table = step * np.arange(min(_TABLE, odd.size), dtype=np.float64)
+    sine, cosine = np.sin(table), np.cos(table)
+    for start in range(0, odd.size, _TABLE):
+        # By the sines of sums: a sine and a cosine of every ordinate would take longer than a transform.
+        part = odd[start : start + _TABLE]
+        angle = lowest + start * step
+        s, c = np.sin(angle), np.cos(angle)
+        high = s * cosine[: part.size] + c * sine[: part.size]
+        part[:] = (c * cosine[: part.size] - s * sine[: part.size]) / (high * high)
+    odd *= -np.sqrt(0.5 / n)
+    return ramp
 
 
 def fast_length(n: int) -> int:

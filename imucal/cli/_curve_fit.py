@@ -7,15 +7,25 @@ from pathlib import Path
 from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import print_findings
-from imucal.cli._options import say
+from imucal.cli._options import LogRequest, name_of_log, say
 from imucal.cli._terminal import fitted, width
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS
 
+#: Endings of files that may be such a table.
+_TEXTS = (".csv", ".txt", ".dat", ".tsv")
 
-def is_curve_table(path: Path) -> bool:
-    """Say whether a file's heading names an averaging time, as a table of deviations does."""
-    if not path.is_file() or path.suffix.lower() not in {".csv", ".txt", ".dat", ".tsv"}:
+
+def is_curve_table(request: LogRequest) -> bool:
+    """Say whether the heading of the one log names an averaging time, as a table of deviations does."""
+    if len(request.logs) != 1 or not name_of_log(request.logs[0]).lower().endswith(_TEXTS):
+        return False
+    with request.local() as logs:
+        return all(map(_names_an_averaging_time, logs.paths))
+
+
+def _names_an_averaging_time(path: Path) -> bool:
+    if not path.is_file():
         return False
     with path.open("rb") as stream:
         head = stream.read(4096).decode("utf-8-sig", "replace")

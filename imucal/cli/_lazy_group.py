@@ -48,6 +48,8 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Name the command that a mistyped one is near to, or all of them."""
+        from imucal.remote.addresses import is_url, shown
+
         name = args[0]
         if name in self.table or name.startswith("-") or ctx.resilient_parsing:
             return super().resolve_command(ctx, args)
@@ -56,6 +58,11 @@ class LazyGroup(click.Group):
             hint = f"did you mean {near[0]!r}?"
         elif Path(name).exists():
             purpose, command = self._of_a_log
+            hint = f"to {purpose} write '{ctx.command_path} {command} {shlex.quote(name)}'"
+        elif is_url(name):
+            purpose, command = self._of_a_log
+            # What stands behind the question mark of a URL may be a secret.
+            name = shown(name)
             hint = f"to {purpose} write '{ctx.command_path} {command} {shlex.quote(name)}'"
         else:
             hint = f"expected one of {', '.join(self.table)}"

@@ -4,7 +4,8 @@ import functools
 import math
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -13,12 +14,13 @@ import click
 
 from imucal.cli._echo import echo
 from imucal.cli._param_type import ParamType
-from imucal.cli._progress import axes_progress, reading_progress
+from imucal.cli._progress import axes_progress, download_progress, reading_progress
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
 
 if TYPE_CHECKING:
     from imucal.pipeline import Settings
+    from imucal.readers.remote_logs import LocalLogs
     from imucal.report.result import Report
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -102,14 +104,30 @@ class LogRequest:
     quiet: bool
     verbose: bool
 
+    @contextmanager
+    def local(self) -> Iterator["LocalLogs"]:
+        """Lend the logs as files of this machine, those by URL with a progress bar where a person watches."""
+        from imucal.readers.remote_logs import local_logs
+        from imucal.remote import is_url
+
+        with ExitStack() as stack:
+            quiet = self.quiet or not any(map(is_url, self.logs))
+            with download_progress(quiet=quiet) as progress:
+                logs = stack.enter_context(local_logs(self.logs, progress=progress))
+            yield logs
+
     def read(self) -> Recording:
         """Read the log, with a progress bar where a person watches."""
+        with self.local() as logs:
+            return self._read(logs)
+
+    def _read(self, logs: "LocalLogs") -> Recording:
         from imucal.readers import read
         from imucal.readers.clocks import part_between
 
         with reading_progress(quiet=self.quiet) as progress:
             recording = read(
-                *self.logs,
+                *logs.paths,
                 topic=self.topic,
                 time=self.time,
                 time_unit=self.time_unit,
@@ -128,6 +146,7 @@ class LogRequest:
         if self.skip or self.take is not None:
             end = float("inf") if self.take is None else self.skip + self.take
             recording = part_between(recording, self.skip, end)
+        recording = logs.named(recording)
         _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
         return recording
 
@@ -136,11 +155,12 @@ class LogRequest:
         from imucal.pipeline import characterize
         from imucal.readers.checksums import Checksums
 
-        with Checksums([Path(log) for log in self.logs]) as checksums:
-            recording = self.read()
+        with self.local() as logs, Checksums(logs.paths) as checksums:
+            recording = self._read(logs)
             with axes_progress(quiet=self.quiet) as progress:
                 report = characterize(recording, settings, progress=progress, workers=workers)
-            return replace(report, source=replace(report.source, files=checksums.files()))
+            files = logs.named_files(checksums.files())
+            return replace(report, source=replace(report.source, files=files))
 
     def settings(self) -> dict[str, object]:
         """Return what was asked, for the report: JSON values, defaults left out."""
@@ -362,3 +382,12 @@ def as_typed(path: Path) -> str:
     """Return a path as a shell takes it for one argument: quoted where it needs to be, never an option."""
     text = str(path)
     return shlex.quote(f"./{text}" if text.startswith("-") else text)
+
+
+def name_of_log(log: str) -> str:
+    """Return the own name of a log as it was typed: of a path, a URL, or standard input."""
+    from imucal.remote.addresses import is_url, name_of, shown
+
+    if log == "-":
+        return "stdin"
+    return name_of(shown(log)) if is_url(log) else Path(log).resolve().name

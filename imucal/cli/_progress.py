@@ -17,6 +17,13 @@ def reading_progress(*, quiet: bool) -> Iterator[Callable[[int, int], None] | No
 
 
 @contextmanager
+def download_progress(*, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """Show bytes, rate and time left of a download on a terminal; nothing elsewhere."""
+    with _bar("downloading", "DownloadColumn", "TransferSpeedColumn", quiet=quiet) as update:
+        yield update and (lambda done, total: update(completed=done, total=total or None))
+
+
+@contextmanager
 def axes_progress(*, quiet: bool) -> Iterator[Callable[[int, int, str], None] | None]:
     """Show which axis is being fitted, on a terminal; nothing elsewhere."""
     with _bar("fitting {task.fields[axis]:8}", "MofNCompleteColumn", quiet=quiet) as update:

@@ -6,8 +6,10 @@ from typing import Any, TypeVar
 
 import click
 
-from imucal.cli._options import LogRequest, as_typed, log_options, say
+from imucal.cli._options import LogRequest, as_typed, log_options, name_of_log, say
 from imucal.errors import ReadError
+from imucal.remote import is_url
+from imucal.remote.addresses import shown
 from imucal.report.result import Report
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -35,31 +37,43 @@ def load_report(request: LogRequest) -> Report:
 
     Options of reading are refused beside a report: they would change nothing.
     """
-    first = next((path for path in map(Path, request.logs) if is_report(path)), None)
+    first = next((log for log in request.logs if is_report(log)), None)
     if first is None:
         return _characterise(request)
     if len(request.logs) > 1:
-        msg = f"{first} is a report; give one report, or logs only"
+        msg = f"{shown(first)} is a report; give one report, or logs only"
         raise click.UsageError(msg)
     if asked := sorted(request.settings()):
         names = ", ".join(name.removesuffix("_s").removesuffix("_hz").replace("_", "-") for name in asked)
-        msg = f"{first} is a report, but {names} is about reading a log; run 'imucal fit' on the log with it"
+        what = f"{names} is about reading a log; run 'imucal fit' on the log with it"
+        msg = f"{shown(first)} is a report, but {what}"
         raise click.UsageError(msg)
     return read_report(first)
 
 
-def read_report(path: Path) -> Report:
-    """Load a report by its file or folder; a log is refused, with what to do."""
+def read_report(report: str | Path) -> Report:
+    """Load a report by its file, folder or URL; a log is refused, with what to do."""
+    from imucal.readers.remote_logs import local_logs
     from imucal.report.json_file import load
 
+    if is_url(report):
+        if not is_report(report):
+            msg = f"{shown(str(report))}: not a report.json; run 'imucal fit' on it first"
+            raise ReadError(msg)
+        with local_logs([report]) as reports:
+            return load(reports.paths[0])
+    path = Path(report)
     if path.is_file() and path.suffix != ".json":
         msg = f"{path}: not a report.json or its folder; run 'imucal fit {as_typed(path)}' first"
         raise ReadError(msg)
     return load(path)
 
 
-def is_report(path: Path) -> bool:
-    """Return whether a path is a report and not a log."""
+def is_report(log: str | Path) -> bool:
+    """Return whether a path or a URL is a report and not a log."""
+    if is_url(log):
+        return name_of_log(str(log)).endswith(".json")
+    path = Path(log)
     return path.suffix == ".json" or (path / "report.json").exists()
 
 

@@ -1,7 +1,6 @@
 """``imucal compare``: what differs between two reports."""
 
 import json
-from pathlib import Path
 
 import click
 
@@ -19,7 +18,7 @@ from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/comparison/1"
 
-_report = click.Path(path_type=Path)
+_report = click.Path()
 
 
 @click.command(
@@ -56,8 +55,8 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
 @quiet_option
 def command(
     *,
-    a: Path,
-    b: Path,
+    a: str,
+    b: str,
     alpha: float,
     tolerance: float,
     no_fail: bool,
@@ -68,7 +67,7 @@ def command(
 ) -> None:
     """Say which noise terms of two reports differ significantly.
 
-    A and B are reports: a report.json or its folder. p is adjusted for the number of terms that
+    A and B are reports: a report.json (also by URL) or its folder. p is adjusted for the number of terms that
     were tested (Holm), so that two records of one unchanged sensor show any difference with
     probability --alpha. The intervals know the noise of one record, not how a sensor changes from
     run to run; --tolerance says how much of that is all right.

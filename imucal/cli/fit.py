@@ -7,7 +7,7 @@ import click
 
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import print_findings
-from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, say, shown
+from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, name_of_log, say, shown
 from imucal.cli._param_type import ParamType
 from imucal.cli._terminal import width
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
@@ -51,6 +51,7 @@ class Structure(ParamType[str]):
     epilog="""\b
 Examples:
   imucal fit log.mcap
+  imucal fit s3://bucket/log.mcap
   imucal fit log.bag --topic /imu/data_raw --skip 10min -o report
   imucal fit log.csv --gyro-unit deg/s --accel-unit g --model "N + B + K"
   imucal fit log.mcap --json --no-report -q | jq '.axes[].fit.terms.N'
@@ -143,10 +144,11 @@ def command(
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
-    LOG is a CSV, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, MAT or ULog file, or
-    - for text on standard input. Several LOGs are read as one recording where each goes on where
-    the one before ends (splits of a bag, rotated tables), or with --join. The table on standard
-    output holds the noise terms of each axis with their intervals; the report folder holds
+    LOG is a CSV, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, MAT or ULog file, a
+    URL of one (https://, s3://, gs://, az://), or - for text on standard input. Several LOGs are
+    read as one recording where each goes on where the one before ends (splits of a bag, rotated
+    tables), or with --join. The table on standard output holds the noise terms of each axis with
+    their intervals; the report folder holds
     report.json, report.html and the pictures. Both begin with a verdict: good, look first, or
     not noise, which ends with exit code 4.
     """
@@ -170,14 +172,15 @@ def command(
         )
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-    if curve or (len(request.logs) == 1 and is_curve_table(Path(request.logs[0]))):
-        fit_curves(
-            Path(request.logs[0]),
-            settings,
-            rate_hz=request.rate,
-            as_json=as_json,
-            quiet=request.quiet,
-        )
+    if curve or is_curve_table(request):
+        with request.local() as logs:
+            fit_curves(
+                logs.paths[0],
+                settings,
+                rate_hz=request.rate,
+                as_json=as_json,
+                quiet=request.quiet,
+            )
         say("A table of deviations has no report folder; --json has all numbers.", quiet=request.quiet)
         return
     from imucal.cli._result_table import summary_table
@@ -210,7 +213,7 @@ def command(
 
 def report_folder(log: str, what: str = "imucal") -> Path:
     """Return where the files of a log go: ``<log name>-imucal`` in the current folder."""
-    name = "stdin" if log == "-" else Path(log).resolve().name
+    name = name_of_log(log)
     stem = name
     while (suffix := Path(stem).suffix) and suffix.lstrip(".").isalnum() and not suffix[1:].isdigit():
         stem = Path(stem).stem

@@ -50,17 +50,20 @@ class _Asked:
         found = {entry.path: entry for entry in (read_manifest(self.manifest) if self.manifest else [])}
         listed = sys.stdin if "-" in self.logs else ()
         unlike = 0
-        for path in find_logs(self.logs, listed):
-            entry = self._entry(path)
+        for name in find_logs(self.logs, listed):
+            entry = self._entry(name)
             unlike += self.labels is not None and not entry.labels
-            found.setdefault(path, entry)
+            if found.setdefault(entry.path, entry).url != entry.url and entry.url:
+                msg = f"{entry.path}: two URLs that differ behind the question mark alone; expected one"
+                raise click.UsageError(msg)
         if unlike and self.labels is not None:
             say(f"{unlike} of {len(found)} logs do not fit {self.labels.pattern}", quiet=self.quiet)
         return list(found.values())
 
-    def _entry(self, path: str) -> "LogEntry":
-        from imucal.fleet_run.manifest_file import LogEntry, label_of
+    def _entry(self, log: str) -> "LogEntry":
+        from imucal.fleet_run.manifest_file import LogEntry, label_of, shown_and_url
 
+        path, url = shown_and_url(log)
         texts = (self.labels.of(path) if self.labels else None) or {}
         labels = {}
         for name, text in texts.items():
@@ -69,7 +72,7 @@ class _Asked:
             except ValueError as error:
                 msg = f"--labels: {path}: {name} is {text!r}, expected {error}"
                 raise click.UsageError(msg) from error
-        return LogEntry(path=path, labels=labels)
+        return LogEntry(path=path, labels=labels, url=url)
 
 
 @click.command(

@@ -3,8 +3,8 @@
 import json
 import textwrap
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import click
@@ -13,13 +13,17 @@ from imucal.cli import options_for
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import suggestion
 from imucal.cli._options import reading_options
+from imucal.cli._progress import download_progress
 from imucal.cli._terminal import FULL, width
 from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.printable import printable
 from imucal.readers import LogContents, TopicContents, describe, logs_of, read
 from imucal.readers.read_options import options_of
+from imucal.readers.remote_logs import local_logs
 from imucal.recording import Recording
+from imucal.remote import is_url
+from imucal.remote.addresses import shown
 from imucal.units import duration
 
 #: What ``--json`` prints follows this.
@@ -34,6 +38,8 @@ _Words: TypeAlias = tuple[str, str, str]
 _NO_DATE = 315_532_800_000_000_000
 #: Logs up to this size are read in full without being asked, in bytes: it takes less than a second.
 _SMALL = 1 << 26
+#: The same of logs behind a URL, which are downloaded for it.
+_SMALL_REMOTE = 1 << 20
 #: And up to so many samples, however well they are packed.
 _MANY = 4_000_000
 
@@ -51,6 +57,7 @@ class TopicReading:
 Examples:
   imucal info log.mcap
   imucal info --gaps 20h.bag
+  imucal info 's3://bucket/run/*.mcap'
   imucal info -v --msg MyImu.msg old.db3
   imucal info --json *.mcap | jq '.logs[].topics[].rate_hz'
 
@@ -76,42 +83,47 @@ def command(
 ) -> None:
     """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps."""
     entries = []
-    folders = {named: parts for named in logs if len(parts := logs_of(Path(named))) > 1}
-    for log in (str(log) for named in logs for log in folders.get(named, [named])):
-        contents = describe(log, options_of(**reading))
-        small = contents.size_bytes is not None and _is_small(contents)
+    folders = {named: parts for named in logs if len(parts := logs_of(named)) > 1}
+    for log in (log for named in logs for log in folders.get(named, [named])):
+        with download_progress(quiet=not is_url(log)) as progress:
+            contents = describe(log, options_of(progress=progress, **reading))
+        small = contents.size_bytes is not None and _is_small(contents, remote=is_url(log))
         # Standard input is gone once it was described.
         wanted = (small if gaps is None else gaps) and log != STANDARD_INPUT
-        found = _read_topics(contents, reading) if wanted else {}
+        found = _read_topics(log, contents, reading) if wanted else {}
         if as_json:
             entries.append(_document(contents, found))
         else:
             echo("\n".join(_lines(contents, found, looked=wanted, verbose=verbose)))
     for folder, parts in folders.items() if not as_json else ():
-        text = f"{folder}: {len(parts)} logs without a metadata.yaml that says they are one recording."
+        text = f"{shown(folder)}: {len(parts)} logs without a metadata.yaml that says they are one recording."
         echo("\n".join([*_wrapped(f"{text} {_JOINED_WHERE}"), ""]))
     if as_json:
         document = {"schema": SCHEMA, "logs": entries}
         echo_json(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def _is_small(contents: LogContents) -> bool:
+def _is_small(contents: LogContents, *, remote: bool) -> bool:
     """Return whether a log is read without being asked: a few bytes may hold very many samples."""
+    most = _SMALL_REMOTE if remote else _SMALL
     samples = sum(topic.count or 0 for topic in contents.imu_topics)
     size = max(contents.size_bytes or 0, contents.unpacked_bytes or 0)
-    return size <= _SMALL and samples <= _MANY
+    return size <= most and samples <= _MANY
 
 
-def _read_topics(contents: LogContents, reading: dict[str, Any]) -> dict[str, TopicReading]:
+def _read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> dict[str, TopicReading]:
     """Read every topic that carries IMU samples; a table is read as a whole."""
     found = {}
-    for topic in contents.imu_topics:
-        named = topic.name if len(contents.topics) > 1 else None
-        try:
-            recording = read(contents.path, topic=named, **reading)
-            found[topic.name] = TopicReading(recording=recording)
-        except ImucalError as error:
-            found[topic.name] = TopicReading(error=str(error))
+    with ExitStack() as stack:
+        with download_progress(quiet=not is_url(log)) as progress:
+            logs = stack.enter_context(local_logs([log], progress=progress))
+        for topic in contents.imu_topics:
+            named = topic.name if len(contents.topics) > 1 else None
+            try:
+                recording = logs.named(read(*logs.paths, topic=named, **reading))
+                found[topic.name] = TopicReading(recording=recording)
+            except ImucalError as error:
+                found[topic.name] = TopicReading(error=logs.said(str(error)))
     return found
 
 
@@ -176,8 +188,11 @@ def _lines(
         yield from _what_was_read(topic, found.get(topic.name), said)
     if contents.imu_topics and not looked:
         yield ""
-        stream = contents.path == STANDARD_INPUT
-        where = "on standard input" if stream else "in a large log; --gaps reads all samples"
+        where = "in a large log; --gaps reads all samples"
+        if contents.path == STANDARD_INPUT:
+            where = "on standard input"
+        elif is_url(contents.path):
+            where = "behind a URL; --gaps downloads the log"
         yield from _wrapped(f"Gaps are not looked for {where}.")
     if not contents.imu_topics:
         yield ""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.allan import AllanCurve, allan_curve, spectrum
+from imucal.allan.dct import shared_transform
 from imucal.arrays import FloatArray
 from imucal.fitting.ambiguity import ambiguity_findings, unseen_spectrum
 from imucal.fitting.noise_fit import Estimate, NoiseFit
@@ -112,9 +113,10 @@ def fit_axis(
     cleaned, findings = clean_spikes(series) if settings.clean else (series, ())
     if cleaned is not series:
         series, curve = cleaned, _again(cleaned, curve)
-    if curve is None:
-        curve = allan_curve(series)
-    result = method(series, curve, settings, temperature)
+    with shared_transform(series.samples):
+        if curve is None:
+            curve = allan_curve(series)
+        result = method(series, curve, settings, temperature)
     return replace(result, findings=findings + result.findings)
 
 

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.arrays import FloatArray
+from imucal.arrays import FloatArray, IntArray
 from imucal.recording import AxisSeries
 
 #: Most windows, fewest, and fewest samples of a window.
 _MOST, _FEWEST, _SAMPLES = 1024, 24, 128
+#: Steps that are squared at a time.
+_PART = 1 << 16
 #: Score of von Neumann's ratio from which chance does not explain it.
 _SCORE = 5.0
 #: Least relative standard deviation of the noise that is worth a word.
@@ -51,14 +53,11 @@ def find_variance_change(series: AxisSeries) -> VarianceChange | None:
 
     Steps across gaps are steps as well. O(n).
     """
-    steps = np.diff(series.samples)
-    count = min(_MOST, steps.size // _SAMPLES)
+    count = min(_MOST, (series.n - 1) // _SAMPLES)
     if count < _FEWEST:
         return None
-    edges = np.linspace(0, steps.size, count + 1).round().astype(np.int64)
-    size = np.diff(edges)
-    steps *= steps
-    mean = np.add.reduceat(steps, edges[:-1]) / size
+    edges = np.linspace(0, series.n - 1, count + 1).round().astype(np.int64)
+    mean = _square_steps(series.samples, edges) / np.diff(edges)
     if not np.all(mean > 0):
         return None
     logs = np.log(mean) / 2
@@ -78,6 +77,19 @@ def find_variance_change(series: AxisSeries) -> VarianceChange | None:
         high=math.exp(high - middle),
         period_s=_period(logs, series.duration_s),
     )
+
+
+def _square_steps(samples: FloatArray, edges: IntArray) -> FloatArray:
+    """Return the sum of squared steps of each window, shape (w,), in parts that stay in the cache."""
+    total = np.empty(edges.size - 1)
+    first = 0
+    while first < total.size:
+        last = max(int(np.searchsorted(edges, edges[first] + _PART, side="right")) - 1, first + 1)
+        steps = np.diff(samples[edges[first] : edges[last] + 1])
+        steps *= steps
+        total[first:last] = np.add.reduceat(steps, edges[first:last] - edges[first])
+        first = last
+    return total
 
 
 def _period(logs: FloatArray, duration_s: float) -> float | None:

@@ -5,13 +5,14 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import polars as pl
 
+from imucal.errors import ReadError
 from imucal.fleet.store import FleetStore
 from imucal.fleet.store_columns import MANIFEST
-from imucal.fleet_run.log_identity import Stamp, content_of, edge_of, stamp_of
+from imucal.fleet_run.log_identity import Stamp
+from imucal.fleet_run.log_places import content_at, edge_at, stamps_of
 from imucal.fleet_run.log_tasks import FleetSettings, LogTask
 from imucal.fleet_run.manifest_file import LABELS, LogEntry
 
@@ -107,7 +108,7 @@ def plan_fleet(
         If the store is damaged.
     """
     entries = [replace(entry, reading={**(reading or {}), **entry.reading}) for entry in entries]
-    stamps = {entry.path: stamp_of(Path(entry.path)) for entry in entries}
+    stamps = stamps_of({entry.path: entry.place for entry in entries})
     known = _Known(store.logs() if store.exists else None)
     keys = _keys(entries, stamps, known, settings)
     done = tuple(path for path, key in keys.items() if key in known.settled)
@@ -128,7 +129,9 @@ def _keys(
     entries: Sequence[LogEntry], stamps: Mapping[str, Stamp | None], known: "_Known", settings: FleetSettings
 ) -> dict[str, str]:
     """Return the key of each log; of one whose content is like no other's a key of its path."""
-    contents = _contents({path: stamp for path, stamp in stamps.items() if stamp is not None}, known)
+    places = {entry.path: entry.place for entry in entries}
+    there = {path: stamp for path, stamp in stamps.items() if stamp is not None}
+    contents = _contents(there, places, known)
     return {e.path: settings.key(contents.get(e.path, f"path:{e.path}"), e.reading) for e in entries}
 
 
@@ -141,7 +144,8 @@ def _copies(keys: Mapping[str, str], known: "_Known") -> dict[str, str]:
 
 def _task(entry: LogEntry, stamp: Stamp | None) -> LogTask:
     labels = {name: entry.labels.get(name) for name in LABELS}
-    return LogTask(path=entry.path, size=stamp.size if stamp else 0, labels=labels, reading=entry.reading)
+    size = stamp.size if stamp else 0
+    return LogTask(path=entry.path, url=entry.url, size=size, labels=labels, reading=entry.reading)
 
 
 def expected_seconds(task: LogTask) -> float:
@@ -188,7 +192,7 @@ class _Known:
                 self.failed.add(path)
 
 
-def _contents(stamps: Mapping[str, Stamp], known: _Known) -> dict[str, str]:
+def _contents(stamps: Mapping[str, Stamp], places: Mapping[str, str], known: _Known) -> dict[str, str]:
     """Return checksums of the contents that are known, or that may be those of other logs."""
     contents = {}
     for path, stamp in stamps.items():
@@ -201,11 +205,11 @@ def _contents(stamps: Mapping[str, Stamp], known: _Known) -> dict[str, str]:
     for path in new:
         size = stamps[path].size
         if sizes[size] > 1 or size in known.sizes:
-            with suppress(OSError):
-                edges[path] = edge_of(Path(path))
+            with suppress(OSError, ReadError):
+                edges[path] = edge_at(places[path])
     alike = Counter(edges.values())
     for path, edge in edges.items():
         if alike[edge] > 1 or edge in known.edges:
-            with suppress(OSError):
-                contents[path] = content_of(Path(path))
+            with suppress(OSError, ReadError):
+                contents[path] = content_at(places[path])
     return contents

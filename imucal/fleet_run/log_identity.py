@@ -4,9 +4,10 @@ The size and both edges of a file cost two small reads and tell nearly all logs 
 read only where these are the same. Of a folder, which is a bag, all files count, but not their names.
 """
 
+import functools
 import hashlib
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +27,7 @@ class Stamp:
         Bytes of all its files.
     mtime_ns
         When the newest was written, in ns since 1970; of the log with this size and path it tells whether
-        the content is still the same.
+        the content is still the same. Of a remote log it is a number made of its ETag.
     """
 
     size: int
@@ -52,15 +53,22 @@ def edge_of(path: Path) -> str:
     OSError
         If they can't be read.
     """
+    return edge_from((file.stat().st_size, functools.partial(_part, file)) for file in _files(path))
+
+
+def edge_from(files: Iterable[tuple[int, Callable[[int, int], bytes]]]) -> str:
+    """Return the same of files by their sizes, and what returns their bytes from one place to another."""
     machine = hashlib.blake2b(digest_size=16)
-    for file in _files(path):
-        with file.open("rb") as stream:
-            size = stream.seek(0, 2)
-            stream.seek(0)
-            machine.update(size.to_bytes(8, "little") + stream.read(_EDGE))
-            stream.seek(max(size - _EDGE, 0))
-            machine.update(stream.read(_EDGE))
+    for size, read in files:
+        machine.update(size.to_bytes(8, "little") + read(0, min(_EDGE, size)))
+        machine.update(read(max(size - _EDGE, 0), size))
     return machine.hexdigest()
+
+
+def _part(file: Path, start: int, stop: int) -> bytes:
+    with file.open("rb") as stream:
+        stream.seek(start)
+        return stream.read(stop - start)
 
 
 def content_of(path: Path) -> str:

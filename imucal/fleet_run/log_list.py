@@ -9,6 +9,8 @@ from imucal.errors import ReadError
 from imucal.readers import FORMATS
 from imucal.readers.containers.rosbag2_folder import METADATA, natural
 from imucal.readers.formats import STDIN
+from imucal.remote import expand, is_url
+from imucal.remote.addresses import has_wildcards, name_of
 
 #: Endings that files have which are no logs: a folder's files of these are not taken unless they are named.
 _VAGUE = (".txt", ".log", ".dat")
@@ -29,8 +31,8 @@ def find_logs(names: Iterable[str], listed: Iterable[str] = ()) -> list[str]:
     Parameters
     ----------
     names
-        Files, folders, names with wildcards (``*``, ``?``, ``[…]``, and ``**`` for folders of any depth),
-        or ``-`` for `listed`.
+        Files, folders, URLs, names with wildcards (``*``, ``?``, ``[…]``, and ``**`` for folders of any
+        depth), or ``-`` for `listed`.
     listed
         Lines of a list, one name each; empty ones are left out.
 
@@ -49,6 +51,10 @@ def find_logs(names: Iterable[str], listed: Iterable[str] = ()) -> list[str]:
 
 
 def _logs_of(name: str) -> list[str]:
+    if is_url(name):
+        # What is called as a log is taken as one: a store is not asked for each of a million.
+        plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
+        return [name] if plain else expand(name)
     if os.path.isdir(name):  # noqa: PTH112 - a name stays as it was typed
         return _in_folder(name)
     if not glob.has_magic(name) or os.path.lexists(name):

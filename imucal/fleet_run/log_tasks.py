@@ -27,12 +27,20 @@ class LogTask:
         Columns of the manifest: model, unit, temperature_c, started.
     reading
         How to read it: arguments of `imucal.read`, ``skip_s`` and ``take_s``; JSON values.
+    url
+        Where it is, if that is more than the path may show: a URL with its query, which is never stored.
     """
 
     path: str
+    url: str = field(default="", repr=False)
     size: int = 0
     labels: Mapping[str, str | float | None] = field(default_factory=dict)
     reading: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def place(self) -> str:
+        """Where it is: a path, or a URL with its secrets."""
+        return self.url or self.path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 from imucal.errors import ManifestError
 from imucal.recording import Sensor
+from imucal.remote import is_url
+from imucal.remote.addresses import shown
 from imucal.units import parse_sample_unit
 
 if TYPE_CHECKING:
@@ -27,16 +29,29 @@ class LogEntry:
     Attributes
     ----------
     path
-        Of the log.
+        Of the log; of a URL what may be shown of it.
     labels
         Its own ones (`LABELS`) and free ones; what is not known is missing.
     reading
         How to read it, where that differs from the other logs.
+    url
+        Where it is, if that is more than the path may show: a URL with its query, which is never stored.
     """
 
     path: str
     labels: Mapping[str, str | float] = field(default_factory=dict)
     reading: Mapping[str, object] = field(default_factory=dict)
+    url: str = field(default="", repr=False)
+
+    @property
+    def place(self) -> str:
+        """Where it is: a path, or a URL with its secrets."""
+        return self.url or self.path
+
+
+def shown_and_url(name: str) -> tuple[str, str]:
+    """Return what may be shown of a log's name, and the URL where that is more."""
+    return shown(name), name if shown(name) != name else ""
 
 
 def read_manifest(file: Path) -> list[LogEntry]:
@@ -102,8 +117,8 @@ def _entry(values: dict[str, str], file: Path, line: int) -> LogEntry:
     if "path" not in values:
         msg = f"{file}:{line}: no path; expected that of a log"
         raise ManifestError(msg)
-    path = values.pop("path")
-    if "://" not in path:
+    path, url = shown_and_url(values.pop("path"))
+    if not is_url(path):
         path = str(file.parent / path)
     labels: dict[str, str | float] = {}
     reading: dict[str, object] = {}
@@ -116,7 +131,7 @@ def _entry(values: dict[str, str], file: Path, line: int) -> LogEntry:
         except ValueError as error:
             msg = f"{file}:{line}: column {name!r} is {text!r}, expected {error}"
             raise ManifestError(msg) from error
-    return LogEntry(path=path, labels=labels, reading=reading)
+    return LogEntry(path=path, labels=labels, reading=reading, url=url)
 
 
 def _number(text: str) -> float:

@@ -10,8 +10,10 @@ from typing import Any
 
 from imucal._version import __version__
 from imucal.errors import DataError, ImucalError
-from imucal.fleet_run.log_identity import content_of, edge_of, stamp_of
+from imucal.fleet_run.log_identity import Stamp, content_of, edge_of
+from imucal.fleet_run.log_places import at_hand
 from imucal.fleet_run.log_tasks import FleetSettings, LogTask, has_failed
+from imucal.readers.remote_logs import LocalLogs
 from imucal.recording import Recording
 
 #: A log's first stamp counts as a date from 2000 on: clocks that start with the sensor begin at 1970.
@@ -35,8 +37,10 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRows:
     wall, cpu = time.perf_counter(), time.process_time()
     rows = LogRows(log=log)
     try:
-        _identify(task, settings, log)
-        rows = _characterised(task, settings, log)
+        with at_hand(task.place) as (logs, stamp):
+            if stamp is not None:
+                _identify(task, settings, log, logs.paths[0], stamp)
+            rows = _characterised(task, settings, log, logs)
         log["status"], log["reason"] = "ok", ""
     except MemoryError:
         log["status"], log["reason"] = "memory", memory_reason(settings)
@@ -75,23 +79,23 @@ def memory_reason(settings: FleetSettings) -> str:
     return f"it takes more than {settings.memory / 1e9:.3g} GB of memory; give it more, or a part of the log"
 
 
-def _identify(task: LogTask, settings: FleetSettings, log: dict[str, object]) -> None:
-    path = Path(task.path)
-    stamp = stamp_of(path)
-    if stamp is None:
-        return
+def _identify(
+    task: LogTask, settings: FleetSettings, log: dict[str, object], path: Path, stamp: Stamp
+) -> None:
     content = content_of(path)
     log |= {"bytes": stamp.size, "mtime_ns": stamp.mtime_ns, "edge": edge_of(path), "content": content}
     log["key"] = settings.key(content, task.reading)
 
 
-def _characterised(task: LogTask, settings: FleetSettings, log: dict[str, object]) -> LogRows:
+def _characterised(
+    task: LogTask, settings: FleetSettings, log: dict[str, object], logs: LocalLogs
+) -> LogRows:
     from imucal.fitting.packed_bins import pack
     from imucal.fleet import log_values
     from imucal.noise.terms import TERMS
     from imucal.pipeline import Settings, characterize
 
-    recording = read_log(task.path, task.reading)
+    recording = logs.named(read_log(logs.paths[0], task.reading))
     wanted = Settings(
         model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
     )
@@ -124,7 +128,7 @@ def _characterised(task: LogTask, settings: FleetSettings, log: dict[str, object
     return rows
 
 
-def read_log(path: str, reading: Mapping[str, object]) -> Recording:
+def read_log(path: str | Path, reading: Mapping[str, object]) -> Recording:
     """Read a log with arguments of `imucal.read`, and leave out what ``skip_s`` and ``take_s`` say."""
     from imucal.readers import read
     from imucal.readers.clocks import part_between

@@ -5,12 +5,26 @@ more than `_MAX_RATIO`, unless it is small anyway, and never beyond the size tha
 """
 
 import bz2
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
 from imucal.readers.files import DamagedError
+
+try:
+    from zlib_ng.zlib_ng import crc32
+except ImportError:  # no wheel for this processor
+    from zlib import crc32
+
+__all__ = [
+    "KINDS",
+    "check_crc",
+    "crc32",
+    "decompress",
+    "decompress_prefix",
+    "keep_freed_memory",
+    "unpack_file",
+]
 
 #: Sizes up to this are taken as they come, in bytes.
 _SMALL = 1 << 26
@@ -27,7 +41,8 @@ def keep_freed_memory() -> None:
     Freeing one block of 31 MiB raises the thresholds above which glibc maps and unmaps memory; without
     it, lz4 spends six times as long in page faults as in decompression. Harmless elsewhere.
     """
-    del_me = bytearray(31 << 20)
+    # Taken as zeros from the system, which are never touched; a bytearray would be written.
+    del_me = bytes(31 << 20)
     del del_me
 
 
@@ -91,7 +106,7 @@ def _damage() -> tuple[type[Exception], ...]:
 
 def check_crc(raw: memoryview, expected: int) -> None:
     """Compare a CRC-32; 0 means that none was stored."""
-    if expected and zlib.crc32(raw) != expected:
+    if expected and crc32(raw) != expected:
         msg = "a chunk's checksum does not match its content"
         raise DamagedError(msg, code="crc")
 

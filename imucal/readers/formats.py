@@ -127,7 +127,17 @@ def detect(path: Path) -> Format:
         return text
     if path.is_dir():
         return text if _holds_tables(path) else next(e for e in FORMATS if e.folders)
-    head = _first_bytes(path)
+    return detect_head(path, _first_bytes(path))
+
+
+def detect_head(path: Path, head: bytes) -> Format:
+    """Return the format of a file by its first bytes; its name decides only where they say nothing.
+
+    Raises
+    ------
+    ReadError
+        If it is none of the formats.
+    """
     # `startswith` is false of no magic at all.
     by_magic = next((entry for entry in FORMATS if head.startswith(entry.magic)), None)
     return by_magic or _by_ending(path, head)

@@ -71,11 +71,7 @@ class MessageReader:
     def describe(self, path: Path, options: ReadOptions) -> LogContents:
         """Return the topics of a log, by its index."""
         containers, form = self.open_files(path, options.progress)
-        try:
-            return _describe(containers, path, options, form)
-        finally:
-            for container in containers:
-                container.close()
+        return describe_logs(containers, path, options, form=form)
 
 
 def read_logs(containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str) -> Recording:
@@ -90,6 +86,17 @@ def read_logs(containers: Sequence[Container], path: Path, options: ReadOptions,
     """
     try:
         return _read(containers, path, options, form)
+    finally:
+        for container in containers:
+            container.close()
+
+
+def describe_logs(
+    containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str
+) -> LogContents:
+    """Return the topics of the files of one log, and close them; arguments as of `read_logs`."""
+    try:
+        return _describe(containers, path, options, form)
     finally:
         for container in containers:
             container.close()

@@ -88,6 +88,7 @@ def _source(source: Source) -> dict[str, object]:
         "decisions": [{"choice": choice, "reason": reason} for choice, reason in source.decisions],
         "files": [
             {"path": file.path, "size_bytes": file.size_bytes, "blake2b": file.blake2b}
+            | ({} if file.etag is None else {"etag": file.etag})
             for file in source.files
         ],
         "range": None if source.read is None else _range(source.read),

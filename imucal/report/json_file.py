@@ -116,6 +116,7 @@ def _file(node: Node) -> LogFileInfo:
         path=node["path"].text(),
         size_bytes=node["size_bytes"].count(),
         blake2b=node["blake2b"].maybe(Node.text),
+        etag=node["etag"].text() if "etag" in node.table() else None,
     )
 
 

@@ -33,7 +33,7 @@ def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
     -----
     Prewhitening by a model: Blackman & Tukey (1958), The Measurement of Power Spectra, sec. B.18.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     spectrum, fit = axis.spectrum, axis.fit
     if not spectrum.frequency.size:
@@ -47,8 +47,8 @@ def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
     return SmoothSpectrum(
         frequency=frequency,
         root=root,
-        low=root * np.sqrt(count / chi2.isf(tail, count)),
-        high=root * np.sqrt(count / chi2.ppf(tail, count)),
+        low=root * np.sqrt(count / chdtri(count, tail)),
+        high=root * np.sqrt(count / chdtri(count, 1 - tail)),
     )
 
 

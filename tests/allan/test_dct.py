@@ -5,7 +5,15 @@ import numpy.testing as npt
 import pytest
 
 from imucal.allan import dct as dct_module
-from imucal.allan.dct import bin_power, dct_bins, dct_ordinates, fast_length, shared_transform
+from imucal.allan.dct import (
+    bin_power,
+    dct_bins,
+    dct_ordinates,
+    fast_length,
+    own_ordinates,
+    ramp_ordinates,
+    shared_transform,
+)
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 
@@ -114,3 +122,57 @@ def test_a_shared_transform_is_made_once_and_is_the_same(monkeypatch: pytest.Mon
         assert made.pop() == 1000
     dct_ordinates(samples[:900])
     assert made == [900, 900, 400, 400, 900]
+
+
+def test_a_shared_transform_may_be_given_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To one who writes to it; the next who asks gets a new one. Others' are read-only."""
+    samples = np.random.default_rng(78).standard_normal(500)
+    made: list[int] = []
+    plain = dct_module._transform
+
+    def counted(run: FloatArray) -> FloatArray:
+        made.append(run.size)
+        return plain(run)
+
+    monkeypatch.setattr(dct_module, "_transform", counted)
+    with shared_transform(samples):
+        assert not dct_ordinates(samples).flags.writeable
+        with shared_transform(samples):
+            own = own_ordinates(samples)
+        own *= 0.0
+        assert made == [500]
+        npt.assert_array_equal(dct_ordinates(samples), plain(samples))
+        assert made == [500, 500]
+        with shared_transform(2 * samples):
+            dct_ordinates(samples)
+        dct_ordinates(samples)
+        assert made == [500] * 4
+    npt.assert_array_equal(own_ordinates(samples), plain(samples))
+
+
+@pytest.mark.parametrize("n", [2, 3, 64, 501, 8193, 30_000])
+@pytest.mark.parametrize("first", [1, 2, 7, 250])
+def test_a_ramp_is_the_same_in_parts(n: int, first: int) -> None:
+    """Whole or from any ordinate on: its closed form to the last digits, though few sines are computed."""
+    k = np.arange(1, n)
+    half = np.pi / (2 * n) * k
+    closed = np.where(k % 2 == 1, -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2), 0.0)
+    size = np.abs(closed).max()
+    npt.assert_allclose(ramp_ordinates(n, n - 1), closed, rtol=1e-12, atol=1e-16 * size)
+    count = max(n - first, 0)
+    npt.assert_allclose(
+        ramp_ordinates(n, count, first=first), closed[first - 1 :], rtol=1e-12, atol=1e-16 * size
+    )
+
+
+def test_parts_of_bins_hold_every_ordinate_once() -> None:
+    """In order, each with the places where its bins begin."""
+    bins = dct_bins(500_000)
+    for here, seen, starts in bins.parts():
+        npt.assert_array_equal(bins.first[here] - 1, seen.start + starts)
+    runs = [(here, seen) for here, seen, _ in bins.parts()]
+    assert len(runs) > 3
+    for edges in zip(*runs, strict=True):
+        assert [a.stop for a in edges[:-1]] == [b.start for b in edges[1:]]
+    assert runs[0][1].start == 0
+    assert runs[-1] == (slice(runs[-1][0].start, bins.size), slice(runs[-1][1].start, bins.n - 1))

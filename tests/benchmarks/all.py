@@ -17,8 +17,9 @@ def main() -> None:
     failed = []
     for name in BENCHMARKS:
         print(f"\n## {name}\n", flush=True)
-        command = [sys.executable, str(Path(__file__).with_name(f"{name}.py"))]
-        if subprocess.run(command, check=False).returncode:  # noqa: S603 - the script beside this one
+        command = [sys.executable, "-m", f"tests.benchmarks.{name}"]
+        root = Path(__file__).parents[2]
+        if subprocess.run(command, cwd=root, check=False).returncode:  # noqa: S603 - our own scripts
             failed.append(name)
     if failed:
         sys.exit(f"{', '.join(failed)} failed; see above")

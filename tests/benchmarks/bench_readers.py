@@ -1,145 +1,70 @@
-"""Nanoseconds of CPU per IMU message: imucal, rosbags, mcap and the bare decompression, side by side.
+"""What reading costs: imucal beside the bare decompression and other readers, each against its target.
 
-    python tests/benchmarks/bench_readers.py --n 2000000 --peers 60000 --formats mcap-zstd bag-lz4
+    python -m tests.benchmarks.bench_readers --n 2000000 --peers 60000 --formats mcap-zstd bag-lz4
 
-Writes logs of `sensor_msgs/Imu` at 200 Hz among other topics to a temporary folder. Peers read the first
-`--peers` messages only: their cost per message does not depend on the length. Every result of imucal is
-compared with the truth, bit by bit.
+Writes logs of `sensor_msgs/Imu` at 200 Hz among other topics to a temporary folder, chunks with checksums
+where the format has them. Every run is a process of its own, with one thread; all take turns, and the best
+of each counts, in CPU time. Peers read the first `--peers` messages only: their cost per message does not
+depend on the length. Every result of imucal is compared with the truth, bit by bit.
 """
 
 import argparse
 import bz2
 import importlib.util
+import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
+from unittest import mock
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray
 from imucal.recording import Recording
+from tests.benchmarks.imu_logs import TOPIC, euroc, truth, write
 
-FORMATS = ("mcap-zstd", "mcap-lz4", "mcap-none", "bag-none", "bag-lz4", "bag-bz2", "db3")
-RATE = 200
-START = 1_700_000_000_000_000_000
-TOPIC = "/imu/data"
-
-
-def truth(n: int) -> tuple[IntArray, FloatArray]:
-    """Return stamps in ns, shape (n,), and samples, shape (n, 6), as a 16-bit sensor gives them."""
-    rng = np.random.default_rng(20240607)
-    stamps = START + np.arange(n, dtype=np.int64) * (10**9 // RATE) + rng.normal(0, 20e3, n).astype(np.int64)
-    samples = rng.normal(0, 0.01, (n, 6)) + np.array([0.003, -0.002, 0.001, 0.02, -0.05, 9.81])
-    steps = np.deg2rad(250) / 32768, 4 * 9.80665 / 32768
-    samples[:, :3] = np.rint(samples[:, :3] / steps[0]) * steps[0]
-    samples[:, 3:] = np.rint(samples[:, 3:] / steps[1]) * steps[1]
-    return stamps, samples
+MODULE = "tests.benchmarks.bench_readers"
+FORMATS = ("mcap-zstd", "mcap-lz4", "mcap-none", "bag-none", "bag-lz4", "bag-bz2", "db3", "euroc", "camera")
 
 
-def payloads(n: int, *, ros1: bool) -> Iterator[tuple[int, bytes]]:
-    """Yield log time and payload of every IMU message."""
-    head = ["seq", "sec", "nsec", "len", "frame"] if ros1 else ["enc", "sec", "nsec", "len", "frame"]
-    form = ["<u4", "<u4", "<u4", "<u4", "S8"] if ros1 else ["<u4", "<i4", "<u4", "<u4", "S9"]
-    places = [0, 4, 8, 12, 16]
-    body = 24 if ros1 else 28
-    kind = np.dtype(
-        {
-            "names": [*head, "d"],
-            "formats": [*form, ("<f8", 37)],
-            "offsets": [*places, body],
-            "itemsize": body + 296,
-        }
-    )
-    stamps, samples = truth(n)
-    rng = np.random.default_rng(5)
-    variances = ((4, 1e-4), (16, 2.5e-6), (28, 2.9e-4))
-    angles = np.cumsum(rng.normal(0, 1e-5, (n, 3)), axis=0)
-    for first in range(0, n, 100_000):
-        part = slice(first, min(first + 100_000, n))
-        data = np.zeros(part.stop - first, dtype=kind)
-        data[head[0]] = np.arange(first, part.stop) if ros1 else 0x0100
-        data["sec"], data["nsec"] = stamps[part] // 10**9, stamps[part] % 10**9
-        data["len"], data["frame"] = (8, b"imu_link") if ros1 else (9, b"imu_link")
-        data["d"][:, :3], data["d"][:, 3] = angles[part] / 2, np.sqrt(1 - (angles[part] ** 2).sum(1) / 4)
-        for place, variance in variances:
-            data["d"][:, place : place + 9 : 4] = variance
-        data["d"][:, 13:16], data["d"][:, 25:28] = samples[part, :3], samples[part, 3:]
-        size, raw = kind.itemsize, data.tobytes()
-        for row in range(part.stop - first):
-            yield int(stamps[first + row]) + 300_000, raw[row * size : (row + 1) * size]
+@dataclass(frozen=True)
+class Target:
+    """How imucal is to compare with another reader of the same log."""
+
+    text: str
+    peer: str
+    ratio: float
+    #: Whether imucal may cost so many times the other; else the other must cost so many times imucal.
+    at_most: bool
+
+    def row(self, own: float, peer: float) -> str:
+        """Return the line of a table: target, what was measured, and whether it is met."""
+        found = own / peer if self.at_most else peer / own
+        met = found <= self.ratio if self.at_most else found >= self.ratio
+        sign = "≤" if self.at_most else "≥"
+        return f"| {self.text} | {sign} {self.ratio:g} | {found:.2f} | {'yes' if met else 'no'} |"
 
 
-def write(name: str, path: Path, n: int) -> None:
-    """Write a log."""
-    kind, _, compression = name.partition("-")
-    if kind == "mcap":
-        _write_mcap(path, compression, n)
-    elif kind == "bag":
-        _write_bag(path, compression, n)
-    else:
-        _write_db3(path, n)
-
-
-def _write_mcap(path: Path, compression: str, n: int) -> None:
-    from mcap.writer import CompressionType, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    kinds = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=786_432, compression=kinds[compression], enable_crcs=False)
-        writer.start("ros2", "bench")
-        text, _ = store.generate_msgdef("sensor_msgs/msg/Imu", ros_version=2)
-        schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", text.encode())
-        imu = writer.register_channel(TOPIC, "cdr", schema)
-        text, _ = store.generate_msgdef("std_msgs/msg/String", ros_version=2)
-        other = writer.register_channel(
-            "/chatter", "cdr", writer.register_schema("std_msgs/msg/String", "ros2msg", text.encode())
-        )
-        noise = b"\x00\x01\x00\x00" + (60).to_bytes(4, "little") + b"x" * 59 + b"\0"
-        for row, (log, data) in enumerate(payloads(n, ros1=False)):
-            writer.add_message(imu, log, data, log, row)
-            if row % 4 == 0:
-                writer.add_message(other, log + 1, noise, log + 1, row)
-        writer.finish()  # type: ignore[no-untyped-call]
-
-
-def _write_bag(path: Path, compression: str, n: int) -> None:
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC)
-    writer = Writer(path)
-    if compression != "none":
-        writer.set_compression(Writer.CompressionFormat[compression.upper()])
-    noise = (60).to_bytes(4, "little") + b"x" * 60
-    with writer:
-        imu = writer.add_connection(TOPIC, "sensor_msgs/msg/Imu", typestore=store)
-        other = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
-        for row, (log, data) in enumerate(payloads(n, ros1=True)):
-            writer.write(imu, log, data)
-            if row % 4 == 0:
-                writer.write(other, log + 1, noise)
-
-
-def _write_db3(path: Path, n: int) -> None:
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    noise = b"\x00\x01\x00\x00" + (60).to_bytes(4, "little") + b"x" * 59 + b"\0"
-    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        imu = writer.add_connection(TOPIC, "sensor_msgs/msg/Imu", typestore=store)
-        other = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
-        for row, (log, data) in enumerate(payloads(n, ros1=False)):
-            writer.write(imu, log, data)
-            if row % 4 == 0:
-                writer.write(other, log + 1, noise)
+TARGETS = {
+    "mcap-zstd": Target("MCAP zstd with CRC / bare decompression", "bare", 2, at_most=True),
+    "bag-lz4": Target("bag lz4 / bare decompression", "bare", 1.3, at_most=True),
+    "db3": Target("rosbags / db3", "rosbags", 25, at_most=False),
+    "euroc": Target("`np.loadtxt` / EuRoC CSV", "loadtxt", 5, at_most=False),
+    "camera": Target("chunks without IMU messages that are read", "skipped", 0, at_most=True),
+}
+#: Readers of each kind of log, besides imucal; those of a few messages only are marked in `SLOW`.
+PEERS = {
+    "mcap": ("bare", "rosbags", "mcap"),
+    "bag": ("bare", "rosbags"),
+    "db3": ("bare", "rosbags"),
+    "euroc": ("bare", "loadtxt"),
+    "camera": ("bare", "mcap"),
+}
+SLOW = frozenset({"rosbags", "mcap", "loadtxt"})
 
 
 def read_imucal(path: Path, n: int) -> Recording:
@@ -152,7 +77,7 @@ def read_imucal(path: Path, n: int) -> Recording:
 
 def check(recording: Recording, n: int) -> None:
     """Compare with the truth, bit by bit."""
-    _, samples = truth(n)
+    _, samples = euroc(n) if recording.source.path.endswith(".csv") else truth(n)
     for place, series in enumerate(recording.series):
         if not np.array_equal(series.samples, samples[:, place]):
             msg = f"{recording.source.path}: {series.name} differs from the truth"
@@ -200,6 +125,8 @@ def decompress(path: Path, n: int) -> None:
         _decompress_mcap(path)
     elif path.suffix == ".bag":
         _decompress_bag(path)
+    elif path.suffix == ".csv":
+        _parse(path)
     else:
         _read_file(next(path.glob("*.db3")) if path.is_dir() else path)
 
@@ -220,17 +147,38 @@ def _decompress_mcap(path: Path) -> None:
 
 
 def _decompress_bag(path: Path) -> None:
-    from imucal.readers.containers.ros1_chunks import BagChunkTask, unpack
-    from imucal.readers.containers.ros1_file import BagFile
-    from imucal.readers.files import LogFile, Scratch
+    unpack = _unpackers()
+    with path.open("rb", buffering=0) as file:
+        for position, size, kind in bag_chunks(path):
+            file.seek(position)
+            unpack[kind](file.read(size))
 
-    bag, scratch = BagFile(path), Scratch()
-    with closing(LogFile(path)) as file:
-        for task in bag.tasks(frozenset(channel.key for channel in bag.channels)):
-            chunk = cast("BagChunkTask", task)
-            region = scratch.buffer(chunk.size)
-            file.into(chunk.position, region)
-            unpack(region)
+
+def bag_chunks(path: Path) -> list[tuple[int, int, str]]:
+    """Return where the data of each chunk of a bag lie, their size, and their compression."""
+    found: list[tuple[int, int, str]] = []
+    place = 13
+    with path.open("rb") as file:
+        while True:
+            file.seek(place)
+            start = file.read(4)
+            if len(start) < 4:
+                return found
+            head = file.read(int.from_bytes(start, "little"))
+            size = int.from_bytes(file.read(4), "little")
+            place = file.tell()
+            if b"op=\x05" in head:
+                kind = next(kind for kind in ("none", "lz4", "bz2") if b"=" + kind.encode() in head)
+                found.append((place, size, kind))
+            place += size
+
+
+def _parse(path: Path) -> None:
+    """Parse a table of numbers by polars, nothing else."""
+    import polars as pl
+
+    schema = {str(i): pl.Float64 if i else pl.Int64 for i in range(7)}
+    pl.read_csv(path, has_header=False, skip_rows=1, schema=schema, quote_char=None)
 
 
 def _unpackers() -> dict[str, Callable[[bytes], object]]:
@@ -252,19 +200,59 @@ def _read_file(path: Path) -> None:
             pass
 
 
+def read_loadtxt(path: Path, n: int) -> None:
+    """Read a table by NumPy."""
+    np.loadtxt(path, delimiter=",", skiprows=1, max_rows=n)
+
+
+def idle_chunks_read(path: Path) -> tuple[int, int, int]:
+    """Return of an MCAP file how many chunks without IMU messages are read, how many there are, its size."""
+    from mcap.reader import make_reader
+
+    from imucal.readers import read
+    from imucal.readers.files import LogFile
+
+    spans: list[tuple[int, int]] = []
+    into = LogFile.into
+
+    def noted(file: LogFile, position: int, view: memoryview) -> None:
+        spans.append((position, position + len(view)))
+        into(file, position, view)
+
+    with mock.patch.object(LogFile, "into", noted):
+        read(path)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    if summary is None:
+        msg = f"{path}: no summary"
+        raise SystemExit(msg)
+    wanted = next(key for key, channel in summary.channels.items() if channel.topic == TOPIC)
+    idle = [chunk for chunk in summary.chunk_indexes if wanted not in chunk.message_index_offsets]
+    first = np.array([start for start, _ in spans])
+    last = np.array([stop for _, stop in spans])
+    read_of = [
+        bool(((first < c.chunk_start_offset + c.chunk_length) & (last > c.chunk_start_offset)).any())
+        for c in idle
+    ]
+    return sum(read_of), len(idle), path.stat().st_size
+
+
 READERS: dict[str, Callable[[Path, int], Recording | None]] = {
     "imucal": read_imucal,
     "rosbags": read_rosbags,
     "mcap": read_mcap,
     "bare": decompress,
+    "loadtxt": read_loadtxt,
 }
 
 
 def measure(reader: str, path: Path, n: int) -> tuple[float, float, float]:
     """Return CPU ns per message, wall ns per message and peak memory in MB of a fresh process."""
     done = subprocess.run(  # noqa: S603 - our own script
-        [sys.executable, __file__, "--one", reader, "--path", str(path), "--n", str(n)],
+        [sys.executable, "-m", MODULE, "--one", reader, "--path", str(path), "--n", str(n)],
         capture_output=True,
+        cwd=Path(__file__).parents[2],
+        env={**os.environ, "IMUCAL_THREADS": "1", "POLARS_MAX_THREADS": "1"},
         encoding="utf-8",
         check=False,
     )
@@ -279,7 +267,8 @@ def one(reader: str, path: Path, n: int) -> None:
     import imucal.readers.containers.mcap_file
     import imucal.readers.containers.ros1_file
     import imucal.readers.containers.ros2_bag
-    import imucal.readers.message_logs  # noqa: F401
+    import imucal.readers.message_logs
+    import imucal.readers.tables.text_table  # noqa: F401
 
     cpu, wall = time.process_time(), time.perf_counter()
     found = READERS[reader](path, n)
@@ -299,12 +288,12 @@ def peak_memory() -> float:
 
 
 def main() -> None:
-    """Print one line a format and reader, and the ratios to imucal."""
+    """Print one line a format and reader, and the table of targets."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--n", type=int, default=400_000, help="messages in each log")
+    parser.add_argument("--n", type=int, default=1_000_000, help="messages in each log")
     parser.add_argument("--peers", type=int, default=40_000, help="messages that peers read")
-    parser.add_argument("--repeat", type=int, default=3, help="runs, of which the best counts")
-    parser.add_argument("--formats", nargs="*", default=FORMATS, choices=FORMATS)
+    parser.add_argument("--repeat", type=int, default=5, help="runs, of which the best counts")
+    parser.add_argument("--formats", nargs="*", default=tuple(TARGETS), choices=FORMATS)
     parser.add_argument("--folder", type=Path, help="keep logs here between runs")
     parser.add_argument("--one", choices=tuple(READERS), help=argparse.SUPPRESS)
     parser.add_argument("--path", type=Path, help=argparse.SUPPRESS)
@@ -315,32 +304,47 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.folder or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        print(f"{given.n} messages; peers read {given.peers}; best of {given.repeat}; CPU ns per message")
-        for name in given.formats:
-            _report(name, folder, given)
+        print(f"{given.n} messages; peers read {given.peers}; best of {given.repeat}; CPU ns per message\n")
+        rows = [_report(name, folder, given) for name in given.formats]
+    print("\n| what | wanted | measured | met |\n|---|---|---|---|")
+    print("\n".join(row for row in rows if row))
 
 
-def _report(name: str, folder: Path, given: argparse.Namespace) -> None:
-    suffix = {"mcap": ".mcap", "bag": ".bag"}.get(name.partition("-")[0], "")
-    path, small = folder / f"{name}-{given.n}{suffix}", folder / f"{name}-{given.peers}{suffix}"
-    for log, n in ((path, given.n), (small, given.peers)):
-        if not log.exists():
-            write(name, log, n)
-    runs = [("imucal", path, given.n), ("bare", path, given.n), ("rosbags", small, given.peers)]
-    if name.startswith("mcap") and importlib.util.find_spec("mcap_ros2"):
-        runs.append(("mcap", small, given.peers))
-    best = {
-        reader: min(measure(reader, log, n) for _ in range(given.repeat if log is path else 1))
-        for reader, log, n in runs
-    }
+def _report(name: str, folder: Path, given: argparse.Namespace) -> str:
+    """Print what each reader costs on a log; return its row of the table of targets."""
+    kind = name.partition("-")[0]
+    # A log with pictures is large.
+    n = given.n if kind != "camera" else min(given.n, 2000)
+    path, small = _log(name, folder, n), _log(name, folder, min(given.peers, n))
+    wanted = [peer for peer in PEERS[kind] if peer != "mcap" or importlib.util.find_spec("mcap_ros2")]
+    runs = {peer: (small, min(given.peers, n)) if peer in SLOW else (path, n) for peer in ("imucal", *wanted)}
+    costs: dict[str, list[tuple[float, ...]]] = {reader: [] for reader in runs}
+    for turn in range(given.repeat):
+        for reader, (log, count) in runs.items():
+            if reader not in SLOW or turn == 0 or reader == "loadtxt":
+                costs[reader].append(measure(reader, log, count))
+    best = {reader: min(found) for reader, found in costs.items()}
     own = best["imucal"]
     print(f"{name:10} imucal {own[0]:8.0f} (wall {own[1]:.0f}, {own[2]:.0f} MB)", end="")
-    for reader, found in best.items():
-        if reader == "bare":
-            print(f"   bare {found[0]:.0f}: {own[0] / found[0]:.2f}x of it", end="")
-        elif reader != "imucal":
-            print(f"   {reader} {found[0]:.0f}: {found[0] / own[0]:.0f}x faster", end="")
+    for reader in wanted:
+        cost = best[reader][0]
+        text = f"{own[0] / cost:.2f}x of it" if reader == "bare" else f"{cost / own[0]:.1f}x imucal"
+        print(f"   {reader} {cost:.0f}: {text}", end="")
     print(flush=True)
+    target = TARGETS.get(name)
+    if name == "camera":
+        idle, chunks, size = idle_chunks_read(path)
+        print(f"{'':10} {size / 1e6:.0f} MB, {chunks} chunks without IMU messages, of which {idle} are read")
+        return f"| {TARGETS[name].text} | 0 | {idle} of {chunks} | {'no' if idle else 'yes'} |"
+    return target.row(own[0], best[target.peer][0]) if target else ""
+
+
+def _log(name: str, folder: Path, n: int) -> Path:
+    suffix = {"mcap": ".mcap", "bag": ".bag", "euroc": ".csv", "camera": ".mcap"}
+    path = folder / f"{name}-{n}{suffix.get(name.partition('-')[0], '')}"
+    if not path.exists():
+        write(name, path, n)
+    return path
 
 
 if __name__ == "__main__":

@@ -7,10 +7,11 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from imucal.arrays import FloatArray
 from imucal.fitting import fit
-from imucal.fitting.robust import _baseline, clean, find_spikes, resolution_effect, step_size
+from imucal.fitting.robust import _baseline, _medians, clean, find_spikes, resolution_effect, step_size
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 
@@ -249,3 +250,30 @@ def test_heavy_tails_leave_n_as_it_is() -> None:
     values = np.array([found.value for found in fits], dtype=np.float64)
     assert values.mean() == pytest.approx(truth, rel=3 * 0.015)
     assert sum(found.low < truth < found.high for found in fits) >= 4
+
+
+@pytest.mark.parametrize("spike", [4.0, 5.9, 6.3, 7.0, 40.0])
+@pytest.mark.parametrize("n", [1234, 60_000])
+def test_no_median_is_taken_where_a_count_says_that_there_is_no_spike(
+    spike: float, n: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same samples are spikes as by the median of all distances; without spikes it is not taken."""
+    samples = _noise(n, 21)
+    samples[n // 3] = _baseline(samples)[n // 3] + spike
+    distance = np.abs(samples - _baseline(samples))
+    deviation = 1.4826 * np.median(distance)
+    reach = max(5.0, -float(ndtri(0.01 / (2 * n))))
+    plain = distance.max() <= reach * deviation
+    if plain:
+        monkeypatch.setattr(np, "median", None)
+    assert spikes(samples).any() == (not plain)
+
+
+@pytest.mark.parametrize("block", [2, 3, 100, 101])
+def test_medians_of_blocks_are_those_of_numpy(block: int) -> None:
+    """Of an odd and an even number of samples, to the digit, also where many are equal."""
+    rng = np.random.default_rng(22)
+    for samples in (rng.standard_normal(70_007), rng.integers(0, 3, 60_000).astype(float)):
+        count = samples.size // block
+        expected = np.median(samples[: count * block].reshape(count, block), axis=1)
+        npt.assert_array_equal(_medians(samples, block), expected)

@@ -1,11 +1,12 @@
 """AxisSeries -> blocks of ordinates: long gaps part the blocks, short ones are completed."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from imucal.allan.dct import DctBins, dct_bins, dct_ordinates, fast_length
+from imucal.allan.dct import DctBins, dct_bins, fast_length, own_ordinates, ramp_ordinates
 from imucal.arrays import BoolArray, FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -61,6 +62,12 @@ class Block:
     loss: FloatArray | None = None
     temperature: FloatArray | None = None
     drawn: FloatArray | None = None
+
+    def regressor_parts(self, name: str) -> Callable[[slice], FloatArray]:
+        """Return what gives parts of a regressor's ordinates; a ramp is never there as a whole."""
+        if name == "R":
+            return lambda part: ramp_ordinates(self.bins.n, part.stop - part.start, first=part.start + 1)
+        return self.regressor(name).__getitem__
 
     def regressor(self, name: str) -> FloatArray:
         """Return the ordinates of a regressor, by its name."""
@@ -235,8 +242,9 @@ def _transform(
         temperature = temperature[run.start : run.stop]
     variance = loss = drawn = None
     if samples.size == run.size:
-        # A power of two scales the ordinates without a digit lost; as they are, others have them too.
-        ordinates = dct_ordinates(samples) / scale
+        # A power of two scales the ordinates without a digit lost.
+        ordinates = own_ordinates(samples)
+        ordinates /= scale
     else:
         grid = series.clock.grid()[run.start : run.stop] - run.offset
         seen = np.zeros(run.size, dtype=bool)

@@ -139,7 +139,7 @@ def _candidates(
     whitened: Whitened, length: int, found: Sequence[Disturbance], *, steps: bool
 ) -> Iterator[Disturbance]:
     """Yield the best shape of each kind that may be worth a fit."""
-    kinds = [_best_cycle(whitened, length), *([_best_step(whitened)] if steps else [])]
+    kinds = [best_cycle(whitened, length), *([_best_step(whitened)] if steps else [])]
     once = {one.kind for one in found}
     if "warm-up" not in once:
         kinds.append(_best_of(whitened, _warm_ups(length)))
@@ -170,7 +170,7 @@ def _best_step(whitened: Whitened) -> tuple[float, Disturbance]:
     return gain, Disturbance(kind="step", names=(f"step:{round(place)}",), parameters=2)
 
 
-def _best_cycle(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
+def best_cycle(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
     """Return the best cycle on a grid, its frequency refined."""
     unit = 2 * np.pi / length
     coarse = np.arange(_FEWEST_PERIODS, _MOST_PERIODS + _SPACING / 2, _SPACING)

@@ -68,9 +68,12 @@ def find_lines(
         U per scaled unit, for the lines' amplitudes.
     """
     size = ordinates.size
-    square = ordinates * ordinates
     starts = bins.first - 1
-    peaks = np.maximum.reduceat(square, starts)
+    total, peaks = _totals_and_peaks(ordinates, bins)
+    level, sureness = _level_of(total, bins.count.astype(np.float64), bins)
+    if not np.any(peaks > level * _limit(sureness, _CHANCE / max(size, 1))):
+        return None, ()
+    square = ordinates * ordinates
     kept: BoolArray | None = None
     for _ in range(2):
         level, sureness = _level(square, kept, bins)
@@ -108,6 +111,21 @@ def _level(square: FloatArray, kept: BoolArray | None, bins: DctBins) -> tuple[F
     else:
         count = np.add.reduceat(kept.astype(np.float64), starts)
         total = np.add.reduceat(np.where(kept, square, 0.0), starts)
+    return _level_of(total, count, bins)
+
+
+def _totals_and_peaks(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, FloatArray]:
+    """Return the sum and the largest of the squared ordinates of each bin, shape (b,) each."""
+    total, peaks = np.empty((2, bins.size))
+    for here, seen, starts in bins.parts():
+        square = np.square(ordinates[seen])
+        total[here] = np.add.reduceat(square, starts)
+        peaks[here] = np.maximum.reduceat(square, starts)
+    return total, peaks
+
+
+def _level_of(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatArray, FloatArray]:
+    """Return what `_level` does, from each bin's sum of squares and number of ordinates."""
     mean = np.log(np.maximum(total, 1e-300) / np.maximum(count, 1.0))
     known = np.flatnonzero(count > 0)
     mean = np.interp(np.arange(mean.size), known, mean[known])
@@ -213,20 +231,19 @@ def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArr
     """
     found: list[Sine] = []
     for _ in range(_MOST_SINES):
-        square = ordinates * ordinates
-        level, sureness = _level(square, None, bins)
-        peaks = np.maximum.reduceat(square, bins.first - 1)
+        total, peaks = _totals_and_peaks(ordinates, bins)
+        level, sureness = _level_of(total, bins.count.astype(np.float64), bins)
         at = int(np.argmax(np.where(bins.first > _LOWEST, peaks / level, 0.0)))
         first, stop = int(bins.first[at]) - 1, int(bins.first[at] + bins.count[at]) - 1
-        top = first + int(np.argmax(square[first:stop]))
-        excess = square[top] / level[at]
-        sure = excess > float(_limit(sureness[[at]], _CHANCE / max(square.size, 1))[0])
+        top = first + int(np.argmax(np.abs(ordinates[first:stop])))
+        excess = ordinates[top] ** 2 / level[at]
+        sure = excess > float(_limit(sureness[[at]], _CHANCE / max(ordinates.size, 1))[0])
         if not sure or np.sqrt(excess / _TAIL) / np.pi <= max(_LEAST, _MOST * top) or top < _LOWEST:
             break
         sine = _fitted_sine(ordinates, bins.n, top)
         rest = ordinates - sine.ordinates(bins.n, ordinates.size)
         near = slice(max(top - _LEAST, 0), top + _LEAST + 1)
-        if np.sum(rest[near] ** 2) > _REMAINS * np.sum(square[near]):
+        if np.sum(rest[near] ** 2) > _REMAINS * np.sum(ordinates[near] ** 2):
             break
         found.append(sine)
         ordinates = rest

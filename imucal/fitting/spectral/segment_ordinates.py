@@ -85,15 +85,15 @@ def segment_ordinates(
     count = number_of_segments(series.n, wanted)
     if not count:
         return None
-    grid = series.clock.grid()
-    edges = np.linspace(0, series.clock.grid_size, count + 1).round().astype(np.int64)
+    clock = series.clock
+    edges = np.linspace(0, clock.grid_size, count + 1).round().astype(np.int64)
     parts: list[Ordinates] = []
     kept: list[int] = []
     for number, (start, stop) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
         pieces = []
         for block in blocks:
             low, high = max(start, block.offset), min(stop, block.offset + block.bins.n)
-            piece = _piece(series, grid, block, drift=drift, scale=scale, place=low, size=high - low)
+            piece = _piece(series, block, drift=drift, scale=scale, place=low, size=high - low)
             pieces += [piece] if piece else []
         if sum(piece.bins.n for piece in pieces) >= _FEWEST // 2:
             parts.append(bin_blocks(pieces, scale, ()).below(fraction))
@@ -119,7 +119,6 @@ def _joined(parts: list[Ordinates]) -> Ordinates:
 
 def _piece(
     series: AxisSeries,
-    grid: IntArray,
     block: Block,
     *,
     drift: Mapping[str, float],
@@ -129,15 +128,18 @@ def _piece(
 ) -> Block | None:
     """Return the part of a block from a place of the grid on; None where little of it was measured."""
     size = fast_length(max(size, 0))
-    first, stop = np.searchsorted(grid, [place, place + size]).tolist()
+    clock = series.clock
+    first, stop = clock.index_from(place), clock.index_from(place + size)
     if stop - first < max(_FEWEST_IN_PART, size // 2):
         return None
     seen = slice(first, stop)
     samples = series.samples[seen] / scale
     missing = size - samples.size
     if missing and block.drawn is not None:
-        before = place - block.offset - (first - int(np.searchsorted(grid, block.offset)))
-        samples = _between(samples, grid[seen] - place, block.drawn[before : before + missing])
+        before = place - block.offset - (first - clock.index_from(block.offset))
+        own = clock.slice(first, stop)
+        at = own.grid() + (own.segments[0].offset - clock.segments[0].offset - place)
+        samples = _between(samples, at, block.drawn[before : before + missing])
     for name, coefficient in drift.items():
         samples -= coefficient * _regressor(name, block, place, size)
     bins = dct_bins(size, singles=_SINGLES, per_octave=_PER_OCTAVE)

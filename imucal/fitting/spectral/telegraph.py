@@ -1,11 +1,11 @@
 """Random telegraph noise: a level that jumps to and fro between two values.
 
-Its spectrum is that of a Gauss-Markov process, so no spectrum tells them apart; their distributions
-do. Means over short spans are explained twice: by two levels with a chance of jumping between them and
-white noise (a hidden Markov model), and by the richest Gaussian noise. The likelihoods decide.
+Its spectrum is that of a Gauss-Markov process, so no spectrum tells them apart; their distributions do.
+Means over short spans are explained by N, B, K and a Gauss-Markov process, or by N, B, K and two levels
+of the same spectrum, with many sharings of what the record holds among them. The likelihoods decide.
+`tests/benchmarks/disturbance_limits.py` compares that with the best test there can be.
 
-Source: Rabiner (1989), Proc. IEEE 77, 257 (the likelihood of a hidden Markov model); Machlup (1954),
-J. Appl. Phys. 25, 341 (the spectrum).
+Source: Machlup (1954), J. Appl. Phys. 25, 341 (the spectrum).
 """
 
 from dataclasses import dataclass
@@ -16,36 +16,39 @@ from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.spectral.blocks import Block
-from imucal.fitting.spectral.scoring import maximize
+from imucal.fitting.spectral.disturbances import best_cycle
+from imucal.fitting.spectral.likelihood import evaluate
 from imucal.fitting.spectral.starts import find_starts
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.fitting.spectral.transform import bin_blocks
+from imucal.fitting.spectral.two_level_filter import Mixtures, log_likelihoods
+from imucal.fitting.spectral.whitened import Whitened
+from imucal.noise.formulas import gauss_markov_dct
 from imucal.recording import AxisSeries
-from imucal.solvers import lowest
 from imucal.units import pretty
 
 #: Spans, and fewest samples of one; a span is short against the time between jumps that can be told.
 _SPANS, _FEWEST = 1024, 8
-#: Parts of the record whose levels have a mean of their own, since slow noise moves both; and how much better
-#: in log-likelihood, beyond the price of their means, two levels must then explain the means.
-_PARTS = {1: 18.0, 4: 10.0}
-#: Chance of a span that holds a jump, or is no part of either level.
-_BETWEEN = 0.05
-#: Quantiles and mean spans between jumps from which the levels are searched.
-_QUANTILES = (0.1, 0.2, 0.3)
-_DWELLS = (4.0, 20.0, 100.0)
-#: Log-likelihood that noise which is not white must gain on white noise, so that jumps are worth a look.
-_COLOURED = 15.0
-#: Half the distance of two levels that are two, in deviations of a span's noise.
-_APART = 0.25
+#: How much better in log-likelihood two levels must explain the means than the best Gaussian noise; and
+#: than N, B and K alone, since flicker is mistaken for any Gauss-Markov process.
+_MARGIN, _ON_PLAIN = 3.5, 5.5
+#: Gaussian mixtures farther than this from the best in log-likelihood are no explanation, with jumps or not;
+#: and the most correlation times that are tried.
+_NEAR, _MOST_TIMES = 3.0, 5
+#: Half the distance of two levels that may be told, in deviations of a span's noise; and by how much the
+#: kurtosis of the best linear estimate of the level must fall short of a Gaussian's 3.
+_APART, _FLAT = 0.5, 0.2
 #: Fewer jumps a record are steps, each of its own.
 _JUMPS = 8
-#: A start that is worse than the Gaussian noise by this much a span leads nowhere.
-_HOPELESS = 0.012
-_RICH = ("N", "B", "GM", "K", "R")
-#: Means that differ by less than this part of the samples are equal; and the least noise of means that start
-#: a search, over their deviation: those of a level without noise have none.
-_ROUNDING, _QUIETEST = 1e-12, 1e-3
+#: The means' deviation over the largest sample, below which they are equal.
+_ROUNDING = 1e-12
+#: Fitted with and without B, which GM is often mistaken for; and what is fitted without GM.
+_STRUCTURES, _PLAIN = (("N", "B", "GM", "K"), ("N", "GM", "K")), ("N", "B", "K")
+#: Columns of a row: variances of N, B, K and GM, and GM's time; more correlation times than there are.
+_WHITE, _FLICKER, _WALK, _MARKOV, _TIME = 1, 2, 3, 4, 5
+_EVERY = 99
+#: Factors on the variance and the time of the best two levels of a first search, in the columns of a row.
+_ABOUT = np.array([[1, 1, 1, 1, size**2, time] for size in (0.85, 1.0, 1.15) for time in (0.75, 1.0, 1.35)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,21 +72,11 @@ def find_telegraph(series: AxisSeries) -> TwoLevels | None:
     scale = float(means.std())
     if scale <= _ROUNDING * float(np.abs(series.samples).max()):
         return None
-    means = (means - means.mean()) / scale
-    white, rich = _gaussian(means)
-    if white - rich < _COLOURED:
-        return None
-    best, found = 0.0, None
-    for parts, margin in _PARTS.items():
-        price = 0.5 * (parts - 1) * np.log(count)
-        divided = means[: count - count % parts].reshape(parts, -1)
-        gain, parameters = _two_levels(divided, rich)
-        if gain - price - margin > best and _jumps_often(parameters, divided):
-            best, found = gain - price - margin, parameters
+    found = _two_levels(_detrended(means / scale))
     if found is None:
         return None
-    half, _, dwell = np.exp(found[:3]).tolist()
-    return TwoLevels(amplitude=scale * half, dwell_s=width * series.tau0 * dwell)
+    size, time = found
+    return TwoLevels(amplitude=scale * size, dwell_s=2 * width * series.tau0 * time)
 
 
 def telegraph_finding(found: TwoLevels | None, series: AxisSeries) -> tuple[Finding, ...]:
@@ -103,71 +96,129 @@ def telegraph_finding(found: TwoLevels | None, series: AxisSeries) -> tuple[Find
     )
 
 
-def _gaussian(means: FloatArray) -> tuple[float, float]:
-    """Return -log L of means of unit variance as white, and as the richest, Gaussian noise."""
-    n = means.size
-    ordinates = dct_ordinates(means)
-    seen = bin_blocks([Block(offset=0, bins=dct_bins(n), ordinates=ordinates)], 1.0)
-    candidates = candidates_of([("N",), _RICH], seen.names)
-    owner, theta = find_starts(seen, candidates, shortest=2.0, keep=(1, 2, 2))
-    found = maximize(seen, candidates.take(owner), theta, shortest=2.0, tolerance=1e-2, iterations=60)
-    costs = [float(found.objective[owner == index].min()) for index in range(2)]
-    # The mean is ordinate 0, which the two levels explain and this does not: as white noise.
-    constant = 0.5 * n * np.log(2 * np.pi)
-    return costs[0] + constant, costs[1] + constant
+def _detrended(means: FloatArray) -> FloatArray:
+    """Return the means less their straight line."""
+    place = np.arange(means.size) - (means.size - 1) / 2
+    flat = means - means.mean()
+    return np.asarray(flat - place * (place @ flat) / (place @ place))
 
 
-def _two_levels(means: FloatArray, rich: float) -> tuple[float, FloatArray]:
-    """Return how much better than -log L `rich` two levels explain means, and their parameters.
+def _two_levels(means: FloatArray) -> tuple[float, float] | None:
+    """Return half the distance of the levels and half the mean spans between jumps; or None."""
+    block = Block(offset=0, bins=dct_bins(means.size), ordinates=dct_ordinates(means))
+    sharings = _Sharings.of(block)
+    gaussian = sharings.best
+    rows = sharings.worth_a_try(block)
+    if not len(rows):
+        return None
+    likelihood = _likelihoods(means, gaussian, rows)
+    found = rows[int(np.argmax(likelihood))]
+    gain = float(likelihood.max())
+    if gain < max(_MARGIN, _ON_PLAIN - sharings.on_plain, _gain_of_a_cycle(block, sharings)):
+        return None
+    # About the best, and one that jumps so seldom that each jump is a step of its own.
+    about = np.concatenate([found[np.newaxis] * _ABOUT, found[np.newaxis]])
+    about[-1, _TIME] = means.size / (2 * _JUMPS)
+    likelihood = _likelihoods(means, gaussian, about)
+    best = int(np.argmax(likelihood))
+    if best == len(about) - 1 or about[best, _TIME] >= about[-1, _TIME]:
+        return None
+    return float(np.sqrt(about[best, _MARKOV])), float(about[best, _TIME])
 
-    `means`, shape (p, n/p), in parts; parameters: the logarithms of half the levels' distance, of the
-    noise and of the mean spans between jumps; then the mean of the levels in each part.
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Sharings:
+    """What each of N, B, K and GM may make of a record, for t correlation times, with B and without.
+
+    Attributes
+    ----------
+    weights
+        Variances per span and times, in the columns of the likelihood, shape (2, t, p).
+    distance
+        -log L above the least, shape (2, t).
+    on_plain
+        What the best gains in log-likelihood on N, B and K alone.
+    spectrum, markov
+        S and GM's part of it at each ordinate, shape (2, t, n-1).
     """
-    between = np.median(np.diff(means, axis=1) ** 2) / (2 * 0.4549)
-    noise = 0.5 * np.log(max(between, _QUIETEST**2))
-    starts = []
-    for q in _QUANTILES:
-        low, high = np.quantile(means, [q, 1 - q], axis=1)
-        half = np.log(max(np.mean(high - low) / 2, _QUIETEST))
-        starts += [np.array([half, noise, np.log(dwell), *(low + high) / 2]) for dwell in _DWELLS]
-    costs = [_cost(start, means) for start in starts]
-    best = int(np.argmin(costs))
-    if costs[best] - rich > _HOPELESS * means.size:
-        return rich - costs[best], starts[best]
-    found, cost = lowest(lambda at: _cost(at, means), starts[best], near=1e-2, alike=0.05, most=400)
-    return rich - cost, found
+
+    weights: FloatArray
+    distance: FloatArray
+    on_plain: float
+    spectrum: FloatArray
+    markov: FloatArray
+
+    @classmethod
+    def of(cls, block: Block) -> "_Sharings":
+        seen = bin_blocks([block], 1.0)
+        candidates = candidates_of([*_STRUCTURES, _PLAIN], seen.names)
+        owner, theta = find_starts(seen, candidates, shortest=2.0, keep=(1, _EVERY, 1))
+        order = np.lexsort((theta[:, _TIME], owner))
+        owner, theta = owner[order], theta[order]
+        found = evaluate(seen, candidates.take(owner), theta)
+        with_markov = owner < len(_STRUCTURES)
+        least = float(found.objective[with_markov].min())
+        shape, _ = gauss_markov_dct(theta[:, _TIME, np.newaxis], seen.lam, seen.length, seen.sign)
+        markov = np.exp(theta[:, _MARKOV, np.newaxis]) * shape
+
+        def parted(values: FloatArray) -> FloatArray:
+            own = values[with_markov]
+            return own.reshape(len(_STRUCTURES), -1, *own.shape[1:])
+
+        count = block.bins.count
+        return cls(
+            weights=parted(np.exp(theta)),
+            distance=parted(found.objective - least),
+            on_plain=float(found.objective[~with_markov].min()) - least,
+            spectrum=parted(np.repeat(found.spectrum, count, axis=1)),
+            markov=parted(np.repeat(markov, count, axis=1)),
+        )
+
+    @property
+    def best(self) -> FloatArray:
+        """The likeliest, shape (p,)."""
+        return np.asarray(self.weights[np.unravel_index(np.argmin(self.distance), self.distance.shape)])
+
+    def worth_a_try(self, block: Block) -> FloatArray:
+        """Return those whose Markov part may be two levels, and sharings between them, shape (r, p)."""
+        times = self.weights[0, :, _TIME]
+        likely = self.distance <= _NEAR
+        likely &= self.weights[..., _MARKOV] > _APART**2 * self.weights[..., _WHITE]
+        likely &= self._flatness(block) > _FLAT
+        chosen = np.flatnonzero(likely.any(axis=0) & (times <= block.bins.n / (2 * _JUMPS)))
+        some = np.linspace(0, chosen.size - 1, min(chosen.size, _MOST_TIMES)).round().astype(int)
+        with_flicker, without = self.weights[:, chosen[some]]
+        return np.concatenate([with_flicker, (with_flicker + without) / 2, without])
+
+    def _flatness(self, block: Block) -> FloatArray:
+        """Return 3 less the kurtosis of the Markov part's best linear estimate, shape (2, t)."""
+        from scipy.fft import idct
+
+        estimate = np.zeros((*self.distance.shape, block.bins.n))
+        estimate[..., 1:] = block.ordinates * self.markov / self.spectrum
+        samples = idct(estimate, norm="ortho")
+        square = samples * samples
+        return np.asarray(3 - np.mean(square * square, axis=-1) / np.mean(square, axis=-1) ** 2)
 
 
-def _jumps_often(parameters: FloatArray, means: FloatArray) -> bool:
-    """Whether there are two levels at all, and fewer jumps, as single steps make, are less likely."""
-    half, noise, _ = np.exp(parameters[:3]).tolist()
-    if half < _APART * noise:
-        return False
-    seldom = parameters.copy()
-    seldom[2] = np.log(means.size / _JUMPS)
-    return bool(parameters[2] < seldom[2] and _cost(parameters, means) < _cost(seldom, means))
+def _likelihoods(means: FloatArray, gaussian: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the log-likelihood that two levels, shape (r, p), gain on the `gaussian` mixture, shape (p,)."""
+    every = np.concatenate([gaussian[np.newaxis], rows])
+    mixtures = Mixtures(
+        white=every[:, _WHITE],
+        flicker=every[:, _FLICKER],
+        walk=every[:, _WALK],
+        markov=every[:, _MARKOV],
+        time=every[:, _TIME],
+    )
+    found = log_likelihoods(means, mixtures, np.arange(len(every)) > 0)
+    return np.asarray(found[1:] - found[0])
 
 
-def _cost(parameters: FloatArray, means: FloatArray) -> float:
-    """Return -log L of two levels; see `_two_levels`."""
-    half, noise, dwell = np.exp(parameters[:3]).tolist()
-    jump = 1 / (1 + dwell)
-    z = ((means - parameters[3:, None])[:, :, None] - np.array([-half, half])) / noise
-    density = (1 - _BETWEEN) / (np.sqrt(2 * np.pi) * noise) * np.exp(-0.5 * z * z)
-    density += _BETWEEN / (2 * half + 6 * noise)
-    stay = np.array([[1 - jump, jump], [jump, 1 - jump]])
-    return -float(_log_product(density[:, :, None, :] * stay).sum())
-
-
-def _log_product(matrices: FloatArray) -> FloatArray:
-    """Return log of (1/2, 1/2) M_1 … M_n (1, 1)', shape (p,), of matrices of shape (p, n, 2, 2), in pairs."""
-    total = np.zeros(len(matrices))
-    while matrices.shape[1] > 1:
-        size = matrices.max(axis=(2, 3), keepdims=True)
-        total += np.log(size[:, :, 0, 0]).sum(axis=1)
-        matrices = matrices / size
-        if matrices.shape[1] % 2:
-            last = np.broadcast_to(np.eye(2), (len(matrices), 1, 2, 2))
-            matrices = np.concatenate([matrices, last], axis=1)
-        matrices = np.einsum("pnij,pnjk->pnik", matrices[:, ::2], matrices[:, 1::2])
-    return np.asarray(total + np.log(0.5 * matrices[:, 0].sum(axis=(1, 2))))
+def _gain_of_a_cycle(block: Block, sharings: _Sharings) -> float:
+    """Return what a cycle gains in log-likelihood beside Gaussian noise, beyond what it costs."""
+    # Half of ln n for each of its period, amplitude and phase, as elsewhere.
+    at = np.unravel_index(np.argmin(sharings.distance), sharings.distance.shape)
+    spectrum = sharings.spectrum[at][block.bins.first - 1]
+    gain, _ = best_cycle(Whitened.by([block], spectrum, ()), block.bins.n)
+    return 0.5 * (gain - 3 * float(np.log(block.bins.n)))

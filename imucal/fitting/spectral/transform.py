@@ -1,6 +1,6 @@
 """Blocks -> Ordinates: sums of squares in bins, and of products with the regressors."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -13,8 +13,6 @@ from imucal.fitting.spectral.ordinates import LAWS, Ordinates
 
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
-#: Ordinates that are summed at a time.
-_PART = 1 << 16
 
 
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
@@ -27,12 +25,12 @@ def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = (
 def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
     """Return the arrays of one block's `Ordinates`, by their names."""
     bins = block.bins
-    vectors = [block.regressor(name) for name in names]
+    vectors = [block.regressor_parts(name) for name in names]
     size, power = np.empty((2, bins.size))
     cross = np.empty((len(names), bins.size))
     gram = np.empty((len(names), len(names), bins.size))
     whole = 0.0
-    for here, seen, starts in _parts(bins):
+    for here, seen, starts in bins.parts():
         kept = None if block.kept is None else block.kept[seen]
 
         def total(values: FloatArray, kept: BoolArray | None = kept, starts: IntArray = starts) -> FloatArray:
@@ -44,10 +42,11 @@ def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
         whole += float(square.sum())
         size[here] = bins.count[here] if kept is None else total(np.ones(own.size))
         power[here] = total(square if block.variance is None else square + block.variance[seen])
-        for i, v in enumerate(vectors):
-            cross[i, here] = total(own * v[seen])
-            for j, w in enumerate(vectors[: i + 1]):
-                gram[i, j, here] = gram[j, i, here] = total(v[seen] * w[seen])
+        columns = [part_of(seen) for part_of in vectors]
+        for i, v in enumerate(columns):
+            cross[i, here] = total(own * v)
+            for j, w in enumerate(columns[: i + 1]):
+                gram[i, j, here] = gram[j, i, here] = total(v * w)
     # The transform's own rounding: no bin of exactly no power, not even of a straight line.
     power += _ROUNDING * whole / block.ordinates.size * size
     if block.loss is not None:
@@ -63,17 +62,6 @@ def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
         "cross": cross,
         "gram": gram,
     }
-
-
-def _parts(bins: DctBins) -> Iterator[tuple[slice, slice, IntArray]]:
-    """Yield runs of bins, few enough for their ordinates to stay in the cache: bins, ordinates, starts."""
-    start = 0
-    while start < bins.size:
-        stop = max(int(np.searchsorted(bins.first, bins.first[start] + _PART)), start + 1)
-        low = int(bins.first[start]) - 1
-        high = int(bins.first[stop - 1] + bins.count[stop - 1]) - 1
-        yield slice(start, stop), slice(low, high), bins.first[start:stop] - 1 - low
-        start = stop
 
 
 @lru_cache(maxsize=16)

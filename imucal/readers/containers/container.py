@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.findings import Finding
+from imucal.readers.containers.alike import Guard
 from imucal.readers.files import DamagedError, Scratch
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
-
-#: A position from the start of a record, a NumPy type, and the number that every record has there.
-Guard = tuple[int, str, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

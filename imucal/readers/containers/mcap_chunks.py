@@ -73,7 +73,6 @@ class ChunkTask:
             length: int = _RECORD.unpack_from(raw, int(starts[0]))[1]
         except struct.error:
             return check()
-        head = _RECORD.pack(records.MESSAGE, length, key)
         return Batch(
             buffer=raw,
             starts=starts,
@@ -81,7 +80,7 @@ class ChunkTask:
             sizes=length - (_MESSAGE - 9),
             log_ns=starts[:0],
             log_at=15,
-            guards=tuple((at, "<u8", *struct.unpack_from("<Q", head, at)) for at in (0, 3)),
+            guards=((0, _RECORD.pack(records.MESSAGE, length, key)),),
             check=check,
         )
 

@@ -3,13 +3,12 @@
 An intact file is read by the index at its end; a cut, unindexed or damaged one by scanning its records.
 """
 
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
 from imucal.errors import ReadError
-from imucal.readers.compression import KINDS
+from imucal.readers.compression import KINDS, crc32
 from imucal.readers.containers import mcap_records as records
 from imucal.readers.containers.container import Channel, Container, Task
 from imucal.readers.containers.mcap_chunks import ChunkTask, index_count
@@ -41,9 +40,9 @@ class McapFile:
     format = "mcap"
     parallel = True
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, file: LogFile | None = None) -> None:
         self.path = path
-        self._file = LogFile(path)
+        self._file = file or LogFile(path)
         self.size = self._file.size
         try:
             self._prepare()
@@ -110,7 +109,7 @@ class McapFile:
             msg = "the footer points beyond the file"
             raise DamagedError(msg)
         summary = self._file.read(start, size - _FOOTER_SIZE - start)
-        if crc and zlib.crc32(tail[:25], zlib.crc32(summary)) != crc:
+        if crc and crc32(tail[:25], crc32(summary)) != crc:
             msg = "the index's checksum does not match"
             raise DamagedError(msg, code="crc")
         return self._parse(summary)

@@ -8,7 +8,8 @@ import numpy as np
 from imucal.arrays import IntArray
 from imucal.readers.compression import decompress, decompress_prefix
 from imucal.readers.containers import ros1_records as records
-from imucal.readers.containers.container import Batch, Guard, Loss
+from imucal.readers.containers.alike import Alike, Guard
+from imucal.readers.containers.container import Batch, Loss, gather
 from imucal.readers.containers.ros1_records import Record, number, record
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
@@ -158,29 +159,46 @@ def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
 
 
 def _guards(head: bytes) -> tuple[Guard, ...] | None:
-    """Return the words that cover a header, its lengths too, except the value of its time."""
+    """Return the bytes of a header, its lengths too, except the value of its time."""
     at = head.find(b"time=") + 5
     if at < 5:
         return None
-    words: list[Guard] = []
-    for first, last in ((0, at), (at + 8, len(head))):
-        size = next((size for size in (8, 4, 2, 1) if size <= last - first), 1)
-        offsets = [*range(first, last - size + 1, size), last - size] if last > first else []
-        words += [(o, f"<u{size}", int.from_bytes(head[o : o + size], "little")) for o in offsets]
-    return tuple(words)
+    return tuple((start, part) for start, part in ((0, head[:at]), (at + 8, head[at + 8 :])) if part)
 
 
 def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> Batch:
     """Check the header of every record; skip connection records; walk the chunk where that fails."""
-    payloads = np.empty(starts.size, dtype=np.int64)
-    sizes = np.empty(starts.size, dtype=np.int64)
+    payloads, sizes = starts.copy(), np.zeros(starts.size, dtype=np.int64)
     try:
-        for row, at in enumerate(starts.tolist()):
-            payloads[row], sizes[row] = _message(raw, key, at)
+        for row in _take_alike(raw, key, payloads, sizes).tolist():
+            payloads[row], sizes[row] = _message(raw, key, int(starts[row]))
     except DamagedError:
         loss = Loss(code="index", text="an index points to other records; its chunk was walked instead")
         return _walked(raw, key, loss)
     return Batch(buffer=raw, starts=payloads, header=0, sizes=sizes, log_ns=log_ns)
+
+
+def _take_alike(raw: memoryview, key: int, payloads: IntArray, sizes: IntArray) -> IntArray:
+    """Turn the starts of messages whose header is that of the last into their payloads; return the others.
+
+    Raises
+    ------
+    DamagedError
+        If the last is no message of the connection.
+    """
+    payload, _ = _message(raw, key, int(payloads[-1]))
+    head = bytes(raw[int(payloads[-1]) : payload])
+    guards = _guards(head[:-4])
+    rows = np.flatnonzero((payloads >= 0) & (payloads <= len(raw) - len(head)))
+    if guards is None:
+        return np.arange(payloads.size)
+    heads = gather(raw, payloads[rows], len(head))
+    length = np.ndarray(heads.shape, "<u4", buffer=heads, offset=len(head) - 4, strides=heads.strides)
+    alike = Alike(guards, len(head)).each(heads) & (payloads[rows] + len(head) + length <= len(raw))
+    rows = rows[alike]
+    payloads[rows] += len(head)
+    sizes[rows] = length[alike]
+    return np.delete(np.arange(payloads.size), rows)
 
 
 def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:

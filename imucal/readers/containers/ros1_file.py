@@ -42,9 +42,9 @@ class BagFile:
     format = "rosbag1"
     parallel = True
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, file: LogFile | None = None) -> None:
         self.path = path
-        self._file = LogFile(path)
+        self._file = file or LogFile(path)
         self.size = self._file.size
         self.findings: list[Finding] = []
         self._connections: dict[int, Connection] = {}

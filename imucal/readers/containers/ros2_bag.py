@@ -1,7 +1,7 @@
 """ROS 2 bags: folders with metadata.yaml, single `.db3` files, and files or messages compressed by zstd."""
 
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import cast
 
@@ -31,10 +31,15 @@ def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Conta
     """
     folder = open_folder(path) if path.is_dir() else Folder(files=(path,))
     counts = folder.counts if len(folder.files) == 1 else None
+    return open_parts(folder, lambda file: _open(file, folder, counts, progress))
+
+
+def open_parts(folder: Folder, opened: Callable[[Path], Container]) -> tuple[list[Container], str]:
+    """Open each file of a bag as `opened` does; also return the name of its format."""
     containers: list[Container] = []
     try:
         for file in folder.files:
-            containers.append(_open(file, folder, counts, progress))  # noqa: PERF401 - closed if one fails
+            containers.append(opened(file))  # noqa: PERF401 - closed if one fails
     except BaseException:
         for container in containers:
             container.close()
@@ -58,10 +63,14 @@ def _open(
         base = SqliteFile(path, counts)
         return _ZstdMessages(base) if folder.per_message or base.sample() == _ZSTD else base
     if head.startswith(b"\x89MCAP") or path.name.endswith(".mcap"):
-        log = McapFile(path)
-        return _ZstdMessages(log) if folder.per_message else log
+        return mcap_part(folder, McapFile(path))
     msg = f"{path}: neither SQLite nor MCAP (first bytes {head[:8].hex(' ')}); expected a file of a ROS 2 bag"
     raise ReadError(msg)
+
+
+def mcap_part(folder: Folder, log: McapFile) -> Container:
+    """Return an MCAP file of a bag, whose messages may be compressed one by one."""
+    return _ZstdMessages(log) if folder.per_message else log
 
 
 class _Unpacked:

@@ -1,6 +1,7 @@
 """The folder of a ROS 2 bag: which files it has, in which order, and what its metadata say."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -43,8 +44,19 @@ def open_folder(path: Path) -> Folder:
     ReadError
         If the folder holds none.
     """
-    present = {entry.name: entry for entry in path.iterdir() if entry.name.endswith(ENDINGS)}
-    names, mode, counts = _metadata(path / METADATA)
+    return folder_of(path, [entry.name for entry in path.iterdir()], _metadata(path / METADATA))
+
+
+def folder_of(path: Path, inside: Sequence[str], metadata: str) -> Folder:
+    """Return the files of a bag, by the names in its folder and the text of its metadata, which may be empty.
+
+    Raises
+    ------
+    ReadError
+        If the folder holds none.
+    """
+    present = {name: path / name for name in inside if name.endswith(ENDINGS)}
+    names, mode, counts = parse_metadata(metadata)
     files = [(name, _present(present, name)) for name in names]
     found = tuple(file for _, file in files if file is not None)
     missing = tuple(name for name, file in files if file is None)
@@ -52,19 +64,19 @@ def open_folder(path: Path) -> Folder:
         found = tuple(sorted(present.values(), key=natural))
         counts = None
     if not found:
-        inside = ", ".join(sorted(entry.name for entry in path.iterdir())[:10]) or "nothing"
-        msg = f"{path}: not the folder of a ROS 2 bag: it holds {inside}; expected .mcap or .db3 files"
+        found_names = ", ".join(sorted(inside)[:10]) or "nothing"
+        msg = f"{path}: not the folder of a ROS 2 bag: it holds {found_names}; expected .mcap or .db3 files"
         raise ReadError(msg)
     per_message = mode.upper() == "MESSAGE"
     return Folder(files=found, missing=missing, per_message=per_message, counts=None if missing else counts)
 
 
-def _metadata(path: Path) -> tuple[tuple[str, ...], str, dict[str, int] | None]:
-    """Return what the metadata say; nothing where there are none."""
+def _metadata(path: Path) -> str:
+    """Return the text of the metadata; nothing where there are none."""
     if not path.exists():
-        return (), "", None
+        return ""
     try:
-        return parse_metadata(path.read_text(encoding="utf-8", errors="replace"))
+        return path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         msg = f"{path}: can't be read: {error.strerror or error}"
         raise ReadError(msg) from error

@@ -176,13 +176,17 @@ class SqliteFile:
         return bytes(row[0]) if row and isinstance(row[0], bytes) else b""
 
     def _ids(self) -> tuple[int, int]:
-        row = self._database.execute("select min(id), max(id) from messages").fetchone()
-        return (int(row[0]), int(row[1])) if row and row[0] is not None else (1, 0)
+        first, last = self._ends("id")
+        return (int(first), int(last)) if first is not None and last is not None else (1, 0)
 
     def _span(self) -> tuple[int | None, int | None]:
-        # Two statements: each takes one step in the index of times, together they would scan the table.
-        first = self._database.execute("select min(timestamp) from messages").fetchone()[0]
-        last = self._database.execute("select max(timestamp) from messages").fetchone()[0]
+        return self._ends("timestamp")
+
+    def _ends(self, column: str) -> tuple[int | None, int | None]:
+        """Return the smallest and the largest value of an indexed column of the messages."""
+        # Two statements: each takes one step in the index, together they would scan the table.
+        queries = (f"select {end}({column}) from messages" for end in ("min", "max"))  # noqa: S608 - our own
+        first, last = (self._database.execute(query).fetchone()[0] for query in queries)
         return first, last
 
     def _channels(self, counts: Mapping[str, int] | None) -> list[Channel]:

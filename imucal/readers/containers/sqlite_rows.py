@@ -90,29 +90,29 @@ def _cells(data: NDArray[np.uint8], page: int) -> tuple[IntArray, IntArray, int]
 
 def varint(data: NDArray[np.uint8], at: IntArray) -> tuple[IntArray, IntArray]:
     """Return the big-endian variable-length integers at `at`, and where each ends."""
-    last = data.size - 1
-    byte = data[np.minimum(at, last)]
+    byte = data.take(at, mode="clip")
     value = (byte & 0x7F).astype(np.int64)
     end = at + 1
-    more = np.flatnonzero(byte & 0x80)
+    more = np.flatnonzero(byte > 0x7F)
     for step in range(1, 9):
         if not more.size:
             break
-        byte = data[np.minimum(at[more] + step, last)]
+        byte = data.take(at[more] + step, mode="clip")
         whole = step == 8
         value[more] = (value[more] << (8 if whole else 7)) | (byte if whole else byte & 0x7F)
         end[more] += 1
         if whole:
             break
-        more = more[(byte & 0x80) != 0]
+        more = more[byte > 0x7F]
     return value, end
 
 
 def _integers(data: NDArray[np.uint8], at: IntArray, kinds: IntArray) -> IntArray:
     """Return integer columns of the given serial types, shape (n,)."""
     result = np.zeros(at.size, dtype=np.int64)
-    for kind in np.unique(kinds).tolist():
-        chosen = kinds == kind
+    same = bool((kinds == kinds[:1]).all())
+    for kind in (kinds[:1] if same else np.unique(kinds)).tolist():
+        chosen = slice(None) if same else kinds == kind
         if kind == 9:
             result[chosen] = 1
         elif 1 <= kind <= 6:

@@ -114,8 +114,11 @@ class BinaryDecoder:
     def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
         """Decode records that all repeat the shape of the first one seen; False if they don't."""
         template = self._template
-        if template is None or template.guards != batch.guards:
-            template = self._template = self._learn(batch) if batch.guards else None
+        if template is None or not template.fits(batch):
+            try:
+                template = self._template = self._learn(batch) if batch.n else None
+            except DamagedError:
+                return False
         return template is not None and template.decode(batch, columns, first)
 
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:
@@ -153,7 +156,7 @@ class BinaryDecoder:
             raise DamagedError(msg)
         payload = batch.payload()
         codes = gather(batch.buffer, payload, 2).view(">u2")
-        kinds = np.unique(codes)
+        kinds = codes[:1] if (codes == codes[0]).all() else np.unique(codes)
         for kind in kinds.tolist():
             layout = _ENCAPSULATIONS.get(kind)
             if layout is None:

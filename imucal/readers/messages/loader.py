@@ -125,8 +125,6 @@ class _Run:
         ]
         self.filled: list[list[tuple[int, int]]] = [[] for _ in streams]
         self.extra: list[list[Columns]] = [[] for _ in streams]
-        # zstd keeps its buffers itself, and what isn't compressed needs none.
-        self.allocates = any(container.compression not in {"zstd", "none"} for container in containers)
         self.parallel = all(container.parallel for container in containers)
         self.progress = progress
         self.done, self.total = 0, sum(job.task.size for job in self.jobs)
@@ -157,7 +155,7 @@ class _Run:
         return job
 
     def go(self) -> list[Decoding]:
-        if self.allocates and sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
+        if sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
             keep_freed_memory()
         threads = min(_MAX_THREADS, allowed_threads(), len(self.jobs)) if self.parallel else 1
         if threads > 1:
@@ -227,6 +225,8 @@ class _Run:
             return
         if batch.n <= most and decoder.fast(batch, columns, first):
             self._note_filled(self.filled[index], columns, first, batch.n)
+            if batch.loss is not None:
+                self._lose(index, batch.loss)
             return
         try:
             checked = batch.checked()

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.readers.column_store import Columns
-from imucal.readers.containers import Batch, Bytes, Guard
+from imucal.readers.containers import Alike, Batch, Bytes
 from imucal.readers.messages.fields import Messages, adjacent
 from imucal.readers.messages.message_types import ImuFields, Vector
 from imucal.readers.messages.walker import Found, Layout, Place, Position
 from imucal.recording import Sensor
 
+#: A position from the start of a record, and the bytes that every record has there.
+_Guard = tuple[int, bytes]
 #: Longest head of a message that is gathered at once, in bytes.
 _HEAD = 256
 _SECOND = 1_000_000_000
@@ -31,10 +33,10 @@ class Template:
     ----------
     guards
         Those of the batch it was learnt from.
-    words
+    alike
         The guards, the encapsulation and the lengths of strings, which every record must repeat.
     head
-        Bytes at the start of a record that hold them and the stamp.
+        Bytes at the start of a record that hold them and the stamp; whole words where there is room.
     end
         Bytes of a record.
     places
@@ -47,8 +49,8 @@ class Template:
         The other vectors.
     """
 
-    guards: tuple[Guard, ...]
-    words: tuple[Guard, ...]
+    guards: tuple[_Guard, ...]
+    alike: Alike
     head: int
     end: int
     places: dict[str, Place]
@@ -56,18 +58,23 @@ class Template:
     vectors: tuple[tuple[Sensor, int, str], ...]
     others: tuple[Vector, ...]
 
+    def fits(self, batch: Batch) -> bool:
+        """Say whether the records of a batch are those that it was learnt from, by their head and size."""
+        same_size = isinstance(batch.sizes, int) and batch.header + batch.sizes == self.end
+        return same_size and batch.guards == self.guards
+
     def decode(self, batch: Batch, columns: Columns, first: int) -> bool:
         """Write the samples of a batch to the columns; False if a record has another shape."""
         n, starts = batch.n, batch.starts
         if int(starts.max()) + self.end > len(batch.buffer) or int(starts.min()) < 0:
             return False
         head = _gather(batch.buffer, starts, 0, self.head)
+        if not self.alike.all(head):
+            return False
 
         def word(at: int, dtype: str) -> NDArray[np.int64]:
             return np.ndarray((n,), dtype, buffer=head, offset=at, strides=(self.head,))
 
-        if not all(bool((word(at, dtype) == value).all()) for at, dtype, value in self.words):
-            return False
         part = slice(first, first + n)
         columns.log[part] = batch.log_ns if batch.log_at is None else word(batch.log_at, "<i8")
         stamp, stamps = self.imu.stamp, columns.stamps[part]
@@ -109,8 +116,8 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
         return None
     skip, end = batch.header + (4 if code else 0), batch.header + batch.sizes
     places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
-    words = _words(batch, found, layout, code, skip)
-    head = _head(batch, words, places, imu)
+    alike = _alike(batch, found, layout, code, skip)
+    head = _head(batch, alike, places, imu)
     if head > min(_HEAD, end) or skip + _fixed(found.end) > end:
         return None
     if imu.stamp is not None and places[imu.stamp.sec].dtype[1] == "f":
@@ -119,7 +126,7 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
     firsts = [(vector.sensor, places[vector.paths[0]]) for vector in plain]
     return Template(
         guards=batch.guards,
-        words=words,
+        alike=Alike(alike, head),
         head=head,
         end=end,
         places=places,
@@ -129,20 +136,25 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
     )
 
 
-def _words(batch: Batch, found: Found, layout: Layout, code: bytes, skip: int) -> tuple[Guard, ...]:
+def _alike(batch: Batch, found: Found, layout: Layout, code: bytes, skip: int) -> tuple[_Guard, ...]:
     """Return what every record must repeat: its head, the encapsulation and the lengths of strings."""
-    lengths = [(skip + _fixed(at), layout.order + "u4", _fixed(length)) for at, length in found.lengths]
-    encapsulation = [(batch.header, "<u2", int.from_bytes(code, "little"))] if code else []
+    u4 = np.dtype(layout.order + "u4")
+    lengths = [
+        (skip + _fixed(at), np.array(_fixed(length), dtype=u4).tobytes()) for at, length in found.lengths
+    ]
+    encapsulation = [(batch.header, code)] if code else []
     return (*batch.guards, *encapsulation, *lengths)
 
 
-def _head(batch: Batch, words: Sequence[Guard], places: dict[str, Place], imu: ImuFields) -> int:
-    """Return how many bytes at the start of a record hold the words and the stamps."""
-    ends = [at + int(dtype[-1]) for at, dtype, _ in words]
+def _head(batch: Batch, alike: Sequence[_Guard], places: dict[str, Place], imu: ImuFields) -> int:
+    """Return how many bytes at the start of a record hold what is alike, and the stamps."""
+    ends = [at + len(value) for at, value in alike]
     if imu.stamp is not None:
         times = [places[path] for path in (imu.stamp.sec, imu.stamp.nanosec) if path]
         ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
-    return max([*ends, (batch.log_at or 0) + 8])
+    head = max([*ends, (batch.log_at or 0) + 8])
+    whole = -(-head // 8) * 8
+    return whole if whole <= batch.header + batch.sizes else head
 
 
 def _gather(buffer: Bytes, starts: IntArray, at: int, width: int) -> NDArray[np.void]:

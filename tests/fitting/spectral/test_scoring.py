@@ -8,7 +8,15 @@ import numpy.testing as npt
 import pytest
 
 from imucal.fitting.spectral.likelihood import evaluate
-from imucal.fitting.spectral.scoring import _step, bounds, covariance, maximize, misfit, misfit_factors
+from imucal.fitting.spectral.scoring import (
+    Race,
+    _step,
+    bounds,
+    covariance,
+    maximize,
+    misfit,
+    misfit_factors,
+)
 from imucal.fitting.spectral.structures import candidates_of
 from tests.fitting.fits import ordinates_of, simulated
 
@@ -94,6 +102,29 @@ def test_the_misfit_is_its_definition() -> None:
     assert found.chi2_per_bin == pytest.approx(np.mean(squares), rel=1e-12)
     assert found.statistic == pytest.approx((sum(squares) - len(squares)) / spread, rel=1e-9)
     assert found.p_value == pytest.approx(NormalDist().cdf(-found.statistic), rel=1e-9)
+
+
+def test_a_race_gives_up_who_is_far_behind_and_does_not_catch_up() -> None:
+    """Not in the first steps, not who gains a tenth of what is missing, and not the best."""
+    race = Race(handicap=np.array([0.0, 10.0, 0.0, 0.0]))
+    objective, gain = np.array([100.0, 100.0, 180.0, 180.0]), np.array([0.0, 0.0, 1.0, 9.0])
+    assert race.given_up(objective, gain, 2).tolist() == [False] * 4
+    assert race.given_up(objective, gain, 3).tolist() == [False, False, True, False]
+    assert race.given_up(objective - [0, 0, 45, 45], gain, 11).tolist() == [False] * 4
+    assert race.given_up(objective - [0, -15, 45, 45], gain, 20).tolist() == [False, True, True, False]
+
+
+def test_a_race_changes_nothing_for_the_best() -> None:
+    """They end where they end without it, to the digit; the others higher than they would."""
+    data = ordinates_of(simulated("N=1 + K=0.05", 20_000, 3))
+    candidates = candidates_of([("N",), ("N", "K"), ("N", "B", "K"), ("K",), ("Q", "N")], data.names)
+    start = np.tile(np.log(data.power.sum() / data.count / data.basis.mean(axis=1)), (5, 1))
+    plain = maximize(data, candidates, start, shortest=7.0)
+    raced = maximize(data, candidates, start, shortest=7.0, race=Race(handicap=np.zeros(5)))
+    near = plain.objective < plain.objective.min() + 12.5
+    assert 0 < near.sum() < 5
+    npt.assert_array_equal(raced.theta[near], plain.theta[near])
+    assert (raced.objective >= plain.objective - 1e-9).all()
 
 
 def test_the_factor_of_the_only_term_is_the_root_of_the_mean_squared_residual() -> None:

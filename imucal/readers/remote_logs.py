@@ -1,0 +1,136 @@
+"""Logs by URL: readers get copies on this machine, users read of URLs."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from imucal.errors import ImucalError
+from imucal.findings import Finding
+from imucal.readers.contents import LogContents
+from imucal.readers.read_options import Progress
+from imucal.recording import LogFileInfo, Recording
+from imucal.remote import LocalCopy, RemoteLog, fetched, is_url, logs_at
+
+
+@dataclass(frozen=True, slots=True)
+class LocalLogs:
+    """Logs on this machine, those by URL as copies.
+
+    Attributes
+    ----------
+    paths
+        What the readers read.
+    copies
+        The copies among them.
+    """
+
+    paths: tuple[Path, ...]
+    copies: tuple[LocalCopy, ...] = field(default=())
+
+    def said(self, text: str) -> str:
+        """Return a text with URLs in the place of the copies' paths; without what is secret in them."""
+        for copy in self.copies:
+            text = text.replace(str(copy.path), copy.log.shown)
+        return text
+
+    def named(self, recording: Recording) -> Recording:
+        """Return a recording that names URLs."""
+        if not self.copies:
+            return recording
+        source = recording.source
+        decisions = tuple((question, self.said(answer)) for question, answer in source.decisions)
+        files = self.named_files(source.files)
+        return replace(
+            recording,
+            source=replace(source, path=self.said(source.path), decisions=decisions, files=files),
+            findings=self._findings(recording.findings),
+        )
+
+    def described(self, contents: LogContents) -> LogContents:
+        """Return contents that name URLs."""
+        if not self.copies:
+            return contents
+        topics = tuple(replace(topic, note=self.said(topic.note)) for topic in contents.topics)
+        findings = self._findings(contents.findings)
+        return replace(contents, path=self.said(contents.path), topics=topics, findings=findings)
+
+    def named_files(self, files: Sequence[LogFileInfo]) -> tuple[LogFileInfo, ...]:
+        """Return files with their URLs and ETags."""
+        tags = {
+            str(path): file.etag
+            for copy in self.copies
+            for path, file in zip(copy.files, copy.log.files, strict=True)
+        }
+        return tuple(
+            replace(file, path=self.said(file.path), etag=tags.get(file.path) or file.etag) for file in files
+        )
+
+    def _findings(self, findings: Sequence[Finding]) -> tuple[Finding, ...]:
+        return tuple(
+            replace(finding, text=self.said(finding.text), advice=self.said(finding.advice))
+            for finding in findings
+        )
+
+    @contextmanager
+    def errors_named(self) -> Iterator[None]:
+        """Let errors name URLs."""
+        try:
+            yield
+        except ImucalError as error:
+            text = self.said(str(error))
+            if text == str(error):
+                raise
+            raise type(error)(text) from error
+
+
+@contextmanager
+def local_logs(
+    logs: Sequence[str | Path | RemoteLog], *, progress: Progress | None = None
+) -> Iterator[LocalLogs]:
+    """Lend logs as files of this machine; errors inside the block name URLs.
+
+    Wildcards and folders of URLs become their logs, as a shell and `imucal.readers.logs_of` do it with files.
+
+    Raises
+    ------
+    ReadError
+        If a URL can't be fetched.
+    """
+    if not any(isinstance(log, RemoteLog) or is_url(log) for log in logs):
+        yield LocalLogs(tuple(Path(str(log)) for log in logs))
+        return
+    found = [one for log in logs for one in _identified(log)]
+    tell = _summed(progress, [log.size or 0 for log in found if isinstance(log, RemoteLog)])
+    with ExitStack() as stack:
+        paths, copies = [], []
+        for log in found:
+            if isinstance(log, Path):
+                paths.append(log)
+                continue
+            copy = stack.enter_context(fetched(log, progress=next(tell), exact=log in logs))
+            copies.append(copy)
+            paths.append(copy.path)
+        local = LocalLogs(tuple(paths), tuple(copies))
+        with local.errors_named():
+            yield local
+
+
+def _identified(log: str | Path | RemoteLog) -> list[Path | RemoteLog]:
+    if isinstance(log, RemoteLog):
+        return [log]
+    if not is_url(log):
+        return [Path(log)]
+    return [*logs_at(str(log))]
+
+
+def _summed(progress: Progress | None, sizes: Sequence[int]) -> Iterator[Progress | None]:
+    """Yield for each log what tells of it as a part of all."""
+
+    def of(before: int) -> Callable[[int, int], None]:
+        return lambda done, _: progress(before + done, sum(sizes)) if progress else None
+
+    before = 0
+    for size in sizes:
+        yield of(before) if progress else None
+        before += size

@@ -1,0 +1,1 @@
+"""Logs behind URLs, from servers that the tests start on this machine."""

@@ -1,0 +1,86 @@
+"""A fleet of logs behind URLs: its results, its secrets, and what it leaves on this machine."""
+
+from pathlib import Path
+from typing import Any
+
+from imucal.fleet.store import FleetStore
+from imucal.fleet_run.log_identity import edge_of
+from imucal.fleet_run.log_places import content_at, edge_at
+from imucal.remote import identify
+from tests.cli.run import run
+from tests.remote.one_axis import OPTIONS, one_axis
+from tests.remote.web_server import WebServer
+
+HOW = (*OPTIONS, "--model", "N", "--shard", "1/1")
+LABELS = ("--labels", "{model}/{unit}/*.csv")
+
+
+def test_a_fleet_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:  # noqa: ANN401
+    """By wildcards: labels from the keys; copies go after use; again does nothing, a new object is done."""
+    for seed, unit in enumerate(("u1", "u2")):
+        bucket.pipe_file(f"logs/mems/{unit}/still.csv", one_axis(seed))
+    logs = "s3://logs/mems/*/still.csv"
+    done = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    store = FleetStore(tmp_path / "fleet")
+    results = store.results()
+    assert set(zip(results["model"], results["unit"], results["path"], strict=True)) == {
+        ("mems", unit, f"s3://logs/mems/{unit}/still.csv") for unit in ("u1", "u2")
+    }
+    assert list(cache.iterdir()) == []
+    again = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
+    assert again.stderr.startswith("0 logs to do, 0 MB; 2 done before\n")
+    bucket.pipe_file("logs/mems/u2/still.csv", one_axis(9))
+    bucket.pipe_file("logs/mems/u4/still.csv", one_axis(0))
+    third = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
+    assert third.returncode == 0, third.stderr
+    # The fourth unit's log is the first one's, byte for byte.
+    assert third.stderr.startswith("1 logs to do, 0.02673 MB; ")
+    same = "s3://logs/mems/u4/still.csv: same content as s3://logs/mems/u1/still.csv"
+    assert same in third.stderr
+
+
+def test_signed_urls_of_a_list(web: WebServer, tmp_path: Path) -> None:
+    """Nothing of the store has the query, which tells no logs apart; one that is not there is a failure."""
+    urls = [web.add(f"/{name}.csv", one_axis(seed)) for seed, name in enumerate("ab")]
+    urls.append(f"{web.url}/none.csv")
+    text = "\n".join(f"{url}?sig=SECRET" for url in urls)
+    done = run("fleet", "run", "-", *HOW, "--max-failed", "50%", cwd=tmp_path, text=text)
+    assert done.returncode == 0, done.stderr
+    store = FleetStore(tmp_path / "fleet")
+    assert sorted(store.manifest()["path"]) == sorted(urls)
+    logs = store.logs()
+    assert sorted(logs["status"]) == ["ok", "ok", "unreadable"]
+    reasons = [reason for reason in logs["reason"] if reason]
+    assert reasons == [f"{urls[2]}: there is no such object (404); look at the address"]
+    said = [
+        done.stdout,
+        done.stderr,
+        *(str(frame.rows()) for frame in (store.manifest(), logs, store.results())),
+    ]
+    said += [path.read_text("latin-1") for path in (tmp_path / "fleet").rglob("*") if path.is_file()]
+    assert not any("SECRET" in text for text in said)
+    twice = run("fleet", "run", f"{urls[0]}?id=1", f"{urls[0]}?id=2", *HOW, cwd=tmp_path)
+    assert (twice.returncode, "differ behind the question mark alone" in twice.stderr) == (2, True)
+
+
+def test_a_manifest_of_urls(web: WebServer, tmp_path: Path) -> None:
+    """A column of URLs; the store has them without their queries."""
+    url = web.add("/a.csv", one_axis())
+    (tmp_path / "units.csv").write_text(f"path,unit\n{url}?sig=SECRET,u7\n", encoding="utf-8")
+    done = run("fleet", "run", "--manifest", "units.csv", *HOW, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    results = FleetStore(tmp_path / "fleet").results()
+    assert (results["path"][0], results["unit"][0]) == (url, "u7")
+
+
+def test_edges_and_contents_are_those_of_the_file(web: WebServer, tmp_path: Path) -> None:
+    """So that a log here and its copy in a store are seen to be one."""
+    body = one_axis() * 9
+    (tmp_path / "a.csv").write_bytes(body)
+    url = web.add("/a.csv", body)
+    before = web.sent
+    assert edge_at(url) == edge_at(str(tmp_path / "a.csv")) == edge_of(tmp_path / "a.csv")
+    assert web.sent - before <= 2 * (1 << 16) + 512
+    assert content_at(url) == content_at(str(tmp_path / "a.csv"))
+    assert identify(url).size == len(body)

@@ -1,0 +1,210 @@
+"""The cache of remote logs: whole or not at all, capped, safe between processes."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import imucal
+from imucal.remote import RemoteLog, fetched, forget, identify
+from imucal.remote.file_locks import locked
+from imucal.remote.log_cache import cache_folder, cache_size
+from tests.remote.web_server import WebServer
+
+BODY = bytes(range(256)) * 400  # 102 400 bytes
+
+FETCH = """
+import os, sys
+from imucal.remote import fetched
+with fetched(sys.argv[1]) as copy:
+    print(len(copy.path.read_bytes()), flush=True)
+"""
+
+
+def start(url: str, script: str = FETCH) -> subprocess.Popen[str]:
+    """Fetch a log in a process of its own."""
+    return subprocess.Popen(  # noqa: S603 - our own code
+        [sys.executable, "-c", script, url],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+    )
+
+
+def copies(cache: Path) -> list[str]:
+    """Return the names of the copies in the cache, those on their way too."""
+    return sorted(path.name for path in cache.glob("*/*"))
+
+
+def use(url: str) -> RemoteLog:
+    """Fetch a log and let it go."""
+    with fetched(url) as copy:
+        assert copy.path.read_bytes() == BODY
+        return copy.log
+
+
+def test_the_least_recently_used_goes_first(
+    web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three logs of 100 kB in a cache of 250 kB; what is used again is young again."""
+    monkeypatch.setenv("IMUCAL_CACHE_SIZE", "250k")
+    urls = [web.add(f"/{name}", BODY) for name in "abc"]
+    for age, url in ((30, urls[0]), (20, urls[1])):
+        lock = cache / f"{use(url).key}.lock"
+        os.utime(lock, (time.time() - age,) * 2)
+    use(urls[0])
+    use(urls[2])
+    assert copies(cache) == ["a", "c"]
+
+
+def test_a_log_that_is_used_stays(web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However full the cache is, the others go; a cache of no size keeps nothing after use."""
+    monkeypatch.setenv("IMUCAL_CACHE_SIZE", "150k")
+    first, second = (web.add(f"/{name}", BODY) for name in "ab")
+    with fetched(first) as copy:
+        use(second)
+        assert copy.path.read_bytes() == BODY
+        assert not forget(copy.log)
+    assert copies(cache) == ["a"]
+    monkeypatch.setenv("IMUCAL_CACHE_SIZE", "0")
+    use(second)
+    assert copies(cache) == []
+    assert [path.suffix for path in cache.iterdir()] == []
+
+
+def test_a_log_that_is_not_to_be_kept_goes_after_use(web: WebServer, cache: Path) -> None:
+    """As a fleet asks for it; two uses, one inside the other, are one download."""
+    log = identify(web.add("/a", BODY), keep=False)
+    with fetched(log) as outer:
+        with fetched(replace(log)) as inner:
+            assert inner.path == outer.path
+        assert outer.path.read_bytes() == BODY
+    assert list(cache.iterdir()) == []
+    assert len(web.asked) == 2
+    kept = replace(log, keep=True)
+    with fetched(kept):
+        pass
+    assert copies(cache) == ["a"]
+    assert forget(kept)
+    assert list(cache.iterdir()) == []
+
+
+def test_a_copy_of_another_size_is_made_anew(web: WebServer, cache: Path) -> None:
+    """Somebody cut it."""
+    url = web.add("/a", BODY)
+    use(url)
+    (path,) = cache.glob("*/a")
+    path.write_bytes(BODY[:-1])
+    use(url)
+
+
+def test_two_processes_download_once(web: WebServer, cache: Path) -> None:
+    """One waits for the other, which holds the lock."""
+    url = web.add("/a", BODY, delay_s=0.2)
+    running = [start(url) for _ in range(2)]
+    said = [process.communicate(timeout=60) for process in running]
+    assert said == [(f"{len(BODY)}\n", "")] * 2
+    assert [part for _, part, _ in web.asked].count("") == 1
+    assert copies(cache) == ["a"]
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_download_leaves_nothing_half(web: WebServer, cache: Path, sign: int) -> None:
+    """At once after Ctrl-C; after a kill with the next use of the cache."""
+    url = web.add("/slow", BODY * 10, stall_after=200_000)
+    process = start(url)
+    while not list(cache.glob("*.part/slow")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(sign)
+    process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert bool(list(cache.glob("*.part"))) == (sign == signal.SIGKILL)
+    use(web.add("/other", BODY))
+    assert copies(cache) == ["other"]
+
+
+def test_a_full_disk_is_named(web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the download where that is seen; what nobody uses is removed for it."""
+    old = web.add("/old", BODY)
+    use(old)
+
+    def usage(_: object) -> SimpleNamespace:
+        return SimpleNamespace(free=(1 << 24) + (200_000 if copies(cache) else 300_000))
+
+    monkeypatch.setattr(shutil, "disk_usage", usage)
+    with fetched(web.add("/new", BODY * 2 + BODY[: len(BODY) // 2])):
+        assert copies(cache) == ["new"]
+    url = web.add("/newer", BODY * 4)
+    said = (
+        r"no room for a remote log of 0\.00041 GB: 0\.0171 GB are free; free some space, or set IMUCAL_CACHE"
+    )
+    with pytest.raises(imucal.ReadError, match=said) as error:
+        imucal.read(url)
+    assert error.value.exit_code == 3
+
+
+def test_a_disk_that_fills_on_the_way_is_named(web: WebServer, cache: Path) -> None:
+    """A limit of the size of files stands for the disk."""
+    limited = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))\n"
+        "import imucal, sys\n"
+        "try: imucal.read(sys.argv[1])\n"
+        "except imucal.ReadError as error: print(error)\n"
+    )
+    url = web.add("/a", BODY)
+    out, err = start(f"{url}?sig=SECRET", limited).communicate(timeout=60)
+    assert err == ""
+    hint = "free some space, or set IMUCAL_CACHE to a folder on another disk"
+    assert out == f"{url}: no copy can be written to {cache}: File too large; {hint}\n"
+    assert list(cache.iterdir()) == []
+
+
+def test_the_cache_has_a_place_and_a_size(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the user's, where nothing else is said."""
+    assert cache_folder() == cache
+    monkeypatch.delenv("IMUCAL_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert cache_folder() == tmp_path / "xdg" / "imucal"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.delenv("LOCALAPPDATA", raising=False)
+    assert cache_folder() == tmp_path / ".cache" / "imucal"
+    assert cache_size() == 10 << 30
+    monkeypatch.setenv("IMUCAL_CACHE_SIZE", "2G")
+    assert cache_size() == 2 << 30
+    monkeypatch.setenv("IMUCAL_CACHE_SIZE", "much")
+    with pytest.raises(imucal.ImucalError, match="IMUCAL_CACHE_SIZE: found 'much', expected a size") as error:
+        cache_size()
+    assert error.value.exit_code == 2
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    monkeypatch.setenv("IMUCAL_CACHE", str(tmp_path / "file"))
+    said = "file: the cache of remote logs can't be used: File exists; set IMUCAL_CACHE to a folder of yours"
+    with pytest.raises(imucal.ReadError, match=said):
+        cache_folder()
+
+
+def test_a_lock_file_that_is_removed_is_no_lock(tmp_path: Path) -> None:
+    """Who waits for it takes the new one."""
+    path = tmp_path / "a.lock"
+    with locked(path) as had:
+        assert had
+        with locked(path, wait=False) as twice:
+            assert not twice
+        path.unlink()
+        with locked(path, wait=False) as new:
+            assert new
+    with locked(path, shared=True) as one, locked(path, shared=True, wait=False) as two:
+        assert one
+        assert two
+        with locked(path, wait=False) as alone:
+            assert not alone

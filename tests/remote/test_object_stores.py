@@ -1,0 +1,203 @@
+"""Logs in object stores: S3 as moto plays it, on this machine."""
+
+import importlib.util
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import fsspec
+import numpy.testing as npt
+import pytest
+
+import imucal
+from imucal.log_files import write_log
+from imucal.readers import describe, logs_of
+from imucal.readers.containers.rosbag2_folder import ENDINGS
+from imucal.readers.formats import FORMATS
+from imucal.remote import expand, failures, fetched, identify
+from imucal.remote.addresses import OBJECT_STORES
+from imucal.remote.listing import _MESSAGES, _TABLES
+from tests.cli.run import SAMPLE_LOGS, run
+from tests.remote.one_axis import OPTIONS, one_axis
+from tests.remote.web_server import WebServer
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("name", ["consumer_mems.mcap", "tactical.bag"])
+def test_a_log_in_s3_is_the_log(bucket: Any, name: str) -> None:  # noqa: ANN401
+    """The same samples; the URL in place of the path, and the ETag of the object."""
+    bucket.put_file(SAMPLE_LOGS / name, f"logs/run/{name}")
+    url = f"s3://logs/run/{name}"
+    here, there = imucal.read(SAMPLE_LOGS / name), imucal.read(url, checksums=True)
+    for a, b in zip(here.series, there.series, strict=True):
+        npt.assert_array_equal(a.samples, b.samples)
+    assert there.source.path == url
+    assert [(file.path, file.etag) for file in there.source.files] == [(url, bucket.info(url)["ETag"])]
+    assert describe(url).topics == describe(SAMPLE_LOGS / name).topics
+
+
+def test_the_index_of_a_log_in_s3(bucket: Any, cache: Path) -> None:  # noqa: ANN401
+    """By ranges: nothing is copied."""
+    bucket.put_file(SAMPLE_LOGS / "consumer_mems.mcap", "logs/a.mcap")
+    assert describe("s3://logs/a.mcap").topics[0].count == 36000
+    assert list(cache.rglob("*.mcap")) == []
+
+
+def test_a_changed_object_is_downloaded_anew(bucket: Any) -> None:  # noqa: ANN401
+    """In the same process: listings are not remembered."""
+    bucket.pipe_file("logs/a.csv", b"one")
+    with fetched("s3://logs/a.csv") as copy:
+        assert copy.path.read_bytes() == b"one"
+    bucket.pipe_file("logs/a.csv", b"two")
+    with fetched("s3://logs/a.csv") as copy:
+        assert copy.path.read_bytes() == b"two"
+
+
+def test_a_bag_with_metadata_is_one_log(bucket: Any, tmp_path: Path) -> None:  # noqa: ANN401
+    """A folder of ROS 2; so are its parts on this machine."""
+    recording = imucal.read(SAMPLE_LOGS / "tactical.bag")
+    write_log(recording.between(0, 20), tmp_path / "bag")
+    bucket.put(str(tmp_path / "bag"), "logs/bag", recursive=True)
+    for url in ("s3://logs/bag", "s3://logs/bag/"):
+        assert expand(url) == [url]
+        there = imucal.read(url, checksums=True)
+        assert there.source.path == "s3://logs/bag"
+        assert there.source.format == "rosbag2-sqlite3"
+        npt.assert_array_equal(there.series[0].samples, imucal.read(tmp_path / "bag").series[0].samples)
+        files = [file.path for file in there.source.files]
+        assert files == ["s3://logs/bag/bag.db3", "s3://logs/bag/metadata.yaml"]
+        assert describe(url).path == "s3://logs/bag"
+    assert identify("s3://logs/bag").size == sum(path.stat().st_size for path in (tmp_path / "bag").iterdir())
+
+
+def test_parts_of_one_recording_are_joined(bucket: Any, tmp_path: Path) -> None:  # noqa: ANN401
+    """By wildcards or a folder, as files of this machine are; in the natural order."""
+    recording = imucal.read(SAMPLE_LOGS / "consumer_mems.mcap")
+    for name, start in (("a_9.mcap", 0.0), ("a_10.mcap", 60.0)):
+        write_log(recording.between(start, start + 60), tmp_path / name)
+        bucket.put_file(tmp_path / name, f"logs/split/{name}")
+    for url in ("s3://logs/split/a_*.mcap", "s3://logs/split", "s3://logs/*/*.mcap"):
+        assert logs_of(url) == ["s3://logs/split/a_10.mcap", "s3://logs/split/a_9.mcap"]
+        joined = imucal.read(url)
+        npt.assert_array_equal(joined.series[0].samples, recording.between(0, 120).series[0].samples)
+        assert joined.source.path == "s3://logs/split/a_9.mcap, s3://logs/split/a_10.mcap"
+    bucket.copy("logs/split/a_9.mcap", "logs/split/b_9.mcap")
+    with pytest.raises(imucal.ReadError, match=r"^s3://logs/split/a_9\.mcap: 3 logs are not seen to be one"):
+        imucal.read("s3://logs/split")
+
+
+def test_signs_of_wildcards_may_stand_in_a_name(bucket: Any) -> None:  # noqa: ANN401
+    """What matches nothing is looked for as it is."""
+    bucket.pipe_file("logs/run[1].csv", b"t,gx\n")
+    assert expand("s3://logs/run[1].csv") == ["s3://logs/run[1].csv"]
+    with pytest.raises(imucal.ReadError, match=r"s3://logs/run\[2\]\.csv: no log has such a name"):
+        expand("s3://logs/run[2].csv")
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("s3://logs/none.mcap", "there is no such object (404); look at the address"),
+        ("s3://other/none.mcap", "there is no such bucket (404); look at the address"),
+        ("s3://logs/notes", "a folder that holds a.md; expected logs, such as .mcap, .bag or .csv files"),
+    ],
+)
+def test_what_is_not_there_is_named(bucket: Any, url: str, said: str) -> None:  # noqa: ANN401
+    """Object, bucket, or logs."""
+    bucket.pipe_file("logs/notes/a.md", b"dear")
+    with pytest.raises(imucal.ReadError, match=re.escape(f"{url}: {said}")) as error:
+        imucal.read(url)
+    assert error.value.exit_code == 3
+
+
+def test_no_credentials(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN401
+    """What to set; a public bucket needs none."""
+    bucket.pipe_file("logs/a.csv", b"one")
+    bucket.chmod("logs/a.csv", "public-read")
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
+    bucket.clear_instance_cache()
+    said = (
+        "s3://logs/a.csv: no credentials were found, or they are wrong; set AWS_PROFILE, or AWS_ACCESS_KEY_ID"
+    )
+    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+        imucal.read("s3://logs/a.csv")
+    conf: dict[str, dict[str, object]] = {}
+    # Read when fsspec is loaded, which it is.
+    fsspec.config.set_conf_env(conf, {"FSSPEC_S3_ANON": "true"})
+    monkeypatch.setitem(fsspec.config.conf, "s3", conf["s3"])
+    with fetched("s3://logs/a.csv") as copy:
+        assert copy.path.read_bytes() == b"one"
+    bucket.clear_instance_cache()
+
+
+def test_no_access_and_no_answer(bucket: Any, web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN401
+    """403 is not asked again; a server that is not there is, and both are named."""
+    monkeypatch.setenv("AWS_ENDPOINT_URL", web.url)
+    bucket.clear_instance_cache()
+    with pytest.raises(
+        imucal.ReadError, match=r"s3://logs/a\.csv: access is denied \(403\) to these credentials; "
+    ):
+        imucal.read("s3://logs/a.csv")
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
+    bucket.clear_instance_cache()
+    monkeypatch.setattr(failures, "WAITS", (0.0,))
+    with pytest.raises(
+        imucal.ReadError, match=r"s3://logs/a\.csv: the connection failed: .* \(2 attempts\); try"
+    ):
+        imucal.read("s3://logs/a.csv")
+    bucket.clear_instance_cache()
+
+
+@pytest.mark.parametrize("scheme", OBJECT_STORES)
+def test_a_missing_extra_says_what_to_type(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The extra is there, and brings the package."""
+    find = importlib.util.find_spec
+    _, package, _ = OBJECT_STORES[scheme]
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == package else find(name))
+    with pytest.raises(imucal.ReadError) as error:
+        imucal.read(f"{scheme}://bucket/log.mcap")
+    match = re.fullmatch(
+        rf"{scheme}://bucket/log\.mcap: {scheme}:// needs the package {package}; "
+        r"type: pip install '(.*)\[(.*)\]'",
+        str(error.value),
+    )
+    assert match
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert match[1] == project["name"]
+    assert project["optional-dependencies"][match[2]][0].startswith(f"{package}>=")
+
+
+def test_remote_folders_know_the_endings_of_all_formats() -> None:
+    """Those of the readers."""
+    messages = {suffix for entry in FORMATS if entry.messages for suffix in entry.suffixes}
+    assert set(_MESSAGES) == messages | set(ENDINGS)
+    assert set(_TABLES) == {suffix for entry in FORMATS if not entry.messages for suffix in entry.suffixes}
+
+
+def test_every_command_takes_a_url(bucket: Any, tmp_path: Path) -> None:  # noqa: ANN401
+    """What they print and write names the URL; their files are named after the log."""
+    bucket.pipe_file("logs/short.csv", one_axis())
+    url = "s3://logs/short.csv"
+    quick = ["-q", *OPTIONS]
+    fit = run("fit", url, "--model", "N", "--no-report", "--json", *quick, cwd=tmp_path)
+    assert fit.returncode == 0, fit.stderr
+    (tmp_path / "report.json").write_text(fit.stdout, encoding="utf-8")
+    assert run("adev", url, *quick, cwd=tmp_path).stdout.startswith("axis,tau,m,adev")
+    info = run("info", url, *OPTIONS, cwd=tmp_path).stdout
+    assert info.startswith(url)
+    assert "1500 samples, no gaps" in info
+    done = run("decompose", url, "--model", "N", *quick, cwd=tmp_path)
+    assert (done.returncode, (tmp_path / "short-decomposed" / "gyro_z.csv").exists()) == (0, True), (
+        done.stderr
+    )
+    (tmp_path / "limits.toml").write_text("[gyroscope]\nN = { max = 1.0 }\n", encoding="utf-8")
+    checked = run("check", url, "--limits", "limits.toml", *quick, cwd=tmp_path)
+    assert checked.returncode == 0, checked.stderr
+    bucket.put_file(tmp_path / "report.json", "logs/report.json")
+    same = run("compare", "s3://logs/report.json", "report.json", cwd=tmp_path)
+    assert "no significant difference" in same.stdout, same.stderr
+    refused = run("compare", url, "report.json", cwd=tmp_path)
+    assert (refused.returncode, url in refused.stderr) == (3, True)

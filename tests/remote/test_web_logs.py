@@ -1,0 +1,294 @@
+"""Logs behind http: what is read, what is asked for, and what goes wrong."""
+
+import re
+import socket
+from pathlib import Path
+from typing import Any
+
+import numpy.testing as npt
+import pytest
+
+import imucal
+from imucal.readers import describe
+from imucal.remote import expand, fetched, identify
+from tests.cli.run import SAMPLE_LOGS
+from tests.remote.web_server import WebServer
+
+TABLE = b"t,gx,gy,gz,ax,ay,az\n" + b"".join(
+    f"{i / 100:.2f},{i % 7 * 1e-4},{i % 5 * 1e-4},{i % 3 * 1e-4},0.{i % 11},0.{i % 13},9.8{i % 9}\n".encode()
+    for i in range(2000)
+)
+OPTIONS: dict[str, Any] = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
+
+
+def kept(cache: Path) -> list[str]:
+    """Return the names of the files in the cache, locks left out."""
+    return sorted(path.name for path in cache.rglob("*") if path.is_file() and path.suffix != ".lock")
+
+
+@pytest.mark.parametrize("name", ["consumer_mems.mcap", "tactical.bag", "too_short.db3", "with_gaps.csv"])
+def test_a_log_behind_a_url_is_the_log(web: WebServer, name: str) -> None:
+    """The same samples, clocks and findings; the URL without its query in place of the path."""
+    log = SAMPLE_LOGS / name
+    url = web.add(f"/logs/{name}", log.read_bytes())
+    here, there = imucal.read(log, checksums=True), imucal.read(f"{url}?sig=SECRET", checksums=True)
+    for a, b in zip(here.series, there.series, strict=True):
+        npt.assert_array_equal(a.samples, b.samples)
+        assert a.clock == b.clock
+    assert there.source.path == url
+    (file,) = there.source.files
+    assert (file.path, file.etag) == (url, '"one"')
+    assert (file.size_bytes, file.blake2b) == (here.source.files[0].size_bytes, here.source.files[0].blake2b)
+    assert [f.code for f in there.findings] == [f.code for f in here.findings]
+
+
+def test_a_second_read_asks_for_the_first_bytes_only(web: WebServer, cache: Path) -> None:
+    """The ETag says that the copy is still right; another signature makes no other log."""
+    url = web.add("/log.csv", TABLE)
+    imucal.read(f"{url}?sig=1", **OPTIONS)
+    before = web.sent
+    imucal.read(f"{url}?sig=2", **OPTIONS)
+    assert web.sent - before == 512
+    assert kept(cache) == ["log.csv"]
+
+
+def test_a_changed_object_is_downloaded_anew(web: WebServer) -> None:
+    """By its ETag; the size may be the same."""
+    url = web.add("/log.csv", TABLE)
+    first = imucal.read(url, **OPTIONS)
+    web.add("/log.csv", TABLE.replace(b"0.0001,", b"0.0002,"), etag='"two"')
+    second = imucal.read(url, **OPTIONS)
+    assert (first.series[0].samples != second.series[0].samples).any()
+
+
+def test_a_time_of_change_stands_for_an_etag(web: WebServer, cache: Path) -> None:
+    """Where the server has none; then the query may choose the content."""
+    url = web.add("/log.csv", TABLE, etag=None, modified="Sun, 22 Nov 2026 05:00:00 GMT")
+    assert identify(url).etag == "Sun, 22 Nov 2026 05:00:00 GMT"
+    assert identify(url).key == identify(url).key
+    assert identify(f"{url}?id=1").key != identify(f"{url}?id=2").key
+    imucal.read(url, **OPTIONS)
+    assert kept(cache) == ["log.csv"]
+
+
+def test_without_either_nothing_is_kept(web: WebServer, cache: Path) -> None:
+    """Nobody could say whether the copy is still right."""
+    url = web.add("/log.csv", TABLE, etag=None)
+    assert imucal.read(url, **OPTIONS).series[0].n == 2000
+    assert kept(cache) == []
+
+
+def test_a_broken_connection_is_gone_on_with(web: WebServer) -> None:
+    """The second request asks for what is missing."""
+    url = web.add("/log.csv", TABLE, cuts=[20_000, 30_000])
+    with fetched(url) as copy:
+        assert copy.path.read_bytes() == TABLE
+    assert [part for _, part, _ in web.asked] == ["bytes=0-511", "", "bytes=20000-", "bytes=50000-"]
+
+
+def test_without_ranges_it_begins_again(web: WebServer) -> None:
+    """The server gives all or nothing."""
+    # A look gets all of it, too, and reads the start.
+    url = web.add("/log.csv", TABLE, cuts=[len(TABLE), 20_000], ranges=False)
+    told: list[int] = []
+    with fetched(url, progress=lambda done, _: told.append(done)) as copy:
+        assert copy.path.read_bytes() == TABLE
+    assert [part for _, part, _ in web.asked] == ["bytes=0-511", "", ""]
+    assert told[-1] == len(TABLE)
+
+
+def test_too_many_broken_connections_are_an_error(web: WebServer, cache: Path) -> None:
+    """Four without a byte more; nothing half is left."""
+    url = web.add("/log.csv", TABLE, cuts=[1000, 0, 0, 0, 0])
+    with pytest.raises(
+        imucal.ReadError,
+        match=re.escape(
+            f"{url}: the connection ended after 1000 of {len(TABLE)} bytes (4 attempts); try again later"
+        ),
+    ):
+        imucal.read(f"{url}?sig=SECRET")
+    assert list(cache.rglob("*.csv")) == []
+    assert [path.suffix for path in cache.iterdir()] == []
+
+
+def test_what_changes_on_its_way_is_taken_anew(web: WebServer) -> None:
+    """A part of the old object is never joined to one of the new."""
+    new = TABLE.replace(b"0.0001,", b"0.0002,")
+
+    class Changing(list[int]):
+        def pop(self, index: object = 0) -> int:
+            cut = super().pop(0)
+            web.add("/log.csv", new, etag='"two"')
+            del index
+            return cut
+
+    url = web.add("/log.csv", TABLE, cuts=Changing([20_000]))
+    with fetched(url) as copy:
+        assert copy.path.read_bytes() == new
+        assert copy.log.etag == '"two"'
+    log = identify(web.add("/log.csv", TABLE, cuts=Changing([20_000])))
+    with (
+        pytest.raises(imucal.ReadError, match=r"log\.csv: it has changed since it was looked at; look again"),
+        fetched(log),
+    ):
+        pass
+
+
+def test_busy_servers_are_asked_again(web: WebServer) -> None:
+    """Three times."""
+    url = web.add("/log.csv", TABLE, statuses=[503, 429, 200, 500])
+    assert imucal.read(url, **OPTIONS).series[0].n == 2000
+    web.add("/log.csv", TABLE, etag='"two"', statuses=[503] * 4)
+    message = f"{url}: the server answers 503 (Service Unavailable) (4 attempts); try again later"
+    with pytest.raises(imucal.ReadError, match=re.escape(message)):
+        imucal.read(url)
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        (404, "there is no such object (404); look at the address"),
+        (410, "there is no such object (404); look at the address"),
+        (403, "access is denied (403); a signed address may have run out; make a new one"),
+        (401, "access is denied (401); a signed address"),
+        (418, "the server answers 418 (I'm a Teapot); expected the file"),
+    ],
+)  # fmt: skip
+def test_refusals_are_not_asked_again(web: WebServer, code: int, said: str) -> None:
+    """One request; the query is not shown."""
+    url = web.add("/log.csv", TABLE, statuses=[code])
+    with pytest.raises(imucal.ReadError, match=f"^{re.escape(f'{url}: {said}')}"):
+        imucal.read(f"{url}?sig=SECRET")
+    assert len(web.asked) == 1
+
+
+def test_a_server_that_is_silent_is_given_up(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After IMUCAL_REMOTE_TIMEOUT."""
+    url = web.add("/log.csv", TABLE, delay_s=0.5)
+    monkeypatch.setenv("IMUCAL_REMOTE_TIMEOUT", "0.05")
+    with pytest.raises(imucal.ReadError, match=r"log\.csv: no answer within 0\.05 s \(4 attempts\)"):
+        imucal.read(url)
+    monkeypatch.setenv("IMUCAL_REMOTE_TIMEOUT", "soon")
+    with pytest.raises(
+        imucal.ImucalError, match="IMUCAL_REMOTE_TIMEOUT: found 'soon', expected seconds"
+    ) as error:
+        imucal.read(url)
+    assert error.value.exit_code == 2
+
+
+def test_no_server_and_no_network(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A closed port; a host that nobody knows."""
+    url = web.url
+    with pytest.raises(
+        imucal.ReadError, match=r"http://127\.0\.0\.1:1/log\.csv: the connection failed: .*refused"
+    ):
+        imucal.read("http://127.0.0.1:1/log.csv")
+
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(-2, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(imucal.ReadError, match=r"http://host/log\.csv: the host is not found: no network"):
+        imucal.read("http://host/log.csv?sig=SECRET")
+    assert url
+
+
+@pytest.mark.parametrize("start", [b"<!DOCTYPE html><title>Log in</title>", b"\xef\xbb\xbf\r\n <HTML>"])
+def test_a_web_page_is_no_log(web: WebServer, cache: Path, start: bytes) -> None:
+    """A login page comes with code 200."""
+    url = web.add("/log.mcap", start + b" " * 9000, kind="text/html; charset=utf-8")
+    said = "log.mcap: the answer is a web page (text/html), perhaps to log in, and no log; expected the"
+    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+        imucal.read(url)
+    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+        describe(url)
+    assert kept(cache) == []
+
+
+def test_an_empty_file_is_named(web: WebServer) -> None:
+    """As one of this machine; servers have no first byte to give."""
+    url = web.add("/log.csv", b"")
+    with pytest.raises(imucal.ReadError, match=r"log\.csv: the file is empty; expected a log"):
+        imucal.read(url)
+
+
+def test_the_length_may_be_unknown(web: WebServer) -> None:
+    """Chunks until the connection is closed."""
+    url = web.add("/log.csv", TABLE, length=False, ranges=False)
+    assert identify(url).size is None
+    assert imucal.read(url, **OPTIONS).series[0].n == 2000
+
+
+def test_redirects_are_followed(web: WebServer) -> None:
+    """The name is that of the address that was given."""
+    web.add("/store/0815", TABLE)
+    url = web.add("/log.csv", b"", redirect="/store/0815?sig=SECRET")
+    assert imucal.read(url, **OPTIONS).source.path == url
+
+
+def test_name_and_password(web: WebServer, tmp_path: Path) -> None:
+    """Of the URL, or of ~/.netrc; neither is shown, and a redirect to another host gets neither."""
+    web.add("/log.csv", TABLE, login="Basic bWU6YUBi")
+    host = web.url.removeprefix("http://")
+    source = imucal.read(f"http://me:a%40b@{host}/log.csv", **OPTIONS, checksums=True).source
+    assert source.path == source.files[0].path == f"http://{host}/log.csv"
+    with pytest.raises(imucal.ReadError, match=r"access is denied \(401\)"):
+        imucal.read(f"{web.url}/log.csv")
+    (tmp_path / ".netrc").write_text("machine 127.0.0.1 login me password a@b\n", encoding="utf-8")
+    (tmp_path / ".netrc").chmod(0o600)
+    assert imucal.read(f"{web.url}/log.csv", **OPTIONS).series[0].n == 2000
+
+
+def test_names_as_people_type_them(web: WebServer) -> None:
+    """Spaces and letters beyond ASCII, quoted or not; names that no file may have."""
+    web.add("/Läufe 1/log 1.csv", TABLE)
+    for path in ("/Läufe 1/log 1.csv", "/L%C3%A4ufe%201/log%201.csv"):
+        with fetched(web.url + path) as copy:
+            assert copy.path.name == "log 1.csv"
+    web.add("/..", TABLE)
+    web.add("/a:b", TABLE)
+    assert [identify(web.url + path).name for path in ("/..", "/a:b")] == ["log", "a_b"]
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("s4://bucket/log.mcap", "s4://bucket/log.mcap: s4:// is not read; expected s3://, gs://, az://"),
+        ("file:///logs/log.mcap", "https:// or http://; leave file:// out"),
+        ("ftp://me:word@host/log.csv", "ftp://host/log.csv: ftp:// is not read"),
+        ("http://host:port/log.csv", "http://host:port/log.csv: can't be read: "),
+    ],
+)
+def test_other_schemes_are_refused(url: str, said: str) -> None:
+    """With those that are read."""
+    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+        imucal.read(url)
+
+
+def test_a_url_is_text() -> None:
+    """A Path takes one of its slashes away."""
+    with pytest.raises(
+        imucal.ReadError, match=r"^https://host/log\.csv: a URL that went through a Path; expected https://"
+    ):
+        imucal.read(Path("https://host/log.csv?sig=SECRET"))
+
+
+PAGE = b"""<html><h1>Index of /logs</h1><a href="../">up</a> <a href='a_10.csv'>a</a>
+<a href="a_2.csv?sig=1">b</a>
+<a href="/logs/notes.md">c</a> <a href="old/">d</a> <a href="http://elsewhere/a_3.csv">e</a></html>"""
+
+
+def test_wildcards_and_folders_of_a_web_server(web: WebServer) -> None:
+    """By the page that lists the folder."""
+    web.add("/logs/", PAGE, kind="text/html")
+    assert expand(f"{web.url}/logs/a_*.csv") == [f"{web.url}/logs/a_10.csv", f"{web.url}/logs/a_2.csv?sig=1"]
+    assert expand(f"{web.url}/logs/") == [f"{web.url}/logs/"]
+    with pytest.raises(imucal.ReadError, match=r"logs/b\*\.csv: no log has such a name"):
+        expand(f"{web.url}/logs/b*.csv")
+    with pytest.raises(imucal.ReadError, match=r"may have \* in its last part only"):
+        expand(f"{web.url}/*/a.csv")
+    web.add("/none/", b"<a href='notes.md'>c</a>")
+    with pytest.raises(
+        imucal.ReadError, match=r"none/: a folder that holds notes\.md; expected logs, such as"
+    ):
+        imucal.read(f"{web.url}/none/")
