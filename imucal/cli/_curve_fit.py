@@ -4,6 +4,8 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import click
+
 from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import print_findings
@@ -20,8 +22,9 @@ def is_curve_table(request: LogRequest) -> bool:
     """Say whether the heading of the one log names an averaging time, as a table of deviations does."""
     if len(request.logs) != 1 or not name_of_log(request.logs[0]).lower().endswith(_TEXTS):
         return False
-    with request.local() as logs:
-        return all(map(_names_an_averaging_time, logs.paths))
+    # Held to the end of the command, so that what is fetched for it is not fetched twice.
+    logs = click.get_current_context().with_resource(request.local())
+    return all(map(_names_an_averaging_time, logs.paths))
 
 
 def _names_an_averaging_time(path: Path) -> bool:

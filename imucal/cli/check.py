@@ -55,7 +55,7 @@ file, 3 the report or log can't be read, 4 the data can't be analysed."""
 )
 @click.option(
     "--baseline",
-    type=click.Path(path_type=Path),
+    type=click.Path(),
     metavar="REPORT",
     help=f"Older report ({REPORT}); alone it allows 20 % more N, B and K.",
 )
@@ -81,7 +81,7 @@ def command(
     *,
     request: LogRequest,
     limits_file: Path | None,
-    baseline: Path | None,
+    baseline: str | None,
     fleet: Path | None,
     fleet_model: str | None,
     undecided: str | None,
@@ -111,7 +111,7 @@ def command(
         limits = replace(limits, undecided="fail" if undecided == "fail" else "pass")
     older = None
     if limits.baseline is not None and limits.baseline.report is not None:
-        older = read_report(limits.baseline.report)
+        older = read_report(baseline or limits.baseline.report)
     report = load_report(request)
     result = check(report, limits, baseline=older)
     if fleet is not None:
@@ -137,7 +137,7 @@ def command(
 
 
 def _fleet_alone(
-    fleet: Path | None, model: str | None, limits_file: Path | None, baseline: Path | None
+    fleet: Path | None, model: str | None, limits_file: Path | None, baseline: str | None
 ) -> bool:
     """Return whether a fleet is all there is to check against."""
     if fleet is None and model is not None:
@@ -151,7 +151,7 @@ def _fleet_alone(
     return fleet is not None and limits_file is None and baseline is None
 
 
-def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
+def _limits(limits_file: Path | None, baseline: str | None) -> Limits:
     from imucal.checking import read_limits
 
     if limits_file is None and baseline is None:
@@ -159,7 +159,7 @@ def _limits(limits_file: Path | None, baseline: Path | None) -> Limits:
         raise click.UsageError(msg)
     limits = Limits() if limits_file is None else read_limits(limits_file)
     if baseline is not None:
-        limits = replace(limits, baseline=replace(limits.baseline or Baseline(), report=baseline))
+        limits = replace(limits, baseline=replace(limits.baseline or Baseline(), report=Path(baseline)))
     elif limits.baseline is not None and limits.baseline.report is None:
         msg = f'{limits_file}: the baseline names no report; write report = "…", or give --baseline REPORT'
         raise click.UsageError(msg)

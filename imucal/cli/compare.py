@@ -102,7 +102,7 @@ def _both(a: str, b: str, model: str | None) -> tuple[Report, Report]:
     if not all(fleets):
         fleet, other = (a, b) if fleets[0] else (b, a)
         msg = (
-            f"{fleet} is a fleet and {shown_address(other)} is none; compare two fleets, or whether a log "
+            f"{fleet} is a fleet and {shown_address(other)} is none; compare two fleets, or ask if a log "
             f"is of one of its units: imucal check {_typed(other)} --fleet {_typed(fleet)}"
         )
         raise click.UsageError(msg)

@@ -16,6 +16,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
+from imucal.remote import is_url
 from imucal.report.document import plain
 from imucal.units import DatasheetUnit
 
@@ -93,7 +94,7 @@ def command(
     taken at its bound.
     """
     result = plan(
-        _model(source, rate) or read_report(Path(source)),
+        _model(source, rate) or read_report(source),
         rate_hz=rate,
         precision=precision,
         level=level or ONE_DEVIATION,
@@ -141,8 +142,7 @@ def to_document(result: Plan) -> dict[str, object]:
 
 def _model(source: str, rate: float | None) -> NoiseModel | None:
     """Return the model of a text that is one, or None for a path."""
-    path = Path(source)
-    if is_report(path) or path.exists():
+    if is_url(source) or is_report(source) or Path(source).exists():
         return None
     try:
         model = NoiseModel.parse(source)

@@ -37,7 +37,10 @@ class ObjectStore:
         info = self._asked(url, lambda: self._files.info(self._key(url)))
         if info.get("type") == "directory":
             return None
-        return RemoteFile(url=url, etag=_tag(info), size=info.get("size"))
+        if info.get("size") is None:
+            msg = f"{shown(url)}: its store does not say how large it is; expected an object of known size"
+            raise ReadError(msg)
+        return RemoteFile(url=url, etag=_tag(info), size=int(info["size"]))
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
         return self._asked(file.url, lambda: self._part(file, start, stop))
@@ -110,5 +113,5 @@ def _file_system(protocol: str) -> Any:  # noqa: ANN401 - fsspec has no types
     if protocol == "s3":
         # Further attempts are made here, with a message at their end.
         config = {"connect_timeout": timeout(), "read_timeout": timeout(), "retries": {"max_attempts": 1}}
-        settings["config_kwargs"] = config
+        settings["config_kwargs"] = config | fsspec.config.conf.get("s3", {}).get("config_kwargs", {})
     return fsspec.filesystem(protocol, **settings)

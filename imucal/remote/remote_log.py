@@ -1,7 +1,7 @@
 """The identity of a remote log: name, ETag and size of its files."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from imucal.remote.addresses import name_of, shown
 
@@ -23,7 +23,7 @@ class RemoteFile:
         Whether parts of it can be read.
     """
 
-    url: str
+    url: str = field(repr=False)
     etag: str
     size: int | None
     ranges: bool = True
@@ -55,7 +55,7 @@ class RemoteLog:
         Whether the copy stays in the cache after use.
     """
 
-    url: str
+    url: str = field(repr=False)
     files: tuple[RemoteFile, ...]
     folder: bool = False
     keep: bool = True

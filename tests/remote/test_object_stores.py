@@ -199,5 +199,9 @@ def test_every_command_takes_a_url(bucket: Any, tmp_path: Path) -> None:  # noqa
     bucket.put_file(tmp_path / "report.json", "logs/report.json")
     same = run("compare", "s3://logs/report.json", "report.json", cwd=tmp_path)
     assert "no significant difference" in same.stdout, same.stderr
+    planned = run("plan", "s3://logs/report.json", "-q", cwd=tmp_path)
+    assert planned.returncode == 0, planned.stderr
+    checked = run("check", "report.json", "--baseline", "s3://logs/report.json", cwd=tmp_path)
+    assert checked.returncode == 0, checked.stderr
     refused = run("compare", url, "report.json", cwd=tmp_path)
     assert (refused.returncode, url in refused.stderr) == (3, True)
