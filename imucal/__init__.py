@@ -28,6 +28,15 @@ if TYPE_CHECKING:
     from imucal.fitting.decomposition import Decomposition, decompose
     from imucal.fitting.noise_fit import NoiseFit
     from imucal.fleet import LogValue, PooledFit, Population, log_values, pool, population
+    from imucal.fleet_report import (
+        Fleet,
+        FleetTerm,
+        SensorModel,
+        check_fleet,
+        fleet_as_report,
+        load_fleet,
+        write_fleet,
+    )
     from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
     from imucal.noise.transforms import avar_from_acvf, avar_from_psd
@@ -48,6 +57,8 @@ __all__ = [
     "DataError",
     "Decomposition",
     "Finding",
+    "Fleet",
+    "FleetTerm",
     "ImucalError",
     "LogValue",
     "NoiseFit",
@@ -59,6 +70,7 @@ __all__ = [
     "Recording",
     "Report",
     "Sensor",
+    "SensorModel",
     "Settings",
     "Spectrum",
     "WriteError",
@@ -67,10 +79,13 @@ __all__ = [
     "avar_from_acvf",
     "avar_from_psd",
     "characterize",
+    "check_fleet",
     "compare",
     "decompose",
     "export",
     "fit",
+    "fleet_as_report",
+    "load_fleet",
     "load_report",
     "log_values",
     "plan",
@@ -79,6 +94,7 @@ __all__ = [
     "read",
     "screen",
     "spectrum",
+    "write_fleet",
     "write_report",
 ]
 
@@ -92,6 +108,9 @@ _HOMES = {
     "imucal.fitting": ("NoiseFit", "fit"),
     "imucal.fitting.decomposition": ("Decomposition", "decompose"),
     "imucal.fleet": ("LogValue", "PooledFit", "Population", "log_values", "pool", "population"),
+    "imucal.fleet_report": (
+        *("Fleet", "FleetTerm", "SensorModel", "check_fleet", "fleet_as_report", "load_fleet", "write_fleet"),
+    ),
     "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
     "imucal.noise.transforms": ("avar_from_acvf", "avar_from_psd"),

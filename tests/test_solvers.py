@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import numpy.testing as npt
 import pytest
-from scipy.optimize import brentq, minimize, nnls
+from scipy.optimize import brentq, nnls
 
-from imucal.arrays import FloatArray
-from imucal.solvers import lowest, non_negative, root
+from imucal.solvers import non_negative, root
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -64,34 +62,3 @@ def test_a_root_needs_different_signs() -> None:
         root(lambda x: (x + 1) ** 2, 0.0, 1.0, tolerance=1e-6)
     assert root(lambda x: x - 1, 0.0, 1.0, tolerance=1e-6) == 1.0
     assert root(lambda x: x, 0.0, 1.0, tolerance=1e-6) == 0.0
-
-
-@pytest.mark.parametrize("size", [1, 2, 5])
-def test_the_lowest_place_is_where_scipy_finds_it(size: int) -> None:
-    """The same steps of the simplex, digit by digit, from any start."""
-    rng = np.random.default_rng([772, size])
-    for _ in range(10):
-        matrix, start = rng.standard_normal((size, size)), 3 * rng.standard_normal(size)
-        start[0] *= rng.integers(2)
-
-        def cost(at: FloatArray, matrix: FloatArray = matrix) -> float:
-            return float(np.sum(np.abs(matrix @ at - 1) ** 1.7) + np.sin(at[0]))
-
-        options: dict[str, Any] = {"xatol": 1e-2, "fatol": 0.05, "maxfev": 5000, "maxiter": 5000}
-        expected: Any = minimize(cost, start, method="Nelder-Mead", options=options)  # type: ignore[call-overload]
-        found, value = lowest(cost, start, near=1e-2, alike=0.05, most=5000)
-        npt.assert_allclose(found, expected.x, atol=1e-9)
-        assert value == pytest.approx(float(expected.fun), abs=1e-12)
-
-
-def test_a_search_ends_after_so_many_evaluations() -> None:
-    """With the best place of all it saw."""
-    seen = []
-
-    def cost(at: FloatArray) -> float:
-        seen.append(float(at @ at))
-        return seen[-1]
-
-    _, value = lowest(cost, np.array([5.0, 7.0]), near=0.0, alike=0.0, most=20)
-    assert 20 <= len(seen) <= 24
-    assert value == min(seen)

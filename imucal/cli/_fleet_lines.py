@@ -7,6 +7,7 @@ import click
 
 from imucal.cli._echo import echo
 from imucal.cli._options import say
+from imucal.errors import ImucalError
 from imucal.grading import GRADES
 
 if TYPE_CHECKING:
@@ -65,6 +66,8 @@ def conclude(
     print_standing(logs, out)
     failed = failed_logs(logs)
     print_failures(failed, quiet=quiet)
+    if store.logs().filter(status="ok").height and not _waiting(store):
+        write_files(store, quiet=quiet)
     readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
     if logs.height and not readable:
         say(f"Error: {out}: none of {logs.height} logs can be read")
@@ -73,6 +76,28 @@ def conclude(
         share = f"{failed.height} of {logs.height} logs failed ({100 * failed.height / logs.height:.3g} %)"
         say(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%")
         ctx.exit(4)
+
+
+def _waiting(store: "FleetStore") -> int:
+    """Return how many of the logs asked for are not done yet; copies are done with their originals."""
+    asked = store.manifest()
+    own = asked.filter(asked["copy_of"].is_null())["path"]
+    return len(set(own) - set(store.logs()["path"]))
+
+
+def write_files(store: "FleetStore", *, quiet: bool) -> None:
+    """Write the report of a fleet of which nothing is left to do; what can't be written is said."""
+    from imucal.fleet_report import load_fleet, write_fleet
+    from imucal.fleet_report.fleet_page import verdict
+
+    try:
+        fleet = load_fleet(store.folder)
+        files = write_fleet(fleet)
+    except ImucalError as error:
+        say(f"the report is missing: {error}", quiet=quiet)
+        return
+    echo(str(next((file for file in files if file.suffix == ".html"), files[0])))
+    say(verdict(fleet)[1], quiet=quiet)
 
 
 def failed_logs(logs: "pl.DataFrame") -> "pl.DataFrame":

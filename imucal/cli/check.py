@@ -10,9 +10,11 @@ import click
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
 from imucal.cli._echo import echo, echo_json
+from imucal.cli._fleet_input import is_fleet, model_option, read_fleet
 from imucal.cli._options import LogRequest, say
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
 from imucal.cli._terminal import FULL, width
+from imucal.errors import ReadError
 from imucal.printable import printable
 
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
@@ -38,6 +40,7 @@ Examples:
   imucal check still-imucal --limits limits.toml
   imucal check still.mcap --limits limits.toml --junit imucal.xml --github
   imucal check still-imucal --baseline golden-imucal --json | jq .verdict
+  imucal check new-unit.mcap --fleet fleet
 
 \b
 Exit codes: 0 nothing failed, 1 a limit failed, 2 usage or a wrong limits
@@ -57,6 +60,13 @@ file, 3 the report or log can't be read, 4 the data can't be analysed."""
     help=f"Older report ({REPORT}); alone it allows 20 % more N, B and K.",
 )
 @click.option(
+    "--fleet",
+    type=click.Path(path_type=Path),
+    metavar="FLEET",
+    help="Folder of a fleet: is this unit one of them?",
+)
+@model_option
+@click.option(
     "--undecided",
     type=click.Choice(["pass", "fail"]),
     help="What an interval that holds the limit means. [default: the limits file's, else pass]",
@@ -72,6 +82,8 @@ def command(
     request: LogRequest,
     limits_file: Path | None,
     baseline: str | None,
+    fleet: Path | None,
+    fleet_model: str | None,
     undecided: str | None,
     as_json: bool,
     junit: Path | None,
@@ -83,11 +95,18 @@ def command(
     when the whole interval is within it and fails when the whole interval is beyond it; when the
     limit lies inside the interval it is undecided: the record is too short to tell. Undecided
     limits don't fail the check unless --undecided fail, or the limits file, says so.
+
+    With --fleet each term must lie where the next unit of that sensor model would: with p adjusted for
+    the number of terms (Holm), a unit of the fleet fails with a probability of 5 %.
     """
     from imucal.checking import check
     from imucal.checking.render import github_annotations, junit_xml, to_document
 
-    limits = _limits(limits_file, baseline)
+    limits = (
+        Limits()
+        if _fleet_alone(fleet, fleet_model, limits_file, baseline)
+        else _limits(limits_file, baseline)
+    )
     if undecided is not None:
         limits = replace(limits, undecided="fail" if undecided == "fail" else "pass")
     older = None
@@ -95,6 +114,11 @@ def command(
         older = read_report(baseline or limits.baseline.report)
     report = load_report(request)
     result = check(report, limits, baseline=older)
+    if fleet is not None:
+        from imucal.fleet_report.fleet_check import check_fleet
+
+        rows = check_fleet(report, read_fleet(fleet), fleet_model)
+        result = replace(result, rows=result.rows + rows)
     if junit is not None:
         from imucal.atomic import replacing
 
@@ -112,11 +136,26 @@ def command(
         click.get_current_context().exit(1)
 
 
+def _fleet_alone(
+    fleet: Path | None, model: str | None, limits_file: Path | None, baseline: str | None
+) -> bool:
+    """Return whether a fleet is all there is to check against."""
+    if fleet is None and model is not None:
+        msg = "--fleet-model is about a fleet; give --fleet FLEET too"
+        raise click.UsageError(msg)
+    if fleet is not None and not is_fleet(fleet):
+        msg = (
+            f"{fleet}: found no manifest.parquet, expected the folder of a fleet that imucal fleet run writes"
+        )
+        raise ReadError(msg)
+    return fleet is not None and limits_file is None and baseline is None
+
+
 def _limits(limits_file: Path | None, baseline: str | None) -> Limits:
     from imucal.checking import read_limits
 
     if limits_file is None and baseline is None:
-        msg = "nothing to check against; give --limits FILE, --baseline REPORT, or both"
+        msg = "nothing to check against; give --limits FILE, --baseline REPORT or --fleet FLEET"
         raise click.UsageError(msg)
     limits = Limits() if limits_file is None else read_limits(limits_file)
     if baseline is not None:

@@ -1,17 +1,20 @@
 """``imucal compare``: what differs between two reports."""
 
 import json
+from pathlib import Path
 
 import click
 
 from imucal.cli._echo import echo_json
-from imucal.cli._options import Number, quiet_option, say, shown
+from imucal.cli._fleet_input import is_fleet, model_option, read_fleet
+from imucal.cli._options import Number, as_typed, quiet_option, say, shown
 from imucal.cli._report_input import read_report
 from imucal.cli._terminal import FULL, width
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.report.document import plain
+from imucal.report.result import Report
 from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/comparison/1"
@@ -24,6 +27,7 @@ _report = click.Path()
 Examples:
   imucal compare monday-imucal tuesday-imucal
   imucal compare golden-imucal new-imucal --tolerance 0.1
+  imucal compare fleet-2023 fleet-2024
   imucal compare a-imucal b-imucal --json -q | jq '.differences[].outcome'
 
 \b
@@ -46,6 +50,7 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
     help="Relative difference that doesn't count, such as 0.05.",
 )
 @click.option("--no-fail", is_flag=True, help="End with exit code 0 even if a term differs.")
+@model_option
 @shown("--datasheet/--si", default=True, help="Units of the table.")
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON (SI).")
 @quiet_option
@@ -56,6 +61,7 @@ def command(
     alpha: float,
     tolerance: float,
     no_fail: bool,
+    fleet_model: str | None,
     datasheet: bool,
     as_json: bool,
     quiet: bool,
@@ -66,8 +72,10 @@ def command(
     were tested (Holm), so that two records of one unchanged sensor show any difference with
     probability --alpha. The intervals know the noise of one record, not how a sensor changes from
     run to run; --tolerance says how much of that is all right.
+
+    Of two fleets (folders of 'imucal fleet run') the median units are compared.
     """
-    result = compare(read_report(a), read_report(b), alpha=alpha, tolerance=tolerance)
+    result = compare(*_both(a, b, fleet_model), alpha=alpha, tolerance=tolerance)
     if as_json:
         echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
@@ -79,6 +87,27 @@ def command(
         say(note, quiet=quiet)
     if result.significant and not no_fail:
         click.get_current_context().exit(1)
+
+
+def _both(a: str, b: str, model: str | None) -> tuple[Report, Report]:
+    """Return two reports, or the median units of two fleets in the form of reports."""
+    fleets = [is_fleet(path) for path in (a, b)]
+    if not any(fleets):
+        if model is not None:
+            msg = f"{a} is no fleet, but --fleet-model is about one"
+            raise click.UsageError(msg)
+        return read_report(a), read_report(b)
+    if not all(fleets):
+        fleet, other = (a, b) if fleets[0] else (b, a)
+        msg = (
+            f"{fleet} is a fleet and {other} is none; compare two fleets, or ask whether a log is of one of "
+            f"its units: imucal check {as_typed(Path(other))} --fleet {as_typed(Path(fleet))}"
+        )
+        raise click.UsageError(msg)
+    from imucal.fleet_report.as_report import fleet_as_report
+
+    one, other_one = (fleet_as_report(read_fleet(path), model, value="median") for path in (a, b))
+    return one, other_one
 
 
 def to_document(result: Comparison) -> dict[str, object]:

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypedDict, get_args
+from typing import TYPE_CHECKING, TypedDict, get_args
 
 import click
 from click.shell_completion import CompletionItem
 
 from imucal.cli._echo import echo
+from imucal.cli._fleet_input import is_fleet, model_option, read_fleet
 from imucal.cli._options import LogRequest, say, shown
 from imucal.cli._param_type import ParamType
 from imucal.cli._report_input import load_report, report_or_log
@@ -16,6 +17,9 @@ from imucal.errors import WriteError
 from imucal.recording import Sensor
 from imucal.report.exports import INFLATABLE, TARGETS, AxisPolicy, Unidentified, export, find_target, render
 from imucal.report.result import Report
+
+if TYPE_CHECKING:
+    from imucal.fleet_report.as_report import FleetValue
 
 _FOLDER = Path("imucal-exports")
 
@@ -99,6 +103,7 @@ Examples:
   imucal export still-imucal/report.json --to all -o configs
   imucal export still.mcap --to vins --axis-policy rms -o -
   imucal export still-imucal --to openvins --inflate white=5,walk=10
+  imucal export fleet --value tolerance --to kalibr
 
 \b
 Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
@@ -142,6 +147,13 @@ file can't be written."""
     default="bound",
     help="A term that the data don't show: write its upper bound, or refuse.",
 )
+@click.option(
+    "--value",
+    type=click.Choice(["tolerance", "median"]),
+    help="Fleet: the tolerance bound, which is the number for every unit, or the median unit. "
+    "[default: tolerance]",
+)
+@model_option
 @click.option("--rostopic", metavar="NAME", help="IMU topic to write. [default: the log's]")
 @force_option
 @report_or_log
@@ -153,15 +165,18 @@ def command(
     axis_policy: AxisPolicy,
     inflate: dict[str, float],
     unidentified: Unidentified,
+    value: "FleetValue | None",
+    fleet_model: str | None,
     rostopic: str | None,
     force: bool,
 ) -> None:
     """Write the config files that filters and simulators read.
 
-    REPORT is a report.json, its folder, or a log (which is characterised first). Every file says in
-    a comment which number is continuous or discrete, by which formula, and from which axis.
+    REPORT is a report.json, its folder, a log (which is characterised first), or the folder of a fleet.
+    Every file says in a comment which number is continuous or discrete, by which formula, and from which
+    axis.
     """
-    report = load_report(request)
+    report = _report(request, value, fleet_model)
     refuse(report.verdict, request.logs[0], "nothing was exported", force=force)
     options: _Options = {
         "axis_policy": axis_policy,
@@ -183,6 +198,22 @@ def command(
             echo(str(export(report, name, _folder(out or _FOLDER), **options)[0]))
     _say_bounds(report, quiet=request.quiet)
     _say_missing(report, quiet=request.quiet)
+
+
+def _report(request: LogRequest, value: "FleetValue | None", model: str | None) -> Report:
+    """Return the report of a log, or what a fleet says of a sensor model in the form of one."""
+    folder = request.logs[0]
+    if is_fleet(folder):
+        if len(request.logs) > 1 or request.settings():
+            msg = f"{folder} is a fleet; give it alone, without options of reading a log"
+            raise click.UsageError(msg)
+        from imucal.fleet_report.as_report import fleet_as_report
+
+        return fleet_as_report(read_fleet(folder), model, value=value or "tolerance")
+    if value or model is not None:
+        msg = f"{folder} is no fleet, but --{'value' if value else 'fleet-model'} is about one"
+        raise click.UsageError(msg)
+    return load_report(request)
 
 
 def _names(asked: tuple[str, ...], *, quiet: bool) -> tuple[str, ...]:

@@ -48,6 +48,8 @@ class Estimate:
     widening
         By what factor the interval is wider than the likelihood says, because the record's segments differ
         or the model does not describe it.
+    origin
+        What the number is, where it is no estimate of one record: a bound over many units.
     """
 
     key: str
@@ -59,6 +61,7 @@ class Estimate:
     correlation_time: Interval | None = None
     alternatives: tuple[str, ...] = ()
     widening: float = 1.0
+    origin: str = ""
 
     @classmethod
     def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":

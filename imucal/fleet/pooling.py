@@ -154,6 +154,13 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
     structure = _structure(model, level)
     every = _bins_of(fits)
     _refuse_different(fits)
+    return pool_bins(every, structure, sensor=fits[0].sensor, rate_hz=fits[0].rate_hz, level=level)
+
+
+def pool_bins(
+    every: Sequence[Bins], structure: tuple[str, ...], *, sensor: Sensor | None, rate_hz: float, level: float
+) -> PooledFit:
+    """Return the fit of records of one unit, one rate and one output filter; as `pool` from there on."""
     found = fit_bins(every, structure, level=level)
     tests = record_tests(found)
     differs = {test.key for test in tests if test.p_value < CHANCE}
@@ -183,10 +190,10 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
         for test in tests
     )
     return PooledFit(
-        sensor=fits[0].sensor,
-        rate_hz=fits[0].rate_hz,
+        sensor=sensor,
+        rate_hz=rate_hz,
         level=level,
-        records=len(fits),
+        records=len(every),
         model=_shown(found.model, estimates),
         estimates=estimates,
         homogeneity=homogeneity,

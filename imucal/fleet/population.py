@@ -21,7 +21,7 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.log_value import LogValue, LogValues
 from imucal.fleet.outliers import FALSE_SHARE, adjusted, leave_one_out
-from imucal.fleet.posterior import Posterior, posterior_of, scatters
+from imucal.fleet.posterior import Posterior, posterior_of, scatters, whole_posterior
 from imucal.fleet.unit_likelihood import (
     Place,
     UnitLikelihoods,
@@ -121,7 +121,7 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
     place = place_of(values)
     if len(values.names) < _FEWEST:
         return _too_few(values, place, content, confidence)
-    posterior = posterior_of(values, scatters(values), place)
+    posterior = whole_posterior(values, place)
     within = posterior.quantiles(posterior.omega, _TAILS) if len(posterior.omega) > 1 else None
     spread = posterior.quantiles(posterior.tau, _TAILS)
     scatter = 0.0 if within is None else float(within[1])
@@ -239,7 +239,7 @@ def _unlabelled(values: LogValues) -> tuple[Finding, ...]:
     text = (
         f"{100 * share:.0f} % of the logs only bound this term: longer logs would say more than more units."
     )
-    return (Finding(level="info", code="weak-term", text=f"{text}."),)
+    return (Finding(level="info", code="weak-term", text=text),)
 
 
 def _interval(limits: FloatArray) -> Interval:

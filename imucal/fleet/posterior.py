@@ -30,6 +30,8 @@ _TINY = math.exp(-690)
 _WIDEST = 2.0
 #: What lies so far below the posterior's peak, in the logarithm, weighs nothing.
 _NOTHING = 16.0
+#: A scatter that is less probable than this, against the most probable, is left out at second sight.
+_LITTLE = 1e-4
 #: Units whose terms are added at a time.
 _CHUNK = 2048
 
@@ -112,13 +114,25 @@ def posterior_of(values: LogValues, omegas: FloatArray, place: Place) -> Posteri
     return Posterior(omegas[:, None, None], tau[None, :, None], mu[None], weight / weight.sum())
 
 
+def whole_posterior(values: LogValues, place: Place) -> Posterior:
+    """Return the posterior over all scatters within a unit; of weak logs on a finer grid, at second sight."""
+    found = posterior_of(values, scatters(values), place)
+    if values.narrow.all() or len(found.omega) < 2:
+        return found
+    omega, weight = found.omega.ravel(), found.weight.sum(axis=(1, 2))
+    low, high = _support(omega, weight > _LITTLE * weight.max())
+    return posterior_of(values, np.linspace(low, high, _OMEGAS), place)
+
+
 def _over_mu(units: list[UnitLikelihoods], tau: FloatArray, place: Place) -> tuple[FloatArray, FloatArray]:
     """Return for each tau the grid of mu that fits it, (tau, mu), and the posterior, (omega, tau, mu)."""
     reach = min(9 * place.scale, _DEEPEST) + 6 * tau
     ends = np.column_stack([place.centre - reach, place.centre + reach])
     for _ in range(_ROUNDS):
         mu = np.linspace(ends[:, 0], ends[:, 1], _MUS, axis=1)
-        height = np.array([_log_posterior(of_omega, tau, mu) for of_omega in units])
+        # The same for every omega, and what takes the time where units are weak.
+        blurs = _blurs(units[0], tau, mu)
+        height = np.array([_log_posterior(of_omega, tau, mu, blurs) for of_omega in units])
         own = height - height.max(axis=(0, 2), keepdims=True)
         narrower = np.array(list(map(_support, mu, np.any(own > -_NOTHING, axis=0))))
         if np.all(2 * np.diff(narrower) > np.diff(ends)):
@@ -133,27 +147,34 @@ def _support(grid: FloatArray, likely: BoolArray) -> tuple[float, float]:
     return float(grid[max(places[0] - 1, 0)]), float(grid[min(places[-1] + 1, grid.size - 1)])
 
 
-def _log_posterior(units: UnitLikelihoods, tau: FloatArray, mu: FloatArray) -> FloatArray:
-    """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau."""
-    s2, all_s2 = units.deviation[units.normal] ** 2, units.deviation**2
-    result = np.full(mu.shape, units.constant)
-    for row, t in enumerate(tau):
-        v = s2 + t * t
-        y, offset = units.centre[units.normal] - mu[row, 0], mu[row] - mu[row, 0]
-        squares = np.sum(y * y / v) - 2 * offset * np.sum(y / v) + offset**2 * np.sum(1 / v)
-        result[row] -= 0.5 * (squares + np.sum(np.log(v)))
-        result[row] += _weak_part(units, float(t), mu[row])
-        # Jeffreys' prior of tau, and the step from tau to its logarithm.
-        result[row] += 2 * math.log(t) + 0.5 * math.log(np.sum(1 / (all_s2 + t * t) ** 2))
-    return result
-
-
-def _weak_part(units: UnitLikelihoods, tau: float, mu: FloatArray) -> FloatArray | float:
-    """Return what the units on the grid say of mu, at one tau."""
+def _blurs(units: UnitLikelihoods, tau: FloatArray, mu: FloatArray) -> list[FloatArray]:
+    """Return for each tau the matrix that takes a weak unit's likelihood to one of mu."""
     if not units.weak.size:
-        return 0.0
-    matrix = blur(mu, units.theta, tau)
-    total = np.zeros(mu.size)
+        return []
+    return [blur(of_tau, units.theta, t) for t, of_tau in zip(tau.tolist(), mu, strict=True)]
+
+
+def _log_posterior(
+    units: UnitLikelihoods, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]
+) -> FloatArray:
+    """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau."""
+    t2 = tau[:, None] ** 2
+    v = units.deviation[units.normal] ** 2 + t2
+    y, offset = units.centre[units.normal] - mu[:, :1], mu - mu[:, :1]
+    first, second = (np.sum(part, axis=1)[:, None] for part in (y / v, 1 / v))
+    squares = np.sum(y * y / v, axis=1)[:, None] - 2 * offset * first + offset**2 * second
+    result = units.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
+    if blurs:
+        result += [_weak_part(units, matrix) for matrix in blurs]
+    # Jeffreys' prior of tau, and the step from tau to its logarithm.
+    prior = 0.5 * np.log(np.sum(1 / (units.deviation**2 + t2) ** 2, axis=1))
+    posterior: FloatArray = result + np.log(t2) + prior[:, None]
+    return posterior
+
+
+def _weak_part(units: UnitLikelihoods, matrix: FloatArray) -> FloatArray:
+    """Return what the units on the grid say of mu, at one tau."""
+    total = np.zeros(matrix.shape[0])
     for start in range(0, len(units.weak), _CHUNK):
         some = units.weak[start : start + _CHUNK]
         top = some.max(axis=1, keepdims=True)

@@ -15,11 +15,28 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.log_value import LogValue, LogValues
+from imucal.fleet.outliers import adjusted, leave_one_out
 
+#: Adjusted p-value below which a unit moves otherwise than the others; there are many labels and terms.
+_RARE = 0.01
 #: Label -> what it must vary by to tell a slope, where it counts from, and the unit of the slope.
 _COLUMNS = {"temperature_c": 1.0, "days": 0.5}
 _ORIGIN = {"temperature_c": 25.0, "days": 0.0}
 _SCALE = {"temperature_c": 1.0, "days": 365.25}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnitSlope:
+    """How the coefficient of one unit moves by one label, as `Trend` has it for the fleet.
+
+    `odd` says that the unit does not move as the others do, with Benjamini and Hochberg's adjusted `p_odd`.
+    """
+
+    unit: str
+    label: str
+    slope: Interval
+    p_odd: float
+    odd: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,11 +51,14 @@ class Trend:
         Change a year; None where no unit has logs of two days.
     units
         How many units the slopes are from.
+    slopes
+        Those of each unit, by ``temperature_c`` and by ``days``.
     """
 
     temperature: Interval | None
     drift: Interval | None
     units: int
+    slopes: tuple[UnitSlope, ...] = ()
 
 
 def trend(logs: Sequence[LogValue]) -> Trend:
@@ -52,7 +72,8 @@ def trend(logs: Sequence[LogValue]) -> Trend:
     DataError
         If no unit has logs at two temperatures or of two days.
     """
-    designs = [design for design in map(_design, _by_unit(logs)) if design]
+    told = {own[0].unit: design for own in _by_unit(logs) if (design := _design(own))}
+    designs = list(told.values())
     if not designs:
         msg = (
             "no unit has logs at two temperatures or of two days: label the logs with temperature_c or "
@@ -60,12 +81,15 @@ def trend(logs: Sequence[LogValue]) -> Trend:
         )
         raise DataError(msg)
     omega2 = _excess([_residuals(design) for design in designs])
-    slopes: dict[str, list[tuple[float, float]]] = {column: [] for column in _COLUMNS}
-    for design in designs:
+    slopes: dict[str, dict[str, tuple[float, float]]] = {column: {} for column in _COLUMNS}
+    for unit, design in told.items():
         for column, slope in _slopes(design, omega2).items():
-            slopes[column].append(slope)
-    temperature, drift = (_mean(*zip(*found, strict=True)) if found else None for found in slopes.values())
-    return Trend(temperature=temperature, drift=drift, units=len(designs))
+            slopes[column][unit] = slope
+    temperature, drift = (
+        _mean(*zip(*found.values(), strict=True)) if found else None for found in slopes.values()
+    )
+    each = tuple(s for column, found in slopes.items() for s in _each(column, found))
+    return Trend(temperature=temperature, drift=drift, units=len(designs), slopes=each)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +141,33 @@ def _slopes(design: _Design, omega2: float) -> dict[str, tuple[float, float]]:
     return {c: (float(beta[i]), float(variances[i])) for i, c in enumerate(design.columns, 1)}
 
 
+def _each(column: str, found: dict[str, tuple[float, float]]) -> list[UnitSlope]:
+    """Return the slopes of the units, and which are odd by leave-one-out."""
+    from scipy.special import ndtri
+
+    if not found:
+        return []
+    y, s2 = np.array(list(found.values())).T
+
+    def squares(t2: float) -> tuple[float, int]:
+        w = 1 / (s2 + t2)
+        return float(np.sum(w * (y - np.sum(w * y) / w.sum()) ** 2)), y.size - 1
+
+    tau = math.sqrt(_excess([squares])) if y.size > 1 else 0.0
+    p_values = adjusted(leave_one_out(y, np.sqrt(s2), tau))
+    half = float(ndtri(0.975)) * np.sqrt(s2)
+    return [
+        UnitSlope(
+            unit=unit,
+            label=column,
+            slope=Interval(value=value, low=value - wide, high=value + wide),
+            p_odd=p,
+            odd=p <= _RARE,
+        )
+        for unit, value, wide, p in zip(found, y.tolist(), half.tolist(), p_values.tolist(), strict=True)
+    ]
+
+
 def _residuals(design: _Design) -> Callable[[float], tuple[float, int]]:
     """Return the weighted squares and degrees of freedom of a unit, as a function of omega²."""
 
@@ -153,7 +204,8 @@ def _excess(terms: Sequence[Callable[[float], tuple[float, int]]]) -> float:
     def surplus(t2: float) -> float:
         return sum(square - degrees for square, degrees in (term(t2) for term in terms))
 
-    if surplus(0.0) <= 0:
+    # Where there are no degrees of freedom, the squares are rounding.
+    if surplus(0.0) <= 1e-9:
         return 0.0
     top = 1e-6
     while surplus(top) > 0:

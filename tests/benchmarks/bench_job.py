@@ -1,9 +1,11 @@
 """Where the time of `imucal fit` goes: CPU of each stage, repeats of the same work, memory, and y.
 
-    python tests/benchmarks/bench_job.py [--hours 3] [--rate 200] [--pictures]
+    python tests/benchmarks/bench_job.py [--hours 3] [--rate 200] [--log LOG] [--before TREE PYTHON]
 
-y is the CPU time of AllanTools' ``oadev``, 1e7 samples at 93 factors, in the same run: machines differ,
-and so do their hours. Stages overlap where one calls another; each is counted whole.
+The job is done with the JSON only and with all pictures and the page; `--before` does it also with
+another version, a tree and the interpreter that has what it needs. y is the CPU time of AllanTools'
+``oadev``, 1e7 samples at 93 factors, in the same run: machines differ, and so do their hours. Stages
+overlap where one calls another; each is counted whole.
 """
 
 import argparse
@@ -19,6 +21,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+
+from imucal.resources import threads
 
 #: Stage -> part of the file's path, and name of the function whose CPU it is.
 STAGES = {
@@ -39,7 +43,7 @@ STAGES = {
 #: Work that could be shared -> the functions of which the calls are counted.
 REPEATS = {
     "transforms": ("imucal/allan/dct.py", "_transform"),
-    "ramps": ("imucal/allan/dct.py", "_ramp"),
+    "bins": ("imucal/fitting/spectral/transform.py", "_bin"),
     "spike searches": ("imucal/fitting/robust.py", "find_spikes"),
     "covariances of a curve": ("imucal/fitting/moments/av_covariance.py", "_computed"),
     "likelihood evaluations": ("imucal/fitting/spectral/likelihood.py", "evaluate"),
@@ -72,11 +76,13 @@ def job(log: Path, folder: Path, *, pictures: bool) -> list[str]:
     return ["fit", str(log), "--json", "-q", *(["-o", str(folder)] if pictures else ["--no-report"])]
 
 
-def measured(arguments: list[str]) -> tuple[float, float, float]:
-    """Run the job in a process of its own and return its CPU in s, wall time in s, and peak in MB."""
+def measured(arguments: list[str], version: tuple[str, str]) -> tuple[float, float, float]:
+    """Run the job of a version in a process of its own; return CPU s, wall s, and peak in MB."""
+    tree, python = version
     start = time.perf_counter()
-    command = [sys.executable, "-m", "imucal", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)  # noqa: S603 - our own command
+    command = [python, "-m", "imucal", *arguments]
+    surroundings = {**os.environ, "PYTHONPATH": tree}
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=surroundings)  # noqa: S603 - our own command
     _, status, used = os.wait4(process.pid, 0)
     wall = time.perf_counter() - start
     process.returncode = os.waitstatus_to_exitcode(status)
@@ -112,28 +118,45 @@ def _of(found: dict[tuple[str, str], tuple[int, float]], where: tuple[str, str])
     )
 
 
+def compared(log: Path, folder: Path, versions: dict[str, tuple[str, str]], y: float) -> None:
+    """Print what the job takes, of each version in turn; the best of three."""
+    print("| job | version | CPU s | CPU / y | wall / CPU | peak MB |\n|---|---|---|---|---|---|")
+    for what, pictures in (("JSON only", False), ("all pictures and the page", True)):
+        arguments = job(log, folder, pictures=pictures)
+        runs = {name: [measured(arguments, version)] for name, version in versions.items()}
+        for _ in range(2):
+            for name, version in versions.items():
+                runs[name].append(measured(arguments, version))
+        for name, found in runs.items():
+            cpu, wall, peak = min(found)
+            print(
+                f"| {what} | {name} | {cpu:.2f} | {cpu / y:.2f} | {wall / cpu:.2f} | {peak:.0f} |", flush=True
+            )
+
+
 def main() -> None:
     """Print the tables in Markdown."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hours", type=float, default=3.0)
     parser.add_argument("--rate", type=float, default=200.0)
-    parser.add_argument("--pictures", action="store_true")
+    parser.add_argument("--log", type=Path, help="a six-axis log; one is simulated otherwise")
+    parser.add_argument("--before", nargs=2, metavar=("TREE", "PYTHON"), help="another version to measure")
     given = parser.parse_args()
-    y = yardstick()
+    versions = {"before": tuple(given.before)} if given.before else {}
+    versions["this"] = (str(Path(__file__).parents[2]), sys.executable)
+    y = min(yardstick() for _ in range(3))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        arguments = job(simulate(folder, given.hours, given.rate), folder / "out", pictures=given.pictures)
-        runs = [measured(arguments) for _ in range(3)]
-        found = stages(arguments)
-    cpu, wall, peak = min(runs)
-    print(f"\n| job, {given.hours:g} h at {given.rate:g} Hz | CPU s | y | CPU / y | wall / CPU | peak MB |")
-    print("|---|---|---|---|---|---|")
-    print(f"| whole, best of three | {cpu:.2f} | {y:.2f} | {cpu / y:.2f} | {wall / cpu:.2f} | {peak:.0f} |\n")
-    print("| stage, under the profiler | calls | CPU s | of all, % |\n|---|---|---|---|")
+        log = given.log or simulate(folder, given.hours, given.rate)
+        print(f"{log.name}, y = {y:.2f} s, {threads()} processors\n")
+        compared(log, folder / "out", versions, y)
+        # The profiler sees one thread.
+        found = stages([*job(log, folder / "out", pictures=True), "--jobs", "1"])
+    print("\n| stage, under the profiler | calls | CPU s | CPU / y | of all, % |\n|---|---|---|---|---|")
     total = max(seconds for _, seconds in found.values())
     for stage, where in STAGES.items():
         calls, seconds = _of(found, where)
-        print(f"| {stage} | {calls} | {seconds:.2f} | {100 * seconds / total:.0f} |")
+        print(f"| {stage} | {calls} | {seconds:.2f} | {seconds / y:.2f} | {100 * seconds / total:.0f} |")
     print("\n| work that could be shared | times |\n|---|---|")
     for work, where in REPEATS.items():
         print(f"| {work} | {_of(found, where)[0]} |")

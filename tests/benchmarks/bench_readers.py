@@ -246,13 +246,13 @@ READERS: dict[str, Callable[[Path, int], Recording | None]] = {
 }
 
 
-def measure(reader: str, path: Path, n: int) -> tuple[float, float, float]:
+def measure(reader: str, path: Path, n: int, threads: int = 1) -> tuple[float, float, float]:
     """Return CPU ns per message, wall ns per message and peak memory in MB of a fresh process."""
     done = subprocess.run(  # noqa: S603 - our own script
         [sys.executable, "-m", MODULE, "--one", reader, "--path", str(path), "--n", str(n)],
         capture_output=True,
         cwd=Path(__file__).parents[2],
-        env={**os.environ, "IMUCAL_THREADS": "1", "POLARS_MAX_THREADS": "1"},
+        env={**os.environ, "IMUCAL_THREADS": str(threads), "POLARS_MAX_THREADS": "1"},
         encoding="utf-8",
         check=False,
     )
@@ -294,12 +294,16 @@ def main() -> None:
     parser.add_argument("--peers", type=int, default=40_000, help="messages that peers read")
     parser.add_argument("--repeat", type=int, default=5, help="runs, of which the best counts")
     parser.add_argument("--formats", nargs="*", default=tuple(TARGETS), choices=FORMATS)
+    parser.add_argument("--log", type=Path, help="read this log, and compare with AllanTools' oadev")
     parser.add_argument("--folder", type=Path, help="keep logs here between runs")
     parser.add_argument("--one", choices=tuple(READERS), help=argparse.SUPPRESS)
     parser.add_argument("--path", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.one:
         one(given.one, given.path, given.n)
+        return
+    if given.log:
+        long_log(given.log)
         return
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.folder or Path(scratch)
@@ -308,6 +312,17 @@ def main() -> None:
         rows = [_report(name, folder, given) for name in given.formats]
     print("\n| what | wanted | measured | met |\n|---|---|---|---|")
     print("\n".join(row for row in rows if row))
+
+
+def long_log(path: Path) -> None:
+    """Print what reading a log costs, on one thread and in threads, in y; see `bench_job`."""
+    from tests.benchmarks.bench_job import yardstick
+
+    y = yardstick()
+    print(f"y = {y:.2f} s\n\n| threads | CPU, s | CPU, y | wall, s | peak, MB |\n|---|---|---|---|---|")
+    for threads in (1, 2):
+        cpu, wall, memory = measure("imucal", path, 10**9, threads)
+        print(f"| {threads} | {cpu:.2f} | {cpu / y:.2f} | {wall:.2f} | {memory:.0f} |", flush=True)
 
 
 def _report(name: str, folder: Path, given: argparse.Namespace) -> str:

@@ -1,9 +1,10 @@
 """What disturbances do to the fit, and how often a clean record is said to have one.
 
-    python tests/benchmarks/disturbances.py table [records]     input | N, B, K | findings
-    python tests/benchmarks/disturbances.py clean [records]     truth | how often each finding
-    python tests/benchmarks/disturbances.py filters [records]   filter | how often line, second-opinion
-    python tests/benchmarks/disturbances.py lengths             length | CPU of transform and analysis
+    python tests/benchmarks/disturbances.py table [records] [seed]      input | N, B, K | findings
+    python tests/benchmarks/disturbances.py coverage [records] [seed]   input | how many hold N, B, K
+    python tests/benchmarks/disturbances.py clean [records] [seed]      truth | how often each finding
+    python tests/benchmarks/disturbances.py filters [records] [seed]    filter | how often each finding
+    python tests/benchmarks/disturbances.py lengths                     length | CPU of transform and analysis
 
 Run with another version on PYTHONPATH it prints that version's figures.
 """
@@ -149,29 +150,46 @@ def report(samples: Array, temperature: Array | None = None, rate: float = RATE)
     return imucal.characterize(recording).axes[0]
 
 
+def holds(fit: "NoiseFit", truth: str) -> dict[str, bool]:
+    """Return whether the interval of each of N, B and K holds the truth."""
+    known = {term.symbol: term.coefficient for term in imucal.NoiseModel.parse(truth).terms}
+    return {symbol: fit[symbol].low <= known.get(symbol, 0.0) <= fit[symbol].high for symbol in "NBK"}
+
+
 def shown(fit: "NoiseFit", truth: str) -> str:
     """Return each estimate over the truth, its interval marked where it misses it."""
-    known = {term.symbol: term.coefficient for term in imucal.NoiseModel.parse(truth).terms}
     words = []
-    for symbol in "NBK":
+    for symbol, held in holds(fit, truth).items():
         e = fit[symbol]
-        value = known.get(symbol, 0.0)
-        off = "" if e.low <= value <= e.high else " MISSES"
+        off = "" if held else " MISSES"
         number = f"<{e.high:.2g}" if e.value is None else f"{e.value:.3g} [{e.low:.3g}, {e.high:.3g}]"
         words.append(f"{symbol} {number}{off}")
     return ", ".join(words)
 
 
-def table(records: int) -> None:
+def coverage(records: int, seed: int) -> None:
+    """Print how many records of each disturbance hold the truth, and what is said of them."""
+    for number, (name, (truth, make)) in enumerate(INPUTS.items()):
+        held: Counter[str] = Counter()
+        codes: Counter[str] = Counter()
+        for record in range(records):
+            axis = report(*make(np.random.default_rng([seed, number, record])))
+            held.update(symbol for symbol, held_it in holds(axis.fit, truth).items() if held_it)
+            codes.update({f.code for f in axis.findings} - {"record-length", "model-choice"})
+        counts = " / ".join(str(held[symbol]) for symbol in "NBK")
+        print(f"| {name} ({truth}) | {counts} of {records} | {dict(codes)} |", flush=True)
+
+
+def table(records: int, seed: int) -> None:
     """Print what each disturbance does."""
     for name, (truth, make) in INPUTS.items():
         for record in range(records):
-            samples, warm = make(np.random.default_rng([1011, record, len(name)]))
+            samples, warm = make(np.random.default_rng([seed, record, len(name)]))
             axis = report(samples, warm)
             codes = sorted({f.code for f in axis.findings if f.code not in {"record-length", "model-choice"}})
             print(f"| {name} ({truth}) | {shown(axis.fit, truth)} | {', '.join(codes)} |", flush=True)
     for record in range(records):
-        rng = np.random.default_rng([1012, record])
+        rng = np.random.default_rng([seed + 1, record])
         tone = 5e-3 * np.sin(np.pi / 2 * np.arange(2732) + rng.uniform(0, 6))
         try:
             said = ", ".join(
@@ -184,27 +202,27 @@ def table(records: int) -> None:
         print(f"| tone at rate/4 | | {said} |", flush=True)
 
 
-def _counted(kinds: dict[str, Draw], records: int, n: int) -> None:
+def _counted(kinds: dict[str, Draw], records: int, n: int, seed: int) -> None:
     for number, (name, make) in enumerate(kinds.items()):
         codes: Counter[str] = Counter()
         for record in range(records):
-            found = report(make(n, np.random.default_rng([1013, number, record, n]))).findings
+            found = report(make(n, np.random.default_rng([seed, number, record, n]))).findings
             codes.update(
                 {f.code for f in found} - {"record-length", "model-choice", "output-filter", "roll-off"}
             )
         print(f"| {name} | {n} | {records} | {dict(codes)} |", flush=True)
 
 
-def clean(records: int) -> None:
+def clean(records: int, seed: int) -> None:
     """Print how often each finding is made of records that hold noise of the model's kinds alone."""
     kinds: dict[str, Draw] = {text: partial(noise, text) for text in CLEAN}
     for n in (20_000, N_SHORT):
-        _counted(kinds, records, n)
+        _counted(kinds, records, n, seed)
 
 
-def filters(records: int) -> None:
+def filters(records: int, seed: int) -> None:
     """Print how often a clean record behind a filter is said to hold a line, or is doubted."""
-    _counted(FILTERS, records, N_SHORT)
+    _counted(FILTERS, records, N_SHORT, seed)
 
 
 def _neighbours() -> Iterator[int]:
@@ -213,9 +231,9 @@ def _neighbours() -> Iterator[int]:
     yield from (99_991, 999_983, 1_000_003, 2_159_977)
 
 
-def lengths(_: int) -> None:
+def lengths(_: int, seed: int) -> None:
     """Print the CPU of the analysis of one axis; least of three."""
-    samples = noise(QUIET, 2_200_000, np.random.default_rng(7))
+    samples = noise(QUIET, 2_200_000, np.random.default_rng(seed))
     report(samples[:20_000])
     for n in _neighbours():
         seconds = []
@@ -228,6 +246,6 @@ def lengths(_: int) -> None:
 
 if __name__ == "__main__":
     what = sys.argv[1] if len(sys.argv) > 1 else "table"
-    {"table": table, "clean": clean, "filters": filters, "lengths": lengths}[what](
-        int(sys.argv[2]) if len(sys.argv) > 2 else 3
-    )
+    given = [int(text) for text in sys.argv[2:4]]
+    kinds = {"table": table, "coverage": coverage, "clean": clean, "filters": filters, "lengths": lengths}
+    kinds[what](*given, *(3, 1011)[len(given) :])

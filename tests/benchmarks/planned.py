@@ -1,6 +1,6 @@
 """What `imucal plan` promises and what the default fit then finds: width of intervals, share that is shown.
 
-    python tests/benchmarks/planned.py --records 24 --seed 77
+    python tests/benchmarks/planned.py --records 24 --seed 77 [--truth B …] [--bound 0.15 …]
 
 Each row is a truth at 20 Hz for so long that the least possible standard error of one of its terms (the
 Cramér-Rao bound) is the given one. The median half-width is in standard errors of the truth, with a
@@ -58,12 +58,15 @@ def main() -> None:
     )
     parser.add_argument("--records", type=int, default=24)
     parser.add_argument("--seed", type=int, default=77)
+    parser.add_argument("--truth", nargs="*", default=list(TRUTHS), choices=list(TRUTHS))
+    parser.add_argument("--bound", nargs="*", type=float, default=[0.1, 0.15, 0.2, 0.25, 0.3])
     options = parser.parse_args()
     print("| term | bound | length, s | planned | found, median | planned shown | found shown |")
     print("|---|---|---|---|---|---|---|")
-    for label, (text, name) in TRUTHS.items():
+    for label in options.truth:
+        text, name = TRUTHS[label]
         model = NoiseModel.parse(text)
-        for bound in (0.1, 0.15, 0.2, 0.25, 0.3):
+        for bound in options.bound:
             duration = needed(model, name, bound)
             (axis,) = plan(model, rate_hz=RATE_HZ, duration_s=duration).axes
             need = next(need for need in axis.needs if need.name == name)

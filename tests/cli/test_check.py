@@ -143,7 +143,7 @@ def test_nothing_to_check_against_is_an_error(tmp_path: Path) -> None:
     write_report(tmp_path)
     done = run("check", "still-imucal", cwd=tmp_path)
     assert done.returncode == 2
-    assert "nothing to check against; give --limits FILE, --baseline REPORT, or both" in done.stderr
+    assert "nothing to check against; give --limits FILE, --baseline REPORT or --fleet FLEET" in done.stderr
     (tmp_path / "limits.toml").write_text(PASSES)
     assert run("check", "no.json", "--limits", "limits.toml", cwd=tmp_path).returncode == 3
 

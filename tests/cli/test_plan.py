@@ -19,8 +19,8 @@ def test_a_model_gives_a_table_of_80_columns(tmp_path: Path) -> None:
         "",
         "N + K  at 100 Hz, 3.0 h",
         "  term             value  unit                            needs       this tells",
-        "  N                0.001  SI                             0.54 s         ±0.068 %",
-        "  K                1e-06  SI                           2.3 days  ±62 % (0 of 10)",
+        "  N                0.001  SI                             0.94 s         ±0.068 %",
+        "  K                1e-06  SI                           3.9 days  ±83 % (0 of 10)",
     ]
 
 

@@ -110,6 +110,21 @@ def test_a_record_that_differs_is_found_and_the_interval_widened() -> None:
     assert pooled.model.terms[0].values[0] == pooled["N"].value
 
 
+def test_a_step_of_one_record_is_nothing_in_the_others() -> None:
+    """It was taken out of that record alone: the test compares what is left."""
+    rng = np.random.default_rng(32)
+    parts = [simulated("N=1e-3", 4000, 33, i) for i in range(2)]
+    stepped = parts[0] + np.where(np.arange(4000) < 2000 + int(rng.integers(100)), 0.0, 5e-3)
+    with_step, plain = (fit_of(part, "N + K") for part in (stepped, parts[1]))
+    assert with_step.bins is not None
+    assert any(name.startswith("step") for name in with_step.bins.names)
+    pooled = imucal.pool([with_step, plain], model="N + K")
+    same = imucal.pool([fit_of(part, "N + K") for part in parts], model="N + K")
+    for ours, theirs in zip(pooled.homogeneity, same.homogeneity, strict=True):
+        assert ours.p_value == pytest.approx(theirs.p_value, abs=0.1)
+        assert 0 <= ours.statistic < 10
+
+
 def test_a_walk_in_one_record_only_is_found() -> None:
     """A weak term that most records lack: the mean is no narrower than any joint limit."""
     still = [quick_fit(simulated("N=1e-3", 6000, 10, i)) for i in range(3)]

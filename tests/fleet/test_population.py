@@ -11,7 +11,7 @@ from scipy.special import ndtr, ndtri
 from imucal.fleet import LogValue, population
 from imucal.fleet.log_value import LogValues
 from imucal.fleet.outliers import adjusted, leave_one_out
-from imucal.fleet.posterior import _log_posterior, posterior_of
+from imucal.fleet.posterior import _blurs, _log_posterior, posterior_of
 from imucal.fleet.unit_likelihood import place_of, unit_likelihoods
 from tests.fleet.simulated import strong_fleet, weak_fleet
 
@@ -62,7 +62,7 @@ def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
     values = LogValues.of([*told, *(replace(log, unit=f"w{log.unit}") for log in weak)])
     units = unit_likelihoods(values, omega, place_of(values))
     taus, mus = np.array([0.2, 0.5]), np.array([-0.2, 0.0, 0.3])
-    fast = _log_posterior(units, taus, np.tile(mus, (2, 1)))
+    fast = _log_posterior(units, taus, np.tile(mus, (2, 1)), _blurs(units, taus, np.tile(mus, (2, 1))))
     slow = np.array([[_slow_log_posterior(values, omega, t, m) for m in mus] for t in taus])
     assert fast - fast[0, 0] == pytest.approx(slow - slow[0, 0], abs=0.03)
 

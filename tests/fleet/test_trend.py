@@ -1,6 +1,7 @@
 """Drift and temperature over a fleet: known slopes, their coverage, and what is refused."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,3 +86,35 @@ def test_logs_without_labels_and_bounds_are_left_out() -> None:
         LogValue(unit="a", value=None, low=0.0, high=1.0, temperature_c=90.0),
     ]
     assert trend([*logs, *extra]) == trend(logs)
+
+
+def test_as_many_logs_as_slopes_leave_no_scatter_to_judge() -> None:
+    """Three logs of three temperatures and days: the slopes are exact, and the scatter is none."""
+    logs = [
+        LogValue(unit=u, value=v, low=v / 1.01, high=v * 1.01, temperature_c=t, days=d)
+        for u, level in (("a", 1.0), ("b", 2.0), ("c", 0.7))
+        for t, d in ((10.0, 0.0), (25.0, 365.25), (45.0, 800.0))
+        for v in (level * math.exp(0.01 * (t - 25) + 0.1 * d / 365.25),)
+    ]
+    found = trend(logs)
+    assert found.temperature is not None
+    assert found.temperature.value == pytest.approx(0.01, rel=1e-6)
+    assert found.drift is not None
+    assert found.drift.value == pytest.approx(0.1, rel=1e-6)
+
+
+def test_a_unit_that_drifts_alone_is_found() -> None:
+    """One of eight moves by 60 % a year where the others move by 10 %; without it none is odd."""
+    rng = np.random.default_rng(62)
+    logs = _fleet(rng, beta=0.004, gamma=0.1)
+    assert not any(slope.odd for slope in trend(logs).slopes)
+    moved = [
+        replace(log, value=log.value * f, low=log.low * f, high=log.high * f)
+        if log.unit == "3" and log.value
+        else log
+        for log in logs
+        for f in (math.exp(0.5 * log.days / 365.25),)
+    ]
+    found = trend(moved)
+    assert [(s.unit, s.label) for s in found.slopes if s.odd] == [("3", "days")]
+    assert len(found.slopes) == 16

@@ -48,6 +48,8 @@ _WITH_ZEROS: list[Order] = [
     *_ALL_POLES,
     *((z + more, z) for z in (1, 2, 3, 4) for more in (0, 1, 2) if z + more <= _ORDERS),
 ]
+#: Most steps of the blind fit, which is a start for others.
+_BLIND = 40
 #: A band needs so many bins.
 _FEWEST = 24
 
@@ -123,7 +125,9 @@ class _BandSearch:
         """Return parameters of the best blind fit without a response, shape (1, p)."""
         candidate = self.candidates([(0, 0)])
         owner, theta = find_starts(seen, candidate, shortest=self.shortest, keep=(1, 2, 4))
-        found = maximize(seen, candidate.take(owner), theta, shortest=self.shortest, tolerance=1e-3)
+        found = maximize(
+            *(seen, candidate.take(owner), theta), shortest=self.shortest, tolerance=1e-3, iterations=_BLIND
+        )
         return found.theta[[int(np.argmin(found.objective))]]
 
     def fit(self, seen: Ordinates, fraction: float, orders: list[Order], starts: FloatArray) -> list[_Trial]:

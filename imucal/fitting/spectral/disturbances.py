@@ -33,6 +33,8 @@ _FEWEST_PERIODS, _MOST_PERIODS = 2.0, 24.0
 _SPACING, _FINE = 0.25, 1 / 64
 #: What a shape must gain beyond the price of its parameters, in twice the log-likelihood.
 _MARGIN = 7.0
+#: Share of clean records in which a step would gain what it must, were their spectrum known.
+_CHANCE_STEP = 0.002
 #: A shape that gains less at the spectrum of the fit without it is not fitted: chance gives so much.
 _WORTH_A_FIT = 15.0
 #: Most shapes that are taken out.
@@ -49,15 +51,16 @@ class Disturbance:
         ``temperature``, ``warm-up``, ``step`` or ``cycle``.
     names
         Its regressors.
-    parameters
-        Numbers that describe it: the price of a parameter is the logarithm of the record's length.
+    price
+        What it must gain in twice the log-likelihood, beside a margin. The price of a parameter is the
+        logarithm of the record's length; that of a step follows from how often chance makes one.
     size
         Coefficients of the regressors, in scaled units; () before it is fitted.
     """
 
     kind: str
     names: tuple[str, ...]
-    parameters: int
+    price: float
     size: tuple[float, ...] = ()
 
     @property
@@ -69,10 +72,6 @@ class Disturbance:
     def value(self) -> float:
         """What follows the colon of the first regressor's name; 0 where nothing does."""
         return float(self.names[0].partition(":")[2] or 0.0)
-
-
-#: The temperature without a lag.
-_AT_ONCE = Disturbance(kind="temperature", names=("temperature",), parameters=1)
 
 
 def find_disturbances(blocks: Sequence[Block], *, steps: bool = True) -> tuple[Disturbance, ...]:
@@ -93,7 +92,7 @@ def find_disturbances(blocks: Sequence[Block], *, steps: bool = True) -> tuple[D
             break
         fits = _fits(low, [(*names, *one.names) for one in candidates])
         gains = 2 * (base.objective - fits.maximum.objective)
-        net = [gain - one.parameters * np.log(length) for gain, one in zip(gains, candidates, strict=True)]
+        net = [gain - one.price for gain, one in zip(gains, candidates, strict=True)]
         best = int(np.argmax(net))
         if net[best] <= _MARGIN:
             break
@@ -145,7 +144,8 @@ def _candidates(
         kinds.append(_best_of(whitened, _warm_ups(length)))
     measured = all(b.temperature is not None and np.ptp(b.temperature) > 0 for b in whitened.blocks)
     if measured and "temperature" not in once:
-        kinds += [_best_of(whitened, [_AT_ONCE]), _best_of(whitened, _lags(length))]
+        at_once = Disturbance(kind="temperature", names=("temperature",), price=np.log(length))
+        kinds += [_best_of(whitened, [at_once]), _best_of(whitened, _lags(length))]
     yield from (one for gain, one in kinds if gain > _WORTH_A_FIT)
 
 
@@ -156,18 +156,23 @@ def _best_of(whitened: Whitened, shapes: Sequence[Disturbance]) -> tuple[float, 
 
 
 def _warm_ups(length: int) -> list[Disturbance]:
+    price = 2 * np.log(length)
     times = (_WARM_UPS * length).tolist()
-    return [Disturbance(kind="warm-up", names=(f"exp:{time!r}",), parameters=2) for time in times]
+    return [Disturbance(kind="warm-up", names=(f"exp:{time!r}",), price=price) for time in times]
 
 
 def _lags(length: int) -> list[Disturbance]:
     lags = (_LAGS * length).tolist()
-    return [Disturbance(kind="temperature", names=(f"temperature:{lag!r}",), parameters=2) for lag in lags]
+    return [
+        Disturbance(kind="temperature", names=(f"temperature:{lag!r}",), price=2 * np.log(length))
+        for lag in lags
+    ]
 
 
 def _best_step(whitened: Whitened) -> tuple[float, Disturbance]:
-    place, gain = whitened.step()
-    return gain, Disturbance(kind="step", names=(f"step:{round(place)}",), parameters=2)
+    place, gain, choice = whitened.step()
+    price = 2 * np.log(max(choice, 1.0) / _CHANCE_STEP) - _MARGIN
+    return gain, Disturbance(kind="step", names=(f"step:{round(place)}",), price=price)
 
 
 def best_cycle(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
@@ -181,7 +186,7 @@ def best_cycle(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
     best = int(np.argmax(gains))
     omega = float(unit * fine[best])
     return float(gains[best]), Disturbance(
-        kind="cycle", names=(f"cos:{omega!r}", f"sin:{omega!r}"), parameters=3
+        kind="cycle", names=(f"cos:{omega!r}", f"sin:{omega!r}"), price=3 * np.log(length)
     )
 
 

@@ -9,6 +9,7 @@ Source: Whittle (1953); the limits for N, K, B and R alone are in the tests.
 """
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from imucal.allan.dct import DctBins, dct_bins
 from imucal.arrays import FloatArray
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import RateRamp, term_keys
+from imucal.noise.terms import TERMS, RateRamp, term_keys
 
 
 def named_terms(model: NoiseModel) -> tuple[tuple[NoiseTerm, tuple[str, ...]], ...]:
@@ -26,7 +27,9 @@ def named_terms(model: NoiseModel) -> tuple[tuple[NoiseTerm, tuple[str, ...]], .
     return tuple((term, term.parameter_names(keys[id(term)])) for term in model.terms)
 
 
-def relative_deviations(model: NoiseModel, *, rate_hz: float, duration_s: float) -> dict[str, float]:
+def relative_deviations(
+    model: NoiseModel, *, rate_hz: float, duration_s: float, beside: Iterable[str] = ()
+) -> dict[str, float]:
     """Return the relative standard error of each parameter that a record of `duration_s` allows.
 
     The same for every unit. Infinite for a term of coefficient 0, and for a record of fewer samples
@@ -40,6 +43,8 @@ def relative_deviations(model: NoiseModel, *, rate_hz: float, duration_s: float)
         Sampling rate.
     duration_s
         Length of the record, in s.
+    beside
+        Symbols of power laws that may be there too: zero in this noise, but the fit does not know that.
     """
     names = [name for _, own in named_terms(model) for name in own]
     n = round(duration_s * rate_hz)
@@ -48,11 +53,14 @@ def relative_deviations(model: NoiseModel, *, rate_hz: float, duration_s: float)
     bins = dct_bins(n, singles=64, per_octave=12)
     count = bins.count.astype(np.float64)
     slopes, spectrum = _slopes(model, bins, 1 / rate_hz)
-    moving = [i for i in range(len(names)) if np.any(slopes[i] > 0) or np.any(slopes[i] < 0)]
+    # The deviations of the others do not depend on the size of a row.
+    slopes = np.vstack([slopes, *(_shape(symbol, bins, 1 / rate_hz) for symbol in beside)])
+    moving = [i for i in range(len(slopes)) if np.any(slopes[i] > 0) or np.any(slopes[i] < 0)]
     scaled = slopes[moving] / spectrum * np.sqrt(count / 2)
     result = dict.fromkeys(names, math.inf)
     for place, deviation in zip(moving, _deviations(scaled), strict=True):
-        result[names[place]] = deviation
+        if place < len(names):
+            result[names[place]] = deviation
     for term in model.terms:
         if isinstance(term, RateRamp) and term.value:
             result["R"] = _ramp_deviation(bins, spectrum) * rate_hz / abs(term.value)
@@ -81,6 +89,12 @@ def _slopes(model: NoiseModel, bins: DctBins, tau0: float) -> tuple[FloatArray, 
         rows.extend(slopes)
         spectrum = spectrum + own
     return np.array(rows), spectrum
+
+
+def _shape(symbol: str, bins: DctBins, tau0: float) -> FloatArray:
+    """Return the mean of a power law's spectrum in each bin, shape (b,), of any size."""
+    spectrum, _ = TERMS[symbol].of(1.0).dct_slopes(bins.n, bins.first, bins.count, tau0)
+    return spectrum
 
 
 def _ramp_deviation(bins: DctBins, spectrum: FloatArray) -> float:

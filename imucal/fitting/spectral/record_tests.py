@@ -6,7 +6,7 @@ another; correlation times and the output filter are as in the joint fit.
 Source: Wilks (1938), Annals of Mathematical Statistics 9, 60.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,13 +95,16 @@ class _Record:
 
     def __init__(self, ordinates: Ordinates, fit: BinFit) -> None:
         self.ordinates, self.shortest = ordinates, fit.problem.shortest
-        self.candidate = fit.whole.candidate
+        # What was taken out of another record is nothing in this one.
+        own = np.einsum("iib->i", ordinates.gram) > 0
+        joint = fit.whole.candidate
+        self.candidate = replace(joint, regressors=joint.regressors & own)
         variances = np.arange(self.candidate.width) < MARKOV + self.candidate.room_markov
         self.free = self.candidate.free & variances
         self.low, _ = bounds(ordinates, self.candidate, shortest=self.shortest)
-        joint = fit.whole.maximum.theta
-        raised = [np.where(self.free, np.maximum(joint, self.low + more), joint) for more in _RAISED]
-        found = self.maximize(np.concatenate([joint, *raised]), self.free)
+        start = fit.whole.maximum.theta
+        raised = [np.where(self.free, np.maximum(start, self.low + more), start) for more in _RAISED]
+        found = self.maximize(np.concatenate([start, *raised]), self.free)
         self.maximum: Maximum = found.take(np.array([int(np.argmin(found.objective))]))
         self.objective = float(self.maximum.objective[0])
 

@@ -78,14 +78,20 @@ class Whitened:
         near = Whitened(blocks=blocks, weight=weight, rest=self.rest[rows], base=self.base[rows])
         return np.array([near.gain(_pair(w)) for w in omega.tolist()])
 
-    def step(self) -> tuple[float, float]:
-        """Return the place of the step that gains most, in samples of the record, and its gain."""
-        first, best = 0, (0.0, 0.0)
+    def step(self) -> tuple[float, float, float]:
+        """Return the place of the step that gains most, in samples of the record, its gain, and the choice.
+
+        The choice is the number of places that noise may choose among: by chance the gain of the best
+        exceeds u with a probability of that number times exp(-u/2), where it is small.
+        """
+        first, choice, best = 0, 0.0, (0.0, 0.0)
         for block, weight in zip(self.blocks, self.weight, strict=True):
             rows = slice(first, first + weight.size)
-            best = max(best, _best_step(block, weight, self.rest[rows], self.base[rows]), key=lambda b: b[1])
+            place, gain, places = _best_step(block, weight, self.rest[rows], self.base[rows])
+            best = max(best, (place, gain), key=lambda b: b[1])
+            choice += places
             first += weight.size
-        return best
+        return (*best, choice)
 
 
 def _pair(omega: float) -> tuple[str, str]:
@@ -99,11 +105,14 @@ def _weight(block: Block, spectrum: FloatArray) -> FloatArray:
     return weight if block.kept is None else np.where(block.kept, weight, 0.0)
 
 
-def _best_step(block: Block, weight: FloatArray, rest: FloatArray, base: FloatArray) -> tuple[float, float]:
-    """Return place and gain of the best step inside one block.
+def _best_step(
+    block: Block, weight: FloatArray, rest: FloatArray, base: FloatArray
+) -> tuple[float, float, float]:
+    """Return place and gain of the best step inside one block, and the number of places to choose among.
 
     A step's ordinates are sines of its place, so sine transforms give its products with everything
-    at all places at once.
+    at all places at once. The number is how often the root of the gain of a chance step crosses zero, by
+    Rice (1945), Bell Syst. Tech. J. 24, 46: the length of the path of whitened steps of size one, over pi.
     """
     from scipy.fft import dct, dst
 
@@ -118,15 +127,23 @@ def _best_step(block: Block, weight: FloatArray, rest: FloatArray, base: FloatAr
         padded[..., :count] = values
         return np.asarray(dst(padded, type=1, axis=-1) / 2)
 
-    # sin² = (1 - cos of twice the angle) / 2
-    square = np.zeros(places + 1)
-    square[2 : 2 * count + 1 : 2] = size**2
-    cosines = (dct(square, type=1) + square[-1]) / 2
-    power = 0.5 * (np.sum(size**2) - cosines[1:-1])
+    def of_twice(values: FloatArray) -> FloatArray:
+        """Return sum of values_k cos(2 pi k j / places) at j = 1 … places-1."""
+        square = np.zeros(places + 1)
+        square[2 : 2 * count + 1 : 2] = values
+        return np.asarray((dct(square, type=1) + square[-1]) / 2)[1:-1]
+
+    # sin² = (1 - cos of twice the angle) / 2, and its slope's square is k² cos² = k² (1 + cos) / 2.
+    power = 0.5 * (np.sum(size**2) - of_twice(size**2))
+    slope = (size * np.pi / places * np.arange(1, count + 1)) ** 2
+    slope = 0.5 * (np.sum(slope) + of_twice(slope))
     left = power - np.sum(along((base * size[:, None]).T) ** 2, axis=0)
     product = along(rest * size)
     gain = np.where(left > _ALIKE * power + 1e-300, product**2 / np.maximum(left, 1e-300), 0.0)
     clear = int(_CLEAR * places) + 1
     gain[:clear] = gain[gain.size - clear :] = 0.0
     at = int(np.argmax(gain))
-    return block.offset + (at + 1) * n / places, float(gain[at])
+    # The path of the steps divided by their sizes: what changes the size alone is no way.
+    way = slope / power - (np.gradient(power) / (2 * power)) ** 2
+    choice = float(np.sqrt(np.maximum(way, 0.0))[clear : gain.size - clear].sum()) / np.pi
+    return block.offset + (at + 1) * n / places, float(gain[at]), choice

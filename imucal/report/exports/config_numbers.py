@@ -84,6 +84,8 @@ class Number:
         a value or for several axes.
     alternatives
         Symbols of terms that may stand in this one's place: the record can't tell which.
+    origin
+        What the number is, where it is no estimate of one record.
     """
 
     symbol: str
@@ -94,6 +96,7 @@ class Number:
     interval: tuple[float, float] | None = None
     excess: float | None = None
     alternatives: tuple[str, ...] = ()
+    origin: str = ""
 
     @property
     def note(self) -> str:
@@ -101,6 +104,8 @@ class Number:
         return f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}{self._ambiguity()}"
 
     def _certainty(self) -> str:
+        if self.origin:
+            return f", {self.origin}"
         level = f"{self.level:.0%}"
         if self.interval:
             return f", {level} {self.interval[0]:.4g} to {self.interval[1]:.4g}"
@@ -211,6 +216,7 @@ class Numbers:
             bounded=tuple(name for number in numbers for name in number.bounded),
             level=numbers[0].level,
             alternatives=tuple(dict.fromkeys(each for number in numbers for each in number.alternatives)),
+            origin=numbers[0].origin,
         )
 
     def each(self, sensor: Sensor, symbol: str) -> tuple[Number, Number, Number]:
@@ -234,6 +240,7 @@ class Numbers:
             interval=None if bounded else (estimate.low * factor, estimate.high * factor),
             excess=_excess(axis, estimate) if bounded else None,
             alternatives=estimate.alternatives,
+            origin=estimate.origin,
         )
 
     def gauss_markov(self, axis: AxisReport) -> tuple[float, float] | None:

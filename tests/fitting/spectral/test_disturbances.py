@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from imucal.allan import allan_curve
+from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.fitting import FitSettings, NoiseFit
@@ -13,6 +14,7 @@ from imucal.fitting.spectral.blocks import Block, make_blocks
 from imucal.fitting.spectral.disturbances import Disturbance, find_disturbances
 from imucal.fitting.spectral.regressors import lagged
 from imucal.fitting.spectral.whitened import Whitened
+from imucal.noise.model import NoiseModel
 from imucal.recording import Axis, AxisSeries, Sensor
 from tests.fitting.fits import fitted, simulated
 
@@ -162,7 +164,7 @@ def test_the_search_for_a_step_looks_at_every_place() -> None:
     """The best of the sine transforms is the best of all places, one by one."""
     blocks = _blocks(32)
     tool = Whitened.by(blocks, np.ones(blocks[0].bins.size), ("R",))
-    place, gain = tool.step()
+    place, gain, _ = tool.step()
     every = [tool.gain((f"step:{at}",)) for at in range(30, 3970, 10)]
     assert gain >= max(every) - 1e-9
     assert gain == pytest.approx(tool.gain((f"step:{place!r}",)), rel=1e-6)
@@ -175,3 +177,39 @@ def test_the_search_for_cycles_needs_the_lowest_ordinates_only() -> None:
     omega = 2 * np.pi * np.array([2.0, 7.7, 23.9]) / 4000
     every = [tool.gain((f"cos:{w!r}", f"sin:{w!r}")) for w in omega.tolist()]
     assert tool.cycles(omega) == pytest.approx(every, rel=0.01, abs=0.02)
+
+
+@pytest.mark.parametrize("shape", [0.0, 1.0, 2.0])
+def test_chance_makes_steps_no_oftener_than_its_choice_says(shape: float) -> None:
+    """Of white noise, flicker and a walk: the gain that one in ten exceeds, of 200 draws of ordinates.
+
+    In white noise the best place moves by leaps, so that it comes out lower.
+    """
+    n, rng = 4000, np.random.default_rng(34)
+    theta = np.pi * np.arange(1, n) / n
+    spectrum = 1 + (0.2 / theta) ** shape
+    bins = dct_bins(n, singles=n - 1)
+    gains, choices = [], []
+    for _ in range(200):
+        block = Block(offset=0, bins=bins, ordinates=np.sqrt(spectrum) * rng.standard_normal(n - 1))
+        low = block.lowest(1000)
+        _, gain, choice = Whitened.by([low], spectrum[: low.bins.size], ()).step()
+        gains.append(gain)
+        choices.append(choice)
+    expected = 2 * np.log(np.mean(choices) / 0.1)
+    assert expected - 4 < np.quantile(gains, 0.9) < expected + 1.5
+
+
+def test_a_weak_step_is_found_where_the_noise_leaves_few_places() -> None:
+    """Of 1e-4 in 33 min beside N = 1e-4, B = 1e-5, K = 1e-6: in most records, near its place."""
+    n, place = 200_000, 90_000
+    model = NoiseModel.parse("N=1e-4 + B=1e-5 + K=1e-6")
+    found = []
+    for seed in range(8):
+        samples = model.simulate(n, rate_hz=100.0, rng=np.random.default_rng([35, seed]))
+        samples = 1e4 * (samples + 1e-4 * (np.arange(n) >= place))
+        block = Block(offset=0, bins=dct_bins(n), ordinates=dct_ordinates(samples))
+        found += [one for one in find_disturbances([block]) if one.kind == "step"]
+    assert len(found) >= 4
+    assert np.median([abs(one.value - place) for one in found]) < 2000
+    assert np.median([abs(one.size[0]) for one in found]) == pytest.approx(1.0, rel=0.3)

@@ -1,0 +1,147 @@
+"""A sensor model of a fleet as a Report: so that a fleet is exported and compared as a log is."""
+
+import math
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.allan.dct import Spectrum
+from imucal.errors import DataError
+from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
+from imucal.fleet_report.shown import bound_name
+from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import ALWAYS, TERMS
+from imucal.recording import Source
+from imucal.report.result import AxisReport, Overview, Report
+
+FleetValue: TypeAlias = Literal["tolerance", "median"]
+
+
+def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue = "tolerance") -> Report:
+    """Return what a fleet says of a sensor model, in the form of the report of one log.
+
+    Parameters
+    ----------
+    fleet
+        From `imucal.load_fleet`.
+    model
+        Name of the sensor model; may be left out where there is one.
+    value
+        Of each term: the ``tolerance`` bound, which is the number for the config of every unit, or the
+        ``median`` unit with its interval.
+
+    Raises
+    ------
+    ChoiceError
+        If there is no such model, or several and none is named.
+    DataError
+        If the bound is asked for and there are fewer than three units.
+    ValueError
+        If `value` is unknown.
+    """
+    if value not in get_args(FleetValue):
+        msg = f"value {value!r} is not one of {', '.join(get_args(FleetValue))}"
+        raise ValueError(msg)
+    found = fleet.model(model)
+    if not found.terms:
+        msg = f"{fleet.folder}: {found.title} has no numbers, expected logs that count; run the fleet again"
+        raise DataError(msg)
+    axes: dict[str, list[FleetTerm]] = {}
+    for term in found.terms:
+        if not TERMS[term.symbol].repeatable:
+            axes.setdefault(term.name, []).append(term)
+    of_units = f"fleet of {len(found.units)} units{f' of {found.name}' if found.name else ''}"
+    what = f"{bound_name(found.terms[0])} tolerance bound" if value == "tolerance" else "median unit"
+    seconds = sorted(log.seconds for log in found.logs if log.seconds and not log.left_out)
+    duration = seconds[len(seconds) // 2] if seconds else 0.0
+    return Report(
+        source=Source(path=str(fleet.folder), format=f"{of_units}; every number is the {what}"),
+        axes=tuple(
+            _axis(
+                found,
+                terms[0],
+                {term.term: _estimate(fleet, term, value, what) for term in terms},
+                duration,
+                fleet=fleet,
+            )
+            for terms in axes.values()
+        ),
+        settings={"fleet": str(fleet.folder), "model": found.name, "value": value},
+        version=fleet.version,
+    )
+
+
+def _axis(
+    model: SensorModel, term: FleetTerm, estimates: dict[str, Estimate], duration: float, *, fleet: Fleet
+) -> AxisReport:
+    missing = [symbol for symbol in ALWAYS if symbol not in estimates]
+    if missing:
+        msg = (
+            f"{fleet.folder}: {term.name} of {model.title} has no {', '.join(missing)}, expected "
+            f"{', '.join(ALWAYS)}; run the fleet with --model 'N + B + K'"
+        )
+        raise DataError(msg)
+    noise = NoiseModel(terms=tuple(TERMS[key].of(e.value or e.high) for key, e in estimates.items()))
+    rate = model.rate_hz
+    size = max(int(duration * rate), 4)
+    m = 2 ** np.arange(max(int(math.log2(size)), 1))
+    curve = AllanCurve(
+        tau=m / rate,
+        m=m,
+        avar=noise.avar(m.astype(np.float64), rate_hz=rate),
+        edf=np.full(m.size, np.nan),
+        n=size,
+        computed="given",
+    )
+    none = np.zeros(0)
+    return AxisReport(
+        sensor=term.sensor,
+        axis=term.axis,
+        samples=size,
+        rate_hz=rate,
+        duration_s=duration,
+        mean=0.0,
+        std=0.0,
+        gaps=(),
+        spectrum=Spectrum(frequency=none, psd=none, count=none),
+        overview=Overview(time_s=none, low=none, high=none),
+        fit=NoiseFit(
+            method="fleet",
+            sensor=term.sensor,
+            rate_hz=rate,
+            level=0.95,
+            model=noise,
+            estimates=tuple(estimates.values()),
+            parameters=(),
+            covariance=np.zeros((0, 0)),
+            goodness=Goodness(statistic=0.0, p_value=1.0, chi2_per_bin=1.0),
+            curve=curve,
+            used=np.arange(m.size),
+        ),
+    )
+
+
+def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Estimate:
+    found = term.population
+    if value == "median":
+        limits = found.median.value, found.median.low, found.median.high
+    elif found.tolerance is None or found.quantile is None:
+        msg = (
+            f"{fleet.folder}: found {len(found.units)} units, expected 3 at least for a tolerance bound; "
+            "take the median, or test more units: 10 are worth testing"
+        )
+        raise DataError(msg)
+    else:
+        limits = found.tolerance, min(found.quantile, found.tolerance), found.tolerance
+    middle, low, high = limits
+    return Estimate(
+        key=term.term,
+        symbol=term.symbol,
+        status="estimated",
+        value=middle,
+        low=low,
+        high=high,
+        origin=f"{what} of {len(found.units)} units" if value == "tolerance" else "",
+    )

@@ -1,0 +1,110 @@
+"""Is this log's unit one of the fleet? Each term against where the next unit lies, as rows of a check."""
+
+from imucal.checking.verdict import Measured, Row, Verdict
+from imucal.errors import DataError
+from imucal.fitting.noise_fit import NoiseFit
+from imucal.fleet.log_value import LogValue
+from imucal.fleet.membership import FEWEST, membership
+from imucal.fleet.pooling import log_values
+from imucal.fleet_report.shown import sheet_unit
+from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.noise.terms import TERMS
+from imucal.report.result import Report
+
+
+def check_fleet(
+    report: Report, fleet: Fleet, model: str | None = None, *, alpha: float = 0.05
+) -> tuple[Row, ...]:
+    """Return a row for each term of each axis that both have: whether it lies where the next unit would.
+
+    A term fails where a unit of this model is so far off with a probability, adjusted for all terms (Holm
+    1979), below `alpha`: a unit of the fleet fails any with that probability. One that the log only bounds,
+    above where units lie, is undecided.
+
+    Parameters
+    ----------
+    report
+        Of the log; fits that carry their bins are fitted anew with the fleet's noise model.
+    fleet, model
+        As `imucal.load_fleet` and `Fleet.model` have them.
+    alpha
+        Probability that a unit of the fleet fails.
+
+    Raises
+    ------
+    ChoiceError
+        If there is no such model, or several and none is named.
+    DataError
+        If there are fewer than three units, or no axis and term in common.
+    """
+    found = fleet.model(model)
+    if len(found.units) < FEWEST:
+        msg = (
+            f"{fleet.folder}: found {len(found.units)} units of {found.title}, expected {FEWEST} at least to "
+            "say where the next one lies; add units to the fleet"
+        )
+        raise DataError(msg)
+    tested: list[tuple[FleetTerm, LogValue, float]] = []
+    for axis in report.axes:
+        terms = [term for term in found.terms if term.name == axis.name]
+        values = _values(axis.fit, terms) if terms else {}
+        own = [(term, values[term.term]) for term in terms if term.term in values]
+        tested += [(term, value, membership(term.logs, value)) for term, value in own]
+    if not tested:
+        axes = ", ".join(dict.fromkeys(term.name for term in found.terms))
+        msg = (
+            f"{report.source.path}: no axis and term in common with {found.title} of {fleet.folder}, which "
+            f"has {axes}; check a log of the same sensor"
+        )
+        raise DataError(msg)
+    adjusted = holm([p for _, _, p in tested])
+    return tuple(
+        _row(found, term, value, p, alpha) for (term, value, _), p in zip(tested, adjusted, strict=True)
+    )
+
+
+def holm(p_values: list[float]) -> list[float]:
+    """Return p-values adjusted for their number. Source: Holm (1979), Scand. J. Statistics 6, 65."""
+    order = sorted(range(len(p_values)), key=p_values.__getitem__)
+    result, largest = [0.0] * len(p_values), 0.0
+    for rank, place in enumerate(order):
+        largest = max(largest, min(1.0, (len(order) - rank) * p_values[place]))
+        result[place] = largest
+    return result
+
+
+def _values(fit: NoiseFit, terms: list[FleetTerm]) -> dict[str, LogValue]:
+    """Return what the log says of each term: by the fleet's own noise model where the fit has its bins."""
+    if fit.bins is not None:
+        symbols = dict.fromkeys(symbol for symbol in TERMS if any(t.symbol == symbol for t in terms))
+        return log_values("this log", fit, model=" + ".join(symbols))
+    return {
+        e.key: LogValue(unit="this log", value=e.value, low=e.low, high=e.high, level=fit.level)
+        for e in fit.estimates
+    }
+
+
+def _row(model: SensorModel, term: FleetTerm, value: LogValue, p: float, alpha: float) -> Row:
+    unit = sheet_unit(term)
+    low, high = (limit * unit.factor for limit in term.population.prediction or (0.0, 0.0))
+    measured = Measured(value=value.value, low=value.low, high=value.high).scaled(unit.factor)
+    verdict: Verdict = "fail" if p < alpha else "pass"
+    if verdict == "pass" and value.value is None and value.high * unit.factor > high:
+        verdict = "undecided"
+    said = {
+        "pass": "as a unit of the fleet",
+        "fail": "not as a unit of the fleet",
+        "undecided": "the log is too short to tell",
+    }
+    text = (
+        f"{term.name}: {term.term} is {measured.text()} {unit.name}; the next unit of {model.title} lies in "
+        f"[{low:.4g}, {high:.4g}] with 95 % (adjusted p = {p:.2g}): {said[verdict]}"
+    )
+    return Row(
+        where=term.name,
+        subject=f"{term.term} in [{low:.4g}, {high:.4g}] {unit.name}",
+        verdict=verdict,
+        text=text,
+        unit=unit.name,
+        measured=measured,
+    )

@@ -1,0 +1,258 @@
+"""Pictures of a fleet: units of each term, units × terms, models side by side, temperature and time."""
+
+import io
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from imucal.fitting.noise_fit import Interval
+from imucal.fleet.population import UnitValue
+from imucal.fleet_report.fleet_tables import by_term
+from imucal.fleet_report.panels import round_ticks, sorted_units, span
+from imucal.fleet_report.shown import bound_name, sheet_unit
+from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.recording import Sensor
+from imucal.report.figure_parts import LABEL_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
+from imucal.report.log_ticks import tick_label
+from imucal.report.palette import DATA, FADED, FRAME, GRID, INK, LEFT_OUT, MODEL
+from imucal.units import pretty
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_DPI = 110
+#: Colour of the tolerance bound.
+_BOUND = "#8a5200"
+#: Units whose names are written beside their rows; inches of a row, and most of a panel.
+_NAMED, _ROW, _TALLEST = 60, 0.17, 9.0
+
+
+def fleet_figures(fleet: Fleet) -> dict[str, "Callable[[], bytes]"]:
+    """Return what draws each picture, by the name of its file."""
+    drawn: dict[str, Callable[[], bytes]] = {}
+    for model in fleet.models:
+        end = f"-{_file_name(model.name)}" if len(fleet.models) > 1 else ""
+        for sensor in Sensor:
+            if any(term.sensor is sensor for term in model.terms):
+                drawn[f"units-{sensor.short}{end}.png"] = lambda m=model, s=sensor: _png(units_figure(m, s))  # type: ignore[misc]
+        drawn[f"heat{end}.png"] = lambda m=model: _png(heat_figure(m))  # type: ignore[misc]
+        if any(term.trend for term in model.terms):
+            drawn[f"drift{end}.png"] = lambda m=model: _png(drift_figure(m))  # type: ignore[misc]
+    if len(fleet.models) > 1:
+        drawn["models.png"] = lambda: _png(models_figure(fleet.models))
+    return drawn
+
+
+def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
+    """Return a sensor's terms by axes: units sorted, with intervals, band, median and bound."""
+    groups = [terms for terms in by_term(model).values() if terms[0].sensor is sensor]
+    columns = max(len(terms) for terms in groups)
+    tall = min(_TALLEST, max(1.4, _ROW * len(model.units)))
+    figure = new_figure(4.0 * columns, (tall + 0.95) * len(groups) + 0.6, _DPI)
+    axes = figure.subplots(len(groups), columns, squeeze=False)
+    for row, terms in zip(axes, groups, strict=True):
+        for place, term in zip(row, terms, strict=False):
+            _draw_units(place, term)
+        for place in row[len(terms) :]:
+            place.set_visible(False)
+    title = f"{model.title}, {sensor}: {len(model.units)} units"
+    figure.suptitle(title, fontsize=TITLE_SIZE, color=INK)
+    figure.tight_layout(rect=(0, 0, 1, 0.99))
+    return figure
+
+
+def _draw_units(axes: "Axes", term: FleetTerm) -> None:
+    unit, found = sheet_unit(term), term.population
+    units = sorted_units(term)[::-1]
+    factor = unit.factor
+    low, high = (limit * factor for limit in span(term))
+    for i, one in enumerate(units):
+        colour = LEFT_OUT if one.odd else DATA.light
+        start, value = (low, one.high) if one.value is None else (one.low * factor, one.value)
+        style = ":" if one.value is None else "-"
+        axes.plot([start, one.high * factor], [i, i], color=colour, linewidth=1, linestyle=style)
+        _draw_mark(axes, one, value * factor, i, size=4.5)
+    if found.prediction:
+        axes.axvspan(
+            *(limit * factor for limit in found.prediction), color=MODEL.light, alpha=0.13, linewidth=0
+        )
+    axes.axvline(found.median.value * factor, color=MODEL.light, linewidth=1.4)
+    if found.tolerance:
+        axes.axvline(found.tolerance * factor, color=_BOUND, linewidth=1.5, linestyle="--")
+        axes.annotate(
+            bound_name(term),
+            (found.tolerance * factor, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 2),
+            textcoords="offset points",
+            ha="center",
+            color=_BOUND,
+            fontsize=SMALL_SIZE,
+        )
+    named = [(i, one) for i, one in enumerate(units) if len(units) <= _NAMED or one.odd]
+    axes.set_yticks([i for i, _ in named], [one.unit for _, one in named], fontsize=SMALL_SIZE - 1, color=INK)
+    _style(axes, f"{term.term} in {pretty(unit.name)}", f"{term.name} {term.term}")
+    _log_ticks(axes, low, high)
+    axes.set_ylim(-0.8, len(units) - 0.2)
+
+
+def models_figure(models: Sequence[SensorModel]) -> "Figure":
+    """Return each term of each axis: a row a model, a dot a unit, the median and the next unit's band."""
+    keys = list(dict.fromkeys((term.name, term.term) for model in models for term in model.terms))
+    rows = math.ceil(len(keys) / 3)
+    figure = new_figure(12, (0.42 * len(models) + 0.95) * rows + 0.4, _DPI)
+    axes = figure.subplots(rows, 3, squeeze=False).ravel()
+    for place, (name, key) in zip(axes, keys, strict=False):
+        own = [(m, t) for m in models for t in m.terms if (t.name, t.term) == (name, key)]
+        unit = sheet_unit(own[0][1])
+        for i, (_, term) in enumerate(own):
+            _draw_strip(place, term, i)
+        spans = [span(term) for _, term in own]
+        place.set_yticks(range(len(own)), [model.title for model, _ in own], fontsize=SMALL_SIZE, color=INK)
+        _style(place, f"{key} in {pretty(unit.name)}", f"{name} {key}")
+        _log_ticks(place, min(s[0] for s in spans) * unit.factor, max(s[1] for s in spans) * unit.factor)
+        place.set_ylim(len(own) - 0.4, -0.6)
+    for place in axes[len(keys) :]:
+        place.set_visible(False)
+    figure.tight_layout()
+    return figure
+
+
+def _draw_strip(axes: "Axes", term: FleetTerm, row: int) -> None:
+    """Draw the units of one model as a row: a dot each, the median and the next unit's band."""
+    found, factor = term.population, sheet_unit(term).factor
+    if found.prediction:
+        low, high = (limit * factor for limit in found.prediction)
+        axes.barh(row, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
+    middle = found.median.value * factor
+    axes.plot([middle, middle], [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
+    for j, one in enumerate(found.units):
+        _draw_mark(axes, one, (one.value or one.high) * factor, row + 0.18 * (j % 3 - 1), size=3.5)
+
+
+def _draw_mark(axes: "Axes", unit: UnitValue, x: float, y: float, *, size: float) -> None:
+    """Draw a dot; a diamond for an odd unit, an open triangle for a bound."""
+    colour = LEFT_OUT if unit.odd else DATA.light
+    bounded = unit.value is None
+    axes.plot(
+        x,
+        y,
+        marker="<" if bounded else "D" if unit.odd else "o",
+        markersize=size,
+        color=colour,
+        markerfacecolor="white" if bounded else colour,
+        linestyle="",
+    )
+
+
+def heat_figure(model: SensorModel) -> "Figure":
+    """Return units × terms: how far off the median each unit lies, in standard deviations of the next."""
+    from matplotlib.patches import Rectangle
+
+    names = list(model.units)
+    values = np.full((len(names), len(model.terms)), np.nan)
+    odd: list[tuple[int, int]] = []
+    for j, term in enumerate(model.terms):
+        band = term.population.prediction
+        sd = math.log(band[1] / band[0]) / (2 * 1.96) if band else math.nan
+        for unit in term.population.units:
+            i = names.index(unit.unit)
+            if unit.value is not None:
+                values[i, j] = math.log(unit.value / term.population.median.value) / sd
+            if unit.odd:
+                odd.append((i, j))
+    tall = min(14.0, max(2.0, 0.2 * len(names)))
+    figure = new_figure(3.2 + 0.36 * len(model.terms), tall + 1.6, _DPI)
+    axes = figure.subplots()
+    image = axes.imshow(np.ma.masked_invalid(values), cmap="PuOr_r", vmin=-4, vmax=4, aspect="auto")
+    axes.set_facecolor(GRID)
+    for i, j in odd:
+        light = abs(values[i, j]) > 2
+        colour = "white" if light else INK
+        axes.text(j, i, "!", ha="center", va="center", color=colour, fontweight="bold", fontsize=LABEL_SIZE)
+        axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=LEFT_OUT, linewidth=1.6))
+    labels = [f"{term.name} {term.term}" for term in model.terms]
+    axes.set_xticks(range(len(labels)), labels, rotation=90, fontsize=SMALL_SIZE, color=INK)
+    if len(names) <= _NAMED:
+        axes.set_yticks(range(len(names)), names, fontsize=SMALL_SIZE, color=INK)
+    bar = figure.colorbar(image, ax=axes, fraction=0.05, pad=0.02)
+    bar.set_label("standard deviations of the next unit", fontsize=SMALL_SIZE, color=INK)
+    bar.ax.tick_params(labelsize=SMALL_SIZE, colors=INK)
+    title = f"{model.title}: units against the median (grey: only bounded; ! odd)"
+    axes.set_title(title, fontsize=LABEL_SIZE + 1, color=INK, loc="left")
+    figure.tight_layout()
+    return figure
+
+
+def drift_figure(model: SensorModel) -> "Figure":
+    """Return the change of each term a °C and a year, with its interval; units that move otherwise in red."""
+    terms = [term for term in model.terms if term.trend]
+    figure = new_figure(10, 0.27 * len(terms) + 1.4, _DPI)
+    columns = (("temperature_c", "% a °C"), ("days", "% a year"))
+    for axes, (label, title) in zip(figure.subplots(1, 2, sharey=True), columns, strict=True):
+        for i, term in enumerate(terms):
+            _draw_slopes(axes, term, label, i)
+        axes.axvline(0, color=FADED, linewidth=1)
+        _style(axes, title, "")
+        axes.set_yticks(range(len(terms)), [f"{t.name} {t.term}" for t in terms], fontsize=SMALL_SIZE)
+        axes.set_ylim(len(terms) - 0.4, -0.6)
+    figure.suptitle(f"{model.title}: temperature and time", fontsize=TITLE_SIZE, color=INK)
+    figure.tight_layout()
+    return figure
+
+
+def _draw_slopes(axes: "Axes", term: FleetTerm, label: str, row: int) -> None:
+    """Draw a term's change by one label with its interval, and the units that move otherwise."""
+    trend = term.trend
+    interval = trend and (trend.temperature if label == "temperature_c" else trend.drift)
+    if trend is None or not isinstance(interval, Interval):
+        return
+    axes.plot([100 * interval.low, 100 * interval.high], [row, row], color=DATA.light, linewidth=1.2)
+    axes.plot(100 * interval.value, row, marker="o", markersize=5, color=MODEL.light)
+    for slope in trend.slopes:
+        if slope.odd and slope.label == label:
+            at = 100 * slope.slope.value
+            axes.plot(at, row, marker="D", markersize=5, color=LEFT_OUT)
+            axes.annotate(
+                *(slope.unit, (at, row)),
+                xytext=(5, 3),
+                textcoords="offset points",
+                fontsize=SMALL_SIZE,
+                color=LEFT_OUT,
+            )
+
+
+def _style(axes: "Axes", x: str, title: str) -> None:
+    axes.set_xlabel(x, fontsize=LABEL_SIZE, color=INK)
+    axes.set_title(title, fontsize=LABEL_SIZE + 1, color=INK, loc="left", pad=12)
+    axes.grid(visible=True, axis="x", color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=SMALL_SIZE, colors=INK, length=3)
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
+    axes.spines["bottom"].set_color(FRAME)
+
+
+def _log_ticks(axes: "Axes", low: float, high: float) -> None:
+    from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    places = round_ticks(low, high)
+    axes.xaxis.set_major_locator(FixedLocator(places))
+    axes.xaxis.set_major_formatter(FixedFormatter([tick_label(place) for place in places]))
+    axes.xaxis.set_minor_locator(NullLocator())
+
+
+def _png(figure: "Figure") -> bytes:
+    data = io.BytesIO()
+    figure.savefig(data, format="png", metadata={"Software": None})
+    return data.getvalue()
+
+
+def _file_name(model: str) -> str:
+    """Return a model's name as part of a file's."""
+    return "".join(c if c.isalnum() or c in "-_." else "-" for c in model).strip(".") or "model"

@@ -1,0 +1,201 @@
+"""``fleet.html``: what the units of each sensor model are like, on one page that opens without a network.
+
+Tables and pictures are there without any script; the script switches units and colours.
+"""
+
+from importlib.resources import files
+from string import Template
+
+from imucal.fleet_report.fleet_lists import failures_section, loose_section, words_section
+from imucal.fleet_report.fleet_tables import (
+    by_term,
+    config_table,
+    detail_table,
+    heat_table,
+    slope_table,
+    unit_logs_table,
+)
+from imucal.fleet_report.panels import strip_panel, unit_panel
+from imucal.fleet_report.shown import bound_name, median_text, percent, price_text
+from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.noise.terms import TERMS
+from imucal.report.markup import Markup, element, join
+
+_KEY = (
+    ('<circle class="mark" cx="13" cy="7" r="3.2"/><line class="whisker" x1="2" y1="7" x2="24" y2="7"/>',
+     "a unit with its 95 % interval"),
+    ('<polygon class="mark open" points="8,7 16,3 16,11"/>', "a unit that is only bounded"),
+    ('<polygon class="mark odd" points="8,7 13,2 18,7 13,12"/>', "an odd unit"),
+    ('<line class="median" x1="13" y1="0" x2="13" y2="14"/>', "the median unit"),
+    ('<rect class="band" x="2" y="1" width="22" height="12"/>', "where the next unit lies, 95 %"),
+    ('<line class="bound" x1="13" y1="0" x2="13" y2="14"/>', "the tolerance bound"),
+)  # fmt: skip
+
+
+def render_fleet_page(fleet: Fleet) -> str:
+    """Return the page; the same fleet always gives the same text."""
+    sections = list(_sections(fleet))
+    links = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in sections]
+    bodies = [
+        element(
+            "section",
+            element("h2", title, id=f"{anchor}-title"),
+            body,
+            id=anchor,
+            aria_labelledby=f"{anchor}-title",
+        )
+        for anchor, title, body in sections
+    ]
+    name = fleet.folder.resolve().name
+    style = _file("imucal.report", "page.css") + _file("imucal.fleet_report", "fleet.css")
+    grade, sentence = verdict(fleet)
+    return Template(_file("imucal.fleet_report", "fleet.html")).substitute(
+        title=element("title", f"{name} – fleet of IMUs"),
+        heading=element("h1", f"Fleet {name}"),
+        verdict=element("p", sentence.replace(" %", "\N{NO-BREAK SPACE}%"), class_=f"verdict {grade}"),
+        lead=element("p", _lead(fleet), class_="lead"),
+        navigation=element("ul", *links),
+        sections=join(bodies),
+        version=element("span", f"imucal {fleet.version}"),
+        style=style,
+        script=_file("imucal.fleet_report", "fleet.js"),
+    )
+
+
+def verdict(fleet: Fleet) -> tuple[str, str]:
+    """Return the grade of a fleet and one sentence: which units are odd, and how many logs do not count."""
+    several = len(fleet.models) > 1
+    said = [text for model in fleet.models for text in _strange(model, f"{model.title}: " if several else "")]
+    failed = sum(len(logs) for logs in fleet.failures.values())
+    if failed:
+        said.append(f"{failed} of {len(fleet.logs)} logs do not count")
+    if fleet.loose:
+        said.append(f"{len(fleet.loose)} logs have no unit's label")
+    few = [model.title for model in fleet.models if len(model.units) < 3]
+    if few:
+        said.append(f"{', '.join(few)}: too few units to tell a spread or a bound")
+    if not said:
+        return "good", "No unit is odd, and every log counts."
+    text = "; ".join(said)
+    return "look", f"{text[0].upper()}{text[1:]}."
+
+
+def _strange(model: SensorModel, title: str) -> list[str]:
+    """Return which units of a model are odd, and which move otherwise than the others."""
+    odd: dict[str, list[str]] = {}
+    for term in model.terms:
+        for unit in term.odd:
+            odd.setdefault(unit.unit, []).append(f"{term.name} {term.term}")
+    said = []
+    if odd:
+        listed = "; ".join(f"{unit} ({', '.join(where)})" for unit, where in odd.items())
+        said.append(f"{title}odd {'units' if len(odd) > 1 else 'unit'} {listed}")
+    moving: dict[str, list[str]] = {}
+    for term in model.terms:
+        for name in term.drifting:
+            moving.setdefault(name, []).append(f"{term.name} {term.term}")
+    if moving:
+        listed = "; ".join(f"{unit} ({', '.join(where)})" for unit, where in moving.items())
+        said.append(f"{title}moving with time or temperature as no other: {listed}")
+    return said
+
+
+def _lead(fleet: Fleet) -> str:
+    parts = [
+        f"{model.title}: {len(model.units)} unit{'s' * (len(model.units) != 1)}, "
+        f"{sum(not log.left_out for log in model.logs)} logs that count at {model.rate_hz:.6g} Hz"
+        for model in fleet.models
+    ]
+    waiting = fleet.asked - len(fleet.logs)
+    if waiting > 0:
+        parts.append(f"{waiting} of {fleet.asked} logs are not done yet")
+    return " · ".join(parts) or f"{len(fleet.logs)} logs"
+
+
+def _sections(fleet: Fleet) -> list[tuple[str, str, Markup]]:
+    models = fleet.models
+    found: list[tuple[str, str, Markup]] = []
+    if models:
+        note = element("p", "Bold: the number for the config of every unit. ", _few_note(fleet))
+        found.append(("config", "The number for the config", join([note, *map(config_table, models)])))
+    for i, model in enumerate(models):
+        found.append((f"units-{i}", f"Units of {model.title}", _units(model)))
+    if len(models) > 1:
+        found.append(("models", "Models side by side", _strips(models)))
+    if models:
+        found.append(("heat", "Units and terms", join([_heat_note(), *map(heat_table, models)])))
+        found.append(("trend", "Temperature and time", slope_table(models)))
+        tested = [model for model in models if any(term.unit_logs for term in model.terms)]
+        if tested:
+            found.append(("logs", "Several logs of one unit", join(map(unit_logs_table, tested))))
+        found.append(("numbers", "All numbers", join(map(detail_table, models))))
+    if fleet.loose:
+        found.append(("loose", "Logs without a unit", loose_section(fleet)))
+    found.append(("failed", "Logs that do not count", failures_section(fleet)))
+    if fleet.findings:
+        items = [element("li", finding.text) for finding in fleet.findings]
+        found.append(("findings", "Findings", element("ul", *items, class_="findings warning")))
+    found.append(("words", "What the words mean", words_section()))
+    return found
+
+
+def _few_note(fleet: Fleet) -> str:
+    few = [model.title for model in fleet.models if len(model.units) < 3]
+    if not few:
+        return ""
+    return (
+        f"{', '.join(few)}: fewer than 3 units tell no spread between units, and so no bound; 10 are worth "
+        "testing."
+    )
+
+
+def _units(model: SensorModel) -> Markup:
+    key = [
+        element("li", Markup(f'<svg class="units-plot" aria-hidden="true">{svg}</svg>'), f" {text}")
+        for svg, text in _KEY
+    ]
+    parts = [element("ul", *key, class_="keyline")]
+    for (sensor, name), terms in by_term(model).items():
+        title = f"{name} {TERMS[terms[0].symbol].name(terms[0].sensor)}, {sensor}"
+        panels = [_figure(term) for term in terms]
+        parts += [element("h3", title[0].upper() + title[1:]), element("div", *panels, class_="panels")]
+    return join(parts)
+
+
+def _figure(term: FleetTerm) -> Markup:
+    found = term.population
+    label = f"{term.name} {term.term}: {len(found.units)} units, sorted, with 95 % intervals"
+    text: list[str | Markup] = [element("b", f"{term.name} {term.term}"), ": median ", median_text(term)]
+    if found.spread:
+        text.append(f", units ±{percent(found.spread.value)}")
+    text.append(".")
+    if term.odd:
+        text.append(f" Odd: {', '.join(f'{u.unit} (p = {u.p_odd:.2g})' for u in term.odd)}.")
+    if term.price:
+        text.append(f" Price of {bound_name(term)}: {price_text(term)}.")
+    text += [f" {finding.text}" for finding in found.findings]
+    return element("figure", unit_panel(term, label), element("figcaption", *text))
+
+
+def _strips(models: tuple[SensorModel, ...]) -> Markup:
+    keys = dict.fromkeys((term.name, term.term) for model in models for term in model.terms)
+    panels = []
+    for name, key in keys:
+        own = [(m, t) for m in models for t in m.terms if (t.name, t.term) == (name, key)]
+        label = f"{name} {key}: a row a model, a dot a unit"
+        panels.append(
+            element("figure", strip_panel(own, label), element("figcaption", element("b", f"{name} {key}")))
+        )
+    return element("div", *panels, class_="panels")
+
+
+def _heat_note() -> Markup:
+    return element(
+        "p",
+        "Colour: how many standard deviations of the next unit a unit lies above (warm) or below (cold) the "
+        "median, one, two or three. A frame and ! mark an odd unit.",
+    )
+
+
+def _file(package: str, name: str) -> str:
+    return files(package).joinpath("page", name).read_text(encoding="utf-8")

@@ -1,0 +1,121 @@
+"""`imucal.fit` of one axis: CPU against y, memory beside the samples, and lengths next to each other.
+
+    python tests/benchmarks/bench_axis.py [--large] [--near 2160000]
+
+`--large` adds 1e8 samples. Each length runs in a process of its own; y is that of `bench_job`. Neighbours are
+n - 20 … n + 20 and the primes on either side; every one of them should take at most 1.2 times the median.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+import imucal
+from imucal.recording import AxisSeries
+from tests.benchmarks.bench_job import yardstick
+
+#: How often the memory is looked at, in s.
+_LOOK = 0.002
+#: Lengths about `--near` that are measured, less it.
+_OFFSETS = (-20, -19, -13, -7, -3, -2, -1, 0, 1, 2, 3, 7, 13, 19, 20)
+
+
+def resident() -> int:
+    """Return the memory that this process holds, in bytes."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return 4096 * pages
+
+
+def axis(n: int) -> AxisSeries:
+    """Return white noise."""
+    return AxisSeries.from_samples(np.random.default_rng(5).standard_normal(n), rate_hz=200.0)
+
+
+def measure(n: int) -> dict[str, float]:
+    """Return CPU in s and bytes a sample of a fit, beside what was there before."""
+    series = axis(n)
+    imucal.fit(axis(20_000))
+    before, highest, stop = resident(), 0, threading.Event()
+
+    def watch() -> None:
+        nonlocal highest
+        while not stop.wait(_LOOK):
+            highest = max(highest, resident())
+
+    watching = threading.Thread(target=watch)
+    watching.start()
+    start = time.thread_time()
+    imucal.fit(series)
+    cpu = time.thread_time() - start
+    stop.set()
+    watching.join()
+    return {"cpu": cpu, "bytes": max(highest - before, 0) / n}
+
+
+def alone(n: int) -> dict[str, float]:
+    """Measure in a process of its own."""
+    command = [sys.executable, "-m", "tests.benchmarks.bench_axis", "--one", str(n)]
+    done = subprocess.run(command, check=True, capture_output=True, cwd=Path(__file__).parents[2])  # noqa: S603
+    found: dict[str, float] = json.loads(done.stdout)
+    return found
+
+
+def primes_about(n: int) -> tuple[int, int]:
+    """Return the largest prime below `n` and the smallest above."""
+
+    def is_prime(number: int) -> bool:
+        return all(number % divisor for divisor in range(2, int(number**0.5) + 1))
+
+    below = next(number for number in range(n - 1, 1, -1) if is_prime(number))
+    above = next(number for number in range(n + 1, 2 * n + 3) if is_prime(number))
+    return below, above
+
+
+def neighbours(n: int) -> None:
+    """Print the CPU of lengths about `n`, the least of five, over their median."""
+    lengths = sorted({*(n + offset for offset in _OFFSETS), *primes_about(n)})
+    samples = axis(max(lengths)).samples
+    imucal.fit(axis(20_000))
+    seconds = dict.fromkeys(lengths, np.inf)
+    for _ in range(5):
+        for length in lengths:
+            start = time.thread_time()
+            imucal.fit(AxisSeries.from_samples(samples[:length], rate_hz=200.0))
+            seconds[length] = min(seconds[length], time.thread_time() - start)
+    middle = float(np.median(list(seconds.values())))
+    slowest = max(seconds, key=lambda length: seconds[length])
+    most = seconds[slowest]
+    print(f"\n| lengths about {n} | median CPU s | slowest | CPU s | over the median |")
+    print("|---|---|---|---|---|")
+    print(f"| {len(lengths)} | {middle:.2f} | {slowest} | {most:.2f} | {most / middle:.2f} |")
+
+
+def main() -> None:
+    """Print the tables in Markdown."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--large", action="store_true")
+    parser.add_argument("--near", type=int, default=2_160_000)
+    parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.one:
+        print(json.dumps(measure(given.one)))
+        return
+    y = min(yardstick() for _ in range(2))
+    print("| white samples | CPU s | CPU / y | ns a sample | bytes a sample beside them |")
+    print("|---|---|---|---|---|")
+    for n in (10**6, 10**7, *([10**8] if given.large else [])):
+        best = min((alone(n) for _ in range(2)), key=lambda found: found["cpu"])
+        cpu = best["cpu"]
+        numbers = f"{cpu:.2f} | {cpu / y:.2f} | {1e9 * cpu / n:.0f} | {best['bytes']:.1f}"
+        print(f"| {n:.0e} | {numbers} |", flush=True)
+    neighbours(given.near)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,137 @@
+"""``imucal fleet report``, and fleets in ``export``, ``check`` and ``compare``: what a person sees."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imucal
+from tests.cli.run import run
+from tests.fleet_report.simulated_store import TERMS, write_store
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a working folder with two fleets of eight units, and logs of a unit like them and of another."""
+    place = tmp_path_factory.mktemp("fleets")
+    for name, seed in (("fleet", 3), ("later", 4)):
+        write_store(
+            place / name,
+            units=8,
+            seed=seed,
+            special=False,
+            failures=False,
+            weak="",
+            temperatures=(25.0, 25.0),
+        )
+    write_store(place / "two", units=2, special=False, failures=False, weak="")
+    write_store(place / "loose", units=2, labelled=False, special=False, failures=False, weak="")
+    for name, factor in (("like.npz", 1.0), ("other.npz", 1.8)):
+        rng = np.random.default_rng(5)
+        rates = [
+            imucal.NoiseModel.parse(
+                " + ".join(f"{term}={factor * TERMS[sensor, term][1]}" for term in ("N", "B", "K"))
+            ).simulate(20_000, rate_hz=200.0, rng=rng)
+            for sensor in ("gyroscope", "accelerometer")
+            for _ in "xyz"
+        ]
+        rates[5] += 9.80665
+        columns = {
+            "time (s)": np.arange(20_000) / 200,
+            "gyro (rad/s)": np.stack(rates[:3]).T,
+            "accel (m/s^2)": np.stack(rates[3:]).T,
+        }
+        np.savez(place / name, **columns)  # type: ignore[arg-type] # its last argument is a flag
+    return place
+
+
+def test_report_writes_its_files_and_says_what_matters(folder: Path) -> None:
+    """Paths on standard output, one sentence on the other."""
+    done = run("fleet", "report", "fleet", "--no-pictures", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["fleet/fleet.json", "fleet/fleet.csv", "fleet/fleet.html"]
+    assert done.stderr.endswith(".\n")
+    document = json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8"))
+    higher = run("fleet", "report", "fleet", "--no-pictures", "--no-html", "--content", "0.99", cwd=folder)
+    assert higher.stdout.split() == ["fleet/fleet.json", "fleet/fleet.csv"]
+    again = json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8"))
+    one, other = (each["models"][0]["terms"][0] for each in (document, again))
+    assert other["tolerance"] > one["tolerance"]
+    assert other["median"] == one["median"]
+
+
+def test_report_says_which_labels_to_type(folder: Path) -> None:
+    """Where no log has a unit."""
+    done = run("fleet", "report", "loose", "--no-pictures", cwd=folder)
+    assert done.returncode == 0
+    assert "to have them counted, run the fleet with --labels '{unit}.mcap'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (("fleet", "report", "nothing"), 3, "expected the folder of a fleet"),
+        (("export", "two", "--to", "kalibr"), 4, "found 2 units, expected 3 at least for a tolerance bound"),
+        (
+            ("export", "like.npz", "--value", "median", "--to", "kalibr"),
+            2,
+            "is no fleet, but --value is about one",
+        ),
+        (
+            ("export", "fleet", "--fleet-model", "X", "--to", "kalibr"),
+            3,
+            "expected one of the sensor models: 'ACME-6'",
+        ),
+        (("export", "fleet", "--rate", "9", "--to", "kalibr"), 2, "without options of reading a log"),
+        (("compare", "fleet", "like.npz"), 2, "imucal check like.npz --fleet fleet"),
+        (("compare", "a", "b", "--fleet-model", "X"), 2, "is no fleet, but --fleet-model is about one"),
+        (("check", "like.npz", "--fleet", "nothing"), 3, "expected the folder of a fleet"),
+        (("check", "like.npz", "--fleet-model", "X"), 2, "give --fleet FLEET too"),
+        (("check", "like.npz", "--fleet", "two"), 4, "found 2 units of ACME-6, expected 3 at least"),
+    ],
+)
+def test_what_does_not_go_together_is_said(
+    folder: Path, words: tuple[str, ...], code: int, text: str
+) -> None:
+    """With the exit code of its kind."""
+    done = run(*words, cwd=folder)
+    assert done.returncode == code, done.stderr
+    assert text in " ".join(done.stderr.split())
+
+
+def test_a_fleet_is_exported(folder: Path) -> None:
+    """The bound by default, the median on request; the file says which."""
+    bound = run("export", "fleet", "--to", "kalibr", "-o", "-", cwd=folder)
+    median = run("export", "fleet", "--value", "median", "--to", "kalibr", "-o", "-", cwd=folder)
+    assert "every number is the 95/95 tolerance bound" in bound.stdout
+    assert "N of gyro_" in bound.stdout
+    assert "95/95 tolerance bound of 8 units" in bound.stdout
+    assert "every number is the median unit" in median.stdout
+
+    def density(text: str) -> float:
+        line = next(line for line in text.splitlines() if line.startswith("gyroscope_noise_density"))
+        return float(line.split()[1])
+
+    assert density(bound.stdout) > density(median.stdout)
+
+
+def test_two_fleets_are_compared(folder: Path) -> None:
+    """Eighteen tests; two of one sensor model do not differ."""
+    done = run("compare", "fleet", "later", cwd=folder)
+    assert done.returncode == 0, done.stdout
+    assert "no significant difference (p adjusted for 18 tests" in done.stdout
+    assert done.stderr == "A: fleet\nB: later\n"
+
+
+def test_a_log_is_asked_whether_it_is_one_of_the_fleet(folder: Path) -> None:
+    """Exit 0 for a unit like the others, 1 for one of 1.8 times the noise; JSON and JUnit as ever."""
+    like = run("check", "like.npz", "--fleet", "fleet", "-q", cwd=folder)
+    assert like.returncode == 0, like.stdout
+    assert "gyro_x  N in [" in like.stdout
+    other = run("check", "other.npz", "--fleet", "fleet", "--json", "--junit", "out.xml", "-q", cwd=folder)
+    assert other.returncode == 1
+    rows = json.loads(other.stdout)["rows"]
+    failed = {row["where"] for row in rows if row["verdict"] == "fail" and row["subject"].startswith("N in")}
+    assert failed == {"gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"}
+    assert "the next unit of ACME-6 lies in" in (folder / "out.xml").read_text(encoding="utf-8")

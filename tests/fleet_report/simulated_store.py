@@ -1,0 +1,188 @@
+"""Stores of simulated fleets: what the logs of many units would say, without the logs."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from imucal.fitting.packed_bins import pack
+from imucal.fleet.store import FleetStore
+from imucal.fleet.store_columns import MANIFEST
+from tests.fleet.records import bins_from, simulated
+
+Z = 1.959963984540054
+#: Sensor and term -> SI unit, median, spread between units, relative error.
+TERMS = {
+    ("gyroscope", "N"): ("rad/s/sqrt(Hz)", 8.7e-5, 0.08, 0.004),
+    ("gyroscope", "B"): ("rad/s", 2.4e-5, 0.15, 0.06),
+    ("gyroscope", "K"): ("rad/s/sqrt(s)", 1.1e-6, 0.3, 0.5),
+    ("accelerometer", "N"): ("m/s^2/sqrt(Hz)", 1.2e-3, 0.05, 0.004),
+    ("accelerometer", "B"): ("m/s^2", 2.0e-4, 0.2, 0.05),
+    ("accelerometer", "K"): ("m/s^2/sqrt(s)", 2.5e-5, 0.3, 0.3),
+}
+#: A unit's coefficient moves so much a °C and a year.
+PER_C, PER_YEAR = 0.003, 0.02
+
+
+def write_store(
+    folder: Path,
+    *,
+    units: int = 24,
+    models: Sequence[str] = ("ACME-6",),
+    temperatures: Sequence[float] = (10.0, 25.0, 45.0, 25.0),
+    labelled: bool = True,
+    seed: int = 1,
+    bins: int = 0,
+    weak: str = "x",
+    special: bool = True,
+    failures: bool = True,
+) -> FleetStore:
+    """Write the store of a fleet: by `special`, unit 7 is odd in gyro_z N and unit 11 drifts in gyro_x B.
+
+    Only K of the gyroscope's axes in `weak` is weak: that takes the most time.
+    `bins` units carry binned spectra of short records too, of which the last one's records differ.
+    """
+    store = FleetStore(folder)
+    store.create()
+    rng = np.random.default_rng(seed)
+    logs: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
+    packed: list[dict[str, Any]] = []
+    for number, model in enumerate(models):
+        for unit in range(units):
+            own = {
+                (s, a, t): rng.standard_normal() * TERMS[s, t][2] + 0.4 * number
+                for s, t in TERMS
+                for a in "xyz"
+            }
+            if special and unit == 7:
+                own["gyroscope", "z", "N"] += 0.8
+            for place, celsius in enumerate(temperatures):
+                path = (
+                    f"logs/{model}/u{unit:02}/{place}-{celsius:g}C.mcap"
+                    if labelled
+                    else f"logs/{number}-{unit}-{place}.mcap"
+                )
+                key = f"{number:02}{unit:04}{place:02}"
+                logs.append(_log(key, path, model, f"u{unit:02}" if labelled else None, celsius, place))
+                drift = 0.5 * place if special and unit == 11 else 0.0
+                results += _results(rng, key, own, celsius, place, drift, weak)
+                if unit < bins:
+                    scale = 1.3 if unit == bins - 1 and place == 1 else 1.0
+                    record = bins_from(simulated(f"N={scale * 1e-4} + K=1e-5", 2000, 91, unit, place))
+                    packed.append({"key": key, "sensor": "gyroscope", "axis": "x", "bins": pack(record)})
+    if failures:
+        logs += _failures(models[0])
+    columns = [name for name in MANIFEST if name in logs[0] or name in ("options", "copy_of")]
+    rows = [[log.get(name) for name in columns] for log in logs]
+    store.add_to_manifest(pl.DataFrame(rows, schema={name: MANIFEST[name] for name in columns}, orient="row"))
+    store.commit(logs, results, packed)
+    return store
+
+
+def _log(  # noqa: PLR0917
+    key: str, path: str, model: str, unit: str | None, celsius: float, place: int
+) -> dict[str, Any]:
+    return {
+        "key": key,
+        "content": key,
+        "path": path,
+        "model": model or None,
+        "unit": unit,
+        "temperature_c": celsius,
+        "started": f"202{2 + place}-03-01T10:00:00+00:00",
+        "status": "ok",
+        "reason": "",
+        "verdict": "good",
+        "findings": [],
+        "samples": 720_000,
+        "seconds": 3600.0,
+        "rate_hz": 200.0,
+        "bytes": 40_000_000,
+        "cpu_s": 2.5,
+        "wall_s": 2.6,
+        "finished": 1.0,
+        "report": "",
+        "version": "test",
+    }
+
+
+def _results(  # noqa: PLR0917
+    rng: np.random.Generator,
+    key: str,
+    own: dict[tuple[str, str, str], float],
+    celsius: float,
+    place: int,
+    drift: float,
+    weak: str,
+) -> list[dict[str, Any]]:
+    rows = []
+    for (sensor, axis, term), level in own.items():
+        unit, median, _, error = TERMS[sensor, term]
+        moved = level + PER_C * (celsius - 25) + PER_YEAR * place
+        if (sensor, axis, term) == ("gyroscope", "x", "B"):
+            moved += drift
+        rows.append(
+            {
+                "key": key,
+                "sensor": sensor,
+                "axis": axis,
+                "term": term,
+                "unit_si": unit,
+                "level": 0.95,
+                **_told(rng, median * math.exp(moved), _error(sensor, axis, error, weak), median=median),
+            }
+        )
+    return rows
+
+
+def _error(sensor: str, axis: str, error: float, weak: str) -> tuple[float, bool]:
+    """Return the error of a term, and whether it is weak: of the gyroscope's axes in `weak` alone."""
+    if error < 0.3:
+        return error, False
+    return (error, True) if sensor == "gyroscope" and axis in weak else (0.1, False)
+
+
+def _told(
+    rng: np.random.Generator,
+    truth: float,
+    told: tuple[float, bool],
+    *,
+    median: float,
+) -> dict[str, float | None]:
+    error, weak = told
+    if not weak:
+        value = truth * math.exp(error * rng.standard_normal())
+        low, high = value * math.exp(-Z * error), value * math.exp(Z * error)
+        return {"value": value, "low": low, "high": high, "variance": None, "variance_sd": None}
+    sd = error * median**2
+    square = truth**2 + sd * rng.standard_normal()
+    shown = square > Z * sd
+    return {
+        "value": math.sqrt(square) if shown else None,
+        "low": math.sqrt(square - Z * sd) if shown else 0.0,
+        "high": math.sqrt(max(square, 0.0) + Z * sd),
+        "variance": square,
+        "variance_sd": sd,
+    }
+
+
+def _failures(model: str) -> list[dict[str, Any]]:
+    def failed(name: str, status: str, reason: str, **more: Any) -> dict[str, Any]:  # noqa: ANN401
+        row = _log(f"f{name}", f"logs/{model}/{name}", model, "u90", 25.0, 0)
+        return (
+            row | {"status": status, "reason": reason, "verdict": "", "seconds": None, "rate_hz": None} | more
+        )
+
+    cut = "logs/{}: the file is damaged: no footer after byte {}"
+    one, other = (cut.format(f"{model}/{name}", n) for name, n in (("u90/a.mcap", 12), ("u91/b.mcap", 99)))
+    return [
+        failed("u90/a.mcap", "unreadable", one, report="reports/fa"),
+        failed("u91/b.mcap", "unreadable", other, report="reports/fb"),
+        failed("u92/c.mcap", "timeout", "took longer than 600 s"),
+        failed("u93/d.mcap", "memory", "needed more than 2 GB"),
+        failed("u94/e.mcap", "ok", "", verdict="not-noise", findings=["motion", "touch"], seconds=60.0),
+    ]

@@ -1,0 +1,398 @@
+"""From the store of a fleet to its report: numbers, files, page, and what is said of too little."""
+
+import csv
+import io
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import polars as pl
+import pytest
+from lxml import html
+from scipy import stats
+
+import imucal
+from imucal import DataError, Fleet, ReadError
+from imucal.errors import ChoiceError
+from imucal.fleet.store import FleetStore
+from imucal.fleet.store_columns import MANIFEST
+from imucal.fleet_report.fleet_document import fleet_csv, fleet_document, fleet_schema
+from imucal.fleet_report.fleet_figures import drift_figure, heat_figure, models_figure, units_figure
+from imucal.fleet_report.fleet_page import render_fleet_page, verdict
+from imucal.fleet_report.fleet_tables import heat_table
+from imucal.fleet_report.loading import labels_to_type
+from imucal.fleet_report.panels import unit_panel
+from imucal.fleet_report.sample_size import NEAR, tolerance_excess
+from imucal.recording import Sensor
+from tests.fleet_report.simulated_store import TERMS, write_store
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a store of 24 units: u07 is odd, u11 drifts, logs of u02 differ, five logs failed."""
+    place = tmp_path_factory.mktemp("fleets") / "fleet"
+    write_store(place, bins=3)
+    return place
+
+
+@pytest.fixture(scope="module")
+def fleet(folder: Path) -> Fleet:
+    """Return what it says."""
+    return imucal.load_fleet(folder)
+
+
+def test_the_truth_is_found(fleet: Fleet) -> None:
+    """Medians within their limits in all but a few of 18 terms, the odd and the drifting unit by name."""
+    model = fleet.model()
+    held = [
+        term.population.median.low
+        <= TERMS[str(term.sensor), term.term][1] * math.exp(0.034)
+        <= term.population.median.high
+        for term in model.terms
+    ]
+    assert sum(held) >= 14
+    assert model["gyro_z", "N"].odd[0].unit == "u07"
+    assert model["gyro_x", "B"].drifting == ("u11",)
+    assert model["gyro_x", "N"].differing == ("u02",)
+    assert [test.unit for test in model["gyro_x", "N"].unit_logs] == ["u00", "u01", "u02"]
+    with pytest.raises(KeyError, match="gyro_x N"):
+        model["gyro_x", "Q"]
+
+
+def test_logs_that_do_not_count_are_grouped(fleet: Fleet) -> None:
+    """The most frequent reason first; a log that was moved is one of them."""
+    assert [(kind, len(logs)) for (kind, _), logs in fleet.failures.items()] == [
+        ("unreadable", 2),
+        ("memory", 1),
+        ("not-noise", 1),
+        ("timeout", 1),
+    ]
+    assert ("unreadable", "the file is damaged: no footer after byte 12") in fleet.failures
+    assert "u94" not in fleet.model().units
+    assert verdict(fleet)[0] == "look"
+    assert "u07 (gyro_z N)" in verdict(fleet)[1]
+    assert "5 of 101 logs do not count" in verdict(fleet)[1]
+
+
+def test_the_document_is_as_its_schema_says(fleet: Fleet) -> None:
+    """And so is that of a fleet of two units, and of one without labels."""
+    jsonschema.validate(fleet_document(fleet), fleet_schema())
+    document = fleet_document(fleet)
+    term = document["models"][0]["terms"][0]  # type: ignore[index]
+    assert term["median"]["value"] == fleet.model().terms[0].population.median.value
+    assert len(term["units"]) == 24
+
+
+def test_the_table_has_a_row_a_unit_and_term(fleet: Fleet) -> None:
+    """With the numbers of the population beside it."""
+    rows = list(csv.DictReader(io.StringIO(fleet_csv(fleet))))
+    assert len(rows) == 24 * 18
+    odd = [row for row in rows if row["odd"] == "1" and row["term"] == "N"]
+    assert [(row["unit"], row["sensor"], row["axis"]) for row in odd] == [("u07", "gyroscope", "z")]
+    found = fleet.model()["gyro_z", "N"].population
+    assert float(odd[0]["tolerance"]) == found.tolerance
+    assert [row["logs_differ"] for row in rows[:4]] == ["0", "0", "1", ""]
+
+
+def test_few_units_have_neither_spread_nor_bound_and_it_is_said(tmp_path: Path) -> None:
+    """In the document, on the page, and by the export."""
+    write_store(tmp_path / "two", units=2, failures=False, special=False)
+    fleet = imucal.load_fleet(tmp_path / "two")
+    jsonschema.validate(fleet_document(fleet), fleet_schema())
+    found = fleet.model().terms[0].population
+    assert found.spread is None
+    assert found.tolerance is None
+    assert fleet.model().terms[0].price == ()
+    page = html.fromstring(render_fleet_page(fleet))
+    text = page.text_content()
+    assert "fewer than 3 units tell no spread between units, and so no bound" in text
+    assert "no bound" in page.cssselect("table.config")[0].text_content()
+    assert not page.cssselect("figure svg .band")
+    with pytest.raises(DataError, match="found 2 units, expected 3 at least for a tolerance bound"):
+        imucal.fleet_as_report(fleet)
+    assert imucal.fleet_as_report(fleet, value="median").axes[0].fit["N"].value == found.median.value
+    report = imucal.fleet_as_report(fleet, value="median")
+    with pytest.raises(DataError, match="found 2 units of ACME-6, expected 3 at least to say"):
+        imucal.check_fleet(report, fleet)
+
+
+def test_logs_without_a_unit_are_listed_with_the_labels_to_type(tmp_path: Path) -> None:
+    """No population of them."""
+    write_store(tmp_path / "loose", units=3, labelled=False, failures=False, special=False)
+    fleet = imucal.load_fleet(tmp_path / "loose")
+    assert fleet.models == ()
+    assert len(fleet.loose) == 12
+    assert fleet.labels == "{unit}.mcap"
+    jsonschema.validate(fleet_document(fleet), fleet_schema())
+    page = html.fromstring(render_fleet_page(fleet))
+    section = page.get_element_by_id("loose")
+    assert "--labels '{unit}.mcap'" in section.text_content()
+    assert len(section.cssselect("tbody tr")) == 12
+    with pytest.raises(ChoiceError, match="no log has a unit's label"):
+        fleet.model()
+
+
+@pytest.mark.parametrize(
+    ("paths", "text"),
+    [
+        (["a/u1/x.bag", "a/u2/x.bag"], "{unit}/*.bag"),
+        (["a/u1/x.bag", "a/u2/y.mcap"], "{unit}/*"),
+        (["u1.csv", "u2.csv"], "{unit}.csv"),
+        (["logs/u1.csv", "logs/u2.csv"], "{unit}.csv"),
+    ],
+)
+def test_labels_are_guessed_from_what_differs(paths: list[str], text: str) -> None:
+    """The folder where folders differ, else the name."""
+    assert labels_to_type(paths) == text
+
+
+def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
+    """And one of which nothing is done."""
+    with pytest.raises(ReadError, match="expected the folder of a fleet"):
+        imucal.load_fleet(tmp_path)
+    store = FleetStore(tmp_path / "empty")
+    store.create()
+    store.add_to_manifest(
+        pl.DataFrame({name: ["a.csv" if name == "path" else None] for name in MANIFEST}, schema=MANIFEST)
+    )
+    with pytest.raises(DataError, match="found 1 logs and none done"):
+        imucal.load_fleet(tmp_path / "empty")
+
+
+def test_the_price_is_that_of_the_noncentral_t_law() -> None:
+    """Of 5 and 50 units; what more units save is told up to near enough."""
+    for units, content in ((5, 0.95), (50, 0.9)):
+        z = stats.norm.ppf(content)
+        factor = stats.nct.ppf(0.95, units - 1, z * math.sqrt(units)) / math.sqrt(units)
+        assert tolerance_excess(units, 0.3, content=content) == pytest.approx(
+            math.exp(0.3 * (factor - z)), rel=1e-4
+        )
+    assert tolerance_excess(10_000, 0.3) < 1.01
+
+
+def test_the_units_that_come_near_enough_are_the_fewest(fleet: Fleet) -> None:
+    """One unit less is farther off."""
+    term = fleet.model()["accel_y", "K"]
+    spread = term.population.spread
+    assert spread is not None
+    near = next(units for units, ratio in term.price if ratio <= NEAR)
+    assert tolerance_excess(near - 1, spread.value) > NEAR >= tolerance_excess(near, spread.value)
+    assert [units for units, _ in term.price][:2] == [24, 48]
+
+
+def test_a_tolerance_bound_is_the_number_of_the_exports(fleet: Fleet) -> None:
+    """With where it comes from in the comment; every format can be written."""
+    from imucal.report.exports import TARGETS, render
+
+    report = imucal.fleet_as_report(fleet)
+    text = render(report, "kalibr")
+    worst = max(fleet.model()[f"gyro_{a}", "N"].population.tolerance or 0.0 for a in "xyz")
+    assert f"gyroscope_noise_density: {worst!r}" in text
+    assert "95/95 tolerance bound of 24 units" in text
+    assert "fleet of 24 units of ACME-6; every number is the 95/95 tolerance bound" in text
+    for target in TARGETS:
+        assert "written by imucal" in render(report, target)
+    with pytest.raises(ValueError, match="is not one of tolerance, median"):
+        imucal.fleet_as_report(fleet, value="mean")  # type: ignore[arg-type]
+
+
+def test_a_model_is_chosen_by_name(fleet: Fleet) -> None:
+    """One that is not there is refused, with those that are."""
+    assert fleet.model("ACME-6") is fleet.model()
+    with pytest.raises(ChoiceError, match="found 'BOLT-9', expected one of the sensor models: 'ACME-6'"):
+        imucal.fleet_as_report(fleet, "BOLT-9")
+
+
+def test_medians_of_two_fleets_are_compared(fleet: Fleet, tmp_path: Path) -> None:
+    """A fleet of the same model is the same; one whose units are 1.5 times as noisy differs."""
+    write_store(tmp_path / "b", seed=9, special=False, failures=False)
+    other = imucal.load_fleet(tmp_path / "b")
+    one, same = (imucal.fleet_as_report(each, value="median") for each in (fleet, other))
+    assert not imucal.compare(one, same).significant
+    noisy = replace(
+        same,
+        axes=tuple(
+            replace(
+                axis,
+                fit=replace(
+                    axis.fit,
+                    estimates=tuple(
+                        replace(e, value=1.5 * (e.value or 0), low=1.5 * e.low, high=1.5 * e.high)
+                        for e in axis.fit.estimates
+                    ),
+                ),
+            )
+            for axis in same.axes
+        ),
+    )
+    found = imucal.compare(one, noisy).significant
+    assert {(d.axis, d.key) for d in found} >= {("gyro_x", "N"), ("accel_z", "N")}
+
+
+def test_a_unit_of_the_fleet_passes_and_another_does_not(fleet: Fleet) -> None:
+    """By the numbers of its report; the sentence says where the next unit lies."""
+    report = imucal.fleet_as_report(fleet, value="median")
+    rows = imucal.check_fleet(report, fleet)
+    assert len(rows) == 18
+    assert {row.verdict for row in rows} == {"pass"}
+    axis = report.axes[0]
+    noisy = tuple(
+        replace(e, value=2 * (e.value or 0), low=2 * e.low, high=2 * e.high) if e.key == "N" else e
+        for e in axis.fit.estimates
+    )
+    wrong = replace(report, axes=(replace(axis, fit=replace(axis.fit, estimates=noisy)), *report.axes[1:]))
+    failed = [row for row in imucal.check_fleet(wrong, fleet) if row.verdict == "fail"]
+    assert [(row.where, row.subject[:4]) for row in failed] == [("gyro_x", "N in")]
+    assert "not as a unit of the fleet" in failed[0].text
+    assert "the next unit of ACME-6 lies in [" in failed[0].text
+    with pytest.raises(DataError, match="no axis and term in common with ACME-6"):
+        imucal.check_fleet(replace(report, axes=()), fleet)
+
+
+def test_units_of_the_fleet_fail_a_check_rarely() -> None:
+    """New units of 60 draws: a false alarm in about 5 % of them, by the membership of one term."""
+    from imucal.fleet.membership import membership
+    from tests.fleet.simulated import strong_fleet
+
+    rng = np.random.default_rng(4601)
+    p = [
+        membership(fleet[:-1], fleet[-1])
+        for fleet in (strong_fleet(rng, units=9, tau=0.2, error=0.05) for _ in range(60))
+    ]
+    assert np.mean(np.array(p) < 0.05) <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / 60)
+    assert 0.35 < np.mean(p) < 0.65
+    with pytest.raises(ValueError, match="3 units at least, got 2"):
+        membership(strong_fleet(rng, units=2, tau=0.2, error=0.05), fleet_of_one(rng))
+
+
+def fleet_of_one(rng: np.random.Generator) -> imucal.LogValue:
+    """Return one log."""
+    from tests.fleet.simulated import strong_fleet
+
+    return strong_fleet(rng, units=1, tau=0.1, error=0.1)[0]
+
+
+@pytest.fixture(scope="module")
+def page(fleet: Fleet) -> html.HtmlElement:
+    """Return the page of the fleet."""
+    return html.fromstring(render_fleet_page(fleet))
+
+
+def test_the_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
+    """Nor does it need a script for any number or picture."""
+    assert not page.cssselect("link[href^=http], script[src], img[src^=http], iframe")
+    assert len(page.cssselect("figure svg[role=img][aria-label]")) == 18
+
+
+def test_the_page_has_one_heading_and_named_sections(page: html.HtmlElement) -> None:
+    """Every link of the navigation leads somewhere, ids are there once, tables have captions and scopes."""
+    assert len(page.cssselect("h1")) == 1
+    ids = [element.get("id") for element in page.cssselect("[id]")]
+    assert len(ids) == len(set(ids))
+    for link in page.cssselect("nav a"):
+        assert page.get_element_by_id((link.get("href") or "")[1:]) is not None
+    for table in page.cssselect("table"):
+        assert table.cssselect("caption")
+        assert all(th.get("scope") for th in table.cssselect("th"))
+    for section in page.cssselect("section"):
+        assert page.get_element_by_id(section.get("aria-labelledby") or "") is not None
+
+
+def test_pictures_say_which_units_are_odd(page: html.HtmlElement) -> None:
+    """By a shape and a name, not by colour alone; the bound and the band are drawn in each."""
+    figures = page.cssselect("#units-0 figure")
+    assert len(figures) == 18
+    odd = [figure for figure in figures if figure.cssselect("polygon.mark.odd")]
+    assert "u07" in odd[0].text_content()
+    for figure in figures:
+        assert len(figure.cssselect("rect.band")) == 1
+        assert len(figure.cssselect("line.bound")) == 1
+    assert all(cell.text_content().endswith("!") for cell in page.cssselect("table.heat td.is-odd"))
+    assert len(page.cssselect("table.heat tbody tr")) == 24
+
+
+def test_units_are_sorted(fleet: Fleet) -> None:
+    """From the largest at the top to the smallest."""
+    from imucal.fleet_report.panels import sorted_units
+
+    values = [unit.value or unit.high for unit in sorted_units(fleet.model()["gyro_x", "B"])]
+    assert values == sorted(values, reverse=True)
+
+
+def test_a_failed_log_has_a_link_to_its_report(page: html.HtmlElement) -> None:
+    """Where it has one."""
+    links = [link.get("href") for link in page.get_element_by_id("failed").cssselect("a")]
+    assert links == ["reports/fa/report.html", "reports/fb/report.html"]
+
+
+def test_names_of_logs_and_units_can_do_no_harm(fleet: Fleet) -> None:
+    """They are text."""
+    bad = replace(fleet, logs=tuple(replace(log, path="<script>x</script>") for log in fleet.logs))
+    text = render_fleet_page(bad)
+    assert "<script>x" not in text
+    assert render_fleet_page(fleet) == render_fleet_page(fleet)
+
+
+def test_a_thousand_units_stay_readable(fleet: Fleet) -> None:
+    """Pictures have one height, the odd ones keep their names; the table names the strangest."""
+    model = fleet.model()
+    term = model["gyro_z", "N"]
+    few = term.population.units
+    many = tuple(replace(few[i % 24], unit=f"u{i:04}", odd=i == 7) for i in range(1000))
+    crowd = replace(term, population=replace(term.population, units=many))
+    picture = html.fromstring(unit_panel(crowd, "many"))
+    assert float((picture.get("viewbox") or "").split()[3]) < 1600
+    assert [text.text for text in picture.cssselect("text.odd")] == ["u0007"]
+    assert not picture.cssselect("text.name")
+    large = replace(model, units=tuple(unit.unit for unit in many), terms=(crowd,))
+    table = html.fromstring(heat_table(large))
+    assert len(table.cssselect("tbody tr")) == 200
+    assert "the 200 strangest of 1000 units" in table.text_content()
+    assert "u0007" in table.text_content()
+
+
+def test_pictures_are_drawn(fleet: Fleet) -> None:
+    """A panel each term and axis; a cell each unit and term; the name of the unit that drifts."""
+    model = fleet.model()
+    assert len(units_figure(model, Sensor.GYROSCOPE).axes) == 9
+    heat = heat_figure(model).axes[0]
+    assert heat.images[0].get_array().shape == (24, 18)  # type: ignore[union-attr]
+    texts = [text.get_text() for axes in drift_figure(model).axes for text in axes.texts]
+    assert "u11" in texts
+    other = replace(model, name="BOLT-9")
+    assert len(models_figure((model, other)).axes) == 18
+
+
+def test_two_models_stand_side_by_side(fleet: Fleet) -> None:
+    """A row each in every strip."""
+    both = replace(fleet, models=(fleet.model(), replace(fleet.model(), name="BOLT-9")))
+    page = html.fromstring(render_fleet_page(both))
+    strips = page.get_element_by_id("models").cssselect("figure")
+    assert len(strips) == 18
+    assert [text.text for text in strips[0].cssselect("text.name")] == ["ACME-6", "BOLT-9"]
+
+
+def test_files_are_written_whole(fleet: Fleet, tmp_path: Path) -> None:
+    """JSON first; a picture that can't be drawn is a finding."""
+    files = imucal.write_fleet(fleet, tmp_path, pictures=False)
+    assert [file.name for file in files] == ["fleet.json", "fleet.csv", "fleet.html"]
+    assert json.loads(files[0].read_text(encoding="utf-8"))["schema"] == "imucal/fleet/1"
+
+
+def test_a_picture_that_fails_costs_nothing_else(
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The others are there, and the document says which is missing."""
+
+    def broken(*_: object) -> None:
+        raise ArithmeticError
+
+    monkeypatch.setattr("imucal.fleet_report.fleet_figures.heat_figure", broken)
+    monkeypatch.setattr("imucal.fleet_report.fleet_figures.units_figure", broken)
+    files = [file.name for file in imucal.write_fleet(fleet, tmp_path)]
+    assert files == ["fleet.json", "fleet.csv", "fleet.html", "drift.png"]
+    findings = json.loads((tmp_path / "fleet.json").read_text(encoding="utf-8"))["findings"]
+    assert {finding["code"] for finding in findings} == {"not-drawn"}
