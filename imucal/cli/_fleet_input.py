@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imucal.remote import is_url
+
 if TYPE_CHECKING:
     from imucal.fleet_report import Fleet
 
@@ -15,8 +17,8 @@ model_option = click.option(
 
 
 def is_fleet(path: str | Path) -> bool:
-    """Return whether a path is the folder of a fleet."""
-    return (Path(path) / "manifest.parquet").is_file()
+    """Return whether a path is the folder of a fleet; a URL is none."""
+    return not is_url(path) and (Path(path) / "manifest.parquet").is_file()
 
 
 def read_fleet(path: str | Path) -> "Fleet":

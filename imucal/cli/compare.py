@@ -13,6 +13,8 @@ from imucal.cli._terminal import FULL, width
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.remote import is_url
+from imucal.remote.addresses import shown as shown_address
 from imucal.report.document import plain
 from imucal.report.result import Report
 from imucal.units import DatasheetUnit
@@ -94,20 +96,25 @@ def _both(a: str, b: str, model: str | None) -> tuple[Report, Report]:
     fleets = [is_fleet(path) for path in (a, b)]
     if not any(fleets):
         if model is not None:
-            msg = f"{a} is no fleet, but --fleet-model is about one"
+            msg = f"{shown_address(a)} is no fleet, but --fleet-model is about one"
             raise click.UsageError(msg)
         return read_report(a), read_report(b)
     if not all(fleets):
         fleet, other = (a, b) if fleets[0] else (b, a)
         msg = (
-            f"{fleet} is a fleet and {other} is none; compare two fleets, or ask whether a log is of one of "
-            f"its units: imucal check {as_typed(Path(other))} --fleet {as_typed(Path(fleet))}"
+            f"{fleet} is a fleet and {shown_address(other)} is none; compare two fleets, or ask if a log "
+            f"is of one of its units: imucal check {_typed(other)} --fleet {_typed(fleet)}"
         )
         raise click.UsageError(msg)
     from imucal.fleet_report.as_report import fleet_as_report
 
     one, other_one = (fleet_as_report(read_fleet(path), model, value="median") for path in (a, b))
     return one, other_one
+
+
+def _typed(text: str) -> str:
+    """Return a path or a URL as a shell takes it, without the URL's secrets."""
+    return shown_address(text) if is_url(text) else as_typed(Path(text))
 
 
 def to_document(result: Comparison) -> dict[str, object]:

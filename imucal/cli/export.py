@@ -15,6 +15,7 @@ from imucal.cli._report_input import load_report, report_or_log
 from imucal.cli._verdict_line import force_option, refuse
 from imucal.errors import WriteError
 from imucal.recording import Sensor
+from imucal.remote.addresses import shown as shown_address
 from imucal.report.exports import INFLATABLE, TARGETS, AxisPolicy, Unidentified, export, find_target, render
 from imucal.report.result import Report
 
@@ -211,7 +212,7 @@ def _report(request: LogRequest, value: "FleetValue | None", model: str | None) 
 
         return fleet_as_report(read_fleet(folder), model, value=value or "tolerance")
     if value or model is not None:
-        msg = f"{folder} is no fleet, but --{'value' if value else 'fleet-model'} is about one"
+        msg = f"{shown_address(folder)} is no fleet, but --{'value' if value else 'fleet-model'} is about one"
         raise click.UsageError(msg)
     return load_report(request)
 

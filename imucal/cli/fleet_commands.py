@@ -23,7 +23,8 @@ FLEET_COMMANDS: dict[str, tuple[str, str]] = {
     epilog="""\b
 Examples:
   imucal fleet run logs --labels '{model}/{unit}/*.mcap' -o fleet
-  imucal fleet status fleet""",
+  imucal fleet status fleet
+  imucal fleet report fleet""",
 )
 def command() -> None:
     """Characterise many logs of many units, and the model of the sensor that they are units of.

@@ -205,8 +205,8 @@ def read_loadtxt(path: Path, n: int) -> None:
     np.loadtxt(path, delimiter=",", skiprows=1, max_rows=n)
 
 
-def idle_chunks_read(path: Path) -> tuple[int, int, int]:
-    """Return of an MCAP file how many chunks without IMU messages are read, how many there are, its size."""
+def idle_chunks_read(path: Path) -> tuple[int, int]:
+    """Return how many chunks without IMU messages are read of an MCAP file, and how many there are."""
     from mcap.reader import make_reader
 
     from imucal.readers import read
@@ -234,7 +234,7 @@ def idle_chunks_read(path: Path) -> tuple[int, int, int]:
         bool(((first < c.chunk_start_offset + c.chunk_length) & (last > c.chunk_start_offset)).any())
         for c in idle
     ]
-    return sum(read_of), len(idle), path.stat().st_size
+    return sum(read_of), len(idle)
 
 
 READERS: dict[str, Callable[[Path, int], Recording | None]] = {
@@ -309,6 +309,8 @@ def main() -> None:
         folder = given.folder or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         print(f"{given.n} messages; peers read {given.peers}; best of {given.repeat}; CPU ns per message\n")
+        print("| log | imucal | wall | MB | bare decompression | imucal / bare | others |")
+        print("|---|---|---|---|---|---|---|")
         rows = [_report(name, folder, given) for name in given.formats]
     print("\n| what | wanted | measured | met |\n|---|---|---|---|")
     print("\n".join(row for row in rows if row))
@@ -340,16 +342,14 @@ def _report(name: str, folder: Path, given: argparse.Namespace) -> str:
                 costs[reader].append(measure(reader, log, count))
     best = {reader: min(found) for reader, found in costs.items()}
     own = best["imucal"]
-    print(f"{name:10} imucal {own[0]:8.0f} (wall {own[1]:.0f}, {own[2]:.0f} MB)", end="")
-    for reader in wanted:
-        cost = best[reader][0]
-        text = f"{own[0] / cost:.2f}x of it" if reader == "bare" else f"{cost / own[0]:.1f}x imucal"
-        print(f"   {reader} {cost:.0f}: {text}", end="")
-    print(flush=True)
+    cells = [f"{name} | {own[0]:.0f} | {own[1]:.0f} | {own[2]:.0f} | {best['bare'][0]:.0f}"]
+    cells += [f"{own[0] / best['bare'][0]:.2f}"]
+    others = [reader for reader in wanted if reader in SLOW]
+    cells += [", ".join(f"{r} {best[r][0]:.0f} ({best[r][0] / own[0]:.1f} x)" for r in others)]
+    print(f"| {' | '.join(cells)} |", flush=True)
     target = TARGETS.get(name)
     if name == "camera":
-        idle, chunks, size = idle_chunks_read(path)
-        print(f"{'':10} {size / 1e6:.0f} MB, {chunks} chunks without IMU messages, of which {idle} are read")
+        idle, chunks = idle_chunks_read(path)
         return f"| {TARGETS[name].text} | 0 | {idle} of {chunks} | {'no' if idle else 'yes'} |"
     return target.row(own[0], best[target.peer][0]) if target else ""
 

@@ -1,7 +1,8 @@
 """What disturbances do to the fit, and how often a clean record is said to have one.
 
     python tests/benchmarks/disturbances.py table [records] [seed]      input | N, B, K | findings
-    python tests/benchmarks/disturbances.py coverage [records] [seed]   input | how many hold N, B, K
+    python tests/benchmarks/disturbances.py coverage [records] [seed] [part of a name]
+                                                                        input | how many hold N, B, K
     python tests/benchmarks/disturbances.py clean [records] [seed]      truth | how often each finding
     python tests/benchmarks/disturbances.py filters [records] [seed]    filter | how often each finding
     python tests/benchmarks/disturbances.py lengths                     length | CPU of transform and analysis
@@ -169,7 +170,10 @@ def shown(fit: "NoiseFit", truth: str) -> str:
 
 def coverage(records: int, seed: int) -> None:
     """Print how many records of each disturbance hold the truth, and what is said of them."""
+    wanted = sys.argv[4] if len(sys.argv) > 4 else ""
     for number, (name, (truth, make)) in enumerate(INPUTS.items()):
+        if wanted not in name:
+            continue
         held: Counter[str] = Counter()
         codes: Counter[str] = Counter()
         for record in range(records):

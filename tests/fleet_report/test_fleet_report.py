@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from imucal.fleet_report.panels import unit_panel
 from imucal.fleet_report.sample_size import NEAR, tolerance_excess
 from imucal.recording import Sensor
 from tests.fleet_report.simulated_store import TERMS, write_store
+from tests.report.browser import Browser
 
 
 @pytest.fixture(scope="module")
@@ -396,3 +398,38 @@ def test_a_picture_that_fails_costs_nothing_else(
     assert files == ["fleet.json", "fleet.csv", "fleet.html", "drift.png"]
     findings = json.loads((tmp_path / "fleet.json").read_text(encoding="utf-8"))["findings"]
     assert {finding["code"] for finding in findings} == {"not-drawn"}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Yield one browser."""
+    with Browser() as session:
+        yield session
+
+
+def test_the_page_in_a_browser(browser: Browser, fleet: Fleet, tmp_path: Path) -> None:
+    """No error, no request; narrow screens scroll only downwards; paper is white and wide enough."""
+    (tmp_path / "fleet.html").write_text(render_fleet_page(fleet), encoding="utf-8")
+    browser.open((tmp_path / "fleet.html").as_uri())
+    assert browser.run("return getComputedStyle(document.querySelector('svg .si')).display") == "none"
+    browser.run("document.querySelector('input[value=si]').click()")
+    assert browser.run("return getComputedStyle(document.querySelector('svg .sheet')).display") == "none"
+    browser.run("document.querySelector('input[value=dark]').click()")
+    paper = "return getComputedStyle(document.body).backgroundColor"
+    assert browser.run(paper) == "rgb(18, 23, 29)"
+    inside = "return document.documentElement.scrollWidth <= innerWidth"
+    wide = (
+        "return [...document.querySelectorAll('.scroll')].filter((s) => s.scrollWidth > s.clientWidth + 1)"
+        ".map((s) => s.querySelector('table').className)"
+    )
+    size = "Emulation.setDeviceMetricsOverride"
+    browser.devtools(size, width=390, height=800, deviceScaleFactor=1, mobile=False)
+    assert browser.run(inside)
+    # A matrix of 18 columns; its first column stays in sight.
+    assert browser.run(wide) == ["heat"]
+    # 186 mm at 96 px an inch.
+    browser.devtools(size, width=703, height=1000, deviceScaleFactor=1, mobile=False)
+    browser.devtools("Emulation.setEmulatedMedia", media="print")
+    assert browser.run(paper) == "rgb(255, 255, 255)"
+    assert browser.run(inside)
+    assert not [log for log in browser.logs("browser") if log["level"] == "SEVERE"]

@@ -20,7 +20,7 @@ from imucal.noise.formulas import gauss_markov_dct
 
 _GRID = 16
 #: Rounds of updates of every mixture, and more of a candidate's best few.
-_FIRST_ROUNDS, _MORE_ROUNDS = 12, 38
+_FIRST_ROUNDS, _MORE_ROUNDS = 25, 25
 _BEST = 40
 #: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.
 _ROWS = 96

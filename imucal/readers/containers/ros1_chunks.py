@@ -68,8 +68,7 @@ class BagChunkTask:
         """Return connection -> entries of its index record."""
         found: dict[int, memoryview] = {}
         try:
-            # The end of the region is no record: it ends the loop as damage does.
-            while True:
+            while at < len(region):
                 entry = record(region, at)
                 if entry.opcode != records.INDEX:
                     break

@@ -62,15 +62,14 @@ def record(buffer: Bytes, at: int) -> Record:
 def fields(buffer: Bytes, at: int, end: int) -> dict[bytes, bytes]:
     """Return name -> value of the fields between two places."""
     found = {}
-    while at + 4 <= end:
-        size = U32.unpack_from(buffer, at)[0]
-        if at + 4 + size > end:
-            raise _broken()
-        name, equals, value = bytes(buffer[at + 4 : at + 4 + size]).partition(b"=")
-        if not equals:
+    data, place = bytes(buffer[at:end]), 0
+    while place + 4 <= len(data):
+        start = place + 4
+        place = start + U32.unpack_from(data, place)[0]
+        name, equals, value = data[start:place].partition(b"=")
+        if place > len(data) or not equals:
             raise _broken()
         found[name] = value
-        at += 4 + size
     return found
 
 

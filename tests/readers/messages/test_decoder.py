@@ -170,6 +170,17 @@ def test_records_of_many_sizes_go_the_slow_way() -> None:
     assert not decoder(1).fast(other.batch(guards=()), columns(2), 2)
 
 
+def test_a_first_message_that_claims_too_much_is_left_to_the_slow_way() -> None:
+    """Its string is longer than the chunk: that is found, and told, message by message."""
+    log = Log(payloads=[payload(0, 1), payload(1, 1)])
+    batch = log.batch()
+    first = int(batch.payload()[0]) + 4
+    data = bytes(batch.buffer)
+    at = first + data[first:].index(b"\x04\0\0\0")
+    broken = replace(batch, buffer=bytearray(data[:at] + b"\xff\xff\xff\x7f" + data[at + 4 :]))
+    assert not decoder(1).fast(broken, columns(2), 2)
+
+
 def test_what_was_learnt_from_one_chunk_is_learnt_again_where_the_next_differs() -> None:
     """Its guards or its size say so: strings may be longer there, for good."""
     one, other = (

@@ -1,0 +1,72 @@
+"""A log with cameras: chunks that hold no IMU message are not read, let alone unpacked."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from imucal.readers import read
+from imucal.readers.files import LogFile
+from tests.readers.logs import Message, imu_messages, samples, store, write_bag, write_mcap
+
+TRUTH = samples(200)
+#: Larger than a chunk of the writers, and not to be compressed.
+PICTURE = np.random.default_rng(20261122).integers(0, 256, 20_000, dtype=np.uint8)
+#: IMU messages between two pictures of each of three cameras.
+BETWEEN = 20
+
+
+def with_cameras(*, ros1: bool) -> list[Message]:
+    """Return IMU messages with pictures among them, three at a time."""
+    types: Any = store(ros1=ros1)
+    kind = "std_msgs/msg/UInt8MultiArray"
+    dimensions = types.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    picture = types.types[kind](layout=dimensions, data=PICTURE)
+    data = bytes((types.serialize_ros1 if ros1 else types.serialize_cdr)(picture, kind))
+    messages: list[Message] = []
+    for row, message in enumerate(imu_messages(TRUTH, ros1=ros1)):
+        messages.append(message)
+        if row % BETWEEN == 0:
+            encoding = "ros1" if ros1 else "cdr"
+            messages += [
+                Message(topic=f"/camera{i}", type=kind, log=message.log, data=data, encoding=encoding)
+                for i in range(3)
+            ]
+    return messages
+
+
+def mcap(path: Path, messages: Sequence[Message]) -> Path:
+    return write_mcap(path / "log.mcap", messages)
+
+
+def bag(path: Path, messages: Sequence[Message]) -> Path:
+    return write_bag(path / "log.bag", messages, compression="lz4")
+
+
+@pytest.mark.parametrize(("write", "ros1"), [(mcap, False), (bag, True)])
+def test_a_chunk_without_imu_messages_is_not_read(
+    write: Callable[[Path, Sequence[Message]], Path],
+    ros1: bool,  # noqa: FBT001
+    tmp_path: Path,
+) -> None:
+    """Of each three pictures at most one shares a chunk with IMU messages; every sample is there."""
+    path = write(tmp_path, with_cameras(ros1=ros1))
+    sizes: list[tuple[int, int]] = []
+    into = LogFile.into
+
+    def noted(file: LogFile, position: int, view: memoryview) -> None:
+        sizes.append((position, position + len(view)))
+        into(file, position, view)
+
+    with mock.patch.object(LogFile, "into", noted):
+        recording = read(path)
+    assert np.array_equal([series.samples for series in recording.series], TRUTH.all.T)
+    read_of = np.zeros(path.stat().st_size, dtype=np.bool_)
+    for first, last in sizes:
+        read_of[first:last] = True
+    pictures = 3 * (TRUTH.stamps.size // BETWEEN) * PICTURE.size
+    # A third of them follows IMU messages into their chunk, and is unpacked with them.
+    assert pictures / 6 < np.count_nonzero(read_of) < pictures / 2
