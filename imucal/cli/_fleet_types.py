@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from imucal.fleet_run.path_labels import LabelPattern
 
 
+#: Bytes that the packages take which read and fit a log, and a short log.
+_LEAST = 300 << 20
+
+
 class Size(ParamType[int]):
     """Bytes."""
 
@@ -21,9 +25,12 @@ class Size(ParamType[int]):
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
         try:
-            return value if isinstance(value, int) else parse_size(str(value))
+            size = value if isinstance(value, int) else parse_size(str(value))
         except ValueError as error:
             self.fail(f"{value!r}: expected {error}", param, ctx)
+        if size < _LEAST:
+            self.fail(f"{value!r} is too little for any log; give {_LEAST >> 20}M or more", param, ctx)
+        return size
 
 
 class Patience(Duration):

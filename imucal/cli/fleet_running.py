@@ -250,7 +250,7 @@ def _run(
     here: bool,
     quiet: bool,
 ) -> None:
-    from imucal.fleet_run.dask_engine import Engine
+    from imucal.fleet_run.dask_cluster import Engine
     from imucal.fleet_run.running import run_plan
 
     if not plan.tasks:
@@ -274,7 +274,9 @@ def _saying_how_to_go_on(resume: str) -> Iterator[None]:
 
 def _resume(typed: list[str], out: Path) -> str:
     """Return the command that goes on: the one that was typed, without what must not be done again."""
-    kept = [word for word in typed if word not in {"--fresh", "-"}]
+    from imucal.fleet_run.manifest_file import shown_and_url
+
+    kept = [shown_and_url(word)[0] for word in typed if word not in {"--fresh", "-"}]
     if not kept:
         kept = ["fleet", "run", "-o", str(out)]
     return shlex.join(["imucal", *kept])

@@ -4,16 +4,15 @@ The scheduler only hands out work: what is done is in the store. So a lost sched
 and nothing waits for ever: connections, workers and batches have times after which they are given up.
 """
 
-import logging
+import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from imucal._version import __version__
 from imucal.errors import EngineError
-from imucal.resources import POOLS, THREADS
+from imucal.fleet_run.dask_cluster import CLOSE_S, CONNECT_S, SILENCE_S, Engine, dask_client
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -23,33 +22,10 @@ Result = TypeVar("Result")
 
 #: Batches in hand for each worker: one at work, the others on their way.
 WINDOW = 3
-#: Seconds that connecting, a first worker, and closing may take.
-CONNECT_S, WORKERS_S, CLOSE_S = 20.0, 120.0, 10.0
 #: Seconds between looks at time limits and at the connection.
 _LOOK_S = 1.0
 #: A topic of events by which workers say what they begin.
 _TOPIC = "imucal-fleet"
-#: Of a scheduler that nobody hears of any more for so many seconds, nothing more is expected.
-_SILENCE_S = 30.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Engine:
-    """Who does the work.
-
-    Attributes
-    ----------
-    address
-        Of a scheduler; None for a cluster of `jobs` workers on this machine.
-    jobs
-        Number of workers of a cluster of this machine's.
-    memory
-        Bytes that each of them may take.
-    """
-
-    address: str | None = None
-    jobs: int = 1
-    memory: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,8 +82,8 @@ def outcomes(
     EngineError
         If dask is missing, or the scheduler or all workers can't be reached or are gone.
     """
-    with _client(engine) as client:
-        yield from _Run(client, work, patience, told).outcomes(take)
+    with dask_client(engine) as client:
+        yield from _Run(client, engine.address or "the cluster", work, patience, told).outcomes(take)
 
 
 class _Run(Generic[Batch, Result]):
@@ -116,26 +92,34 @@ class _Run(Generic[Batch, Result]):
     def __init__(
         self,
         client: "Client",
+        where: str,
         work: Callable[[Batch], Result],
         patience: Callable[[Batch], float],
         told: Callable[[int], None],
     ) -> None:
-        self._client, self._work, self._patience, self._told = client, work, patience, told
+        self._client, self._where = client, where
+        self._work, self._patience, self._told = work, patience, told
         self._hands: dict[Future, _Hand[Batch]] = {}
         self._by_number: dict[int, _Hand[Batch]] = {}
-        self._submitted = 0
+        self._submitted = self._count = 0
+        self._asked = -math.inf
         self._heard = time.monotonic()
 
     def outcomes(self, take: Callable[[], Batch | None]) -> Iterator[tuple[Batch, Result | Lost]]:
         self._client.subscribe_topic(_TOPIC, self._begun)
-        while True:
-            window = WINDOW * max(self._workers(), 1)
-            while len(self._hands) < window and (batch := take()) is not None:
-                self._submit(batch)
-            if not self._hands:
-                return
-            yield from self._finished()
-            yield from self._late()
+        try:
+            while True:
+                window = WINDOW * max(self._workers(), 1)
+                while len(self._hands) < window and (batch := take()) is not None:
+                    self._submit(batch)
+                if not self._hands:
+                    return
+                yield from self._finished()
+                yield from self._late()
+        finally:
+            # What was not begun is not begun any more.
+            with suppress(Exception):
+                self._client.cancel(list(self._hands), force=True)
 
     def _submit(self, batch: Batch) -> None:
         self._submitted += 1
@@ -152,6 +136,9 @@ class _Run(Generic[Batch, Result]):
 
     def _workers(self) -> int:
         """Return how many threads of workers there are; give up where nobody is heard of."""
+        if time.monotonic() - self._asked < _LOOK_S:
+            return self._count
+        self._asked = time.monotonic()
         try:
             count = sum(self._client.nthreads().values()) if self._client.status == "running" else 0
         except (OSError, TimeoutError):
@@ -159,19 +146,20 @@ class _Run(Generic[Batch, Result]):
         if count:
             self._heard = time.monotonic()
             self._told(count)
-        elif time.monotonic() - self._heard > _SILENCE_S or self._client.status == "closed":
-            what = "its scheduler is gone" if self._client.status != "running" else "all its workers are gone"
-            address = self._client.scheduler.address if self._client.scheduler else "the cluster"
-            msg = f"{address}: {what}; what was done is kept; start it again, and run this again"
+        elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
+            said = "scheduler or workers are gone; what was done is kept; start them, and run again"
+            msg = f"{self._where}: {said}"
             raise EngineError(msg)
+        self._count = count
         return count
 
     def _finished(self) -> Iterator[tuple[Batch, Result | Lost]]:
-        from distributed import wait
+        from distributed import CancelledError, wait
 
         if not self._hands:
             return
-        with suppress(TimeoutError):
+        # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
+        with suppress(TimeoutError, CancelledError, ValueError):
             wait(list(self._hands), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
         for future in [future for future in self._hands if future.done()]:
             hand = self._hands.pop(future)
@@ -221,85 +209,3 @@ def _in_worker(work: Callable[[Batch], Result], batch: Batch, number: int) -> Re
     worker = get_worker()
     worker.log_event(_TOPIC, (number, worker.address))
     return work(batch)
-
-
-def versions() -> str:
-    """Return imucal's version, as a worker has it."""
-    return __version__
-
-
-@contextmanager
-def _client(engine: Engine) -> Iterator["Client"]:
-    """Yield a client whose workers can do the work; at the end, however it comes, nothing is left running."""
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        msg = f"a fleet on several processors needs dask ({error}): pip install 'imucal-noise[fleet]'"
-        raise EngineError(msg) from error
-    cluster = None
-    with dask.config.set(_configuration()), _quiet():
-        try:
-            if engine.address is None:
-                cluster = LocalCluster(
-                    n_workers=engine.jobs,
-                    threads_per_worker=1,
-                    memory_limit=engine.memory,
-                    dashboard_address=None,
-                    silence_logs=logging.CRITICAL,
-                )
-            client = Client(cluster or engine.address, timeout=CONNECT_S)
-        except (OSError, TimeoutError, ValueError) as error:
-            if cluster is not None:
-                cluster.close(timeout=CLOSE_S)
-            where = engine.address or "a cluster on this machine"
-            msg = f"{where}: can't be reached ({error}); expected the address of a Dask scheduler"
-            raise EngineError(msg) from error
-        try:
-            _check_workers(client, engine.address or "the cluster")
-            yield client
-        finally:
-            with suppress(Exception):
-                client.close(timeout=CLOSE_S)
-            if cluster is not None:
-                with suppress(Exception):
-                    cluster.close(timeout=CLOSE_S)
-
-
-def _check_workers(client: "Client", where: str) -> None:
-    try:
-        client.wait_for_workers(1, timeout=WORKERS_S)
-        found = client.run(versions, on_error="return")
-    except (OSError, TimeoutError) as error:
-        msg = f"{where}: no worker within {WORKERS_S:.0f} s ({error}); start some: dask worker ADDRESS"
-        raise EngineError(msg) from error
-    for worker, version in found.items():
-        if version != __version__:
-            what = f"imucal {version}" if isinstance(version, str) else f"no imucal ({version})"
-            msg = f"{worker}: found {what}, expected {__version__}; install imucal-noise=={__version__} there"
-            raise EngineError(msg)
-
-
-def _configuration() -> dict[str, object]:
-    return {
-        "distributed.scheduler.allowed-failures": 1,
-        "distributed.worker.daemon": True,
-        "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
-        "distributed.comm.timeouts.tcp": f"{_SILENCE_S}s",
-        # One thread in each library, before NumPy is imported.
-        **{f"distributed.nanny.pre-spawn-environ.{name}": 1 for name in (THREADS, *POOLS)},
-    }
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence what distributed logs while workers come and go; what matters is an error of the run."""
-    loggers = [logging.getLogger(name) for name in ("distributed", "tornado", "asyncio")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)

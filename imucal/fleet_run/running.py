@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from imucal.fleet_run.batch_work import commit, done_of, failure, work_on_batch
-from imucal.fleet_run.dask_engine import Engine, Lost, outcomes
+from imucal.fleet_run.dask_cluster import Engine
+from imucal.fleet_run.dask_engine import Lost, outcomes
 from imucal.fleet_run.fleet_plan import FleetPlan, batches
 from imucal.fleet_run.log_tasks import FleetSettings, LogDone, LogTask
 
@@ -82,6 +83,7 @@ def run_plan(
     workers = 1 if engine is None else engine.jobs
     waiting = batches(tasks, workers=workers, seconds=BATCH_S if engine else OWN_BATCH_S)
     alone: deque[list[LogTask]] = deque()
+    lost: set[str] = set()
 
     def take() -> list[LogTask] | None:
         batch = alone.popleft() if alone else next(waiting, None)
@@ -101,7 +103,9 @@ def run_plan(
     )
     for batch, outcome in found:
         count.running -= len(batch)
-        if isinstance(outcome, Lost) and len(batch) > 1:
+        if isinstance(outcome, Lost) and (len(batch) > 1 or batch[0].path not in lost):
+            # It may have been another's fault, or the worker's own.
+            lost.update(task.path for task in batch if len(batch) == 1)
             alone.extend([task] for task in batch)
             continue
         logs = _given_up(batch, outcome, settings) if isinstance(outcome, Lost) else outcome

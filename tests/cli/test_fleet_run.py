@@ -132,6 +132,7 @@ def test_nothing_readable_ends_with_3(tmp_path: Path) -> None:
         (("x", "--shard", "1/2", "--scheduler", "tcp://h:1"), 2, "give --shard or --scheduler, not both"),
         (("x", "--labels", "*.csv"), 2, "no label; write such as '{model}/{unit}/*.mcap'"),
         (("x", "--memory", "much"), 2, "'much': expected a size such as 500M or 2G"),
+        (("x", "--memory", "100MB"), 2, "'100MB' is too little for any log; give 300M or more"),
         (("x", "--timeout", "0"), 2, "'0' is no time to work; write such as 10min, or auto"),
         (("x", "--model", "auto+"), 2, "model 'auto+'"),
         (("x", "--model", "auto"), 2, "auto would choose by the log; give the terms, such as 'N + B + K'"),

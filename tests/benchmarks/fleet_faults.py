@@ -1,0 +1,45 @@
+"""Faults of a fleet with real processes: ``python -m tests.benchmarks.fleet_faults [NAME …] [--logs N]``.
+
+Prints for each fault how the run ended, and whether the resumed results equal the undisturbed ones.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+
+from tests.fleet.simulated_fleet import make_fleet
+from tests.fleet_run.fault_scenarios import HERE, QUICK, SLOW
+from tests.fleet_run.faults import Bench
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--logs", type=int, default=12)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(Path(folder).resolve())
+        make_fleet(bench.folder / "logs", logs=asked.logs, seconds=30.0, seed=9)
+        whole = bench.run("whole", *HERE)
+        print(f"undisturbed: exit {whole.code}, {bench.store('whole').logs().height} logs", flush=True)
+        failed = 0
+        for fault in (*QUICK, *SLOW):
+            if asked.names and fault.__name__ not in asked.names:
+                continue
+            begun = time.monotonic()
+            try:
+                said = fault(bench)
+            except Exception as error:  # noqa: BLE001 - the table says which, and goes on
+                failed += 1
+                line = traceback.extract_tb(error.__traceback__)[-1]
+                said = f"FAILED in {line.name}:{line.lineno} {line.line}: {type(error).__name__}: {error}"
+            print(f"{fault.__name__:42} {time.monotonic() - begun:6.1f} s  {said}", flush=True)
+    sys.exit(bool(failed))
+
+
+if __name__ == "__main__":
+    main()

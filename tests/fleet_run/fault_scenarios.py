@@ -1,0 +1,249 @@
+"""What is done to a fleet, and what must hold then: nothing lost, nothing twice, exit codes, same results.
+
+Each takes a bench whose folder has ``logs`` and the store ``whole``, done without disturbance, and returns a
+line that says what happened; an assertion fails where something else did.
+"""
+
+import contextlib
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+
+from tests.fleet_run.faults import (
+    Bench,
+    Ended,
+    children_of,
+    cluster,
+    ended,
+    hanging_log,
+    huge_log,
+    left_over,
+    wait_until,
+    workers_of,
+)
+
+HERE = ("--shard", "1/1")
+
+
+def process_of_a_log_killed(bench: Bench) -> str:
+    """As by the system, where the machine has no memory left; the log is done again."""
+    run = bench.start("child", *HERE)
+    wait_until(lambda: bool(children_of(run.pid)))
+    time.sleep(1.0)
+    for child in children_of(run.pid):
+        child.kill()
+    end = ended(run)
+    assert end.code == 0, end.err
+    return _same(bench, "child", end)
+
+
+def process_of_a_log_killed_again_and_again(bench: Bench) -> str:
+    """Then the log is given up, the run is not; the next run does it."""
+    run = bench.start("children", *HERE)
+    killed = 0
+    while killed < 2:
+        wait_until(lambda: bool(children_of(run.pid)) or run.poll() is not None)
+        for child in children_of(run.pid):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                child.kill()
+                killed += 1
+        time.sleep(0.05)
+    end = ended(run)
+    assert end.code == 0, end.err
+    assert bench.store("children").logs()["status"].to_list().count("crash") == 1
+    assert "its process ended 2 times (SIGKILL)" in end.err
+    return _same(bench, "children", bench.run("children", *HERE), first=end)
+
+
+def worker_killed(bench: Bench) -> str:
+    """Its batch is done by another one."""
+    run = bench.start("worker", "--jobs", str(bench.jobs))
+    wait_until(lambda: bool(workers_of(run.pid)) or run.poll() is not None)
+    workers_of(run.pid)[0].kill()
+    end = ended(run)
+    assert end.code == 0, end.err
+    return _same(bench, "worker", end)
+
+
+def worker_frozen(bench: Bench, *, timeout: str = "15") -> str:
+    """So that it does not answer any more: it is ended, and its batch done by another."""
+    run = bench.start("frozen", "--jobs", str(bench.jobs), "--timeout", timeout)
+    wait_until(lambda: bool(workers_of(run.pid)) or run.poll() is not None)
+    workers_of(run.pid)[0].suspend()
+    end = ended(run)
+    assert end.code == 0, end.err
+    return _same(bench, "frozen", end)
+
+
+def log_without_end(bench: Bench) -> str:
+    """Then its process is ended, and the run is not."""
+    (bench.folder / "endless").mkdir()
+    hanging_log(bench.folder / "endless" / "hang.csv")
+    end = bench.run("endless-store", *HERE, "--timeout", "3", logs="endless")
+    assert end.code == 3, end.err
+    said = "endless/hang.csv: it took more than 3 s; give it more time, or a part of the log"
+    assert said in end.err, end.err
+    assert bench.store("endless-store").logs()["status"].to_list() == ["timeout"]
+    return f"exit {end.code}: timeout"
+
+
+def log_without_measure(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
+    """Of memory: it is named, and all others are done."""
+    shutil.copytree(bench.folder / "logs", bench.folder / "large")
+    huge_log(bench.folder / "large" / "huge.npz")
+    end = bench.run("large-store", *arguments, "--memory", "310MB", logs="large")
+    assert end.code == 0, end.err
+    logs = bench.store("large-store").logs()
+    status = dict(zip(logs["path"], logs["status"], strict=True))
+    assert status.pop("large/huge.npz") == "memory", end.err
+    whole = bench.store("whole").logs()
+    expected = zip(whole["path"], whole["status"], strict=True)
+    assert status == {path.replace("logs/", "large/", 1): s for path, s in expected}
+    shutil.rmtree(bench.folder / "large")
+    return f"exit {end.code}: memory, all others done"
+
+
+def log_without_measure_on_a_worker(bench: Bench) -> str:
+    """With Dask it is the same; no worker is lost."""
+    shutil.rmtree(bench.folder / "large-store", ignore_errors=True)
+    return log_without_measure(bench, ("--jobs", str(bench.jobs)))
+
+
+def scheduler_killed(bench: Bench) -> str:
+    """With 5 and how to go on; without the scheduler that works."""
+    with cluster(bench.folder, workers=bench.jobs) as (address, scheduler):
+        run = bench.start("scheduler", "--scheduler", address)
+        bench.wait_for_parts("scheduler", run)
+        scheduler.kill()
+        end = ended(run)
+    assert end.code == 5, end.err
+    assert f"Error: {address}: scheduler or workers are gone; what was done is kept" in end.err, end.err
+    assert "What is done is kept; to go on: imucal fleet run logs" in end.err
+    return _same(bench, "scheduler", bench.run("scheduler", *HERE), first=end)
+
+
+def interrupted(bench: Bench, arguments: tuple[str, ...] = ("--jobs", "2")) -> str:
+    """Ctrl-C goes to every process of a terminal: 130, no traceback, and the command that goes on."""
+    shutil.rmtree(bench.folder / "interrupted", ignore_errors=True)
+    run = bench.start("interrupted", *arguments)
+    bench.wait_for_parts("interrupted", run)
+    begun = time.monotonic()
+    os.killpg(run.pid, signal.SIGINT)
+    end = ended(run)
+    seconds = time.monotonic() - begun
+    assert end.code == 130, end.err
+    assert "Traceback" not in end.err, end.err
+    done = bench.store("interrupted").logs().height
+    assert done < bench.store("whole").logs().height, (done, seconds)
+    wait_until(lambda: not left_over(bench.folder))
+    return _same(bench, "interrupted", bench.type_again(end.err), first=end) + f" (ended in {seconds:.1f} s)"
+
+
+def interrupted_in_one_process(bench: Bench) -> str:
+    """Without Dask it is the same."""
+    return interrupted(bench, HERE)
+
+
+def client_killed(bench: Bench) -> str:
+    """Nothing goes on by itself; the next run does what is left."""
+    run = bench.start("client", "--jobs", str(bench.jobs))
+    bench.wait_for_parts("client", run)
+    run.kill()
+    run.communicate()
+    wait_until(lambda: not left_over(bench.folder))
+    return _same(bench, "client", bench.run("client", *HERE), first=Ended(code=-9, out="", err=""))
+
+
+def disk_full(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
+    """No file may grow beyond what the manifest needs: 5, no part, and all of it the next time."""
+    room = 2 * (bench.folder / "whole" / "manifest.parquet").stat().st_size
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+
+    end = bench.run("full", *arguments, limit=limit)
+    assert end.code == 5, (end.code, end.err)
+    assert "can't be written: File too large; free some space or choose another place" in end.err
+    assert bench.store("full").logs().is_empty()
+    return _same(bench, "full", bench.type_again(end.err), first=end)
+
+
+def disk_full_for_real(bench: Bench) -> str:
+    """By a small file system of its own that is full in the middle; needs the right to mount."""
+    disk = bench.folder / "disk"
+    disk.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", str(disk)], check=True)  # noqa: S603, S607
+    try:
+        end = bench.run("disk/store", "--jobs", str(bench.jobs))
+        assert end.code == 5, (end.code, end.err)
+        assert "No space left on device; free some space or choose another place" in end.err
+        done = bench.store("disk/store").logs().height
+        subprocess.run(["mount", "-o", "remount,size=64m", str(disk)], check=True)  # noqa: S603, S607
+        return f"{done} logs before; " + _same(bench, "disk/store", bench.type_again(end.err), first=end)
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)  # noqa: S603, S607
+
+
+def two_runs_at_once(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
+    """On one store: both end well, every log counts once."""
+    runs = [bench.start("both", *arguments) for _ in range(2)]
+    ends = [ended(run) for run in runs]
+    assert [end.code for end in ends] == [0, 0], [end.err for end in ends]
+    return _same(bench, "both", ends[1], first=ends[0])
+
+
+def parts_cut_off(bench: Bench) -> str:
+    """As by a loss of power: said, and done again."""
+    shutil.copytree(bench.folder / "whole", bench.folder / "cut")
+    parts = sorted((bench.folder / "cut" / "logs").iterdir())
+    tables = ("logs", "results", "bins")
+    for table, part in zip(tables, parts, strict=False):
+        with Path(bench.folder / "cut" / table / part.name).open("r+b") as file:
+            file.truncate(file.seek(0, os.SEEK_END) * 2 // 3)
+    store = bench.store("cut")
+    cut = min(len(tables), len(parts))
+    before = store.logs().height
+    assert before < bench.store("whole").logs().height
+    end = bench.run("cut", *HERE)
+    assert end.err.count(": was cut off; its logs are done again") >= cut, end.err
+    return f"{cut} parts; " + _same(bench, "cut", end)
+
+
+def _same(bench: Bench, name: str, last: Ended, *, first: Ended | None = None) -> str:
+    """Say that a store has every log once, with the undisturbed results."""
+    assert last.code == 0, last.err
+    differences = bench.differences(name, "whole")
+    assert differences == [], differences
+    logs = bench.store(name).logs()
+    assert logs["path"].n_unique() == logs["key"].n_unique() == logs.height, logs
+    codes = f"exit {first.code}, then {last.code}" if first else f"exit {last.code}"
+    return f"{codes}: {logs.height} logs, same results"
+
+
+QUICK: tuple[Callable[[Bench], str], ...] = (
+    process_of_a_log_killed,
+    log_without_end,
+    log_without_measure,
+    interrupted_in_one_process,
+    disk_full,
+    two_runs_at_once,
+    parts_cut_off,
+    worker_killed,
+)
+#: The others take longer, or ask for rights.
+SLOW: tuple[Callable[[Bench], str], ...] = (
+    interrupted,
+    log_without_measure_on_a_worker,
+    process_of_a_log_killed_again_and_again,
+    worker_frozen,
+    scheduler_killed,
+    client_killed,
+    disk_full_for_real,
+)

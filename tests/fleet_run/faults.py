@@ -1,0 +1,187 @@
+"""Faults of a fleet, each made with real processes: a run that is disturbed, and what becomes of it."""
+
+import contextlib
+import os
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from imucal.fleet.store import FleetStore
+
+#: Columns of a log's row that are of the run and not of the log.
+OF_THE_RUN = ("cpu_s", "wall_s", "finished", "part")
+#: Seconds that anything here may take before it is taken for hung.
+PATIENCE = 240.0
+#: What a worker's child has in its command line.
+CHILD = "imucal.child_process"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ended:
+    """How a run ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+class Bench:
+    """A folder with logs in it, and runs of ``imucal fleet run`` there."""
+
+    def __init__(self, folder: Path, *, jobs: int = 2) -> None:
+        self.folder, self.jobs = folder, jobs
+
+    def store(self, name: str) -> FleetStore:
+        """Return a store of the folder."""
+        return FleetStore(self.folder / name)
+
+    def start(
+        self, name: str, *arguments: str, logs: str = "logs", limit: Callable[[], None] | None = None
+    ) -> subprocess.Popen[str]:
+        """Start a run, in a session of its own, as a terminal gives it one."""
+        command = ["fleet", "run", logs, "-o", name, "--max-failed", "100%", *arguments]
+        return subprocess.Popen(  # noqa: S603 - our own command
+            [sys.executable, "-m", "imucal", *command],
+            cwd=self.folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            preexec_fn=limit,  # noqa: PLW1509 - the limit is of the run alone
+        )
+
+    def run(
+        self, name: str, *arguments: str, logs: str = "logs", limit: Callable[[], None] | None = None
+    ) -> Ended:
+        """Run to the end."""
+        return ended(self.start(name, *arguments, logs=logs, limit=limit))
+
+    def type_again(self, said: str) -> Ended:
+        """Type the command that a run printed to go on with."""
+        line = next(line for line in said.splitlines() if "to go on: " in line)
+        words = shlex.split(line.partition("to go on: ")[2])
+        assert words[0] == "imucal"
+        done = subprocess.run(  # noqa: S603 - our own command
+            [sys.executable, "-m", *words],
+            cwd=self.folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
+        )
+        return Ended(code=done.returncode, out=done.stdout, err=done.stderr)
+
+    def wait_for_parts(self, name: str, run: subprocess.Popen[str], parts: int = 1) -> None:
+        """Wait until some batches are done."""
+        folder = self.folder / name / "logs"
+
+        def there() -> bool:
+            if run.poll() is not None:
+                msg = f"the run ended before: {run.communicate()[1]}"
+                raise AssertionError(msg)
+            return folder.is_dir() and len(list(folder.glob("part-*.parquet"))) >= parts
+
+        wait_until(there)
+
+    def differences(self, name: str, other: str, *, logs: bool = True) -> list[str]:
+        """Return the tables in which two stores differ; the order of rows and times aside."""
+        one, two = self.store(name), self.store(other)
+        found = []
+        if logs and not one.logs().drop(OF_THE_RUN).equals(two.logs().drop(OF_THE_RUN)):
+            found.append("logs")
+        if not one.results().equals(two.results()):
+            found.append("results")
+        if not one.bins().equals(two.bins()):
+            found.append("bins")
+        return found
+
+
+def ended(run: subprocess.Popen[str]) -> Ended:
+    """Wait for the end of a run."""
+    try:
+        out, err = run.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        os.killpg(run.pid, signal.SIGKILL)
+        raise
+    return Ended(code=run.returncode, out=out, err=err)
+
+
+def wait_until(there: Callable[[], bool]) -> None:
+    """Wait for something; give up after a long time."""
+    deadline = time.monotonic() + PATIENCE
+    while not there():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def children_of(pid: int) -> list[psutil.Process]:
+    """Return the processes that do logs, of all workers of a run."""
+    found = []
+    with contextlib.suppress(psutil.Error):
+        for process in psutil.Process(pid).children(recursive=True):
+            with contextlib.suppress(psutil.Error):
+                if CHILD in " ".join(process.cmdline()):
+                    found.append(process)
+    return found
+
+
+def workers_of(pid: int) -> list[psutil.Process]:
+    """Return the workers of a run: the parents of the processes that do logs."""
+    parents = [child.parent() for child in children_of(pid)]
+    return [parent for parent in parents if parent is not None and parent.pid != pid]
+
+
+def left_over(folder: Path) -> list[int]:
+    """Return processes that still work in a folder."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            if process.cwd() == str(folder) and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process.pid)
+    return found
+
+
+def hanging_log(path: Path) -> None:
+    """Make a log whose reading never ends: a terminal to which nobody types."""
+    path.symlink_to("/dev/ptmx")
+
+
+def huge_log(path: Path, *, samples: int = 5_000_000) -> None:
+    """Make a log of one axis with many samples."""
+    rate = np.random.default_rng(0).standard_normal(samples, np.float32)
+    np.savez(path, **{"gz (rad/s)": rate, "time (s)": np.arange(samples) / 200})  # type: ignore[arg-type]
+
+
+@contextlib.contextmanager
+def cluster(folder: Path, *, workers: int = 2) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Yield the address and the process of a scheduler with some workers, as a cluster has them."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    commands = [
+        ["dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"],
+        *[["dask_worker", address, "--nthreads", "1", "--no-dashboard", "--death-timeout", "60"]] * workers,
+    ]
+    processes = []
+    try:
+        for name, *arguments in commands:
+            command = [sys.executable, "-m", f"distributed.cli.{name}", *arguments]
+            processes.append(subprocess.Popen(command, cwd=folder, stderr=subprocess.DEVNULL))  # noqa: S603
+        yield address, processes[0]
+    finally:
+        for process in processes:
+            with contextlib.suppress(psutil.Error):
+                for child in psutil.Process(process.pid).children(recursive=True):
+                    child.kill()
+            process.kill()
+            process.wait()

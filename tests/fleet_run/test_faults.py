@@ -1,0 +1,25 @@
+"""Faults of a fleet with real processes; ``tests/benchmarks/fleet_faults.py`` has the slow ones."""
+
+from collections.abc import Callable
+
+import pytest
+
+from tests.fleet.simulated_fleet import make_fleet
+from tests.fleet_run.fault_scenarios import HERE, QUICK
+from tests.fleet_run.faults import Bench
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    """Return a folder with a few logs, and the store that an undisturbed run made of them."""
+    bench = Bench(tmp_path_factory.mktemp("faults").resolve())
+    make_fleet(bench.folder / "logs", logs=4, seconds=10.0, seed=8)
+    assert bench.run("whole", *HERE).code == 0
+    return bench
+
+
+@pytest.mark.parametrize("fault", QUICK, ids=lambda fault: fault.__name__)
+def test_a_fault_costs_nothing_but_time(bench: Bench, fault: Callable[[Bench], str]) -> None:
+    """Nothing lost, nothing twice, the right exit code, and the results of an undisturbed run."""
+    said = fault(bench)
+    assert any(end in said for end in ("same results", "all others done", "timeout"))
