@@ -58,9 +58,10 @@ class FleetStore:
             If it can't be made, or holds something else.
         """
         if self.folder.is_dir() and not self.exists:
-            strange = sorted(
-                p.name for p in self.folder.iterdir() if p.name not in {".lock", _SETTINGS, *_TABLES}
-            )
+            own = {_SETTINGS, *_TABLES}
+            names = sorted(path.name for path in self.folder.iterdir())
+            # Another run may begin here, too: its scratch files and its lock begin with a dot.
+            strange = [name for name in names if name not in own and not name.startswith(".")]
             if strange:
                 msg = (
                     f"{self.folder}: holds {', '.join(strange[:3])} but no fleet of imucal's; "

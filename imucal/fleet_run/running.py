@@ -104,15 +104,21 @@ def run_plan(
     for batch, outcome in found:
         count.running -= len(batch)
         if isinstance(outcome, Lost) and (len(batch) > 1 or batch[0].path not in lost):
-            # It may have been another's fault, or the worker's own.
-            lost.update(task.path for task in batch if len(batch) == 1)
-            alone.extend([task] for task in batch)
+            _try_alone(batch, alone, lost)
             continue
         logs = _given_up(batch, outcome, settings) if isinstance(outcome, Lost) else outcome
         for task, log in zip(batch, logs, strict=True):
             count.add(log, task.size)
         tell(count)
     return count
+
+
+def _try_alone(batch: list[LogTask], alone: deque[list[LogTask]], lost: set[str]) -> None:
+    """Let the logs of a lost batch be done by themselves: it may have been another's fault."""
+    if len(batch) == 1:
+        lost.add(batch[0].path)
+    for task in batch:
+        alone.append([task])
 
 
 def _given_up(batch: list[LogTask], lost: Lost, settings: FleetSettings) -> list[LogDone]:
