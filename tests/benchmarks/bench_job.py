@@ -82,7 +82,8 @@ def measured(arguments: list[str], version: tuple[str, str]) -> tuple[float, flo
     start = time.perf_counter()
     command = [python, "-m", "imucal", *arguments]
     surroundings = {**os.environ, "PYTHONPATH": tree}
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=surroundings)  # noqa: S603 - our own command
+    # In its own folder: Python looks where it was started first, and would find this version there.
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=surroundings, cwd=tree)  # noqa: S603
     _, status, used = os.wait4(process.pid, 0)
     wall = time.perf_counter() - start
     process.returncode = os.waitstatus_to_exitcode(status)
