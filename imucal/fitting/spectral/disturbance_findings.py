@@ -1,12 +1,11 @@
 """Disturbances in words, and where in the samples a step lies exactly."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from imucal.findings import Finding
-from imucal.fitting.spectral.disturbances import Disturbance
+from imucal.fitting.spectral.disturbances import Disturbance, ExactPlace
 from imucal.recording import AxisSeries
 from imucal.units import pretty
 
@@ -14,30 +13,31 @@ from imucal.units import pretty
 _COARSE = 1 / 1000
 
 
-def with_exact_steps(found: Sequence[Disturbance], series: AxisSeries) -> tuple[Disturbance, ...]:
-    """Return the same with every step at the sample where it splits its surroundings best.
+def exact_places(series: AxisSeries) -> ExactPlace:
+    """Return what puts a step at the sample where it splits its surroundings best.
 
     Of two levels in white noise, the place of least squares maximises the weighted square of their
-    difference.
+    difference. The surroundings end at other steps.
     """
-    if not any(one.kind == "step" for one in found):
-        return tuple(found)
-    grid = series.clock.grid()
-    return tuple(_exact(one, series, grid) if one.kind == "step" else one for one in found)
 
+    def exact(about: float, taken: Sequence[float], apart: float) -> int:
+        grid = series.clock.grid()
+        reach = max(int(_COARSE * grid[-1]), 8)
+        low = max([about - 2 * reach, *(place for place in taken if place <= about)])
+        high = min([about + 2 * reach, *(place for place in taken if place > about)])
+        first, stop = np.searchsorted(grid, [low, high])
+        samples, places = series.samples[first:stop], grid[first + 1 : stop]
+        allowed = np.abs(places - about) <= reach
+        for place in taken:
+            allowed &= np.abs(places - place) >= apart
+        if samples.size < 4 or not allowed.any():
+            return round(about)
+        left = np.cumsum(samples - samples.mean())[:-1]
+        count = np.arange(1.0, samples.size)
+        contrast = np.where(allowed, left**2 / (count * (samples.size - count)), -1.0)
+        return int(places[int(np.argmax(contrast))])
 
-def _exact(step: Disturbance, series: AxisSeries, grid: np.ndarray) -> Disturbance:
-    reach = max(int(_COARSE * grid[-1]), 8)
-    first, stop = np.searchsorted(grid, [step.value - 2 * reach, step.value + 2 * reach])
-    samples = series.samples[first:stop]
-    if samples.size < 4:
-        return step
-    left = np.cumsum(samples - samples.mean())[:-1]
-    count = np.arange(1.0, samples.size)
-    contrast = left**2 / (count * (samples.size - count))
-    contrast[np.abs(grid[first + 1 : stop] - step.value) > reach] = 0.0
-    place = int(grid[first + 1 + int(np.argmax(contrast))])
-    return replace(step, names=(f"step:{place}",))
+    return exact
 
 
 def disturbance_findings(

@@ -5,7 +5,7 @@ rich noise model is added to the regressors, as long as it gains more than chanc
 The search is by the whitened ordinates; what it finds is fitted before it is believed.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,10 +35,16 @@ _SPACING, _FINE = 0.25, 1 / 64
 _MARGIN = 7.0
 #: Share of clean records in which a step would gain what it must, were their spectrum known.
 _CHANCE_STEP = 0.002
+#: Nearer than the record's length over this, two steps are too alike in the lowest ordinates to be fitted.
+_TELLABLE = 65536
 #: A shape that gains less at the spectrum of the fit without it is not fitted: chance gives so much.
 _WORTH_A_FIT = 15.0
 #: Most shapes that are taken out.
 _MOST = 8
+
+
+#: From about where a step lies, where others lie and how far it is from those, to where it lies exactly.
+ExactPlace = Callable[[float, Sequence[float], float], int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,10 +80,14 @@ class Disturbance:
         return float(self.names[0].partition(":")[2] or 0.0)
 
 
-def find_disturbances(blocks: Sequence[Block], *, steps: bool = True) -> tuple[Disturbance, ...]:
+def find_disturbances(
+    blocks: Sequence[Block], *, steps: bool = True, exact: ExactPlace | None = None
+) -> tuple[Disturbance, ...]:
     """Return what the data ask to be taken out beside the ramp, the strongest first.
 
-    Without `steps` none are looked for: a level that jumps to and fro is not a few of them.
+    Without `steps` none are looked for: a level that jumps to and fro is not a few of them. `exact` puts
+    each step where it lies exactly before it is fitted: beside a step that is fitted a little off its
+    place, the next best shape is another step there, which mends it.
     """
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
@@ -86,7 +96,9 @@ def find_disturbances(blocks: Sequence[Block], *, steps: bool = True) -> tuple[D
     while len(found) < _MOST:
         names = tuple(name for one in found for name in one.names)
         whitened = Whitened.by(low, base.spectrum, ("R", *names))
-        kinds = _candidates(whitened, length, found, steps=steps)
+        kinds = [*_candidates(whitened, length, found)]
+        if steps:
+            kinds += _step(whitened, max(length / _TELLABLE, 1.0), found, exact)
         candidates = [one for one in kinds if not set(one.names) & set(names)]
         if not candidates:
             break
@@ -134,11 +146,9 @@ def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]]) -> _Fits:
     return _Fits(ordinates=ordinates, candidates=candidates, maximum=every.take(best))
 
 
-def _candidates(
-    whitened: Whitened, length: int, found: Sequence[Disturbance], *, steps: bool
-) -> Iterator[Disturbance]:
-    """Yield the best shape of each kind that may be worth a fit."""
-    kinds = [best_cycle(whitened, length), *([_best_step(whitened)] if steps else [])]
+def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -> Iterator[Disturbance]:
+    """Yield the best shape of each kind but steps that may be worth a fit."""
+    kinds = [best_cycle(whitened, length)]
     once = {one.kind for one in found}
     if "warm-up" not in once:
         kinds.append(_best_of(whitened, _warm_ups(length)))
@@ -169,10 +179,17 @@ def _lags(length: int) -> list[Disturbance]:
     ]
 
 
-def _best_step(whitened: Whitened) -> tuple[float, Disturbance]:
-    place, gain, choice = whitened.step()
+def _step(
+    whitened: Whitened, apart: float, found: Sequence[Disturbance], exact: ExactPlace | None
+) -> Iterator[Disturbance]:
+    """Yield the best step if it may be worth a fit; nearer than `apart` to another it is the same one."""
+    taken = [one.value for one in found if one.kind == "step"]
+    place, gain, choice = whitened.step(taken, apart)
+    if gain <= _WORTH_A_FIT:
+        return
+    place = round(place) if exact is None else exact(place, taken, apart)
     price = 2 * np.log(max(choice, 1.0) / _CHANCE_STEP) - _MARGIN
-    return gain, Disturbance(kind="step", names=(f"step:{round(place)}",), price=price)
+    yield Disturbance(kind="step", names=(f"step:{place}",), price=price)
 
 
 def best_cycle(whitened: Whitened, length: int) -> tuple[float, Disturbance]:

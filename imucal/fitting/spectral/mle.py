@@ -16,7 +16,7 @@ from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.absent_terms import estimate_or_bound, numbered, with_absent
 from imucal.fitting.spectral.band import find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
-from imucal.fitting.spectral.disturbance_findings import disturbance_findings, with_exact_steps
+from imucal.fitting.spectral.disturbance_findings import disturbance_findings, exact_places
 from imucal.fitting.spectral.disturbances import Disturbance, find_disturbances
 from imucal.fitting.spectral.estimates import MISFIT, Fitted, Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.filter_response import Band, filter_finding, response_of
@@ -219,7 +219,7 @@ def _disturbances(
         axis=series.name,
     )
     found, no_shapes = try_side_work(
-        lambda: with_exact_steps(find_disturbances(blocks.blocks, steps=levels is None), series),
+        lambda: find_disturbances(blocks.blocks, steps=levels is None, exact=exact_places(series)),
         (),
         what="No look for steps and cycles",
         code="not-checked",

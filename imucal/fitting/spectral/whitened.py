@@ -78,16 +78,18 @@ class Whitened:
         near = Whitened(blocks=blocks, weight=weight, rest=self.rest[rows], base=self.base[rows])
         return np.array([near.gain(_pair(w)) for w in omega.tolist()])
 
-    def step(self) -> tuple[float, float, float]:
+    def step(self, taken: Sequence[float] = (), apart: float = 0.0) -> tuple[float, float, float]:
         """Return the place of the step that gains most, in samples of the record, its gain, and the choice.
 
+        Places nearer than `apart` to one that is `taken` are left out.
         The choice is the number of places that noise may choose among: by chance the gain of the best
         exceeds u with a probability of that number times exp(-u/2), where it is small.
         """
         first, choice, best = 0, 0.0, (0.0, 0.0)
+        near = [(place - apart, place + apart) for place in taken]
         for block, weight in zip(self.blocks, self.weight, strict=True):
             rows = slice(first, first + weight.size)
-            place, gain, places = _best_step(block, weight, self.rest[rows], self.base[rows])
+            place, gain, places = _best_step(block, weight, self.rest[rows], self.base[rows], near)
             best = max(best, (place, gain), key=lambda b: b[1])
             choice += places
             first += weight.size
@@ -106,7 +108,11 @@ def _weight(block: Block, spectrum: FloatArray) -> FloatArray:
 
 
 def _best_step(
-    block: Block, weight: FloatArray, rest: FloatArray, base: FloatArray
+    block: Block,
+    weight: FloatArray,
+    rest: FloatArray,
+    base: FloatArray,
+    without: Sequence[tuple[float, float]],
 ) -> tuple[float, float, float]:
     """Return place and gain of the best step inside one block, and the number of places to choose among.
 
@@ -142,8 +148,11 @@ def _best_step(
     gain = np.where(left > _ALIKE * power + 1e-300, product**2 / np.maximum(left, 1e-300), 0.0)
     clear = int(_CLEAR * places) + 1
     gain[:clear] = gain[gain.size - clear :] = 0.0
+    where = block.offset + np.arange(1, places) * n / places
+    for low, high in without:
+        gain[(where > low) & (where < high)] = 0.0
     at = int(np.argmax(gain))
     # The path of the steps divided by their sizes: what changes the size alone is no way.
     way = slope / power - (np.gradient(power) / (2 * power)) ** 2
     choice = float(np.sqrt(np.maximum(way, 0.0))[clear : gain.size - clear].sum()) / np.pi
-    return block.offset + (at + 1) * n / places, float(gain[at]), choice
+    return float(where[at]), float(gain[at]), choice

@@ -213,3 +213,19 @@ def test_a_weak_step_is_found_where_the_noise_leaves_few_places() -> None:
     assert len(found) >= 4
     assert np.median([abs(one.value - place) for one in found]) < 2000
     assert np.median([abs(one.size[0]) for one in found]) == pytest.approx(1.0, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("height", "before", "seed"), [(1e-2, 0, 41), (1e-2, 1, 42), (1e-2, 8, 43), (1e-2, 30, 44)]
+)
+def test_no_step_is_taken_out_twice(height: float, before: int, seed: int) -> None:
+    """A high step, alone or with a dip right before it: each is one step, at its sample."""
+    samples = noise(seed)
+    samples[21_337:] += height
+    samples[21_337 - before : 21_337] -= height
+    fit = fitted(samples, rate_hz=10.0)
+    places = sorted(int(name.partition(":")[2]) for name in fit.taken_out)
+    assert places == sorted({21_337 - before, 21_337})
+    (finding,) = [finding for finding in fit.findings if finding.code == "step"]
+    assert finding.text.count(" at ") == len(places)
+    assert as_without(fit, noise(seed))
