@@ -15,10 +15,12 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import ForkProcess
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from imucal.child_process import leave_with
+
+if TYPE_CHECKING:
+    from multiprocessing.context import ForkProcess
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -117,7 +119,7 @@ def _in_children(
             process.join()
 
 
-def _start(work: Callable[[T], R], items: Sequence[T], processes: list[ForkProcess]) -> Connection | None:
+def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProcess]") -> Connection | None:
     """Add a child to `processes` and return its pipe; None where the system gives no more."""
     context = multiprocessing.get_context("fork")
     # An interrupt waits until the child is known; the child never gets it, its parent ends it.

@@ -11,6 +11,7 @@ import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -82,7 +83,7 @@ def test_what_a_child_cannot_do_is_done_here(how: str) -> None:
     """A child that the system kills, one without memory, a result that can't be sent."""
     here = os.getpid()
 
-    def work(item: int) -> object:
+    def work(item: int) -> Any:  # noqa: ANN401 - also what can not be pickled
         if item == 1 and os.getpid() != here:
             if how == "killed":
                 os.kill(os.getpid(), signal.SIGKILL)
@@ -110,9 +111,10 @@ def test_warnings_of_a_child_are_shown_here() -> None:
 
 
 @forked
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_no_process_outlives_its_parent(tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGKILL"])
+def test_no_process_outlives_its_parent(tmp_path: Path, name: str) -> None:
     """However it ends; after an interrupt with the parent's words alone."""
+    number = getattr(signal, name)
     script = f"""
         import os, pathlib, time
         from imucal.parallel import side_by_side
@@ -132,13 +134,13 @@ def test_no_process_outlives_its_parent(tmp_path: Path, number: signal.Signals) 
         text=True,
     ) as process:
         until(lambda: len(list(tmp_path.iterdir())) == 2)
-        if number is signal.SIGINT:
+        if name == "SIGINT":
             # As a terminal does, to all of them.
             os.killpg(process.pid, number)
         else:
             process.send_signal(number)
         said, wrong = process.communicate(timeout=30)
-    assert said == ("interrupted\n" if number is signal.SIGINT else "")
+    assert said == ("interrupted\n" if name == "SIGINT" else "")
     assert not wrong
     until(lambda: not any(is_there(int(child.name)) for child in tmp_path.iterdir()))
 
