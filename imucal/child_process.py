@@ -173,7 +173,7 @@ def serve() -> None:
     """Answer questions on standard input until it ends: the child's side."""
     # An interrupt is the parent's to handle: it ends the child.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=leave_with, args=(os.getppid(),), daemon=True).start()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     # What the packages print is nobody's.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -188,7 +188,7 @@ def serve() -> None:
         _send(answers, answer)
 
 
-def _leave_with(parent: int) -> None:
+def leave_with(parent: int) -> None:
     """End this process, whatever it does, once its parent has ended."""
     while os.getppid() == parent:
         time.sleep(_LOOK_S)

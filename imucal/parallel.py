@@ -1,31 +1,54 @@
-"""Work on several things at a time in threads, with results as if it had been done one after the other."""
+"""Work on several things at a time in child processes, with results as if done one after the other.
 
-import contextvars
+Threads would fight over the interpreter's lock: what is done with an axis holds it half of the time. A
+child that is forked has everything its parent has without a copy, and sends back its result.
+"""
+
+import gc
 import multiprocessing
+import os
+import pickle
+import signal
+import sys
 import threading
+import warnings
 from collections.abc import Callable, Sequence
-from queue import SimpleQueue
-from typing import TypeVar, cast
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from typing import TYPE_CHECKING, TypeVar
 
-from imucal.resources import threads
+from imucal.child_process import leave_with
+
+if TYPE_CHECKING:
+    from multiprocessing.context import ForkProcess
 
 T = TypeVar("T")
 R = TypeVar("R")
 
+#: The thread of `imucal.readers.checksums`.
+CHECKSUMS = "imucal checksums"
+#: Threads that hold no lock a child needs: ours, by its name, and that of rich's progress bars, by its class.
+_HARMLESS = frozenset({CHECKSUMS, "_RefreshThread"})
+#: Which warnings of children have been shown, as Python keeps it for each module.
+_SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
+#: What Python 3.12 and later say of a fork beside threads, also those of libraries.
+_FORK_WARNING = r".*multi-threaded, use of fork"
 
-def own_workers() -> int:
-    """Return how many things to do at a time where nobody says: all threads there may be, or 1.
 
-    It is 1 inside other parallel work, which has taken the processors already: in a thread other than the
-    main one, and in a process that another one started for its work.
+def may_fork() -> bool:
+    """Whether child processes may be forked here.
 
-    Raises
-    ------
-    SettingError
-        If ``IMUCAL_THREADS`` is no positive number.
+    Not elsewhere than on Linux, where libraries do not bear it; in a child of `multiprocessing`; beside other
+    threads of Python, whose locks a child would find locked for ever; under a debugger or a profiler.
     """
-    alone = threading.current_thread() is threading.main_thread() and multiprocessing.parent_process() is None
-    return threads() if alone else 1
+    if not sys.platform.startswith("linux") or sys.gettrace() or sys.getprofile():
+        return False
+    others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    return (
+        multiprocessing.parent_process() is None
+        and threading.current_thread() is threading.main_thread()
+        and all(_HARMLESS & {thread.name, type(thread).__name__} for thread in others)
+    )
 
 
 def side_by_side(
@@ -37,79 +60,118 @@ def side_by_side(
 ) -> list[R]:
     """Return what `work` makes of each item, in their order.
 
-    Items are begun in their order. Where one fails, no other is begun, and the error of the first item
-    that failed is raised, whichever thread was quicker. An interrupt is raised at once; work that had
-    begun ends by itself.
+    Items are begun in their order, each in one of `workers` forked processes, or here one by one where
+    none may be forked. Where one fails, or its process is killed, no other is begun there; that one and
+    what is left are done here one by one, so that an error is raised as if all had been. No process
+    outlives the call, nor this process.
 
     Parameters
     ----------
     workers
         Most items at a time.
     done
-        Called by the calling thread with the number of items done and the first that is not done; None
-        when all are.
+        Called with the number of items done and the first that is not done; None when all are.
     """
-    if workers < 2 or len(items) < 2:
-        return _one_by_one(work, items, done)
-    todo = iter(range(len(items)))
-    lock, stop = threading.Lock(), threading.Event()
-    outcomes: SimpleQueue[tuple[int, R | None, BaseException | None]] = SimpleQueue()
-
-    def go() -> None:
-        while True:
-            with lock:
-                index = None if stop.is_set() else next(todo, None)
-            if index is None:
-                return
-            try:
-                outcomes.put((index, work(items[index]), None))
-            except BaseException as error:  # noqa: BLE001 - raised again where the results are wanted
-                stop.set()
-                outcomes.put((index, None, error))
-
-    for _ in range(min(workers, len(items))):
-        # A thread of its own kind dies with the program, so that an interrupt does not wait for it.
-        threading.Thread(target=contextvars.copy_context().run, args=(go,), daemon=True).start()
-    return _collected(items, outcomes, stop, done)
-
-
-def _one_by_one(
-    work: Callable[[T], R], items: Sequence[T], done: Callable[[int, T | None], None] | None
-) -> list[R]:
-    results = []
-    for index, item in enumerate(items):
-        if done:
-            done(index, item)
-        results.append(work(item))
-    if done:
-        done(len(items), None)
-    return results
-
-
-def _collected(
-    items: Sequence[T],
-    outcomes: "SimpleQueue[tuple[int, R | None, BaseException | None]]",
-    stop: threading.Event,
-    done: Callable[[int, T | None], None] | None,
-) -> list[R]:
-    """Return the results in order, telling how many there are; raise the first error in the items' order."""
     found: dict[int, R] = {}
-    errors: dict[int, BaseException] = {}
-    try:
-        while len(found) < len(items):
-            if done:
-                first = next(index for index in range(len(items)) if index not in found)
-                done(len(found), items[first])
-            index, result, error = outcomes.get()
-            if error is None:
-                found[index] = cast("R", result)
-            else:
-                errors[index] = error
-            # All before the one that failed had been begun, and end.
-            if errors and all(index in found or index in errors for index in range(min(errors))):
-                raise errors[min(errors)]
-    finally:
-        stop.set()
-    if done:
-        done(len(items), None)
+
+    def tell() -> None:
+        if done:
+            done(len(found), next((item for index, item in enumerate(items) if index not in found), None))
+
+    if workers > 1 and len(items) > 1 and may_fork():
+        _in_children(work, items, min(workers, len(items)), found, tell)
+    for index, item in enumerate(items):
+        if index not in found:
+            tell()
+            found[index] = work(item)
+    tell()
     return [found[index] for index in range(len(items))]
+
+
+def _in_children(
+    work: Callable[[T], R], items: Sequence[T], workers: int, found: dict[int, R], tell: Callable[[], None]
+) -> None:
+    """Add the results of children to `found`, until all are there or one could not be made."""
+    processes: list[ForkProcess] = []
+    in_hand: dict[Connection, int] = {}
+    try:
+        for index in range(workers):
+            pipe = _start(work, items, processes)
+            if pipe is None:
+                break
+            _give(pipe, index, in_hand)
+        todo = iter(range(len(in_hand), len(items)))
+        while in_hand:
+            tell()
+            for pipe in [pipe for pipe in wait(list(in_hand)) if isinstance(pipe, Connection)]:
+                index = in_hand.pop(pipe)
+                if not _received(pipe, index, found):
+                    todo = iter(())
+                elif (following := next(todo, None)) is not None:
+                    _give(pipe, following, in_hand)
+            if len(found) == len(items):
+                return
+    finally:
+        # They have nothing to tidy up.
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.join()
+
+
+def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProcess]") -> Connection | None:
+    """Add a child to `processes` and return its pipe; None where the system gives no more."""
+    context = multiprocessing.get_context("fork")
+    # An interrupt waits until the child is known; the child never gets it, its parent ends it.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        ours, theirs = context.Pipe()
+        with theirs, warnings.catch_warnings():
+            warnings.filterwarnings("ignore", _FORK_WARNING, DeprecationWarning)
+            process = context.Process(target=_serve, args=(work, items, theirs, os.getpid()), daemon=True)
+            process.start()
+        processes.append(process)
+    except OSError:
+        return None
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return ours
+
+
+def _give(pipe: Connection, index: int, in_hand: dict[Connection, int]) -> None:
+    """Hand out an item; that a child is gone is seen when its result is read."""
+    in_hand[pipe] = index
+    with suppress(OSError):
+        pipe.send_bytes(b"%d" % index)
+
+
+def _received(pipe: Connection, index: int, found: dict[int, R]) -> bool:
+    """Add a child's result to `found`, and show its warnings; False where it has ended without one."""
+    try:
+        found[index], caught = pickle.loads(pipe.recv_bytes())  # noqa: S301 - from this program's own child
+    except (EOFError, OSError):
+        return False
+    for message, category, file, line in caught:
+        warnings.warn_explicit(message, category, file, line, registry=_SEEN)
+    return True
+
+
+def _serve(work: Callable[[T], R], items: Sequence[T], pipe: Connection, parent: int) -> None:
+    """Send the result and the warnings of each item that is asked for: the child's side.
+
+    Whatever fails ends the child without a word: its parent does the same again, and says it.
+    """
+    try:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
+        # What is there stays: the collector would write to its pages, which parent and child share.
+        gc.freeze()
+        while True:
+            index = int(pipe.recv_bytes())
+            with warnings.catch_warnings(record=True) as caught:
+                result = work(items[index])
+            said = [(one.message, one.category, one.filename, one.lineno) for one in caught]
+            pipe.send_bytes(pickle.dumps((result, said), protocol=5))
+    finally:
+        # At once: nothing that stands in buffers of the parent's is written twice.
+        os._exit(1)

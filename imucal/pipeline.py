@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import TypeAlias
 
 import numpy as np
@@ -19,7 +20,7 @@ from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
 from imucal.mapped import never_changes, release
-from imucal.parallel import own_workers, side_by_side
+from imucal.parallel import side_by_side
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
@@ -32,6 +33,8 @@ _BLOCK = 1 << 20
 #: Bytes that the analysis of an axis takes for each of its samples, and those that all axes may take that are
 #: worked on at a time.
 _BYTES, _ROOM = 32, 500_000_000
+#: What every axis needs of libraries that are loaded when they are used.
+_LIBRARIES = ("scipy.fft", "scipy.special")
 #: A remark of the screening, and the finding of the fit that says the same with more.
 _SAID_BETTER = (("roll-off", "output-filter"), ("tone", "line"))
 #: The settings in the order of report.json; `reading` comes last.
@@ -81,11 +84,12 @@ def characterize(
     settings
         How; by default `Settings()`.
     progress
-        Called by the calling thread with the number of axes done, of all, and the name of the next.
+        Called with the number of axes done, of all, and the name of the next.
     workers
-        Most axes at a time, each in a thread, at least 1. By default as many as the processors that this
-        process may use, or ``IMUCAL_THREADS``; 1 inside a thread or a process of other parallel work. Fewer
-        where so many would take more memory than the samples of a log may (see ``IMUCAL_MEMORY``).
+        Most axes at a time, each in a forked child process, at least 1; by default 1, which takes the least
+        CPU time and memory. Fewer where so many would take more memory than the samples of a log may (see
+        ``IMUCAL_MEMORY``); one after the other where processes can't be forked safely: not on Linux, beside
+        other threads of the program, inside a process of other parallel work, under a debugger.
         The result is the same for any number.
 
     Raises
@@ -98,6 +102,11 @@ def characterize(
     settings = settings or Settings()
     workers = _workers(recording, workers)
     findings = recording.findings + screen(recording, workers=workers)
+
+    if workers > 1:
+        # Once, by the process that the others are forked from.
+        for name in _LIBRARIES:
+            import_module(name)
 
     def work(series: AxisSeries) -> AxisReport | Finding:
         try:
@@ -130,8 +139,8 @@ def _workers(recording: Recording, wanted: int | None) -> int:
     if wanted is not None and wanted < 1:
         msg = f"workers must be at least 1, got {wanted}"
         raise ValueError(msg)
-    count = own_workers() if wanted is None else wanted
     largest = max((series.n for series in recording.series), default=0)
+    count = 1 if wanted is None else wanted
     room = min(memory_limit(), _ROOM) // (_BYTES * largest + 1)
     return max(1, min(count, room))
 

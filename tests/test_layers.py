@@ -23,7 +23,7 @@ BELOW: dict[str, set[str]] = {
     "printable": set(),
     "resources": {"errors"},
     "recording": {"arrays", "clock", "errors", "findings", "mapped"},
-    "parallel": {"resources"},
+    "parallel": {"child_process"},
     "powerlaw": {"arrays"},
     "side_work": {"errors", "findings"},
     "solvers": {"arrays"},

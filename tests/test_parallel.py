@@ -1,15 +1,24 @@
 """Several things at a time, with results as if it had been done one after the other."""
 
 import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import textwrap
 import threading
 import time
+import warnings
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from imucal.parallel import own_workers, side_by_side
+from imucal.parallel import may_fork, side_by_side
 
 WORKERS = [1, 2, 3, 9]
+forked = pytest.mark.skipif(not may_fork(), reason="processes are not forked here")
 
 
 @pytest.mark.parametrize("workers", WORKERS)
@@ -25,82 +34,161 @@ def test_results_stand_in_the_order_of_the_items(workers: int) -> None:
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_what_is_done_is_told_by_the_calling_thread(workers: int) -> None:
+def test_what_is_done_is_told(workers: int) -> None:
     """With the first item that is not done; it rises one by one, and ends with all."""
     told: list[tuple[int, str | None]] = []
-    callers = set()
-
-    def done(count: int, following: str | None) -> None:
-        told.append((count, following))
-        callers.add(threading.current_thread())
-
-    side_by_side(str.upper, list("abcd"), workers=workers, done=done)
-    assert [count for count, _ in told] == [0, 1, 2, 3, 4]
+    side_by_side(str.upper, list("abcd"), workers=workers, done=lambda *what: told.append(what))
+    counts = [count for count, _ in told]
+    assert counts[0] == 0
+    assert counts == sorted(counts)
     assert told[0] == (0, "a")
     assert told[-1] == (4, None)
-    assert callers == {threading.current_thread()}
 
 
-def test_so_many_are_at_work_at_a_time() -> None:
-    """Never more than the workers, and at least once all of them."""
-    at_work, most, lock = 0, 0, threading.Lock()
-    both = threading.Barrier(2, timeout=10)
+@forked
+def test_the_work_is_done_by_so_many_other_processes() -> None:
+    """None of them is there afterwards."""
 
-    def work(item: int) -> None:
-        nonlocal at_work, most
-        with lock:
-            at_work += 1
-            most = max(most, at_work)
-        if item < 2:
-            both.wait()
-        with lock:
-            at_work -= 1
+    def work(_: int) -> int:
+        time.sleep(0.05)
+        return os.getpid()
 
-    side_by_side(work, range(8), workers=2)
-    assert most == 2
+    by = set(side_by_side(work, range(8), workers=3))
+    assert len(by) == 3
+    assert os.getpid() not in by
+    assert not multiprocessing.active_children()
+    for process in by:
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_the_first_error_in_their_order_is_raised_and_no_other_work_begun(workers: int) -> None:
-    """Though the second item fails at once and the first one later."""
-    begun = []
+def test_the_first_error_in_their_order_is_raised(workers: int) -> None:
+    """Though the second item fails at once and the first one later; as it would have been, with its cause."""
 
     def work(item: int) -> None:
-        begun.append(item)
         time.sleep(0.05 if item == 0 else 0.0)
         msg = f"item {item}"
-        raise ArithmeticError(msg)
+        raise ArithmeticError(msg) from ValueError("cause")
 
-    with pytest.raises(ArithmeticError, match=r"^item 0$"):
+    with pytest.raises(ArithmeticError, match=r"^item 0$") as caught:
         side_by_side(work, range(50), workers=workers)
-    time.sleep(0.1)
-    assert len(begun) <= workers
+    assert isinstance(caught.value.__cause__, ValueError)
+    assert not multiprocessing.active_children()
 
 
-def test_an_interrupt_does_not_wait_for_the_work() -> None:
-    """What had begun ends by itself, and nothing else is begun."""
-    begun, go_on = [], threading.Event()
+@forked
+@pytest.mark.parametrize("how", ["killed", "no memory", "no pickle"])
+def test_what_a_child_cannot_do_is_done_here(how: str) -> None:
+    """A child that the system kills, one without memory, a result that can't be sent."""
+    here = os.getpid()
 
-    def work(item: int) -> None:
-        begun.append(item)
-        go_on.wait(10)
+    def work(item: int) -> Any:  # noqa: ANN401 - also what can not be pickled
+        if item == 1 and os.getpid() != here:
+            if how == "killed":
+                os.kill(os.getpid(), signal.SIGKILL)
+            if how == "no memory":
+                raise MemoryError
+            return lambda: None
+        return item, os.getpid() == here
+
+    found = side_by_side(work, range(4), workers=2)
+    assert [item for item, _ in found] == [0, 1, 2, 3]
+    assert [own for _, own in found][:2] == [False, True]
+
+
+@forked
+def test_warnings_of_a_child_are_shown_here() -> None:
+    """Each as often as its filter lets it through."""
+
+    def work(item: int) -> int:
+        warnings.warn(f"of {item}", RuntimeWarning, stacklevel=1)
+        return item
+
+    with pytest.warns(RuntimeWarning, match="of") as caught:
+        side_by_side(work, range(3), workers=2)
+    assert sorted(str(one.message) for one in caught) == ["of 0", "of 1", "of 2"]
+
+
+@forked
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGKILL"])
+def test_no_process_outlives_its_parent(tmp_path: Path, name: str) -> None:
+    """However it ends; after an interrupt with the parent's words alone."""
+    number = getattr(signal, name)
+    script = f"""
+        import os, pathlib, time
+        from imucal.parallel import side_by_side
+        def work(item):
+            pathlib.Path({str(tmp_path)!r}, str(os.getpid())).touch()
+            time.sleep(60)
+        try:
+            side_by_side(work, range(9), workers=2)
+        except KeyboardInterrupt:
+            print("interrupted")
+    """
+    with subprocess.Popen(  # noqa: S603 - this interpreter, and a text that stands here
+        [sys.executable, "-c", textwrap.dedent(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    ) as process:
+        until(lambda: len(list(tmp_path.iterdir())) == 2)
+        if name == "SIGINT":
+            # As a terminal does, to all of them.
+            os.killpg(process.pid, number)
+        else:
+            process.send_signal(number)
+        said, wrong = process.communicate(timeout=30)
+    assert said == ("interrupted\n" if name == "SIGINT" else "")
+    assert not wrong
+    until(lambda: not any(is_there(int(child.name)) for child in tmp_path.iterdir()))
+
+
+def until(happened: object, seconds: float = 30) -> None:
+    """Wait until something has happened."""
+    assert callable(happened)
+    end = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+def is_there(process: int) -> bool:
+    """Whether a process runs, and is not only a number that nobody asked for yet."""
+    try:
+        return ") Z" not in Path(f"/proc/{process}/stat").read_text(encoding="utf-8")
+    except OSError:
+        return False
+
+
+def test_an_interrupt_ends_the_work() -> None:
+    """At once, with nobody left."""
 
     def interrupted(_: int, __: int | None) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        side_by_side(work, range(9), workers=2, done=interrupted)
-    go_on.set()
-    time.sleep(0.1)
-    assert len(begun) <= 2
+        side_by_side(time.sleep, [60] * 9, workers=2, done=interrupted)
+    assert not multiprocessing.active_children()
 
 
-def test_other_parallel_work_has_the_processors_already(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the main thread of a program all threads there may be; in another thread or a child process, 1."""
-    monkeypatch.setenv("IMUCAL_THREADS", "5")
-    monkeypatch.setattr(multiprocessing, "parent_process", lambda: None)
-    assert own_workers() == 5
+def test_beside_other_threads_nothing_is_forked() -> None:
+    """A lock that another thread holds would be locked for ever in a child."""
+    end = threading.Event()
+    other = threading.Thread(target=end.wait)
+    other.start()
+    try:
+        assert not may_fork()
+        assert side_by_side(lambda _: os.getpid(), range(3), workers=3) == [os.getpid()] * 3
+    finally:
+        end.set()
+        other.join()
+
+
+def test_inside_other_parallel_work_nothing_is_forked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which has the processors already: in another thread, and in a process started for work."""
     with ThreadPoolExecutor(1) as pool:
-        assert pool.submit(own_workers).result() == 1
+        assert not pool.submit(may_fork).result()
     monkeypatch.setattr(multiprocessing, "parent_process", multiprocessing.current_process)
-    assert own_workers() == 1
+    assert not may_fork()

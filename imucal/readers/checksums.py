@@ -7,6 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from imucal.parallel import CHECKSUMS
 from imucal.readers.containers.rosbag2_folder import natural
 from imucal.readers.formats import STDIN
 from imucal.recording import LogFileInfo
@@ -26,7 +27,9 @@ class Checksums:
         self._files = [file for path in paths for file in _files_of(path)]
         self._found: list[LogFileInfo] = []
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._work, daemon=True) if threads() > 1 else None
+        self._thread = (
+            threading.Thread(target=self._work, name=CHECKSUMS, daemon=True) if threads() > 1 else None
+        )
 
     def __enter__(self) -> Self:
         if self._thread is not None:
