@@ -35,9 +35,8 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
             echo("\t".join((what, entry.path, labels or copy, copy if labels else "")).rstrip())
     size = sum(task.size for task in plan.tasks)
     minutes = plan.seconds() / workers / 60
-    say(
-        f"{number_of_logs(len(plan.tasks))}, {size / 1e6:.4g} MB, about {minutes:.2g} min on {_number(workers, 'worker')}"
-    )
+    by = _number(workers, "worker")
+    say(f"{number_of_logs(len(plan.tasks))}, {size / 1e6:.4g} MB, about {minutes:.2g} min on {by}")
 
 
 def say_plan(plan: "FleetPlan", *, quiet: bool) -> None:
