@@ -35,16 +35,17 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
             echo("\t".join((what, entry.path, labels or copy, copy if labels else "")).rstrip())
     size = sum(task.size for task in plan.tasks)
     minutes = plan.seconds() / workers / 60
-    say(f"{len(plan.tasks)} logs, {size / 1e6:.4g} MB, about {minutes:.2g} min on {workers} workers")
+    by = _number(workers, "worker")
+    say(f"{number_of_logs(len(plan.tasks))}, {size / 1e6:.4g} MB, about {minutes:.2g} min on {by}")
 
 
 def say_plan(plan: "FleetPlan", *, quiet: bool) -> None:
     """Say what is to be done, what stands twice, and what labels would bring."""
     size = sum(task.size for task in plan.tasks)
-    parts = [f"{len(plan.tasks)} logs to do, {size / 1e6:.4g} MB"]
+    parts = [f"{number_of_logs(len(plan.tasks))} to do, {size / 1e6:.4g} MB"]
     parts += [f"{len(plan.done)} done before"] if plan.done else []
     parts += [f"{len(plan.again)} tried again"] if plan.again else []
-    parts += [f"{len(plan.copies)} copies of others, counted once"] if plan.copies else []
+    parts += [f"{_number(len(plan.copies), 'copy', 'copies')} of others, counted once"] if plan.copies else []
     say("; ".join(parts), quiet=quiet)
     for path, other in plan.copies.items():
         say(f"  {path}: same content as {other}", quiet=quiet)
@@ -70,10 +71,11 @@ def conclude(
         write_files(store, quiet=quiet)
     readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
     if logs.height and not readable:
-        say(f"Error: {out}: none of {logs.height} logs can be read")
+        say(f"Error: {out}: none of {number_of_logs(logs.height)} can be read")
         ctx.exit(3)
     if failed.height > max_failed * max(logs.height, 1):
-        share = f"{failed.height} of {logs.height} logs failed ({100 * failed.height / logs.height:.3g} %)"
+        percent = f"{100 * failed.height / logs.height:.3g} %"
+        share = f"{failed.height} of {number_of_logs(logs.height)} failed ({percent})"
         say(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%")
         ctx.exit(4)
 
@@ -122,7 +124,7 @@ def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
         f"{verdicts['not-noise']} not noise",
     ]
     said += [f"{count} {status}" for status, count in failed.items()]
-    echo(f"{folder}: {logs.height} logs done: {', '.join(said)}")
+    echo(f"{folder}: {number_of_logs(logs.height)} done: {', '.join(said)}")
     cpu, size = float(logs["cpu_s"].sum() or 0.0), int(logs["bytes"].sum() or 0)
     if cpu:
         echo(f"{size / 1e6:.4g} MB in {cpu:.4g} s of one core, {size / cpu / 1e6:.3g} MB/s")
@@ -140,6 +142,15 @@ def print_failures(failed: "pl.DataFrame", *, quiet: bool) -> None:
             say(f"  {text}", quiet=quiet)
         if len(texts) > _NAMED:
             say(f"  and {len(texts) - _NAMED} more", quiet=quiet)
+
+
+def number_of_logs(number: int) -> str:
+    """Return ``1 log``, ``2 logs``."""
+    return _number(number, "log")
+
+
+def _number(number: int, one: str, many: str = "") -> str:
+    return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def count(logs: "pl.DataFrame", status: str, verdict: str | None = None) -> int:

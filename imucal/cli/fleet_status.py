@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._echo import echo, echo_json
-from imucal.cli._fleet_lines import count, failed_logs, print_failures, print_standing
+from imucal.cli._fleet_lines import count, failed_logs, number_of_logs, print_failures, print_standing
 from imucal.cli._options import as_typed, quiet_option, say
 from imucal.grading import GRADES
 
@@ -45,9 +45,8 @@ def command(*, folder: Path, as_json: bool, quiet: bool) -> None:
     for part in damaged:
         say(f"  {part}: was cut off; the next run does its logs again", quiet=quiet)
     if left:
-        echo(
-            f"{len(left)} of {manifest.height} logs are left; imucal fleet run -o {as_typed(folder)} goes on"
-        )
+        left_of = f"{len(left)} of {number_of_logs(manifest.height)}"
+        echo(f"left: {left_of}; imucal fleet run -o {as_typed(folder)} goes on")
 
 
 def _document(

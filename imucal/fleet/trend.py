@@ -19,9 +19,8 @@ from imucal.fleet.outliers import adjusted, leave_one_out
 
 #: Adjusted p-value below which a unit moves otherwise than the others; there are many labels and terms.
 _RARE = 0.01
-#: Label -> what it must vary by to tell a slope, where it counts from, and the unit of the slope.
+#: Label -> what it must vary by to tell a slope, and the unit of the slope.
 _COLUMNS = {"temperature_c": 1.0, "days": 0.5}
-_ORIGIN = {"temperature_c": 25.0, "days": 0.0}
 _SCALE = {"temperature_c": 1.0, "days": 365.25}
 
 
@@ -115,8 +114,12 @@ def _design(logs: list[LogValue]) -> _Design | None:
     columns = tuple(c for c, near in _COLUMNS.items() if _spans(logs, c) > near)
     logs = [log for log in logs if all(math.isfinite(getattr(log, c)) for c in columns)]
     columns = tuple(c for c in columns if _spans(logs, c) > _COLUMNS[c])
-    x = np.array([[1.0, *((getattr(log, c) - _ORIGIN[c]) / _SCALE[c] for c in columns)] for log in logs])
-    if not columns or np.linalg.matrix_rank(x) < x.shape[1]:
+    if not columns:
+        return None
+    labels = np.array([[getattr(log, c) / _SCALE[c] for c in columns] for log in logs])
+    # About their means: days since 1970 that are a week apart are almost a column of ones.
+    x = np.column_stack([np.ones(len(logs)), labels - labels.mean(axis=0)])
+    if np.linalg.matrix_rank(x) < x.shape[1]:
         return None
     values = LogValues.of(logs)
     return _Design(columns, x, values.centre, values.deviation)
@@ -201,11 +204,13 @@ def _excess(terms: Sequence[Callable[[float], tuple[float, int]]]) -> float:
     """Return the variance beyond the known ones that brings the squares to their degrees of freedom."""
     from scipy.optimize import brentq
 
+    # Where there are no degrees of freedom, the squares are rounding, which no variance brings to zero.
+    terms = [term for term in terms if term(0.0)[1] > 0]
+
     def surplus(t2: float) -> float:
         return sum(square - degrees for square, degrees in (term(t2) for term in terms))
 
-    # Where there are no degrees of freedom, the squares are rounding.
-    if surplus(0.0) <= 1e-9:
+    if surplus(0.0) <= 0:
         return 0.0
     top = 1e-6
     while surplus(top) > 0:

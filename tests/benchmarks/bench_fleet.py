@@ -91,7 +91,7 @@ def engine(folder: Path, *, tasks: int) -> None:
         server = psutil.Process(scheduler.pid)
         done, worker = 0, None
         begun = time.perf_counter()
-        marks = {1000, tasks // 10, tasks}
+        marks = {1000, tasks // 10, tasks // 5, tasks}
         asked = Engine(address=address, memory=1 << 30)
         take = partial(next, numbers, None)
         for done, _ in enumerate(outcomes(take, nothing, engine=asked, patience=lambda _: 1e9), 1):

@@ -118,3 +118,23 @@ def test_a_unit_that_drifts_alone_is_found() -> None:
     found = trend(moved)
     assert [(s.unit, s.label) for s in found.slopes if s.odd] == [("3", "days")]
     assert len(found.slopes) == 16
+
+
+def test_as_many_logs_as_unknowns_leave_no_scatter_to_judge() -> None:
+    """Three logs a unit, at three temperatures on three days since 1970: the slopes are exact."""
+    days = 20_454.0
+    logs = []
+    for unit in range(6):
+        for celsius, day in ((15.0, 0.0), (25.0, 1.0), (45.0, 2.0)):
+            value = 1e-4 * math.exp(0.1 * unit + 0.01 * celsius + 0.5 * day / 365.25)
+            log = LogValue(unit=str(unit), value=value, low=value * 0.9, high=value * 1.1)
+            logs.append(replace(log, temperature_c=celsius, days=days + day))
+    found = trend(logs)
+    assert found.temperature is not None
+    assert found.drift is not None
+    assert found.temperature.value == pytest.approx(0.01, rel=1e-6)
+    assert found.drift.value == pytest.approx(0.5, rel=1e-6)
+    # The day from which days are counted is nothing to the slopes.
+    moved = trend([replace(log, days=log.days - days) for log in logs])
+    assert moved.drift is not None
+    assert moved.drift.value == pytest.approx(found.drift.value, rel=1e-6)

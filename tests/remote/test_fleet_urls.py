@@ -35,7 +35,7 @@ def test_a_fleet_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None: 
     third = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
     assert third.returncode == 0, third.stderr
     # The fourth unit's log is the first one's, byte for byte.
-    assert third.stderr.startswith("1 logs to do, 0.02673 MB; ")
+    assert third.stderr.startswith("1 log to do, 0.02673 MB; ")
     same = "s3://logs/mems/u4/still.csv: same content as s3://logs/mems/u1/still.csv"
     assert same in third.stderr
 
