@@ -86,15 +86,18 @@ def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float) ->
     """Name the jumps in order of time; the longest part without one is worth keeping."""
     found = sorted(found, key=lambda one: one.value)
     times = [one.value * series.tau0 for one in found]
-    jumps = [f"{_amount(one, series, scale)} at {t:.1f} s" for one, t in zip(found, times, strict=True)]
+    jumps = [
+        f"{one.size[0] * scale:+.3g} {pretty(series.unit)} at {t:.1f} s"
+        for one, t in zip(found, times, strict=True)
+    ]
     ends = np.array([0.0, *times, series.duration_s])
     longest = int(np.argmax(np.diff(ends)))
     return Finding(
         level="warning",
         code="step",
         axis=series.name,
-        text=f"The level jumps by {', '.join(jumps)} and stays there; "
-        f"{'the jumps are' if len(found) > 1 else 'the jump is'} taken out with the fit.",
+        text=f"The level jumps by {', '.join(jumps)}"
+        f"{'; the jumps are' if len(found) > 1 else ' and stays there; the jump is'} taken out with the fit.",
         advice="Fix the IMU so that nothing tilts it, or look for a bias that switches.",
         keep_s=(round(float(ends[longest]), 1), round(float(ends[longest + 1]), 1)),
     )
