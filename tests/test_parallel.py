@@ -9,16 +9,32 @@ import textwrap
 import threading
 import time
 import warnings
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
 from imucal.parallel import may_fork, side_by_side
 
+F = TypeVar("F", bound=Callable[..., object])
+
 WORKERS = [1, 2, 3, 9]
-forked = pytest.mark.skipif(not may_fork(), reason="processes are not forked here")
+SKIP = pytest.mark.skipif(not may_fork(), reason="processes are not forked here")
+
+
+@pytest.fixture
+def alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave threads of servers that other tests of this process have started out of account."""
+    monkeypatch.setattr(threading, "enumerate", lambda: [threading.main_thread()])
+
+
+def forked(test: F) -> F:
+    """Mark a test of work in forked processes."""
+    pytest.mark.usefixtures("alone")(test)
+    SKIP(test)
+    return test
 
 
 @pytest.mark.parametrize("workers", WORKERS)

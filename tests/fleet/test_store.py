@@ -202,8 +202,10 @@ def _add(folder: Path, names: list[str]) -> None:
         store.commit([log(name)], [result(name)], [bin_row(name)], shard=name)
 
 
-def test_two_processes_may_write_at_once(tmp_path: Path) -> None:
+def test_two_processes_may_write_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No row of the manifest and no log is lost."""
+    # Where the new processes find this module.
+    monkeypatch.syspath_prepend(Path(__file__).parents[2])
     store = fleet(tmp_path)
     context = multiprocessing.get_context("spawn")
     names = [[f"{shard}{i}" for i in range(15)] for shard in "ab"]
