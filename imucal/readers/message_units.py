@@ -6,8 +6,6 @@ from imucal.readers.builder import RecordingBuilder
 from imucal.readers.column_store import Columns
 from imucal.readers.messages import Topic
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.columns import Triad
-from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.recording import AXES, Axis, Sensor
 from imucal.units import SAMPLE_UNITS
 
@@ -22,6 +20,10 @@ def inferred_scales(
     ChoiceError
         If a unit is open.
     """
+    # Few logs of messages need what reads tables, and it takes longer to load than such a log to read.
+    from imucal.readers.tables.columns import Triad
+    from imucal.readers.tables.scales import Unscaled, Work, find_scales
+
     vectors = {vector.sensor: vector for vector in (topic.imu.vectors if topic.imu else ())}
     table = Work(path=f"{work.path}: topic {topic.name}", options=options, dialect=None, rate_hz=None)
     timed = [
