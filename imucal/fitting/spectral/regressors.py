@@ -82,16 +82,20 @@ def _angles(n: int, count: int) -> FloatArray:
     return np.asarray(np.pi / n * np.arange(1, count + 1, dtype=np.float64))
 
 
-def cycle_ordinates(n: int, theta: FloatArray, omega: float, phase: float) -> FloatArray:
+def cycle_ordinates(
+    n: int, theta: FloatArray, omega: FloatArray | float, phase: FloatArray | float
+) -> FloatArray:
     """Return the ordinates at angles `theta` = pi k/n of cos(omega (t + 1/2) + phase), t = 0 … n-1.
 
     With D(a) = sin(n a/2) / sin(a/2), Dirichlet's kernel:
-    sqrt(2/n)/2 sum over a = omega ± theta of D(a) cos(n a/2 + phase).
+    sqrt(2/n)/2 sum over a = omega ± theta of D(a) cos(n a/2 + phase). The three are broadcast together.
     """
-    total = np.zeros(theta.size)
+    total: FloatArray | float = 0.0
     for angle in (omega + theta, omega - theta):
-        kernel = n * np.sinc(n * angle / (2 * np.pi)) / np.sinc(angle / (2 * np.pi))
-        total += kernel * np.cos(n * angle / 2 + phase)
+        sine, cosine = np.sin(n / 2 * angle), np.cos(n / 2 * angle)
+        below = np.sin(angle / 2)
+        kernel = np.divide(sine, below, out=np.full(below.shape, float(n)), where=below != 0)
+        total = total + kernel * (cosine * np.cos(phase) - sine * np.sin(phase))
     return np.asarray(np.sqrt(2 / n) / 2 * total)
 
 

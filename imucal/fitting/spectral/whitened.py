@@ -12,6 +12,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.blocks import Block
+from imucal.fitting.spectral.regressors import cycle_ordinates
 
 #: Places in a block at which a step is looked for.
 _PLACES = 8192
@@ -74,9 +75,9 @@ class Whitened:
         sizes = [block.ordinates.size for block in self.blocks]
         starts = np.cumsum([0, *sizes[:-1]])
         rows = np.concatenate([s + np.arange(b.ordinates.size) for s, b in zip(starts, blocks, strict=True)])
-        weight = tuple(w[: b.ordinates.size] for w, b in zip(self.weight, blocks, strict=True))
-        near = Whitened(blocks=blocks, weight=weight, rest=self.rest[rows], base=self.base[rows])
-        return np.array([near.gain(_pair(w)) for w in omega.tolist()])
+        weight = [w[: b.ordinates.size] for w, b in zip(self.weight, blocks, strict=True)]
+        shapes = [_cycles(block, omega) * w for block, w in zip(blocks, weight, strict=True)]
+        return _gains_of_pairs(np.concatenate(shapes, axis=-1), self.rest[rows], self.base[rows])
 
     def step(self, taken: Sequence[float] = (), apart: float = 0.0) -> tuple[float, float, float]:
         """Return the place of the step that gains most, in samples of the record, its gain, and the choice.
@@ -96,8 +97,23 @@ class Whitened:
         return (*best, choice)
 
 
-def _pair(omega: float) -> tuple[str, str]:
-    return f"cos:{omega!r}", f"sin:{omega!r}"
+def _cycles(block: Block, omega: FloatArray) -> FloatArray:
+    """Return a block's ordinates of the cosine and the sine of each angular frequency, shape (2, w, k)."""
+    theta = np.pi / block.bins.n * np.arange(1, block.ordinates.size + 1, dtype=np.float64)
+    quarter = np.array([0.0, -np.pi / 2])[:, np.newaxis, np.newaxis]
+    shift = omega[:, np.newaxis] * block.offset + quarter
+    return cycle_ordinates(block.bins.n, theta, omega[:, np.newaxis], shift)
+
+
+def _gains_of_pairs(pairs: FloatArray, rest: FloatArray, base: FloatArray) -> FloatArray:
+    """Return the gain of each of w pairs of whitened regressors, shape (2, w, K), together; shape (w,)."""
+    pairs = pairs - (pairs @ base) @ base.T
+    products = np.moveaxis(pairs @ rest, 0, -1)
+    size, vectors = np.linalg.eigh(np.einsum("iwk,jwk->wij", pairs, pairs))
+    # Along the axes of each pair; one along which there is next to nothing is no regressor of its own.
+    along = np.einsum("wij,wi->wj", vectors, products)
+    told = size > _ALIKE**2 * size[:, -1:]
+    return np.asarray(np.sum(np.where(told, along**2 / np.where(told, size, 1.0), 0.0), axis=-1))
 
 
 def _weight(block: Block, spectrum: FloatArray) -> FloatArray:
