@@ -73,7 +73,7 @@ def choose(
     poles, zeros = (band.poles, band.zeros) if band else (0, 0)
     candidates = candidates_of(structures, ordinates.names, poles=poles, zeros=zeros, common=common)
     coarse = coarser(ordinates, singles=48, merge=3)
-    owner, theta = find_starts(coarse, candidates, shortest=shortest, keep=(1, 2, 3))
+    owner, theta = find_starts(coarse, candidates, shortest=shortest, keep=(1, 2, 3), quick=True)
     if band:
         theta[:, candidates.width - poles :] = _positive(band.response, ordinates)
     # The response was found with the richest model: it stays as it is in the first round.
@@ -82,7 +82,8 @@ def choose(
         free[:, candidates.width - poles :] = False
     cost = CRITERIA[criterion](ordinates.count) * candidates.parameters.astype(np.float64)
     rough = maximize(
-        coarse,
+        # Fewer bins yet: the spectra of the candidates are smooth, and the near ones are fitted on all bins.
+        coarser(ordinates, singles=24, merge=8),
         candidates.take(owner),
         theta,
         free=free,

@@ -19,9 +19,9 @@ from imucal.fitting.spectral.ordinates import MARKOV, Ordinates, coarser
 from imucal.noise.formulas import gauss_markov_dct
 
 _GRID = 16
-#: Rounds of updates of every mixture, and more of a candidate's best few.
-_FIRST_ROUNDS, _MORE_ROUNDS = 25, 25
-_BEST = 40
+#: Rounds of updates, and how many of the best mixtures of each candidate so far they are of.
+_EVERY = 1_000_000
+_THOROUGH, _QUICK = ((25, _EVERY), (25, 40)), ((12, _EVERY), (38, 16))
 #: Rows at a time: small enough for the cache, and for one thread of the linear algebra library.
 _ROWS = 96
 #: Keeps logarithms and squares of inverses finite.
@@ -42,11 +42,13 @@ def find_starts(
     *,
     shortest: float,
     keep: tuple[int, int, int],
+    quick: bool = False,
 ) -> tuple[IntArray, FloatArray]:
     """Return the best starts of each candidate: `keep` of them for 0, 1, 2 Gauss-Markov terms.
 
     That is which candidate each start belongs to, shape (s,), and its parameters, shape (s, p). A
-    candidate with more than two has a single start, its times spread evenly.
+    candidate with more than two has a single start, its times spread evenly. `quick` judges mixtures after
+    half as many rounds: enough where many candidates start side by side, and the best of them matters.
     """
     times = time_grid(ordinates, shortest)
     plans = [_combinations(int(count)) for count in candidates.markov]
@@ -58,7 +60,9 @@ def find_starts(
     for rows, seen in ((~ramped, ordinates), (ramped, ordinates.detrended())):
         if rows.any():
             sought = _Sought(owner=owner[rows], laws=candidates.laws[owner[rows]], places=every[rows])
-            theta[rows], score[rows] = _mixtures(coarser(seen), sought, times, candidates)
+            theta[rows], score[rows] = _mixtures(
+                coarser(seen), sought, times, candidates, _QUICK if quick else _THOROUGH
+            )
     best = [
         start + np.argsort(score[start : start + len(plan)], kind="stable")[: keep[min(int(count), 2)]]
         for start, plan, count in zip(
@@ -92,11 +96,15 @@ class _Sought:
 
 
 def _mixtures(
-    ordinates: Ordinates, sought: _Sought, times: FloatArray, candidates: Candidates
+    ordinates: Ordinates,
+    sought: _Sought,
+    times: FloatArray,
+    candidates: Candidates,
+    plan: tuple[tuple[int, int], ...],
 ) -> tuple[FloatArray, FloatArray]:
     """Return the parameters of each mixture, shape (s, p), and its -log L, shape (s,).
 
-    That of a mixture which is not among the best of its candidate after the first rounds is infinite.
+    By a `plan` of rounds; that of a mixture which is not among the last best of its candidate is infinite.
     """
     places = sought.places
     row, column = np.nonzero(places >= 0)
@@ -110,11 +118,12 @@ def _mixtures(
     use[row, MARKOV + place] = 1.0
     level = np.maximum(ordinates.power, _TINY) / ordinates.size
     weights = use * np.quantile(level / dictionary, 0.2, axis=1) / use.sum(axis=1, keepdims=True)
-    every = np.arange(len(places))
-    first = _mixed(ordinates, dictionary, weights, every, _FIRST_ROUNDS)
-    best = _best_of_each(first, sought.owner)
-    objective = np.full(len(places), np.inf)
-    objective[best] = _mixed(ordinates, dictionary, weights, best, _MORE_ROUNDS)
+    objective = np.zeros(len(places))
+    for rounds, best in plan:
+        rows = _best_of_each(objective, sought.owner, best)
+        found = _mixed(ordinates, dictionary, weights, rows, rounds)
+        objective = np.full(len(places), np.inf)
+        objective[rows] = found
     theta = np.zeros((len(places), candidates.width))
     logs = np.log(weights + _TINY)
     theta[:, :MARKOV] = logs[:, :MARKOV]
@@ -123,12 +132,12 @@ def _mixtures(
     return theta, objective
 
 
-def _best_of_each(objective: FloatArray, owner: IntArray) -> IntArray:
-    """Return the rows whose objective is among the best of their owner, rising."""
+def _best_of_each(objective: FloatArray, owner: IntArray, most: int) -> IntArray:
+    """Return the rows whose finite objective is among the `most` best of their owner, rising."""
     order = np.lexsort((objective, owner))
     sorted_owner = owner[order]
     rank = np.arange(order.size) - np.searchsorted(sorted_owner, sorted_owner)
-    return np.sort(order[rank < _BEST])
+    return np.sort(order[(rank < most) & np.isfinite(objective[order])])
 
 
 def _mixed(
