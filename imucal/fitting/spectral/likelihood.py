@@ -27,6 +27,8 @@ from imucal.noise.formulas import gauss_markov_dct
 #: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10
 
+#: Elements of an array of which a dozen stay in the cache.
+_CACHED = 16384
 #: Places in a band, lam / top, where a response must be positive whatever the bins are.
 _BETWEEN = np.linspace(0.4, 1.0, 25)
 
@@ -170,16 +172,17 @@ def _spectrum(
     slopes = np.zeros((candidates.count, candidates.width, bins))
     variance = np.where(candidates.laws, np.exp(theta[:, :MARKOV]), 0.0)
     np.multiply(variance[:, :, None], ordinates.basis, out=slopes[:, :MARKOV])
-    for index in range(room):
-        rows = np.flatnonzero(candidates.markov > index)
-        if not rows.size:
-            continue
+    # The Gauss-Markov terms of all candidates, as many at a time as stay in the cache.
+    rows, terms = np.nonzero(np.arange(room) < candidates.markov[:, None])
+    step = max(_CACHED // bins, 1)
+    for start in range(0, rows.size, step):
+        row, term = rows[start : start + step], terms[start : start + step]
         shape, slope = gauss_markov_dct(
-            theta[rows, MARKOV + room + index][:, None], ordinates.lam, ordinates.length, ordinates.sign
+            theta[row, MARKOV + room + term][:, None], ordinates.lam, ordinates.length, ordinates.sign
         )
-        level = np.exp(theta[rows, MARKOV + index])[:, None]
-        slopes[rows, MARKOV + index] = level * shape
-        slopes[rows, MARKOV + room + index] = level * slope
+        level = np.exp(theta[row, MARKOV + term])[:, None]
+        slopes[row, MARKOV + term] = level * shape
+        slopes[row, MARKOV + room + term] = level * slope
     spectrum = slopes[:, : MARKOV + room].sum(axis=1)
     slopes[:, : MARKOV + 2 * room] /= spectrum[:, None, :]
     if candidates.room_poles:
@@ -220,44 +223,65 @@ def _regress(
     ramp: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return beta (c, r), its covariance (c, r, r) and the squares it leaves in each bin (c, b)."""
-    beta = np.zeros(candidates.regressors.shape)
-    covariance = np.zeros((*candidates.regressors.shape, candidates.regressors.shape[1]))
+    has = candidates.regressors
+    if has.size and has.all():
+        return _solved(ordinates.gram, ordinates.cross, ordinates.power, has, spectrum, ramp)
+    beta = np.zeros(has.shape)
+    covariance = np.zeros((*has.shape, has.shape[1]))
     rest = np.broadcast_to(ordinates.power, spectrum.shape)
-    rows = np.flatnonzero(candidates.regressors.any(axis=1))
+    rows = np.flatnonzero(has.any(axis=1))
     if not rows.size:
         return beta, covariance, rest
     # Only what some candidate has: where there are many regressors, most steps are with few of them.
-    columns = np.flatnonzero(candidates.regressors.any(axis=0))
-    number = columns.size
-    grams, crosses = ordinates.gram[np.ix_(columns, columns)], ordinates.cross[columns]
-    use = candidates.regressors[np.ix_(rows, columns)]
-    weight = 1 / spectrum[rows]
+    columns = np.flatnonzero(has.any(axis=0))
+    rest = np.array(rest)
+    beta[np.ix_(rows, columns)], covariance[np.ix_(rows, columns, columns)], rest[rows] = _solved(
+        ordinates.gram[np.ix_(columns, columns)],
+        ordinates.cross[columns],
+        ordinates.power,
+        has[np.ix_(rows, columns)],
+        spectrum[rows],
+        None if ramp is None else np.where(has[rows, 0], ramp[rows], np.nan),
+    )
+    return beta, covariance, rest
+
+
+def _solved(
+    grams: FloatArray,
+    crosses: FloatArray,
+    power: FloatArray,
+    use: BoolArray,
+    spectrum: FloatArray,
+    ramp: FloatArray | None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what `_regress` does, of regressors' sums (r, r, b) and (r, b) and who has them, (c, r)."""
+    number = use.shape[1]
+    unit = np.eye(number)
+    weight = 1 / spectrum
     gram = np.einsum("cb,ijb->cij", weight, grams)
     cross = np.einsum("cb,ib->ci", weight, crosses)
     if ramp is not None:
-        held = np.isfinite(ramp[rows]) & candidates.regressors[rows, 0]
-        value = np.where(held, ramp[rows], 0.0)
+        held = np.isfinite(ramp)
+        value = np.where(held, ramp, 0.0)
         cross -= gram[:, :, 0] * value[:, None]
         use = use.copy()
         use[held, 0] = False
-    gram = np.where(use[:, :, None] & use[:, None, :], gram, 0.0)
+    both_used = use[:, :, None] & use[:, None, :]
+    gram = np.where(both_used, gram, 0.0)
     cross = np.where(use, cross, 0.0)
-    gram += np.where(use, 0.0, 1.0)[:, :, None] * np.eye(number)
-    gram[~np.isfinite(gram).all(axis=(1, 2))] = np.eye(number)
+    gram += np.where(use, 0.0, 1.0)[:, :, None] * unit
+    gram[~np.isfinite(gram).all(axis=(1, 2))] = unit
     size = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
     both = size[:, :, None] * size[:, None, :]
     # The ridge is far below any error; it only keeps regressors that are alike from being singular.
-    inverse = np.linalg.inv(gram / both + _RIDGE * np.eye(number)) / both
-    covariance[np.ix_(rows, columns, columns)] = np.where(use[:, :, None] & use[:, None, :], inverse, 0.0)
+    alike = gram / both + _RIDGE * unit
+    inverse = (np.linalg.inv(alike) if number > 1 else 1 / alike) / both
     solution = np.matmul(inverse, cross[:, :, None])[:, :, 0]
     if ramp is not None:
         solution[held, 0] = value[held]
-    beta[np.ix_(rows, columns)] = solution
-    left = ordinates.power - 2 * np.einsum("ci,ib->cb", solution, crosses)
+    left = power - 2 * np.einsum("ci,ib->cb", solution, crosses)
     for i in range(number):
         left += (solution[:, i] ** 2)[:, None] * grams[i, i]
         for j in range(i):
             left += (2 * solution[:, i] * solution[:, j])[:, None] * grams[i, j]
-    rest = np.array(rest)
-    rest[rows] = left
-    return beta, covariance, rest
+    return solution, np.where(both_used, inverse, 0.0), left
