@@ -225,7 +225,7 @@ def _regress(
     """Return beta (c, r), its covariance (c, r, r) and the squares it leaves in each bin (c, b)."""
     has = candidates.regressors
     if has.size and has.all():
-        return _solved(ordinates.gram, ordinates.cross, ordinates.power, has, spectrum, ramp)
+        return _solved(ordinates, has, spectrum, ramp)
     beta = np.zeros(has.shape)
     covariance = np.zeros((*has.shape, has.shape[1]))
     rest = np.broadcast_to(ordinates.power, spectrum.shape)
@@ -234,27 +234,22 @@ def _regress(
         return beta, covariance, rest
     # Only what some candidate has: where there are many regressors, most steps are with few of them.
     columns = np.flatnonzero(has.any(axis=0))
+    seen = replace(
+        ordinates, gram=ordinates.gram[np.ix_(columns, columns)], cross=ordinates.cross[columns], names=()
+    )
+    held = None if ramp is None else np.where(has[rows, 0], ramp[rows], np.nan)
     rest = np.array(rest)
     beta[np.ix_(rows, columns)], covariance[np.ix_(rows, columns, columns)], rest[rows] = _solved(
-        ordinates.gram[np.ix_(columns, columns)],
-        ordinates.cross[columns],
-        ordinates.power,
-        has[np.ix_(rows, columns)],
-        spectrum[rows],
-        None if ramp is None else np.where(has[rows, 0], ramp[rows], np.nan),
+        seen, has[np.ix_(rows, columns)], spectrum[rows], held
     )
     return beta, covariance, rest
 
 
 def _solved(
-    grams: FloatArray,
-    crosses: FloatArray,
-    power: FloatArray,
-    use: BoolArray,
-    spectrum: FloatArray,
-    ramp: FloatArray | None,
+    ordinates: Ordinates, use: BoolArray, spectrum: FloatArray, ramp: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what `_regress` does, of regressors' sums (r, r, b) and (r, b) and who has them, (c, r)."""
+    """Return what `_regress` does where each regressor is some candidate's; `use`, (c, r), says whose."""
+    grams, crosses = ordinates.gram, ordinates.cross
     number = use.shape[1]
     unit = np.eye(number)
     weight = 1 / spectrum
@@ -279,7 +274,7 @@ def _solved(
     solution = np.matmul(inverse, cross[:, :, None])[:, :, 0]
     if ramp is not None:
         solution[held, 0] = value[held]
-    left = power - 2 * np.einsum("ci,ib->cb", solution, crosses)
+    left = ordinates.power - 2 * np.einsum("ci,ib->cb", solution, crosses)
     for i in range(number):
         left += (solution[:, i] ** 2)[:, None] * grams[i, i]
         for j in range(i):
