@@ -19,14 +19,19 @@ from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
 from imucal.report.result import Report
-from imucal.solvers import root
+from imucal.solvers import root, root_near
 
 #: The level of an interval of one standard deviation to each side.
 ONE_DEVIATION = math.erf(math.sqrt(0.5))
 #: Nobody records for longer, in s: ten years. Longer needs are infinite.
 _LONGEST = 10 * 365.25 * 86400
+#: Where the search for a length begins without a record, in s.
+_USUAL = 3600.0
 #: Natural logarithm of the standard error of a record that tells nothing.
 _NOTHING_TOLD = 50.0
+#: How exactly a needed length is found, in natural logarithm: the last step of secants may be longer, since
+#: it leads far nearer; and a record has whole samples.
+_TOLERANCE, _LAST_STEP = 1e-4, 5e-3
 #: A record that is so much of a factor too short is worth a sentence.
 _WORTH_SAYING = 1.05
 #: Half of all records show a term whose standard error is the first figure; the normal law of what the
@@ -224,7 +229,7 @@ def _term(estimate: Estimate, value: float) -> NoiseTerm:
 
 def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:
     """Return the needs of terms, each of them in the model or, if bounded, added to it alone."""
-    rate_hz = ask.rate_hz or math.nan
+    rate_hz, wanted = ask.rate_hz or math.nan, ask.precision / ask.quantile
     needs: list[Need] = []
     for term, bounded in terms:
         whole = NoiseModel(terms=(*model.terms, term)) if bounded else model
@@ -239,7 +244,7 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
                     symbol=term.symbol,
                     value=value,
                     bounded=bounded,
-                    needed_s=_needed(whole, name, rate_hz, ask.precision / ask.quantile),
+                    needed_s=_needed(whole, name, rate_hz, wanted, ask.duration_s or _USUAL),
                     reached=reached,
                     shown=shown,
                 )
@@ -278,8 +283,11 @@ def _share_shown(name: str, bound: float) -> float:
     return 0.5 * math.erfc((bound - half) / (math.sqrt(2) * width))
 
 
-def _needed(model: NoiseModel, name: str, rate_hz: float, wanted: float) -> float:
-    """Return the length of record that shows a parameter to a relative standard error, in s."""
+def _needed(model: NoiseModel, name: str, rate_hz: float, wanted: float, near_s: float) -> float:
+    """Return the length of record that shows a parameter to a relative standard error, in s.
+
+    The search begins at a record of `near_s`.
+    """
     target = math.log(_largest_bound(name, wanted))
 
     def excess(log_duration: float) -> float:
@@ -288,9 +296,12 @@ def _needed(model: NoiseModel, name: str, rate_hz: float, wanted: float) -> floa
         return math.log(max(bound, 1e-300)) - target if bound < math.inf else _NOTHING_TOLD
 
     low, high = math.log(2 / rate_hz), math.log(_LONGEST)
+    found = root_near(excess, math.log(near_s), -0.5, low=low, high=high, tolerance=_LAST_STEP)
+    if found is not None:
+        return math.exp(found)
     if excess(high) > 0:
         return math.inf
-    return math.exp(root(excess, low, high, tolerance=1e-4)) if excess(low) > 0 else math.exp(low)
+    return math.exp(root(excess, low, high, tolerance=_TOLERANCE)) if excess(low) > 0 else math.exp(low)
 
 
 def _largest_bound(name: str, wanted: float) -> float:

@@ -13,6 +13,8 @@ from imucal.arrays import FloatArray
 
 #: Most steps of a search for a root: each at least halves the bracket.
 _MOST_STEPS = 200
+#: Most steps of a search by secants.
+_MOST_SECANTS = 12
 #: A share of the largest product with the residuals below which no variable is worth adding.
 _NO_GAIN = 1e-12
 
@@ -61,6 +63,38 @@ def root(function: Callable[[float], float], low: float, high: float, *, toleran
         if abs(high - low) <= tolerance:
             break
     return best
+
+
+def root_near(
+    function: Callable[[float], float],
+    start: float,
+    slope: float,
+    *,
+    low: float,
+    high: float,
+    tolerance: float,
+) -> float | None:
+    """Return a root of a falling function that is nearly straight, to within `tolerance`, by secants.
+
+    The first step from `start` is by `slope`. None where that leads nowhere between `low` and `high`; what
+    `root` finds in a bracket is then the answer.
+    """
+    place = min(max(start, low), high)
+    value = function(place)
+    for _ in range(_MOST_SECANTS):
+        if value == 0:
+            return place
+        following = place - value / slope
+        if not low < following < high:
+            return None
+        found = function(following)
+        if abs(following - place) <= tolerance:
+            return following
+        slope = (found - value) / (following - place)
+        if not slope < 0:
+            return None
+        place, value = following, found
+    return None
 
 
 def non_negative(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, float]:

@@ -8,7 +8,7 @@ import numpy.testing as npt
 import pytest
 from scipy.optimize import brentq, nnls
 
-from imucal.solvers import non_negative, root
+from imucal.solvers import non_negative, root, root_near
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -54,6 +54,36 @@ def test_a_root_agrees_with_scipy(function: Callable[[float], float], low: float
     expected = brentq(function, low, high, xtol=1e-13)
     assert root(function, low, high, tolerance=1e-9) == pytest.approx(expected, abs=2e-9)
     assert root(lambda x: -function(x), low, high, tolerance=1e-9) == pytest.approx(expected, abs=2e-9)
+
+
+@pytest.mark.parametrize("start", [-4.0, 1.0, 9.0])
+def test_secants_find_the_root_of_a_falling_function(start: float) -> None:
+    """Straight, bent, and with a corner; in fewer evaluations than a bracket as wide takes."""
+    functions: list[Callable[[float], float]] = [
+        lambda x: 3 - 0.5 * x,
+        lambda x: 2 - 0.5 * x - 0.1 * math.sin(x),
+        lambda x: 1 - 0.4 * x - 0.3 * max(x - 1, 0.0),
+    ]
+    for function in functions:
+        places: list[float] = []
+
+        def counted(
+            x: float, function: Callable[[float], float] = function, seen: list[float] = places
+        ) -> float:
+            seen.append(x)
+            return function(x)
+
+        found = root_near(counted, start, -0.5, low=-30.0, high=30.0, tolerance=1e-9)
+        assert found == pytest.approx(brentq(function, -30.0, 30.0, xtol=1e-13), abs=2e-9)
+        assert len(places) < 13
+
+
+def test_secants_give_up_where_there_is_no_root_ahead() -> None:
+    """Out of the bracket, on a rise, and at a leap."""
+    assert root_near(lambda x: 40 - x, 0.0, -1.0, low=-5.0, high=5.0, tolerance=1e-9) is None
+    assert root_near(lambda x: x, 1.0, -0.5, low=-5.0, high=5.0, tolerance=1e-9) is None
+    assert root_near(lambda x: 1.0 if x < 1 else -1.0, 0.0, -0.5, low=-5.0, high=5.0, tolerance=1e-9) is None
+    assert root_near(lambda x: -x, 0.0, -0.5, low=-5.0, high=5.0, tolerance=1e-9) == 0.0
 
 
 def test_a_root_needs_different_signs() -> None:
