@@ -220,12 +220,17 @@ class _Reader:
 
     def _scatter(self, at: FloatArray, free: np.ndarray) -> FloatArray:
         """Return the covariance of the free variances, then log times, where the curve's is that of `at`."""
+        rows = self._influence(free)
+        return np.asarray(rows @ self.spread.at(at) @ rows.T)
+
+    def _influence(self, free: np.ndarray) -> FloatArray:
+        """Return what each Allan variance adds to the free variances, then log times, shape (p, k)."""
         design = self.weight.whiten @ derivatives(self.solution, self.points, free)
         length = np.sqrt(np.einsum("ij,ij->j", design, design))
         length[length == 0] = 1.0
         # Of minimal norm, so that terms the curve can't tell apart give a wide answer, not an error.
         solve = np.linalg.pinv(design / length, rcond=1e-12) @ self.weight.whiten
-        return np.asarray(solve @ self.spread.at(at) @ solve.T / np.outer(length, length))
+        return np.asarray(solve / length[:, np.newaxis])
 
     def _time(self, index: int) -> Interval:
         """Return the correlation time in s; its logarithm is closer to normal than itself."""
@@ -246,11 +251,10 @@ class _Reader:
         if not self.inside[place]:
             used = np.flatnonzero(self.inside | (np.arange(self.inside.size) == place))
             value = float(non_negative(self.design[:, used], self.target)[0][used.tolist().index(place)])
-        row = int(free[:place].sum())
+        own = self._influence(free)[int(free[:place].sum())]
 
         def spread_at(trial: float) -> float:
-            at = self._others(place, trial)
-            variance = self._scatter(at, free)[row, row]
+            variance = own @ self.spread.at(self._others(place, trial)) @ own
             return float(np.sqrt(variance))
 
         return limits(value, spread_at, self.quantile)
