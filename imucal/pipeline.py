@@ -102,12 +102,11 @@ def characterize(
     """
     settings = settings or Settings()
     workers = _workers(recording, workers)
-    findings = recording.findings + screen(recording, workers=workers)
-
     if workers > 1:
         # Once, by the process that the others are forked from.
         for name in _LIBRARIES:
             import_module(name)
+    findings = recording.findings + screen(recording, workers=workers)
 
     def work(series: AxisSeries) -> AxisReport | Finding:
         try:
