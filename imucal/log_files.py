@@ -1,11 +1,12 @@
 """Recording -> log file: CSV, MCAP, ROS 1 and ROS 2 bags, for logs of known truth.
 
-The messages are `sensor_msgs/Imu` with unknown orientation. The bytes of all messages are laid
+The messages are `sensor_msgs/Imu` with unknown orientation. The bytes of many messages are laid
 out at once in a structured array; the containers are written by `mcap` and `rosbags`.
 """
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,37 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray
 from imucal.atomic import replacing
 from imucal.errors import WriteError
+from imucal.mapped import blocks
 from imucal.recording import Recording
 
 _TOPIC = "/imu/data_raw"
+#: Messages laid out at once: 20 MB.
+_MESSAGES = 1 << 16
 _EUROC_HEADER = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
     "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Rows:
+    """Some samples in a row: the number of the first, stamps in ns (n,), rates and forces (n, 3) in SI."""
+
+    first: int
+    stamps: IntArray
+    rates: FloatArray
+    forces: FloatArray
+
+
+def _rows(recording: Recording) -> Iterator[_Rows]:
+    """Yield the samples of a recording, in order."""
+    clock, columns = recording.series[0].clock, [series.samples for series in recording.series]
+    for part in blocks(clock.n, *columns, size=_MESSAGES):
+        own = clock.slice(part.start, part.stop)
+        place = own.grid() + (own.segments[0].offset - clock.segments[0].offset)
+        stamps = (clock.start_ns or 0) + np.rint(place * (1e9 / clock.rate_hz)).astype(np.int64)
+        values = np.stack([column[part] for column in columns], axis=1)
+        yield _Rows(first=part.start, stamps=stamps, rates=values[:, :3], forces=values[:, 3:])
 
 
 def write_log(recording: Recording, path: Path) -> None:
@@ -42,20 +67,17 @@ def write_log(recording: Recording, path: Path) -> None:
     if path.exists():
         msg = f"{path}: exists already; a log is never overwritten, choose another name or remove it"
         raise WriteError(msg)
-    clock = recording.series[0].clock
-    stamps = (clock.start_ns or 0) + np.rint(clock.grid() * (1e9 / clock.rate_hz)).astype(np.int64)
-    rates = np.stack([series.samples for series in recording.series[:3]], axis=1)
-    forces = np.stack([series.samples for series in recording.series[3:]], axis=1)
     with replacing(path) as scratch:
-        writer(scratch, stamps, rates, forces)
+        writer(scratch, _rows(recording))
 
 
-def _write_csv(path: Path, stamps: IntArray, rates: FloatArray, forces: FloatArray) -> None:
+def _write_csv(path: Path, parts: Iterator[_Rows]) -> None:
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.write(_EUROC_HEADER)
-        rows = np.concatenate([rates, forces], axis=1).tolist()
-        for stamp, row in zip(stamps.tolist(), rows, strict=True):
-            stream.write(f"{stamp},{','.join(map(repr, row))}\n")
+        for part in parts:
+            rows = np.concatenate([part.rates, part.forces], axis=1).tolist()
+            for stamp, row in zip(part.stamps.tolist(), rows, strict=True):
+                stream.write(f"{stamp},{','.join(map(repr, row))}\n")
 
 
 def _imu_bytes(
@@ -82,15 +104,28 @@ def _ros2_messages(stamps: IntArray, rates: FloatArray, forces: FloatArray) -> N
     return messages
 
 
-def _ros1_messages(stamps: IntArray, rates: FloatArray, forces: FloatArray) -> NDArray[np.void]:
+def _ros1_messages(part: _Rows) -> NDArray[np.void]:
     head = [("seq", "<u4"), ("sec", "<u4"), ("nsec", "<u4"), ("length", "<u4"), ("frame", "S3")]
-    messages = _imu_bytes(head, stamps, rates, forces)
-    messages["seq"] = np.arange(stamps.size)
+    messages = _imu_bytes(head, part.stamps, part.rates, part.forces)
+    messages["seq"] = np.arange(part.first, part.first + part.stamps.size)
     messages["length"], messages["frame"] = 3, b"imu"
     return messages
 
 
-def _write_mcap(path: Path, stamps: IntArray, rates: FloatArray, forces: FloatArray) -> None:
+def _stamped(
+    parts: Iterator[_Rows], messages: Callable[[_Rows], NDArray[np.void]]
+) -> Iterator[tuple[int, bytes]]:
+    """Yield the stamp of each message, in ns, and its bytes."""
+    for part in parts:
+        for stamp, message in zip(part.stamps.tolist(), messages(part), strict=True):
+            yield stamp, message.tobytes()
+
+
+def _ros2_of(part: _Rows) -> NDArray[np.void]:
+    return _ros2_messages(part.stamps, part.rates, part.forces)
+
+
+def _write_mcap(path: Path, parts: Iterator[_Rows]) -> None:
     from mcap.writer import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -100,12 +135,12 @@ def _write_mcap(path: Path, stamps: IntArray, rates: FloatArray, forces: FloatAr
         writer.start(profile="ros2", library="imucal")
         schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", definition.encode())
         channel = writer.register_channel(_TOPIC, "cdr", schema)
-        for stamp, message in zip(stamps.tolist(), _ros2_messages(stamps, rates, forces), strict=True):
-            writer.add_message(channel, stamp, message.tobytes(), stamp)
+        for stamp, message in _stamped(parts, _ros2_of):
+            writer.add_message(channel, stamp, message, stamp)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _write_ros1_bag(path: Path, stamps: IntArray, rates: FloatArray, forces: FloatArray) -> None:
+def _write_ros1_bag(path: Path, parts: Iterator[_Rows]) -> None:
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -114,31 +149,31 @@ def _write_ros1_bag(path: Path, stamps: IntArray, rates: FloatArray, forces: Flo
     with writer:
         typestore = get_typestore(Stores.ROS1_NOETIC)
         connection = writer.add_connection(_TOPIC, "sensor_msgs/msg/Imu", typestore=typestore)
-        for stamp, message in zip(stamps.tolist(), _ros1_messages(stamps, rates, forces), strict=True):
-            writer.write(connection, stamp, message.tobytes())
+        for stamp, message in _stamped(parts, _ros1_messages):
+            writer.write(connection, stamp, message)
 
 
-def _write_ros2_folder(path: Path, stamps: IntArray, rates: FloatArray, forces: FloatArray) -> None:
+def _write_ros2_folder(path: Path, parts: Iterator[_Rows]) -> None:
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
 
     with Writer(path, version=9) as writer:
         typestore = get_typestore(Stores.ROS2_HUMBLE)
         connection = writer.add_connection(_TOPIC, "sensor_msgs/msg/Imu", typestore=typestore)
-        for stamp, message in zip(stamps.tolist(), _ros2_messages(stamps, rates, forces), strict=True):
-            writer.write(connection, stamp, message.tobytes())
+        for stamp, message in _stamped(parts, _ros2_of):
+            writer.write(connection, stamp, message)
 
 
-def _write_ros2_file(path: Path, stamps: IntArray, rates: FloatArray, forces: FloatArray) -> None:
+def _write_ros2_file(path: Path, parts: Iterator[_Rows]) -> None:
     folder = path.with_suffix("")
-    _write_ros2_folder(folder, stamps, rates, forces)
+    _write_ros2_folder(folder, parts)
     (written,) = folder.glob("*.db3")
     written.replace(path)
     shutil.rmtree(folder)
 
 
 #: Suffix of a log -> function that writes it.
-WRITERS: dict[str, Callable[[Path, IntArray, FloatArray, FloatArray], None]] = {
+WRITERS: dict[str, Callable[[Path, Iterator[_Rows]], None]] = {
     ".csv": _write_csv,
     ".mcap": _write_mcap,
     ".bag": _write_ros1_bag,

@@ -24,15 +24,15 @@ from imucal.parallel import side_by_side
 from imucal.planning import resolution_findings
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
-from imucal.resources import memory_limit
+from imucal.resources import memory_limit, threads
 from imucal.screening import screen
 from imucal.side_work import findings_or_why_not
 
 #: Samples looked at at once.
 _BLOCK = 1 << 20
-#: Bytes that the analysis of an axis takes for each of its samples, and those that all axes may take that are
-#: worked on at a time.
-_BYTES, _ROOM = 32, 500_000_000
+#: Bytes that the analysis of an axis takes for each of its samples and besides, and those that all axes may
+#: take that are worked on at a time unless a number is wanted.
+_BYTES, _BESIDES, _ROOM = 24, 25_000_000, 300_000_000
 #: What every axis needs of libraries that are loaded when they are used.
 _LIBRARIES = ("scipy.fft", "scipy.special")
 #: A remark of the screening, and the finding of the fit that says the same with more.
@@ -86,10 +86,11 @@ def characterize(
     progress
         Called with the number of axes done, of all, and the name of the next.
     workers
-        Most axes at a time, each in a forked child process, at least 1; by default 1, which takes the least
-        CPU time and memory. Fewer where so many would take more memory than the samples of a log may (see
-        ``IMUCAL_MEMORY``); one after the other where processes can't be forked safely: not on Linux, beside
-        other threads of the program, inside a process of other parallel work, under a debugger.
+        Most axes at a time, each in a forked child process, at least 1; by default as many as this process
+        has processors (see ``IMUCAL_THREADS``), and 300 MB hold beside the samples. Fewer where so many
+        would take more memory than one step may (see ``IMUCAL_MEMORY``); one after the other where processes
+        can't be forked safely: not on Linux, beside other threads of the program, inside a process of other
+        parallel work, under a debugger.
         The result is the same for any number.
 
     Raises
@@ -101,12 +102,11 @@ def characterize(
     """
     settings = settings or Settings()
     workers = _workers(recording, workers)
-    findings = recording.findings + screen(recording, workers=workers)
-
     if workers > 1:
         # Once, by the process that the others are forked from.
         for name in _LIBRARIES:
             import_module(name)
+    findings = recording.findings + screen(recording, workers=workers)
 
     def work(series: AxisSeries) -> AxisReport | Finding:
         try:
@@ -135,14 +135,16 @@ def characterize(
 
 
 def _workers(recording: Recording, wanted: int | None) -> int:
-    """Return how many axes to work on at a time: as many as wanted, and as the memory holds."""
+    """Return how many axes to work on at a time: as many as wanted, or as the machine has processors for.
+
+    So many as the memory holds; those that nobody asked for keep to little.
+    """
     if wanted is not None and wanted < 1:
         msg = f"workers must be at least 1, got {wanted}"
         raise ValueError(msg)
     largest = max((series.n for series in recording.series), default=0)
-    count = 1 if wanted is None else wanted
-    room = min(memory_limit(), _ROOM) // (_BYTES * largest + 1)
-    return max(1, min(count, room))
+    count, room = (threads(), min(memory_limit(), _ROOM)) if wanted is None else (wanted, memory_limit())
+    return max(1, min(count, room // (_BESIDES + _BYTES * largest)))
 
 
 def _no_result(series: AxisSeries, error: DataError, screened: tuple[Finding, ...]) -> Finding:

@@ -1,13 +1,15 @@
 """Recordings of known truth: noise models of a gyroscope and an accelerometer -> Recording."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
+from imucal.mapped import blocks
 from imucal.noise import NoiseModel
+from imucal.readers.room import Room
 from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source
 
 #: Time of the first simulated sample: 2026-01-01 00:00 UTC, in ns.
@@ -36,9 +38,18 @@ class SensorTruth:
 
     def samples(self, n: int, *, rate_hz: float, rng: np.random.Generator) -> FloatArray:
         """Return samples, shape (3, n)."""
-        rows = [constant + self.model.simulate(n, rate_hz=rate_hz, rng=rng) for constant in self.mean]
-        samples = np.stack(rows)
-        return np.round(samples / self.lsb) * self.lsb if self.lsb else samples
+        return np.stack(list(self.rows(n, rate_hz=rate_hz, rng=rng)))
+
+    def rows(self, n: int, *, rate_hz: float, rng: np.random.Generator) -> Iterator[FloatArray]:
+        """Yield the samples of the axes x, y, z, each of shape (n,)."""
+        for constant in self.mean:
+            samples = self.model.simulate(n, rate_hz=rate_hz, rng=rng)
+            samples += constant
+            if self.lsb:
+                samples /= self.lsb
+                np.round(samples, out=samples)
+                samples *= self.lsb
+            yield samples
 
 
 def simulate_recording(
@@ -50,7 +61,7 @@ def simulate_recording(
     seed: int,
     gaps_s: Sequence[tuple[float, float]] = (),
 ) -> Recording:
-    """Return a recording of simulated noise.
+    """Return a recording of simulated noise; that of a long one lies in temporary files.
 
     Parameters
     ----------
@@ -70,19 +81,21 @@ def simulate_recording(
     """
     n = max(1, round(duration_s * rate_hz))
     rng = np.random.default_rng(seed)
-    seconds = np.arange(n) / rate_hz
     keep = np.ones(n, dtype=np.bool_)
-    for start, length in gaps_s:
-        keep &= ~((seconds >= start) & (seconds < start + length))
+    for part in blocks(n):
+        seconds = np.arange(part.start, part.stop) / rate_hz
+        for start, length in gaps_s:
+            keep[part] &= ~((seconds >= start) & (seconds < start + length))
     if not keep.any():
         msg = "the gaps leave no samples"
         raise ValueError(msg)
     even = Clock.even(n, rate_hz, source="simulated")
     clock = replace(even, start_ns=START_NS, jitter_s=0.0).keeping(keep)
+    room = Room()
     truths = {Sensor.GYROSCOPE: gyroscope, Sensor.ACCELEROMETER: accelerometer}
     series = tuple(
-        AxisSeries(sensor=sensor, axis=axis, samples=row[keep], clock=clock)
+        AxisSeries(sensor=sensor, axis=axis, samples=room.chosen(row, keep), clock=clock)
         for sensor, truth in truths.items()
-        for axis, row in zip(_AXES, truth.samples(n, rate_hz=rate_hz, rng=rng), strict=True)
+        for axis, row in zip(_AXES, truth.rows(n, rate_hz=rate_hz, rng=rng), strict=True)
     )
     return Recording(source=Source(path="simulated", format="simulated"), series=series)

@@ -37,7 +37,7 @@ BELOW |= {
     "allan": BASE,
     "noise": BASE,
     "fitting": BASE | {"allan", "noise", "screening"},
-    "simulation": BASE | {"noise"},
+    "simulation": BASE | {"noise", "readers"},
     "log_files": BASE,
     "report": BASE | {"allan", "noise", "fitting"},
 }

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import pytest
 
 from imucal.parallel import may_fork, side_by_side
@@ -111,6 +112,27 @@ def test_what_a_child_cannot_do_is_done_here(how: str) -> None:
     found = side_by_side(work, range(4), workers=2)
     assert [item for item, _ in found] == [0, 1, 2, 3]
     assert [own for _, own in found][:2] == [False, True]
+
+
+@forked
+def test_what_is_of_the_item_is_not_sent() -> None:
+    """A result that holds its item is given back with the very item, as if it had been made here."""
+    items = [np.zeros(1000) for _ in range(3)]
+    found = side_by_side(lambda item: {"of": item, "size": item.size}, items, workers=2)
+    assert all(one["of"] is item for one, item in zip(found, items, strict=True))
+
+
+@forked
+def test_children_hold_little_of_their_own() -> None:
+    """What their parent has they share."""
+
+    def own(_: int) -> int:
+        text = Path("/proc/self/smaps_rollup").read_text(encoding="ascii")
+        return next(int(line.split()[1]) for line in text.splitlines() if line.startswith("Private_Dirty"))
+
+    held = np.ones(10_000_000)
+    assert max(side_by_side(own, range(4), workers=2)) < 20_000
+    assert held.all()
 
 
 @forked

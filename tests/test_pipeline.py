@@ -169,14 +169,18 @@ def test_a_report_does_not_depend_on_how_many_axes_are_worked_on_at_a_time() -> 
 
 
 def test_work_on_several_axes_keeps_to_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As many as wanted of short axes; one at a time where two would take more than half a gigabyte."""
+    """As many as wanted where the memory holds them; unasked as many as processors, with 300 MB in all."""
     short, long = (
         recording_of(AxisSeries.from_samples(np.broadcast_to(0.0, n), rate_hz=50.0)) for n in (1000, 10**7)
     )
     monkeypatch.setenv("IMUCAL_MEMORY", "10G")
-    assert _workers(short, 9) == 9
-    assert _workers(long, 9) == 1
-    monkeypatch.setenv("IMUCAL_MEMORY", "100k")
-    assert _workers(short, 9) == 3
+    monkeypatch.setenv("IMUCAL_THREADS", "8")
+    assert (_workers(short, 9), _workers(short, None)) == (9, 8)
+    assert (_workers(long, 9), _workers(long, None)) == (9, 1)
+    monkeypatch.setenv("IMUCAL_MEMORY", "100M")
+    assert (_workers(short, 9), _workers(short, None)) == (4, 4)
+    assert (_workers(long, 9), _workers(long, None)) == (1, 1)
+    monkeypatch.setenv("IMUCAL_THREADS", "1")
+    assert (_workers(short, 9), _workers(short, None)) == (4, 1)
     with pytest.raises(ValueError, match=r"^workers must be at least 1, got 0$"):
         characterize(short, workers=0)

@@ -2,6 +2,9 @@
 
 import json
 import shlex
+import subprocess
+import sys
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +12,7 @@ import numpy.testing as npt
 import pytest
 from click.testing import CliRunner
 
+from imucal import log_files
 from imucal.cli import imucal
 from imucal.errors import WriteError
 from imucal.log_files import WRITERS, write_log
@@ -45,6 +49,35 @@ def test_every_container_reads_back_bit_equal(suffix: str, tmp_path: Path) -> No
         assert found.clock.segments == written.clock.segments
         assert found.rate_hz == pytest.approx(100.0, rel=1e-9)
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mcap", ".bag"])
+def test_a_log_is_the_same_in_blocks_of_any_size(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where a gap lies inside a block, and where the samples lie in temporary files."""
+    whole, parts = tmp_path / f"whole{suffix}", tmp_path / f"parts{suffix}"
+    write_log(short_recording(), whole)
+    monkeypatch.setattr(log_files, "_MESSAGES", 64)
+    monkeypatch.setenv("IMUCAL_MEMORY", "10k")
+    write_log(short_recording(), parts)
+    assert parts.read_bytes() == whole.read_bytes()
+
+
+def test_a_long_log_is_never_held_whole(tmp_path: Path) -> None:
+    """The messages of this one are 80 MB; a multiple of what a block takes would show."""
+    script = f"""
+        import resource
+        from imucal.cli import imucal
+        def simulate(name, duration):
+            imucal(["simulate", "N=1e-4", "--duration", duration, "-q", "-o", name], standalone_mode=False)
+            return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        short = simulate({str(tmp_path / "a.mcap")!r}, "8min")
+        long = simulate({str(tmp_path / "b.mcap")!r}, "21min")
+        assert long - short < 50_000, (short, long)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(script)]
+    subprocess.run(command, check=True, timeout=60)  # noqa: S603 - this interpreter, and a text of ours
 
 
 def test_the_same_seed_gives_the_same_samples() -> None:

@@ -14,6 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from imucal.allan.four_step import LONG, four_step_dct
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
@@ -187,6 +188,8 @@ def _transform(samples: FloatArray) -> FloatArray:
     if not np.isfinite(mean):
         msg = "the spectrum needs finite samples; got NaN or infinity: leave those samples out first"
         raise DataError(msg)
+    if samples.size >= LONG:
+        return four_step_dct(samples, mean)[1:]
     ordinates: FloatArray = dct(samples - mean, type=2, norm="ortho", overwrite_x=True)
     return ordinates[1:]
 

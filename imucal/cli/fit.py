@@ -112,7 +112,7 @@ analysed or are not noise at rest (with --strict: or a warning was found),
     "--jobs",
     type=click.IntRange(1),
     metavar="N",
-    help="Axes fitted at a time, each in a process of its own. [default: 1]",
+    help="Axes fitted at a time, each in a process of its own. [default: as many as there are processors]",
 )
 @click.option("--bins", is_flag=True, help="Put each axis's binned spectrum into report.json, to pool logs.")
 @click.option("--json", "as_json", is_flag=True, help="Print report.json on standard output.")

@@ -99,7 +99,8 @@ def _characterised(
     wanted = Settings(
         model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
     )
-    report = characterize(recording, wanted)
+    # One axis at a time: the other processors have other logs.
+    report = characterize(recording, wanted, workers=1)
     first = report.axes[0]
     log |= {
         "verdict": report.verdict.grade,

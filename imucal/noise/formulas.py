@@ -49,8 +49,14 @@ def draw_flicker(n: int, rng: np.random.Generator) -> FloatArray:
     covariance[0] = structure[1]
     covariance[1:] = 0.5 * (structure[2:] + structure[:-2]) - structure[1:-1]
     circulant = np.concatenate([covariance, covariance[1 : size - half][::-1]])
+    del structure, covariance
     spectrum = np.sqrt(np.maximum(rfft(circulant).real, 0.0))
-    steps = irfft(rfft(rng.standard_normal(size)) * spectrum, size)[:n]
+    del circulant
+    # In place: of a day these arrays are what a simulation holds at most.
+    drawn = rfft(rng.standard_normal(size), overwrite_x=True)
+    drawn *= spectrum
+    del spectrum
+    steps = irfft(drawn, size, overwrite_x=True)[:n]
     return np.cumsum(steps)
 
 

@@ -244,7 +244,9 @@ class PowerLawTerm(NoiseTerm):
         return own, 2 * own[np.newaxis]
 
     def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
-        return self.value * self.per_sample(tau0) * self._unit(n, rng)
+        samples = self._unit(n, rng)
+        samples *= self.value * self.per_sample(tau0)
+        return samples
 
     @abstractmethod
     def _unit(self, n: int, rng: np.random.Generator) -> FloatArray:

@@ -133,7 +133,8 @@ class RateRandomWalk(PowerLawTerm):
         return 3.0, self.value
 
     def _unit(self, n: int, rng: np.random.Generator) -> FloatArray:
-        return np.cumsum(rng.standard_normal(n))
+        steps = rng.standard_normal(n)
+        return np.cumsum(steps, out=steps)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

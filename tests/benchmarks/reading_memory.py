@@ -8,14 +8,17 @@ Files are made where they are not there yet (under a temporary folder that is de
 - ``zeros.npz``: 4 GB of zeros in 4 MB;
 - ``rows.csv.gz``: as many rows, a block of 256 again and again, with a counter and no time;
 - ``stamped.csv.gz``: 20 million rows with times in seconds;
-- ``day.mcap``: 17.3 million messages, 24 h at 200 Hz, zstd.
+- ``day.mcap``: 17.3 million messages, 24 h at 200 Hz, zstd;
+- ``long.npz``: six axes of 100 million samples, 4.8 GB, only where it is asked for.
 
 Each job runs in a process of its own, with the default limit and with ``IMUCAL_MEMORY=500M``. Printed are its
-CPU and wall time, its peak (``ru_maxrss``, which counts the pages of its temporary files that happened to be
-in memory), and how much of it at most was its own memory (``RssAnon``).
+CPU and wall time, the most that it and its children held at a time (proportional set size, looked at every
+20 ms: what a machine loses, the pages of temporary files that happened to be in memory with it), and how much
+at most was their own memory and lay in no file.
 """
 
 import argparse
+import contextlib
 import gzip
 import os
 import subprocess
@@ -35,6 +38,7 @@ ROWS = 131_000_000
 #: Samples of six axes in 4 GB.
 SAMPLES = 83_000_000
 STAMPED = 20_000_000
+LONG = 100_000_000
 DAY = 24 * 3600 * 200
 
 
@@ -78,6 +82,23 @@ def make_arrays(path: Path) -> None:
                 np.lib.format.write_array_header_1_0(member, header)
                 for _ in range(1000):
                     member.write(zeros)
+        with archive.open("fs.npy", "w") as member:
+            np.lib.format.write_array(member, np.array(200.0))
+
+
+def make_long(path: Path) -> None:
+    """Write two arrays of noise of three axes, block by block, and the rate."""
+    rng, step = np.random.default_rng(14), 1_000_000
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+        for name in ("gyro", "accel"):
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                header = {"descr": "<f8", "fortran_order": False, "shape": (LONG, 3)}
+                np.lib.format.write_array_header_1_0(member, header)
+                level = np.array([0.0, 0.0, 9.81 if name == "accel" else 0.0])
+                for _ in range(LONG // step):
+                    walk = level + np.cumsum(rng.normal(0, 1e-7, (step, 3)), axis=0)
+                    member.write((walk + rng.normal(0, 2e-3, (step, 3))).tobytes())
+                    level = walk[-1]
         with archive.open("fs.npy", "w") as member:
             np.lib.format.write_array(member, np.array(200.0))
 
@@ -132,6 +153,7 @@ FILES: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "rows": ("rows.csv.gz", make_rows, ["--rate", "200"]),
     "stamped": ("stamped.csv.gz", make_stamped, []),
     "day": ("day.mcap", make_day, []),
+    "long": ("long.npz", make_long, ["--gyro-unit", "rad/s", "--accel-unit", "m/s^2"]),
 }
 _HEAD = "log                   MB  job            limit exit   CPU s  wall s  peak MB  own MB"
 #: Job -> the arguments of Python, before the log's and its options.
@@ -143,40 +165,55 @@ JOBS = {
 
 
 def measured(arguments: list[str], limit: str | None) -> tuple[int, float, float, float, float]:
-    """Return exit code, CPU and wall time in s, peak and most of its own memory in MB."""
+    """Return exit code, CPU and wall time in s, and the most memory in all and in no file, in MB."""
     environment = {name: value for name, value in os.environ.items() if name != "IMUCAL_MEMORY"}
     if limit is not None:
         environment["IMUCAL_MEMORY"] = limit
     start = time.perf_counter()
     command = [sys.executable, *arguments]
     process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)  # noqa: S603
-    own = 0
+    most = own = 0
     while True:
         done, status, used = os.wait4(process.pid, os.WNOHANG)
         if done:
             break
-        own = max(own, _own_memory(process.pid))
+        held = [_memory(one) for one in _family(process.pid)]
+        most = max(most, sum(whole for whole, _ in held))
+        own = max(own, sum(anonymous for _, anonymous in held))
         time.sleep(0.02)
     process.returncode = os.waitstatus_to_exitcode(status)
     wall = time.perf_counter() - start
     cpu = used.ru_utime + used.ru_stime
-    return process.returncode, cpu, wall, used.ru_maxrss / 1e3, own / 1e3
+    return process.returncode, cpu, wall, most / 1e6, own / 1e6
 
 
-def _own_memory(process: int) -> int:
-    """Return the memory of a process that lies in no file, in kB."""
+def _family(process: int) -> list[int]:
+    """Return a process, its children and theirs, as far as they are there."""
+    found = [process]
+    for one in found:
+        with contextlib.suppress(OSError):
+            for task in Path(f"/proc/{one}/task").iterdir():
+                found += map(int, (task / "children").read_text(encoding="ascii").split())
+    return found
+
+
+def _memory(process: int) -> tuple[int, int]:
+    """Return the bytes of a process, its share of what it shares, and those of them in no file."""
     try:
-        text = Path(f"/proc/{process}/status").read_text(encoding="ascii")
+        text = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii")
     except OSError:
-        return 0
-    return next((int(line.split()[1]) for line in text.splitlines() if line.startswith("RssAnon")), 0)
+        return 0, 0
+    sizes = {line.split(":")[0]: line.split()[1] for line in text.splitlines()[1:]}
+    return 1024 * int(sizes.get("Pss", 0)), 1024 * int(sizes.get("Pss_Anon", 0))
 
 
 def main() -> None:
     """Make the files and print the table."""
     parser = argparse.ArgumentParser(description="Memory of reading.")
     parser.add_argument("--folder", type=Path)
-    parser.add_argument("--only", nargs="+", choices=FILES, default=list(FILES))
+    parser.add_argument(
+        "--only", nargs="+", choices=FILES, default=[name for name in FILES if name != "long"]
+    )
     parser.add_argument("--jobs", nargs="+", choices=JOBS, default=list(JOBS))
     parser.add_argument("--limits", nargs="+", default=["default", "500M"])
     arguments = parser.parse_args()

@@ -1,0 +1,46 @@
+"""The DCT-II of long records, in many short transforms."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+from scipy.fft import dct
+
+from imucal.allan.dct import dct_ordinates
+from imucal.allan.four_step import LONG, four_step_dct, split
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 7, 12, 15, 16, 36, 49, 97, 1000, 1001, 65_537, 120_000])
+def test_ordinates_are_those_of_one_piece(n: int) -> None:
+    """Of odd and even factors, squares and primes; SciPy's transform is the witness."""
+    samples = np.random.default_rng(1300 + n).standard_normal(n) + 3.0
+    found, witness = four_step_dct(samples, 3.0), dct(samples - 3.0, norm="ortho")
+    npt.assert_allclose(found, witness, rtol=0, atol=1e-14 * np.abs(witness).max())
+
+
+@pytest.mark.parametrize("n", [LONG, 600_600, 1 << 20])
+def test_a_long_record_is_transformed_so(n: int) -> None:
+    """Also a random walk, whose ordinates differ by five orders; errors are 1e-12 of the largest at most."""
+    samples = np.cumsum(np.random.default_rng(1301).standard_normal(n))
+    witness = dct(samples - samples.mean(), norm="ortho")[1:]
+    npt.assert_allclose(dct_ordinates(samples), witness, rtol=0, atol=1e-13 * np.abs(witness).max())
+
+
+def test_samples_are_left_as_they_are() -> None:
+    """Also such that may not be written to, and every second of an array."""
+    held = np.random.default_rng(1302).standard_normal(2 * 5040)
+    kept = held.copy()
+    held.flags.writeable = False
+    npt.assert_allclose(four_step_dct(held[::2], 0.0), dct(kept[::2], norm="ortho"), atol=1e-12)
+    npt.assert_array_equal(held, kept)
+
+
+def test_the_total_square_stays() -> None:
+    """The transform is orthonormal (Parseval)."""
+    samples = np.random.default_rng(1303).standard_normal(30_030)
+    assert np.sum(four_step_dct(samples, 0.0) ** 2) == pytest.approx(np.sum(samples**2), rel=1e-13)
+
+
+@pytest.mark.parametrize(("n", "factor"), [(1, 1), (97, 1), (100, 10), (10**6, 400), (10**7, 1000)])
+def test_one_factor_is_about_the_square_root(n: int, factor: int) -> None:
+    """A little less, so that rows are longer than columns."""
+    assert split(n) == factor
