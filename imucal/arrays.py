@@ -10,6 +10,9 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
+#: Bytes of a line of the cache.
+_LINE = 64
+
 T = TypeVar("T", bound=np.generic)
 
 
@@ -18,6 +21,16 @@ def read_only(array: NDArray[T]) -> NDArray[T]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def aligned(n: int) -> FloatArray:
+    """Return an array of n floats, not set, that begins where a line of the processor's cache does.
+
+    NumPy's own begin 16 bytes behind one; passes that write to them then take twice as long.
+    """
+    memory = np.empty(8 * n + _LINE, dtype=np.uint8)
+    start = -int(memory.__array_interface__["data"][0]) % _LINE
+    return memory[start : start + 8 * n].view(np.float64)
 
 
 def median(values: NDArray[Any] | Sequence[float]) -> float:

@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from imucal.arrays import distinct, median, percentile
+from imucal.arrays import aligned, distinct, median, percentile
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 101, 1000])
@@ -33,3 +34,17 @@ def test_masked_arrays_are_not_imported() -> None:
     text += "; a.median(x); a.percentile(x, 10); a.distinct(x); print('numpy.ma' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)  # noqa: S603
     assert done.stdout.split() == ["False"]
+
+
+@pytest.mark.parametrize("n", [1, 7, 1000, 100_000])
+def test_an_aligned_array_begins_at_a_line_of_the_cache(n: int) -> None:
+    arrays = [aligned(n) for _ in range(5)]
+    for array in arrays:
+        assert array.shape == (n,)
+        assert array.dtype == np.float64
+        assert array.flags.writeable
+        assert array.flags.c_contiguous
+        assert array.__array_interface__["data"][0] % 64 == 0
+        array[:] = 1.0
+    for first, second in pairwise(arrays):
+        assert not np.shares_memory(first, second)
