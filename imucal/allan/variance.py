@@ -9,7 +9,7 @@ each chunk is read once a step.
 import numpy as np
 
 from imucal.allan.estimators import Estimator
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray, aligned
 
 #: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
 _BLOCK = 32768
@@ -110,11 +110,11 @@ class SquareSum:
 def _integral(samples: FloatArray, integrations: int) -> FloatArray:
     """Return the samples, their mean removed, summed once or twice from 0; shape (n + integrations,)."""
     mean = samples.mean()
-    total = np.empty(samples.size + integrations)
+    total = aligned(samples.size + integrations)
     total[:integrations] = 0.0
     last = [0.0] * integrations
     # One work array for all blocks: fresh ones cost a page fault for every 512 samples.
-    work = np.empty(min(_BLOCK, samples.size))
+    work = aligned(min(_BLOCK, samples.size))
     for start in range(0, samples.size, _BLOCK):
         block = samples[start : start + _BLOCK]
         part = np.subtract(block, mean, out=work[: block.size])
@@ -132,10 +132,10 @@ def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
     factors: list[int] = m.tolist()
     reach = order * max(factors)
     end = samples.size + depth
-    work = np.empty(_BLOCK)
-    lower = [np.empty(_BLOCK + reach) for _ in range(order - 1)]
+    work = aligned(_BLOCK)
+    lower = [aligned(_BLOCK + reach) for _ in range(order - 1)]
     squares = [SquareSum(work) for _ in factors]
-    integral = np.empty(min(_BLOCK + reach, end))
+    integral = aligned(min(_BLOCK + reach, end))
     for start in range(0, end - order * min(factors), _BLOCK):
         stop = min(start + _BLOCK + reach, end)
         local = _local_integral(samples[start : stop - depth], depth, integral[: stop - start])
@@ -176,10 +176,10 @@ def _column_sum(total: FloatArray, m: int, order: int) -> float:
     A step needs one new chunk of the integral: the lower differences are kept from the step before.
     """
     count = total.size - order * m
-    work = np.empty(_BLOCK)
+    work = aligned(_BLOCK)
     squares = SquareSum(work)
-    kept = [np.empty(_BLOCK) for _ in range(order - 1)]
-    fresh = [np.empty(_BLOCK) for _ in range(order - 1)]
+    kept = [aligned(_BLOCK) for _ in range(order - 1)]
+    fresh = [aligned(_BLOCK) for _ in range(order - 1)]
     for column in range(0, min(m, count), _BLOCK):
         width = min(_BLOCK, m - column, count - column)
         for step, first in enumerate(range(column, total.size - m, m)):

@@ -2,9 +2,7 @@
 
 from dataclasses import replace
 
-import numpy as np
-
-from imucal.arrays import IntArray
+from imucal.arrays import IntArray, median
 from imucal.clock import Clock
 from imucal.findings import Finding
 from imucal.mapped import blocks
@@ -113,10 +111,10 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
     step = max(stamps.size // _MOST, 1)
     some, recorded = stamps[::step], log[::step]
     delay = (recorded - some) / 1e9
-    median, most = float(np.median(delay)), float(delay.max())
-    text = f"Messages were recorded {median * 1e3:.4g} ms after their stamps, at most {most * 1e3:.4g} ms."
-    if abs(median) > 86_400:
-        text = f"Stamps and log time count from different times: {median:.6g} s apart."
+    usual, most = median(delay), float(delay.max())
+    text = f"Messages were recorded {usual * 1e3:.4g} ms after their stamps, at most {most * 1e3:.4g} ms."
+    if abs(usual) > 86_400:
+        text = f"Stamps and log time count from different times: {usual:.6g} s apart."
     findings = [Finding(level="info", code="delay", text=text)]
     own, other = (int(some[-1]) - int(some[0])) / 1e9, (int(recorded[-1]) - int(recorded[0])) / 1e9
     if min(own, other) > _SHORTEST and abs(own / other - 1) > _DRIFT:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray, distinct, median, percentile
 from imucal.mapped import blocks
 from imucal.readers.clocks.rate import Period
 
@@ -135,28 +135,30 @@ def fit_period(
         ones (and each block of a long run) has a level of its own.
     """
     exact = breaks.missing <= longest
-    starts = np.unique(np.concatenate([breaks.at[~exact], breaks.doubled, resets]))
+    starts = distinct(np.concatenate([breaks.at[~exact], breaks.doubled, resets]))
     at, missing = breaks.at[exact], breaks.missing[exact]
     moment = weight = square = 0.0
     count = 0
+    whole: _Grid | None = None
     for part in blocks(stamps.size, stamps, size=_BLOCK):
         first, block = part.start, stamps[part]
         lo, hi = np.searchsorted(starts, [first, first + block.size])
-        edges = np.unique(np.concatenate([[0], starts[lo:hi] - first]))
+        edges = distinct(np.concatenate([[0], starts[lo:hi] - first]))
         sizes = np.diff(np.append(edges, block.size))
-        place = np.arange(block.size, dtype=np.float64)
         lo, hi = np.searchsorted(at, [first, first + block.size])
-        if hi > lo:
+        if hi == lo and edges.size == 1 and block.size == _BLOCK:
+            # Most blocks are whole: their places are always the same.
+            grid = whole = whole or _Grid(np.arange(_BLOCK, dtype=np.float64), tau, edges, sizes)
+        else:
             skipped = np.zeros(block.size)
             skipped[at[lo:hi] - first] = missing[lo:hi]
-            place += np.cumsum(skipped)
+            grid = _Grid(np.cumsum(skipped) + np.arange(block.size, dtype=np.float64), tau, edges, sizes)
         late = (block - block[0]).astype(np.float64)
-        late -= tau * place
-        _center(place, edges, sizes)
+        late -= grid.times
         _center(late, edges, sizes)
-        _drop_outliers(place, late, edges, sizes)
+        place = _without_outliers(grid.place, late, edges, sizes)
         moment += _dot(place, late)
-        weight += _dot(place, place)
+        weight += grid.weight if place is grid.place else _dot(place, place)
         square += _dot(late, late)
         count += block.size - edges.size
     if weight == 0 or count < 1:
@@ -170,16 +172,34 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return float(np.einsum("i,i", a, b))
 
 
-def _drop_outliers(place: FloatArray, late: FloatArray, edges: IntArray, sizes: IntArray) -> None:
-    """Give stamps that are far off no weight, in place: a broken stamp is not late, it is wrong."""
+class _Grid:
+    """The places of a block's samples on the grid, as floats, shape (n,), and the period times each.
+
+    The mean of each run is taken from the places; `weight` is the sum of their squares.
+    """
+
+    def __init__(self, place: FloatArray, tau: float, edges: IntArray, sizes: IntArray) -> None:
+        self.times = tau * place
+        _center(place, edges, sizes)
+        self.place = place
+        self.weight = _dot(place, place)
+
+
+def _without_outliers(place: FloatArray, late: FloatArray, edges: IntArray, sizes: IntArray) -> FloatArray:
+    """Return the places with no weight for stamps that are far off, and do so with `late` in place.
+
+    A broken stamp is not late, it is wrong.
+    """
     some = late[:: max(late.size // 1000, 1)]
-    middle = float(np.median(some))
-    limit = 20 * float(np.percentile(np.abs(some - middle), 90)) + 1
+    middle = median(some)
+    limit = 20 * percentile(np.abs(some - middle), 90) + 1
     if max(float(late.max()) - middle, middle - float(late.min())) > limit:
         far = np.abs(late - middle) > limit
         late[far] = middle
         _center(late, edges, sizes)
+        place = place.copy()
         place[far] = late[far] = 0.0
+    return place
 
 
 def _center(values: FloatArray, edges: IntArray, sizes: IntArray) -> None:

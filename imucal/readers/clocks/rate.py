@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray, median, percentile
 
 #: Blocks of neighbouring samples looked at, and samples in each; all samples where there are fewer.
 _BLOCKS = 10
@@ -54,7 +54,7 @@ def estimate_period(stamps: IntArray) -> Period | None:
     short, wide = _slope(blocks, 1), _plateau(blocks)
     if not wide > 0:
         return None
-    unit = float(_median(positive[positive <= 1.5 * np.percentile(positive, 10)]))
+    unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
     if unit < 0.97 * wide and _skips(steps, unit) and not _only_late(blocks, steps, wide, unit, quantum):
         near = positive[np.abs(positive / unit - 1) < 0.25]
         unit = float(near.mean())
@@ -62,7 +62,7 @@ def estimate_period(stamps: IntArray) -> Period | None:
     if short > 0 and abs(wide / short - 1) <= _SAME:
         return Period(tau_ns=wide, jitter=_jitter(steps, wide), burst=1, resolution_ns=quantum)
     pauses = steps[steps > 1.5 * wide]
-    burst = int(np.ceil(np.percentile(pauses, 75) / wide)) if pauses.size > steps.size / 1000 else 1
+    burst = int(np.ceil(percentile(pauses, 75) / wide)) if pauses.size > steps.size / 1000 else 1
     return Period(tau_ns=wide, jitter=_jitter(steps, wide), burst=burst, resolution_ns=quantum)
 
 
@@ -82,7 +82,7 @@ def _blocks(stamps: IntArray) -> list[IntArray]:
 def _slope(blocks: list[IntArray], width: int) -> float:
     """Return the median of (t[k+W] - t[k]) / W, in ns per sample; NaN where no block is long enough."""
     spans = [block[width:] - block[:-width] for block in blocks if block.size > width]
-    return float(_median(np.concatenate(spans))) / width if spans else np.nan
+    return median(np.concatenate(spans)) / width if spans else np.nan
 
 
 def _plateau(blocks: list[IntArray]) -> float:
@@ -120,7 +120,7 @@ def _only_late(blocks: list[IntArray], steps: IntArray, tau: float, unit: float,
     if not _conserved(blocks, tau) or longer.size < 3:
         return False
     coarse = quantum > unit / 2 and np.log10(quantum) % 1 == 0
-    return bool(coarse or _median(longer) >= 4 * unit)
+    return bool(coarse or median(longer) >= 4 * unit)
 
 
 def _conserved(blocks: list[IntArray], tau: float) -> bool:
@@ -134,20 +134,11 @@ def _conserved(blocks: list[IntArray], tau: float) -> bool:
                 continue
             late = part - np.linspace(0.0, part[-1], part.size)
             ranges.append(float(np.ptp(late)))
-            pauses.append(float(np.percentile(np.diff(part), 95)))
-    return bool(ranges) and float(_median(ranges)) <= 3 * float(_median(pauses)) + 2
+            pauses.append(percentile(np.diff(part), 95))
+    return bool(ranges) and median(ranges) <= 3 * median(pauses) + 2
 
 
 def _jitter(steps: IntArray | FloatArray, tau: float) -> float:
     """Return the standard deviation of one stamp in samples, from the median absolute deviation of steps."""
-    deviation = 1.4826 * float(_median(np.abs(steps - _median(steps))))
+    deviation = 1.4826 * median(np.abs(steps - median(steps)))
     return deviation / math.sqrt(2) / tau
-
-
-def _median(values: IntArray | FloatArray | list[float]) -> float:
-    """Return the median; `numpy.median` imports masked arrays, which takes longer than all else here."""
-    array = np.sort(np.asarray(values))
-    middle = array.size // 2
-    if array.size % 2:
-        return float(array[middle])
-    return (float(array[middle - 1]) + float(array[middle])) / 2

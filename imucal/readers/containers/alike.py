@@ -1,6 +1,7 @@
 """Whether many gathered records hold the same bytes where they must: all of them in one pass of words."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,21 +35,25 @@ class Alike:
         self._many = self._one
 
     def all(self, records: NDArray[np.void]) -> bool:
-        """Say whether every one of the records, shape (n,), has these bytes."""
-        return bool(self._same(records).all())
+        """Say whether every one of the records, shape (n,), has these bytes; writes to the records."""
+        words, mask, value = self._words(records)
+        np.bitwise_and(words, mask, out=words)
+        return bool((words == value).all())
 
     def each(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
         """Say which of the records, shape (n,), have these bytes."""
-        words = self._one[0].size
-        same: NDArray[np.bool_] = np.all(self._same(records).reshape(records.size, words), axis=1)
+        words, mask, value = self._words(records)
+        same: NDArray[np.bool_] = np.all(
+            ((words & mask) == value).reshape(records.size, self._one[0].size), axis=1
+        )
         return same
 
-    def _same(self, records: NDArray[np.void]) -> NDArray[np.bool_]:
+    def _words(self, records: NDArray[np.void]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return records as words, and mask and value of as many."""
         words = records.view(self._dtype).reshape(-1)
         mask, value = self._many
         if mask.size < words.size:
             # Threads may do so at once: each result is right.
             mask, value = (np.tile(part, records.size) for part in self._one)
             self._many = mask, value
-        same: NDArray[np.bool_] = (words & mask[: words.size]) == value[: words.size]
-        return same
+        return words, mask[: words.size], value[: words.size]

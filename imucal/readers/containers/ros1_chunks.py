@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,10 +67,10 @@ class BagChunkTask:
                 yield key, _indexed(raw, key, entries)
 
     def _indexes(self, region: memoryview, at: int) -> dict[int, memoryview]:
-        """Return connection -> entries of its index record."""
+        """Return connection -> entries of its index record, up to the last wanted one."""
         found: dict[int, memoryview] = {}
         try:
-            while at < len(region):
+            while at < len(region) and not self.counts.keys() <= found.keys():
                 entry = record(region, at)
                 if entry.opcode != records.INDEX:
                     break
@@ -138,23 +140,42 @@ def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
     if not starts.size:
         return Batch(buffer=raw, starts=starts, header=0, sizes=0, log_ns=log_ns)
     last = int(starts[-1])
-    try:
-        entry = record(raw, last)
-        others = entry.opcode != records.MESSAGE or number(entry.head, b"conn", 4) != key
-    except DamagedError:
-        return check()
-    guards = _guards(bytes(raw[last : entry.start]))
-    if others or guards is None:
+    size = int.from_bytes(raw[last : last + 4], "little")
+    head = bytes(raw[last : last + size + 8])
+    time = head.find(b"time=") + 5
+    common = _message_head(head[:time] + bytes(8) + head[time + 8 :]) if time >= 5 else None
+    if common is None or common.key != key:
         return check()
     return Batch(
         buffer=raw,
         starts=starts,
-        header=entry.start - last,
-        sizes=entry.end - entry.start,
+        header=len(head),
+        sizes=common.size,
         log_ns=log_ns,
-        guards=guards,
+        guards=common.guards,
         check=check,
     )
+
+
+class _Head(NamedTuple):
+    """What the header of a message says: connection, bytes of its data, and what others like it repeat."""
+
+    key: int
+    size: int
+    guards: tuple[Guard, ...]
+
+
+@lru_cache(maxsize=64)
+def _message_head(head: bytes) -> _Head | None:
+    """Return what a header says, its time blank: the same in every chunk; None where it is no message's."""
+    guards = _guards(head)
+    try:
+        entry = record(head, 0)
+        if guards is None or entry.opcode != records.MESSAGE or entry.start != len(head):
+            return None
+        return _Head(number(entry.head, b"conn", 4), entry.end - entry.start, guards)
+    except DamagedError:
+        return None
 
 
 def _guards(head: bytes) -> tuple[Guard, ...] | None:

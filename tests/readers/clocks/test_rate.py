@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from imucal.arrays import IntArray
+from imucal.arrays import IntArray, median
 from imucal.readers.clocks import rate
 from imucal.readers.clocks.rate import (
     _conserved,
     _jitter,
-    _median,
     _only_late,
     _plateau,
     _skips,
@@ -111,8 +110,8 @@ def test_the_plateau() -> None:
 
 def test_jitter_and_median() -> None:
     """A stamp's share of the deviation of steps; medians of even and odd counts."""
-    assert _median([3, 1, 2]) == 2.0
-    assert _median([4, 1, 2, 8]) == 3.0
+    assert median([3, 1, 2]) == 2.0
+    assert median([4, 1, 2, 8]) == 3.0
     assert _jitter(np.array([9, 10, 11, 9, 10, 11, 12]), 10.0) == pytest.approx(1.4826 / np.sqrt(2) / 10)
 
 

@@ -13,7 +13,7 @@ def by_hand(records: list[bytes], guards: list[Guard]) -> list[bool]:
 
 
 def gathered(records: list[bytes], width: int) -> NDArray[np.void]:
-    return np.frombuffer(b"".join(records), f"V{width}")
+    return np.frombuffer(bytearray(b"".join(records)), f"V{width}")
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 4, 6, 8, 12, 20, 31, 48, 80])
@@ -33,10 +33,10 @@ def test_it_finds_what_a_loop_over_bytes_finds(width: int) -> None:
         alike, expected = Alike(guards, width), by_hand([row.tobytes() for row in data], guards)
         records = gathered([row.tobytes() for row in data], width)
         assert alike.each(records).tolist() == expected
-        assert alike.all(records) == all(expected)
         right = records[expected]
-        assert alike.all(right)
         assert alike.each(right[:1]).all()
+        assert alike.all(records) == all(expected)
+        assert alike.all(right)
 
 
 def test_one_bit_is_enough() -> None:
