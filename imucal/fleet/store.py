@@ -140,10 +140,18 @@ class FleetStore:
         """
         with self._locked():
             if self.exists:
-                old = self.manifest().join(rows.select("path"), on="path", how="anti")
-                rows = pl.concat([old, rows], how="diagonal")
+                old = self.manifest()
+                others = old.join(rows.select("path"), on="path", how="anti")
+                rows = pl.concat([others, rows], how="diagonal")
+                if rows.columns == old.columns and rows.sort("path").equals(old.sort("path")):
+                    return old
             self._write(self.folder / _MANIFEST, rows)
         return rows
+
+    def changed_ns(self) -> int:
+        """Return when logs or labels were last added, changed or removed, in ns since 1970."""
+        places = (self.folder / _MANIFEST, self.folder / "logs")
+        return max(place.stat().st_mtime_ns for place in places)
 
     def commit(
         self,
