@@ -57,7 +57,7 @@ class FleetStore:
         WriteError
             If it can't be made, or holds something else.
         """
-        if self.folder.is_dir() and not self.exists:
+        if self.folder.is_dir() and not self.exists and not self.settings():
             own = {_SETTINGS, *_TABLES}
             names = sorted(path.name for path in self.folder.iterdir())
             # Another run may begin here, too: its scratch files and its lock begin with a dot.
@@ -74,7 +74,7 @@ class FleetStore:
                 self._sweep(self.folder / name)
 
     def clear(self) -> None:
-        """Remove every part and the manifest: start anew.
+        """Remove every part and the manifest: start anew. The settings stay, and tell whose folder it is.
 
         Raises
         ------
@@ -87,8 +87,7 @@ class FleetStore:
                 for part in (self.folder / name).glob("part-*.parquet"):
                     part.unlink(missing_ok=True)
             shutil.rmtree(self.folder / "reports", ignore_errors=True)
-            for name in (_MANIFEST, _SETTINGS):
-                (self.folder / name).unlink(missing_ok=True)
+            (self.folder / _MANIFEST).unlink(missing_ok=True)
 
     def settings(self) -> dict[str, object]:
         """Return what holds for every log, as `keep_settings` got it; empty where nothing is known."""

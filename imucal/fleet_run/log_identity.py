@@ -14,7 +14,7 @@ from pathlib import Path
 #: Bytes at the beginning and at the end of a file that make its edge.
 _EDGE = 1 << 16
 #: Bytes read at once.
-_BLOCK = 1 << 22
+_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,7 +3,8 @@
 speed: CPU a log of ``fleet run`` on one worker, and in one process, against a plain loop over
 `imucal.characterize`, and what a run costs besides, by two numbers of logs; CPU of all processes, in turn, so
 that a busy machine is the same for all.
-engine: memory of client, scheduler and worker, and CPU a task, at 1e5 tasks that do nothing.
+engine: memory of client, scheduler and worker, and CPU a log, at 1e5 logs on which nothing is done: in
+batches as real runs have them, and in tasks of one log.
 store: time and memory of writing and reading 1e6 rows of results.
 """
 
@@ -15,15 +16,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from itertools import chain, repeat
+from collections.abc import Sequence
 from pathlib import Path
+from unittest.mock import patch
 
 import psutil
 
 from imucal.fleet.store import FleetStore
-from imucal.fleet_run import dask_engine
+from imucal.fleet_run import dask_engine, running
 from imucal.fleet_run.dask_cluster import Engine
-from imucal.fleet_run.dask_engine import outcomes
+from imucal.fleet_run.fleet_plan import FleetPlan
+from imucal.fleet_run.log_tasks import FleetSettings, LogDone, LogTask
+from imucal.fleet_run.running import BATCH_S, RunCount, run_plan
 from tests.fleet.simulated_fleet import RATE, make_fleet
 from tests.fleet_run.faults import Bench, cluster
 
@@ -91,33 +95,48 @@ def _made(folder: Path, number: int, seconds: float) -> list[str]:
     return [str(log.path) for log in made]
 
 
-def nothing(_: int) -> int:
-    """Do nothing, as the work of a task."""
-    return 0
+def nothing(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDone]:
+    """Do nothing, as the work on a batch of a shard's size."""
+    return [LogDone(path=task.path, size=task.size, status="ok") for task in tasks if settings.shard]
 
 
-def engine(folder: Path, *, tasks: int) -> None:
-    """Print memory and CPU of many tasks that do nothing, on a scheduler of its own."""
-    # More in hand than for real work, so that the time is that of the tasks and not of waiting for each.
-    dask_engine.WINDOW = 300
-    with cluster(folder, workers=1) as (address, scheduler):
-        numbers = iter(range(1, tasks + 1))
-        client = psutil.Process()
-        server = psutil.Process(scheduler.pid)
-        done, worker = 0, None
-        begun = time.perf_counter()
-        marks = {1000, tasks // 10, tasks // 5, tasks}
-        asked = Engine(address=address, memory=1 << 30)
-        take = chain(numbers, repeat(None)).__next__
-        for done, _ in enumerate(outcomes(take, nothing, engine=asked, patience=lambda _: 1e9), 1):
-            if done in marks:
-                worker = worker or _worker()
-                used = {"client": client, "scheduler": server, "worker": worker}
-                memory = ", ".join(f"{n} {p.memory_info().rss / 1e6:.0f} MB" for n, p in used.items())
-                cpu = ", ".join(f"{n} {1e3 * sum(p.cpu_times()[:2]) / done:.2f}" for n, p in used.items())
-                wall = time.perf_counter() - begun
-                print(f"{done:7} tasks, {wall:6.1f} s: {memory}; CPU ms a task: {cpu}", flush=True)
-        assert done == tasks
+def engine(folder: Path, *, logs: int, seconds: float) -> None:
+    """Print memory and CPU of a run whose logs take no time, in batches of so many expected seconds each.
+
+    It is the run itself, `imucal.fleet_run.running.run_plan`, on a scheduler in a process of its own; of a
+    task only the work is another. More batches are in hand than for real work, so that the time is that of
+    the tasks and not of waiting for each.
+    """
+    dask_engine.WINDOW, running.BATCH_S = 100, seconds
+    tasks = tuple(LogTask(path=f"logs/{number:07}.mcap", size=10_000) for number in range(logs))
+    plan = FleetPlan(
+        entries=(), tasks=tasks, done=(), again=(), copies={}, own=tuple(task.path for task in tasks)
+    )
+    settings = FleetSettings(store=str(folder / "store"), folder=str(folder), memory=1 << 30)
+    marks = iter(sorted({1000, 2000, 5000, *(logs * part // 100 for part in (10, 20, 40, 60, 80, 100))}))
+    with (
+        patch.object(running, "work_on_batch", nothing),
+        cluster(folder, workers=1) as (address, scheduler),
+    ):
+        processes = {"client": psutil.Process(), "scheduler": psutil.Process(scheduler.pid)}
+        begun, before = time.perf_counter(), sum(processes["client"].cpu_times()[:2])
+        mark = next(marks)
+        print(f"{logs} logs, {seconds:g} s a batch; resident memory in MB, CPU in ms a log:", flush=True)
+
+        def tell(count: RunCount) -> None:
+            nonlocal mark
+            if count.done < mark:
+                return
+            mark = next((one for one in marks if one > count.done), logs + 1)
+            processes.setdefault("worker", _worker())
+            used = {name: sum(process.cpu_times()[:2]) for name, process in processes.items()}
+            used["client"] -= before
+            memory = {name: process.memory_info().rss / 1e6 for name, process in processes.items()}
+            told = ", ".join(f"{n} {memory[n]:.1f} MB {1e3 * used[n] / count.done:.3f} ms" for n in used)
+            print(f"{count.done:7} logs, {time.perf_counter() - begun:6.1f} s: {told}", flush=True)
+
+        done = run_plan(plan, settings, engine=Engine(address=address, memory=1 << 30), tell=tell)
+        assert (done.done, done.failed) == (logs, 0)
 
 
 def _worker() -> psutil.Process:
@@ -178,7 +197,8 @@ def main() -> None:
             if what == "speed":
                 speed(folder, logs=tuple(given.logs), seconds=given.seconds, rounds=given.rounds)
             elif what == "engine":
-                engine(folder, tasks=given.tasks)
+                for seconds in (BATCH_S, 0.0):
+                    engine(folder, logs=given.tasks, seconds=seconds)
             else:
                 store(folder)
 

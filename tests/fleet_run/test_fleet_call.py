@@ -160,3 +160,17 @@ def test_the_report_is_written_once(folder: Path) -> None:
     run("fleet", "run", "logs", "--labels", "{model}/{free}/{temperature_c}C/*.npz", *arguments, cwd=folder)
     assert page.stat().st_mtime_ns > before
     assert json.loads((folder / "typed/fleet.json").read_text())["schema"]
+
+
+def test_a_fresh_run_does_all_of_it_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a folder that holds a report, and also where another model is asked for."""
+    monkeypatch.chdir(folder)
+    logs = "logs/beta"
+    first = imucal.run_fleet(logs, "anew", labels=LABELS, shard=(1, 1))
+    imucal.write_fleet(first)
+    again = imucal.run_fleet(logs, "anew", labels=LABELS, shard=(1, 1), fresh=True, model="N")
+    assert (first.asked, again.asked) == (1, 1)
+    assert FleetStore("anew").settings()["model"] == "N"
+    said = run("fleet", "run", logs, "-o", "anew", "--shard", "1/1", "--fresh", cwd=folder)
+    assert (said.returncode, said.stderr.splitlines()[0].split(",")[0]) == (0, "1 log to do"), said.stderr
+    assert FleetStore("anew").settings() == {"model": "N + B + K", "level": 0.95}
