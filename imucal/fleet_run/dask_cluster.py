@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 CONNECT_S, WORKERS_S, CLOSE_S = 20.0, 120.0, 10.0
 #: Of a scheduler that nobody hears of any more for so many seconds, nothing more is expected.
 SILENCE_S = 30.0
+#: A worker that is not heard of for so many seconds is taken for frozen.
+FROZEN_S = 60.0
 #: Who logs while workers come and go.
 _NOISY = ("distributed", "tornado", "asyncio")
 
@@ -107,6 +109,8 @@ def _configuration() -> dict[str, object]:
     return {
         "distributed.scheduler.allowed-failures": 1,
         "distributed.worker.daemon": True,
+        # A worker that is not heard of is restarted, also where it froze before it said what it begins.
+        "distributed.scheduler.worker-ttl": f"{FROZEN_S}s",
         "distributed.worker.preload": [__name__],
         # Its own watching of itself, many times a second in each process, would take 4 % of a core.
         "distributed.worker.profile.enabled": False,
