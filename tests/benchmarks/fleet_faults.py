@@ -1,4 +1,4 @@
-"""Faults of a fleet with real processes: ``python -m tests.benchmarks.fleet_faults [NAME …] [--logs N] [--times N]``.
+"""Faults of a fleet with real processes: ``python -m tests.benchmarks.fleet_faults [NAME …] [--times N]``.
 
 Prints for each fault how the run ended, and whether the resumed results equal the undisturbed ones.
 """

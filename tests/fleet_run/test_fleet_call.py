@@ -21,7 +21,7 @@ LABELS = "{model}/{unit}/{temperature_c}C/*.npz"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with three logs, one of them garbage, and the fleet that the command made of them."""
     folder = tmp_path_factory.mktemp("call").resolve()
-    make_fleet(folder / "logs", logs=3, seconds=5.0, seed=6)
+    make_fleet(folder / "logs", logs=3, seconds=20.0, seed=6, axes=1)
     (folder / "logs/alpha/u00/15C/log0000.npz").write_bytes(b"garbage")
     arguments = ("--labels", LABELS, "--shard", "1/1", "--max-failed", "50%", "-o", "typed")
     assert run("fleet", "run", "logs", *arguments, cwd=folder).returncode == 0
