@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         load_fleet,
         write_fleet,
     )
+    from imucal.fleet_run import run_fleet
     from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
     from imucal.noise.transforms import avar_from_acvf, avar_from_psd
@@ -92,6 +93,7 @@ __all__ = [
     "pool",
     "population",
     "read",
+    "run_fleet",
     "screen",
     "spectrum",
     "write_fleet",
@@ -111,6 +113,7 @@ _HOMES = {
     "imucal.fleet_report": (
         *("Fleet", "FleetTerm", "SensorModel", "check_fleet", "fleet_as_report", "load_fleet", "write_fleet"),
     ),
+    "imucal.fleet_run": ("run_fleet",),
     "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
     "imucal.noise.transforms": ("avar_from_acvf", "avar_from_psd"),

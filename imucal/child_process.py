@@ -58,7 +58,7 @@ class ChildProcess:
     Parameters
     ----------
     environment
-        Variables that it has besides those of this process.
+        Variables that it has besides those of this process; None takes one away.
     counted
         What its limit of memory counts.
     folder
@@ -68,7 +68,7 @@ class ChildProcess:
     def __init__(
         self,
         *,
-        environment: Mapping[str, str] | None = None,
+        environment: Mapping[str, str | None] | None = None,
         counted: Counted = "addresses",
         folder: str | None = None,
     ) -> None:
@@ -150,7 +150,7 @@ class ChildProcess:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._said,
-                env={**os.environ, **self._environment},
+                env={k: v for k, v in {**os.environ, **self._environment}.items() if v is not None},
                 cwd=self._folder,
             )
         return self._process

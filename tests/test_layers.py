@@ -47,7 +47,9 @@ BELOW["checking"] = BELOW["planning"]
 BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
 BELOW["fleet_report"] = BELOW["fleet"] | {"fleet", "checking"}
-BELOW["fleet_run"] = BELOW["pipeline"] | {"fleet", "pipeline", "readers", "remote"}
+BELOW["fleet_run"] = (
+    BELOW["pipeline"] | BELOW["fleet_report"] | {"fleet_report", "pipeline", "readers", "remote"}
+)
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

@@ -88,13 +88,18 @@ def _waiting(store: "FleetStore") -> int:
 
 
 def write_files(store: "FleetStore", *, quiet: bool) -> None:
-    """Write the report of a fleet of which nothing is left to do; what can't be written is said."""
+    """Write the report of a fleet of which nothing is left to do; what can't be written is said.
+
+    One that is newer than the store is left as it is.
+    """
     from imucal.fleet_report import load_fleet, write_fleet
     from imucal.fleet_report.fleet_page import verdict
 
+    page = store.folder / "fleet.html"
     try:
         fleet = load_fleet(store.folder)
-        files = write_fleet(fleet)
+        is_new = page.is_file() and page.stat().st_mtime_ns > store.changed_ns()
+        files = (page,) if is_new else write_fleet(fleet)
     except ImucalError as error:
         say(f"the report is missing: {error}", quiet=quiet)
         return

@@ -4,7 +4,6 @@ import contextlib
 import shlex
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,7 @@ from imucal.cli._fleet_lines import conclude, print_plan, say_plan
 from imucal.cli._fleet_types import FixedStructure, Labels, Patience, Shard, Size
 from imucal.cli._options import LEVEL, Duration, Number, quiet_option, reading_options, say, shown
 from imucal.cli._progress import fleet_progress
-from imucal.resources import memory_there_is, threads
+from imucal.resources import threads
 
 if TYPE_CHECKING:
     from imucal.fleet.store import FleetStore
@@ -22,57 +21,31 @@ if TYPE_CHECKING:
     from imucal.fleet_run.manifest_file import LogEntry
     from imucal.fleet_run.path_labels import LabelPattern
 
-#: The share of the machine's memory that all workers may take, and what is taken where none is known.
-_SHARE, _UNKNOWN = 0.8, 2 << 30
 #: Model and level of a fleet that says nothing else.
 _MODEL, _LEVEL = "N + B + K", 0.95
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Asked:
-    """Which logs, with which labels."""
+def _entries(
+    store: "FleetStore",
+    logs: tuple[str, ...],
+    manifest: Path | None,
+    labels: "LabelPattern | None",
+    *,
+    quiet: bool,
+) -> tuple["LogEntry", ...]:
+    """Return the logs asked for; those of the store's manifest where none is named."""
+    from imucal.fleet_run.asked_logs import asked_logs
+    from imucal.fleet_run.manifest_file import stored_entries
 
-    logs: tuple[str, ...]
-    manifest: Path | None
-    labels: "LabelPattern | None"
-    quiet: bool
-
-    def entries(self, store: "FleetStore") -> list["LogEntry"]:
-        """Return the logs asked for; those of the store's manifest where none is named."""
-        from imucal.fleet_run.log_list import find_logs
-        from imucal.fleet_run.manifest_file import read_manifest, stored_entries
-
-        if not self.logs and self.manifest is None:
-            if not store.exists:
-                msg = "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"
-                raise click.UsageError(msg)
-            return stored_entries(store.manifest())
-        found = {entry.path: entry for entry in (read_manifest(self.manifest) if self.manifest else [])}
-        listed = sys.stdin if "-" in self.logs else ()
-        unlike = 0
-        for name in find_logs(self.logs, listed):
-            entry = self._entry(name)
-            unlike += self.labels is not None and not entry.labels
-            if found.setdefault(entry.path, entry).url != entry.url and entry.url:
-                msg = f"{entry.path}: two URLs that differ behind the question mark alone; expected one"
-                raise click.UsageError(msg)
-        if unlike and self.labels is not None:
-            say(f"{unlike} of {len(found)} logs do not fit {self.labels.pattern}", quiet=self.quiet)
-        return list(found.values())
-
-    def _entry(self, log: str) -> "LogEntry":
-        from imucal.fleet_run.manifest_file import LogEntry, label_of, shown_and_url
-
-        path, url = shown_and_url(log)
-        texts = (self.labels.of(path) if self.labels else None) or {}
-        labels = {}
-        for name, text in texts.items():
-            try:
-                labels[name] = label_of(name, text)
-            except ValueError as error:
-                msg = f"--labels: {path}: {name} is {text!r}, expected {error}"
-                raise click.UsageError(msg) from error
-        return LogEntry(path=path, labels=labels, url=url)
+    if not logs and manifest is None:
+        if not store.exists:
+            msg = "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"
+            raise click.UsageError(msg)
+        return tuple(stored_entries(store.manifest()))
+    asked = asked_logs(logs, listed=sys.stdin if "-" in logs else (), manifest=manifest, labels=labels)
+    if asked.unlike and labels is not None:
+        say(f"{asked.unlike} of {len(asked.entries)} logs do not fit {labels.pattern}", quiet=quiet)
+    return asked.entries
 
 
 @click.command(
@@ -167,78 +140,48 @@ def command(
     crash; a log that was changed is done anew, and a content that stands twice counts once.
     """
     from imucal.fleet.store import FleetStore
-    from imucal.fleet_run import FleetSettings, plan_fleet
+    from imucal.fleet_run import plan_fleet
+    from imucal.fleet_run.asked_logs import as_json
+    from imucal.fleet_run.fleet_call import fleet_settings, prepare
 
     if shard and scheduler:
         msg = "--shard works without a cluster; give --shard or --scheduler, not both"
         raise click.UsageError(msg)
     store = FleetStore(out.absolute())
-    kept = _kept(store, out, {"model": model, "level": level}, fresh=fresh)
     workers = 1 if shard else jobs or threads()
-    settings = FleetSettings(
-        store=str(store.folder),
-        folder=str(Path.cwd()),
-        model=str(kept["model"]),
-        level=float(str(kept["level"])),
-        memory=memory or int((memory_there_is() or _UNKNOWN) * _SHARE) // workers,
+    settings = fleet_settings(
+        store,
+        _kept(store, model=model, level=level, fresh=fresh),
+        workers=workers,
+        memory=memory,
         timeout=None if timeout < 0 else timeout,
         reports=reports,
-        shard=str(shard[0]) if shard else "0",
+        shard=shard,
     )
-    asked = _Asked(logs=logs, manifest=manifest, labels=labels, quiet=quiet)
+    entries = _entries(store, logs, manifest, labels, quiet=quiet)
     options = {**reading, "topic": topic, "skip_s": skip, "take_s": take, "strict": strict}
-    known = FleetStore(out / "none") if fresh else store
-    plan = plan_fleet(asked.entries(store), settings, known, reading=_json(options))
+    plan = plan_fleet(entries, settings, None if fresh else store, reading=as_json(options))
     plan = plan.shard(*shard) if shard else plan
     if dry_run:
         print_plan(plan, workers)
         return
-    _prepare(store, plan, settings, fresh=fresh, quiet=quiet)
+    prepare(store, plan, settings, fresh=fresh)
+    for part in store.damaged():
+        say(f"{part}: was cut off; its logs are done again", quiet=quiet)
+    say_plan(plan, quiet=quiet)
     with _saying_how_to_go_on(_resume(ctx.obj or [], out)):
         _run(plan, settings, workers=workers, scheduler=scheduler, here=shard is not None, quiet=quiet)
     conclude(ctx, store, plan, out, max_failed=max_failed, quiet=quiet)
 
 
-def _prepare(
-    store: "FleetStore", plan: "FleetPlan", settings: "FleetSettings", *, fresh: bool, quiet: bool
-) -> None:
-    """Make the store, write down what is asked for, and say what is to be done."""
-    if fresh and store.exists:
-        store.clear()
-    store.create()
-    store.keep_settings({"model": settings.model, "level": settings.level})
-    store.add_to_manifest(plan.manifest())
-    for part in store.damaged():
-        say(f"{part}: was cut off; its logs are done again", quiet=quiet)
-    say_plan(plan, quiet=quiet)
+def _kept(store: "FleetStore", *, model: str | None, level: float | None, fresh: bool) -> tuple[str, float]:
+    from imucal.fleet_run.fleet_call import kept_settings
 
-
-def _kept(
-    store: "FleetStore", out: Path, asked: dict[str, str | float | None], *, fresh: bool
-) -> dict[str, object]:
-    """Return model and level: as asked, as those of a fleet that is there, or the usual ones.
-
-    A fleet has one structure for all of its logs.
-    """
-    kept = store.settings() if store.exists and not fresh else {}
-    given = {name: value for name, value in asked.items() if value is not None}
-    for name, value in given.items():
-        if kept.get(name, value) != value:
-            msg = (
-                f"{out}: holds fits with {name} {kept[name]}, found {value}; choose another folder with -o, "
-                "or start anew with --fresh"
-            )
-            raise click.UsageError(msg)
-    return {"model": _MODEL, "level": _LEVEL, **kept, **given}
-
-
-def _json(options: dict[str, object]) -> dict[str, object]:
-    """Return options that were given as JSON values."""
-    texts = {
-        name: [str(one) for one in value] if isinstance(value, tuple) else value
-        for name, value in options.items()
-    }
-    return {name: value for name, value in texts.items() if value}
+    try:
+        return kept_settings(store, model=model, level=level, fresh=fresh)
+    except ValueError as error:
+        msg = f"{error}; choose another folder with -o, or start anew with --fresh"
+        raise click.UsageError(msg) from error
 
 
 def _run(

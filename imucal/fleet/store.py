@@ -57,7 +57,7 @@ class FleetStore:
         WriteError
             If it can't be made, or holds something else.
         """
-        if self.folder.is_dir() and not self.exists:
+        if self.folder.is_dir() and not self.exists and not self.settings():
             own = {_SETTINGS, *_TABLES}
             names = sorted(path.name for path in self.folder.iterdir())
             # Another run may begin here, too: its scratch files and its lock begin with a dot.
@@ -74,7 +74,7 @@ class FleetStore:
                 self._sweep(self.folder / name)
 
     def clear(self) -> None:
-        """Remove every part and the manifest: start anew.
+        """Remove every part and the manifest: start anew. The settings stay, and tell whose folder it is.
 
         Raises
         ------
@@ -87,8 +87,7 @@ class FleetStore:
                 for part in (self.folder / name).glob("part-*.parquet"):
                     part.unlink(missing_ok=True)
             shutil.rmtree(self.folder / "reports", ignore_errors=True)
-            for name in (_MANIFEST, _SETTINGS):
-                (self.folder / name).unlink(missing_ok=True)
+            (self.folder / _MANIFEST).unlink(missing_ok=True)
 
     def settings(self) -> dict[str, object]:
         """Return what holds for every log, as `keep_settings` got it; empty where nothing is known."""
@@ -140,10 +139,18 @@ class FleetStore:
         """
         with self._locked():
             if self.exists:
-                old = self.manifest().join(rows.select("path"), on="path", how="anti")
-                rows = pl.concat([old, rows], how="diagonal")
+                old = self.manifest()
+                others = old.join(rows.select("path"), on="path", how="anti")
+                rows = pl.concat([others, rows], how="diagonal")
+                if rows.columns == old.columns and rows.sort("path").equals(old.sort("path")):
+                    return old
             self._write(self.folder / _MANIFEST, rows)
         return rows
+
+    def changed_ns(self) -> int:
+        """Return when logs or labels were last added, changed or removed, in ns since 1970."""
+        places = (self.folder / _MANIFEST, self.folder / "logs")
+        return max(place.stat().st_mtime_ns for place in places)
 
     def commit(
         self,
@@ -203,12 +210,19 @@ class FleetStore:
 
     def bins(self, keys: Collection[str] | None = None) -> pl.DataFrame:
         """Return the binned spectra of some logs, or of all: the columns of `BINS`."""
-        logs = self.logs().select("part", "key")
-        if keys is not None:
-            logs = logs.filter(pl.col("key").is_in(list(keys)))
-        parts = logs["part"].unique().to_list()
-        found = self._read("bins", parts).join(logs, on=["part", "key"], how="inner")
-        return found.select(*BINS).sort("key", "sensor", "axis")
+        logs = self.logs()
+        return next(self._bins_of(logs, [logs["key"].to_list() if keys is None else keys]))
+
+    def bins_in_turn(self, groups: Iterable[Collection[str]]) -> Iterator[pl.DataFrame]:
+        """Yield the binned spectra of groups of logs, given by their keys; only one group's are in memory."""
+        return self._bins_of(self.logs(), groups)
+
+    def _bins_of(self, logs: pl.DataFrame, groups: Iterable[Collection[str]]) -> Iterator[pl.DataFrame]:
+        places = logs.select("part", "key")
+        for keys in groups:
+            own = places.filter(pl.col("key").is_in(list(keys)))
+            found = self._read("bins", own["part"].unique().to_list(), own["key"])
+            yield found.join(own, on=["part", "key"], how="inner").select(*BINS).sort("key", "sensor", "axis")
 
     def damaged(self) -> list[Path]:
         """Return the parts that are not whole, as after a loss of power; their logs are not done."""
@@ -225,8 +239,10 @@ class FleetStore:
         names = sorted(path.name for path in (self.folder / "logs").glob("part-*.parquet"))
         return [name for name in names if all(_is_whole(self.folder / table / name) for table in _TABLES)]
 
-    def _read(self, table: str, parts: Iterable[str] | None = None) -> pl.DataFrame:
-        """Return the rows of the whole parts of a table, with the part that each stands in."""
+    def _read(
+        self, table: str, parts: Iterable[str] | None = None, keys: pl.Series | None = None
+    ) -> pl.DataFrame:
+        """Return the rows of the whole parts of a table, or of some parts and keys, with the part of each."""
         folder, schema = self.folder / table, _TABLES[table]
         names = self._whole() if parts is None else parts
         empty = pl.DataFrame(schema={**schema, "part": pl.String})
@@ -234,7 +250,11 @@ class FleetStore:
         if not paths:
             return empty
         try:
-            found = pl.read_parquet(paths, include_file_paths="part", glob=False)
+            rows = pl.scan_parquet(paths, include_file_paths="part", glob=False)
+            # In pieces: of large parts with bins only those that are asked for are ever held.
+            found = (rows if keys is None else rows.filter(pl.col("key").is_in(keys.implode()))).collect(
+                engine="streaming"
+            )
         except (OSError, pl.exceptions.PolarsError):
             found = pl.concat(map(_read_part, paths))
         found = pl.concat([empty, found], how="diagonal")

@@ -56,7 +56,8 @@ def write_fleet(
         )
         fleet = replace(fleet, findings=fleet.findings + failed)
         if page is not None:
-            drawn = {"fleet.html": page, **drawn}
+            # Last: where it is newer than the store, all of the report is.
+            drawn["fleet.html"] = page
     drawn = {"fleet.json": fleet_json(fleet).encode(), "fleet.csv": fleet_csv(fleet).encode(), **drawn}
     for name, data in drawn.items():
         with replacing(folder / name) as scratch:

@@ -54,7 +54,8 @@ def load_fleet(
     if not logs:
         msg = f"{folder}: found {asked} logs and none done, expected some; run the fleet first"
         raise DataError(msg)
-    groups = _grouped(store.results(), logs)
+    results = store.results()
+    groups = _grouped(results, logs)
     tests, findings = unit_tests(store, logs, groups) if unit_logs else ({}, ())
     names = sorted({log.model for log in logs.values() if _counts(log)})
     models = []
@@ -66,7 +67,7 @@ def load_fleet(
             if key[0] == name
         ]
         models.append(_model(name, own, terms))
-    loose = _loose(store.results(), logs)
+    loose = _loose(results, logs)
     return Fleet(
         folder=Path(folder),
         models=tuple(models),
@@ -130,14 +131,15 @@ def _log(row: Row) -> FleetLog:
     )
 
 
-def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[TermKey, list[Row]]:
+def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[TermKey, "pl.DataFrame"]:
     """Return the rows of results that count, by model, sensor, axis and term."""
-    groups: dict[TermKey, list[Row]] = {}
-    for row in results.iter_rows(named=True):
-        log = logs[row["key"]]
-        if _counts(log):
-            groups.setdefault((log.model, row["sensor"], row["axis"], row["term"]), []).append(row)
-    return groups
+    import polars as pl
+
+    counted = {key: log.model for key, log in logs.items() if _counts(log)}
+    models = pl.DataFrame(list(counted.items()), schema={"key": pl.String, "model": pl.String}, orient="row")
+    rows = results.drop("model").join(models, on="key", how="inner", maintain_order="left")
+    found = rows.partition_by("model", "sensor", "axis", "term", as_dict=True, maintain_order=True)
+    return {(str(key[0]), str(key[1]), str(key[2]), str(key[3])): rows for key, rows in found.items()}
 
 
 def _value(row: Row, unit: str) -> LogValue:
@@ -146,10 +148,10 @@ def _value(row: Row, unit: str) -> LogValue:
 
 
 def _term(
-    key: TermKey, rows: list[Row], tests: tuple[UnitLogs, ...], content: float, confidence: float
+    key: TermKey, rows: "pl.DataFrame", tests: tuple[UnitLogs, ...], content: float, confidence: float
 ) -> FleetTerm:
     _, sensor, axis, term = key
-    logs = tuple(_value(row, row["unit"]) for row in rows)
+    logs = tuple(_value(row, row["unit"]) for row in rows.iter_rows(named=True))
     found = population(logs, content=content, confidence=confidence)
     moves, why = _trend(logs)
     return FleetTerm(

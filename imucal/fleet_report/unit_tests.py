@@ -1,7 +1,7 @@
 """Several logs of one unit: have they one coefficient? Asked of the bins that the store keeps."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -18,10 +18,12 @@ TermKey: TypeAlias = tuple[str, str, str, str]
 #: Relative difference of two sampling rates that is none.
 _SAME_RATE = 1e-3
 _LEVEL = 0.95
+#: So many logs' bins are held at once, 18 kB each.
+_AT_ONCE = 5000
 
 
 def unit_tests(
-    store: FleetStore, logs: Mapping[str, FleetLog], terms: Mapping[TermKey, Sequence[Mapping[str, Any]]]
+    store: FleetStore, logs: Mapping[str, FleetLog], terms: Collection[TermKey]
 ) -> tuple[dict[TermKey, tuple[UnitLogs, ...]], tuple[Finding, ...]]:
     """Return for each term the units with several logs, and what could not be judged.
 
@@ -36,7 +38,7 @@ def unit_tests(
     """
     found: dict[TermKey, list[UnitLogs]] = {}
     findings: list[Finding] = []
-    for (model, sensor, axis, unit), every in _packed(store, logs).items():
+    for (model, sensor, axis, unit), every in _packed(store, logs):
         keys = [key for key in terms if key[:3] == (model, sensor, axis)]
         symbols = tuple(symbol for symbol in TERMS if symbol in {_symbol(key[3]) for key in keys})
         where = f"{Sensor(sensor).short}_{axis}"
@@ -55,20 +57,35 @@ def unit_tests(
     return {key: tuple(tests) for key, tests in found.items()}, tuple(findings)
 
 
-def _packed(store: FleetStore, logs: Mapping[str, FleetLog]) -> dict[tuple[str, str, str, str], list[bytes]]:
-    """Return the packed bins of units with several logs, by model, sensor, axis and unit."""
+def _packed(
+    store: FleetStore, logs: Mapping[str, FleetLog]
+) -> Iterator[tuple[tuple[str, str, str, str], list[bytes]]]:
+    """Yield the packed bins of units with several logs, by model, sensor, axis and unit."""
     keys: dict[tuple[str, str], list[str]] = {}
     for key, log in logs.items():
         if log.unit is not None and not log.left_out:
             keys.setdefault((log.model, log.unit), []).append(key)
-    wanted = [key for own in keys.values() if len(own) > 1 for key in own]
-    found: dict[tuple[str, str, str, str], list[bytes]] = {}
-    for row in store.bins(wanted).iter_rows(named=True) if wanted else ():
-        log = logs[row["key"]]
-        if row["bins"] is not None:
-            place = (log.model, row["sensor"], row["axis"], log.unit or "")
-            found.setdefault(place, []).append(row["bins"])
-    return {place: every for place, every in sorted(found.items()) if len(every) > 1}
+    several = [own for _, own in sorted(keys.items()) if len(own) > 1]
+    for frame in store.bins_in_turn(_together(several)) if several else ():
+        found: dict[tuple[str, str, str, str], list[bytes]] = {}
+        for row in frame.iter_rows(named=True):
+            log = logs[row["key"]]
+            if row["bins"] is not None:
+                place = (log.model, row["sensor"], row["axis"], log.unit or "")
+                found.setdefault(place, []).append(row["bins"])
+        yield from ((place, every) for place, every in sorted(found.items()) if len(every) > 1)
+
+
+def _together(units: Iterable[Sequence[str]]) -> Iterator[list[str]]:
+    """Yield the keys of some units at a time, whose bins are read at once."""
+    keys: list[str] = []
+    for own in units:
+        keys += own
+        if len(keys) >= _AT_ONCE:
+            yield keys
+            keys = []
+    if keys:
+        yield keys
 
 
 def _pooled(packed: Sequence[bytes], symbols: tuple[str, ...], sensor: Sensor) -> PooledFit:

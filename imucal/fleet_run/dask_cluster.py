@@ -2,6 +2,7 @@
 
 import logging
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 CONNECT_S, WORKERS_S, CLOSE_S = 20.0, 120.0, 10.0
 #: Of a scheduler that nobody hears of any more for so many seconds, nothing more is expected.
 SILENCE_S = 30.0
+#: A worker that is not heard of for so many seconds is taken for frozen.
+FROZEN_S = 60.0
 #: Who logs while workers come and go.
 _NOISY = ("distributed", "tornado", "asyncio")
 
@@ -57,7 +60,7 @@ def dask_client(engine: Engine) -> Iterator["Client"]:
         msg = f"a fleet on several processors needs dask ({error}): pip install 'imucal-noise[fleet]'"
         raise EngineError(msg) from error
     cluster = None
-    with dask.config.set(_configuration()), _quiet():
+    with dask.config.set(_configuration()), _quiet(), _without_script():
         try:
             if engine.address is None:
                 with _interrupts_ignored():
@@ -65,7 +68,9 @@ def dask_client(engine: Engine) -> Iterator["Client"]:
                         n_workers=engine.jobs,
                         threads_per_worker=1,
                         memory_limit=engine.memory,
+                        # Pages that nobody asked for are not served, where Bokeh is installed, too.
                         dashboard_address="127.0.0.1:0",
+                        scheduler_kwargs={"dashboard": False},
                         silence_logs=logging.CRITICAL,
                     )
             client = Client(cluster or engine.address, timeout=CONNECT_S)
@@ -104,12 +109,37 @@ def _configuration() -> dict[str, object]:
     return {
         "distributed.scheduler.allowed-failures": 1,
         "distributed.worker.daemon": True,
+        # A worker that is not heard of is restarted, also where it froze before it said what it begins.
+        "distributed.scheduler.worker-ttl": f"{FROZEN_S}s",
         "distributed.worker.preload": [__name__],
+        # Its own watching of itself, many times a second in each process, would take 4 % of a core.
+        "distributed.worker.profile.enabled": False,
+        "distributed.admin.tick.interval": "500ms",
+        "distributed.admin.system-monitor.interval": "5s",
+        "distributed.worker.memory.monitor-interval": "1s",
+        "distributed.scheduler.active-memory-manager.start": False,
         "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
         "distributed.comm.timeouts.tcp": f"{SILENCE_S}s",
         # One thread in each library, before NumPy is imported.
         **{f"distributed.nanny.pre-spawn-environ.{name}": 1 for name in (THREADS, *POOLS)},
     }
+
+
+@contextmanager
+def _without_script() -> Iterator[None]:
+    """Let workers start, now and later, without the script that runs here.
+
+    They need imucal's modules alone. `multiprocessing` would have each of them run the script's lines first,
+    which start a fleet where they stand outside of an ``if __name__ == "__main__"``.
+    """
+    names = vars(sys.modules["__main__"])
+    kept = {name: value for name, value in names.items() if name in {"__spec__", "__file__"}}
+    names["__spec__"] = None
+    names.pop("__file__", None)
+    try:
+        yield
+    finally:
+        names.update(kept)
 
 
 @contextmanager

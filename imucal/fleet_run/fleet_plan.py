@@ -87,7 +87,7 @@ class FleetPlan:
 def plan_fleet(
     entries: Sequence[LogEntry],
     settings: FleetSettings,
-    store: FleetStore,
+    store: FleetStore | None,
     *,
     reading: Mapping[str, object] | None = None,
 ) -> FleetPlan:
@@ -98,7 +98,7 @@ def plan_fleet(
     entries
         The logs asked for, each path once.
     settings, store
-        Of the fleet; the store need not be there yet.
+        Of the fleet; the store need not be there yet, and None has nothing.
     reading
         How to read every log, but for what its entry says.
 
@@ -109,7 +109,7 @@ def plan_fleet(
     """
     entries = [replace(entry, reading={**(reading or {}), **entry.reading}) for entry in entries]
     stamps = stamps_of({entry.path: entry.place for entry in entries})
-    known = _Known(store.logs() if store.exists else None)
+    known = _Known(store.logs() if store and store.exists else None)
     keys = _keys(entries, stamps, known, settings)
     done = tuple(path for path, key in keys.items() if key in known.settled)
     copies = _copies(keys, known)

@@ -14,7 +14,7 @@ from pathlib import Path
 #: Bytes at the beginning and at the end of a file that make its edge.
 _EDGE = 1 << 16
 #: Bytes read at once.
-_BLOCK = 1 << 22
+_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,20 +72,25 @@ def _part(file: Path, start: int, stop: int) -> bytes:
 
 
 def content_of(path: Path) -> str:
-    """Return a checksum of the content of a log's files.
+    """Return a checksum of the content of a log's files: the first half of a SHA-256.
 
     Raises
     ------
     OSError
         If they can't be read.
+
+    Notes
+    -----
+    Processors have instructions for SHA-256: it takes half the time of BLAKE2b, which was 5 % of that of
+    an uncompressed log.
     """
-    machine = hashlib.blake2b(digest_size=16)
+    machine = hashlib.sha256()
     for file in _files(path):
         with file.open("rb", buffering=0) as stream:
             machine.update(file.stat().st_size.to_bytes(8, "little"))
             while block := stream.read(_BLOCK):
                 machine.update(block)
-    return machine.hexdigest()
+    return machine.hexdigest()[:32]
 
 
 def _files(path: Path) -> Iterator[Path]:

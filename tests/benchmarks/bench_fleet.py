@@ -1,30 +1,42 @@
 """What a fleet costs: ``python -m tests.benchmarks.bench_fleet [speed] [engine] [store]``.
 
-speed: logs/s and MB/s a core of ``fleet run`` on one worker, and in one process, against a plain loop over
-`imucal.characterize`; CPU of all processes, in turn, so that a busy machine is the same for all.
-engine: memory of client, scheduler and worker, and CPU a task, at 1e5 tasks that do nothing.
+speed: CPU a log of ``fleet run`` on one worker, and in one process, against a plain loop over
+`imucal.characterize`, and what a run costs besides, by two numbers of logs; CPU of all processes, in turn, so
+that a busy machine is the same for all.
+engine: memory of client, scheduler and worker, and CPU a log, at 1e5 logs on which nothing is done: in
+batches as real runs have them, and in tasks of one log.
 store: time and memory of writing and reading 1e6 rows of results.
 """
 
 import argparse
+import math
 import os
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
+from unittest.mock import patch
 
 import psutil
 
 from imucal.fleet.store import FleetStore
-from imucal.fleet_run import dask_engine
+from imucal.fleet_run import dask_engine, running
 from imucal.fleet_run.dask_cluster import Engine
-from imucal.fleet_run.dask_engine import outcomes
-from tests.fleet.simulated_fleet import make_fleet
+from imucal.fleet_run.fleet_plan import FleetPlan
+from imucal.fleet_run.log_tasks import FleetSettings, LogDone, LogTask
+from imucal.fleet_run.running import BATCH_S, RunCount, run_plan
+from tests.fleet.simulated_fleet import RATE, make_fleet
 from tests.fleet_run.faults import Bench, cluster
 
+#: How the same logs are done, in turn: options of ``fleet run``, or none for a plain loop.
+CASES = {
+    "plain loop": (),
+    "fleet run --shard 1/1": ("--shard", "1/1"),
+    "fleet run --jobs 1": ("--jobs", "1"),
+}
 LOOP = """
 import sys
 import imucal
@@ -42,67 +54,89 @@ def cpu_of_children() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def speed(folder: Path, *, logs: int, seconds: float, rounds: int) -> None:
-    """Print logs/s and MB/s a core, of CPU time."""
+def speed(folder: Path, *, logs: tuple[int, int], seconds: float, rounds: int) -> None:
+    """Print CPU a log and a run, of two numbers of logs: the lowest of some rounds of each."""
     bench = Bench(folder, jobs=1)
-    made = make_fleet(folder / "logs", logs=logs, seconds=seconds, seed=3)
-    paths = [str(log.path) for log in made]
-    size = sum(os.path.getsize(path) for path in paths)  # noqa: PTH202
+    few, many = logs
     environment = {**os.environ, "IMUCAL_THREADS": "1"}
-
-    def loop(_: int) -> None:
-        subprocess.run([sys.executable, "-c", LOOP, *paths], check=True, env=environment)  # noqa: S603
-
-    def fleet(option: str, value: str, number: int) -> None:
-        assert bench.run(f"store{number}{option}", option, value).code == 0
-
-    cases = {
-        "plain loop": loop,
-        "fleet run --shard 1/1": partial(fleet, "--shard", "1/1"),
-        "fleet run --jobs 1": partial(fleet, "--jobs", "1"),
-    }
-    best = dict.fromkeys(cases, float("inf"))
-    for number in range(rounds):
-        for name, case in cases.items():
-            before = cpu_of_children()
-            case(number)  # type: ignore[operator]
-            best[name] = min(best[name], cpu_of_children() - before)
-    for name, cpu in best.items():
-        over = 100 * (cpu / best["plain loop"] - 1)
-        print(
-            f"{name:24} {logs / cpu:6.3f} logs/s  {size / cpu / 1e6:6.2f} MB/s a core, "
-            f"{cpu / logs:6.2f} s a log, {over:+5.1f} % CPU",
-            flush=True,
-        )
-
-
-def nothing(_: int) -> int:
-    """Do nothing, as the work of a task."""
-    return 0
+    paths = {number: _made(folder, number, seconds) for number in logs}
+    size = os.path.getsize(paths[few][0])  # noqa: PTH202
+    best: dict[str, dict[int, float]] = {}
+    for turn in range(rounds):
+        for number in logs:
+            for name, option in CASES.items():
+                before = cpu_of_children()
+                if option:
+                    store = f"store{turn}-{number}-{option[0]}"
+                    assert bench.run(store, *option, logs=f"logs{number}").code == 0
+                    inside = bench.store(store).logs()["cpu_s"].sum()
+                else:
+                    command = [sys.executable, "-c", LOOP, *paths[number]]
+                    subprocess.run(command, check=True, env=environment)  # noqa: S603
+                    inside = 0.0
+                used = cpu_of_children() - before
+                # All processes were waited for, so that theirs is in it.
+                assert used > inside, (used, inside)
+                known = best.setdefault(name, {})
+                known[number] = min(known.get(number, math.inf), used)
+                print(f"  round {turn} {name:22} {number} logs: {used:7.2f} s", flush=True)
+    each = {name: (known[many] - known[few]) / (many - few) for name, known in best.items()}
+    print(f"logs of {size / 1e6:.0f} MB, {seconds / 3600:g} h at {RATE:g} Hz, six axes; s of CPU:")
+    print("                        a log   over   MB/s  a run besides")
+    for name, cpu in each.items():
+        over, start = 100 * (cpu / each["plain loop"] - 1), best[name][few] - few * cpu
+        print(f"{name:22} {cpu:6.2f} {over:+5.1f} % {size / cpu / 1e6:6.1f} {start:6.1f}", flush=True)
 
 
-def engine(folder: Path, *, tasks: int) -> None:
-    """Print memory and CPU of many tasks that do nothing, on a scheduler of its own."""
-    # More in hand than for real work, so that the time is that of the tasks and not of waiting for each.
-    dask_engine.WINDOW = 300
-    with cluster(folder, workers=1) as (address, scheduler):
-        numbers = iter(range(1, tasks + 1))
-        client = psutil.Process()
-        server = psutil.Process(scheduler.pid)
-        done, worker = 0, None
-        begun = time.perf_counter()
-        marks = {1000, tasks // 10, tasks // 5, tasks}
-        asked = Engine(address=address, memory=1 << 30)
-        take = partial(next, numbers, None)
-        for done, _ in enumerate(outcomes(take, nothing, engine=asked, patience=lambda _: 1e9), 1):
-            if done in marks:
-                worker = worker or _worker()
-                used = {"client": client, "scheduler": server, "worker": worker}
-                memory = ", ".join(f"{n} {p.memory_info().rss / 1e6:.0f} MB" for n, p in used.items())
-                cpu = ", ".join(f"{n} {1e3 * sum(p.cpu_times()[:2]) / done:.2f}" for n, p in used.items())
-                wall = time.perf_counter() - begun
-                print(f"{done:7} tasks, {wall:6.1f} s: {memory}; CPU ms a task: {cpu}", flush=True)
-        assert done == tasks
+def _made(folder: Path, number: int, seconds: float) -> list[str]:
+    """Make logs that are all right, each of other samples."""
+    made = make_fleet(folder / f"logs{number}", logs=number, seconds=seconds, seed=3)
+    assert not any(log.broken for log in made)
+    return [str(log.path) for log in made]
+
+
+def nothing(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDone]:
+    """Do nothing, as the work on a batch of a shard's size."""
+    return [LogDone(path=task.path, size=task.size, status="ok") for task in tasks if settings.shard]
+
+
+def engine(folder: Path, *, logs: int, seconds: float) -> None:
+    """Print memory and CPU of a run whose logs take no time, in batches of so many expected seconds each.
+
+    It is the run itself, `imucal.fleet_run.running.run_plan`, on a scheduler in a process of its own; of a
+    task only the work is another. More batches are in hand than for real work, so that the time is that of
+    the tasks and not of waiting for each.
+    """
+    dask_engine.WINDOW, running.BATCH_S = 100, seconds
+    tasks = tuple(LogTask(path=f"logs/{number:07}.mcap", size=10_000) for number in range(logs))
+    plan = FleetPlan(
+        entries=(), tasks=tasks, done=(), again=(), copies={}, own=tuple(task.path for task in tasks)
+    )
+    settings = FleetSettings(store=str(folder / "store"), folder=str(folder), memory=1 << 30)
+    marks = iter(sorted({1000, 2000, 5000, *(logs * part // 100 for part in (10, 20, 40, 60, 80, 100))}))
+    with (
+        patch.object(running, "work_on_batch", nothing),
+        cluster(folder, workers=1) as (address, scheduler),
+    ):
+        processes = {"client": psutil.Process(), "scheduler": psutil.Process(scheduler.pid)}
+        begun, before = time.perf_counter(), sum(processes["client"].cpu_times()[:2])
+        mark = next(marks)
+        print(f"{logs} logs, {seconds:g} s a batch; resident memory in MB, CPU in ms a log:", flush=True)
+
+        def tell(count: RunCount) -> None:
+            nonlocal mark
+            if count.done < mark:
+                return
+            mark = next((one for one in marks if one > count.done), logs + 1)
+            processes.setdefault("worker", _worker())
+            used = {name: sum(process.cpu_times()[:2]) for name, process in processes.items()}
+            used["client"] -= before
+            memory = {name: process.memory_info().rss / 1e6 for name, process in processes.items()}
+            told = ", ".join(f"{n} {memory[n]:.1f} MB {1e3 * used[n] / count.done:.3f} ms" for n in used)
+            print(f"{count.done:7} logs, {time.perf_counter() - begun:6.1f} s: {told}", flush=True)
+
+        done = run_plan(plan, settings, engine=Engine(address=address, memory=1 << 30), tell=tell)
+        assert (done.done, done.failed) == (logs, 0)
 
 
 def _worker() -> psutil.Process:
@@ -153,17 +187,18 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("what", nargs="*", choices=["speed", "engine", "store", []])
     parser.add_argument("--tasks", type=int, default=100_000)
-    parser.add_argument("--logs", type=int, default=6)
-    parser.add_argument("--seconds", type=float, default=3600.0)
-    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--logs", type=int, nargs=2, default=(1, 6), help="speed: two numbers of logs")
+    parser.add_argument("--seconds", type=float, default=40_000.0, help="speed: length of each log")
+    parser.add_argument("--rounds", type=int, default=3)
     given = parser.parse_args()
     for what in given.what or ["speed", "engine", "store"]:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name).resolve()
             if what == "speed":
-                speed(folder, logs=given.logs, seconds=given.seconds, rounds=given.rounds)
+                speed(folder, logs=tuple(given.logs), seconds=given.seconds, rounds=given.rounds)
             elif what == "engine":
-                engine(folder, tasks=given.tasks)
+                for seconds in (BATCH_S, 0.0):
+                    engine(folder, logs=given.tasks, seconds=seconds)
             else:
                 store(folder)
 

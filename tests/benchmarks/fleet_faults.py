@@ -1,9 +1,11 @@
-"""Faults of a fleet with real processes: ``python -m tests.benchmarks.fleet_faults [NAME …] [--logs N]``.
+"""Faults of a fleet with real processes: ``python -m tests.benchmarks.fleet_faults [NAME …] [--times N]``.
 
 Prints for each fault how the run ended, and whether the resumed results equal the undisturbed ones.
 """
 
 import argparse
+import os
+import shutil
 import sys
 import tempfile
 import time
@@ -20,6 +22,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("names", nargs="*")
     parser.add_argument("--logs", type=int, default=12)
+    parser.add_argument("--times", type=int, default=1, help="how often each is done")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder).resolve())
@@ -27,9 +30,11 @@ def main() -> None:
         whole = bench.run("whole", *HERE)
         print(f"undisturbed: exit {whole.code}, {bench.store('whole').logs().height} logs", flush=True)
         failed = 0
-        for fault in (*QUICK, *SLOW):
-            if asked.names and fault.__name__ not in asked.names:
-                continue
+        chosen = [f for f in (*QUICK, *SLOW) if not asked.names or f.__name__ in asked.names]
+        for fault in (fault for fault in chosen for _ in range(asked.times)):
+            for path in bench.folder.iterdir():
+                if path.name not in {"logs", "whole"}:
+                    shutil.rmtree(path)
             begun = time.monotonic()
             try:
                 said = fault(bench)
@@ -37,7 +42,8 @@ def main() -> None:
                 failed += 1
                 line = traceback.extract_tb(error.__traceback__)[-1]
                 said = f"FAILED in {line.name}:{line.lineno} {line.line}: {type(error).__name__}: {error}"
-            print(f"{fault.__name__:42} {time.monotonic() - begun:6.1f} s  {said}", flush=True)
+            seconds = time.monotonic() - begun
+            print(f"{fault.__name__:42} {seconds:6.1f} s, load {os.getloadavg()[0]:.1f}  {said}", flush=True)
     sys.exit(bool(failed))
 
 

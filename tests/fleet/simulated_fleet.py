@@ -41,8 +41,13 @@ class MadeLog:
     broken: str = ""
 
 
-def make_fleet(folder: Path, *, logs: int = 200, seconds: float = 600.0, seed: int = 1) -> list[MadeLog]:
-    """Write a fleet as ``folder/model/unit/25C/log.npz``; a twentieth of it is broken, two logs at least."""
+def make_fleet(
+    folder: Path, *, logs: int = 200, seconds: float = 600.0, seed: int = 1, axes: int = 3
+) -> list[MadeLog]:
+    """Write a fleet as ``folder/model/unit/25C/log.npz``; every 20th log from the eighth on is broken.
+
+    Each has three axes of both sensors, or one of the gyroscope alone, which is done in a sixth of the time.
+    """
     rng = np.random.default_rng(seed)
     made: list[MadeLog] = []
     factors = {
@@ -56,7 +61,8 @@ def make_fleet(folder: Path, *, logs: int = 200, seconds: float = 600.0, seed: i
         home = folder / model / unit / f"{temperature:g}C"
         home.mkdir(parents=True, exist_ok=True)
         path = home / f"log{number:04}.npz"
-        samples = _samples(TRUTH[model], factors[model, unit], round(seconds * RATE), rng)
+        truth = TRUTH[model] if axes == 3 else TRUTH[model][:1]
+        samples = _samples(truth, factors[model, unit], round(seconds * RATE), rng, axes)
         start = 1_767_225_600 + 86400 * (number // (len(TRUTH) * UNITS))
         broken = _BROKEN[number // 20 % len(_BROKEN)] if number % 20 == 7 else ""
         _write(path, samples, start, broken, [log.path for log in made if not log.broken])
@@ -68,13 +74,17 @@ _BROKEN = ("cut", "moved", "empty", "copy", "garbage", "short")
 
 
 def _samples(
-    truth: tuple[tuple[float, float, float], ...], factors: FloatArray, n: int, rng: np.random.Generator
+    truth: tuple[tuple[float, float, float], ...],
+    factors: FloatArray,
+    n: int,
+    rng: np.random.Generator,
+    axes: int,
 ) -> FloatArray:
     rows = []
     for sensor, coefficients in enumerate(truth):
         n_, b, k = (float(c * f) for c, f in zip(coefficients, factors, strict=True))
         model = NoiseModel.parse(f"N={n_!r} + B={b!r} + K={k!r}")
-        for axis in range(3):
+        for axis in range(axes):
             mean = G0 if sensor == 1 and axis == 2 else 0.0
             rows.append(mean + model.simulate(n, rate_hz=RATE, rng=rng))
     return np.stack(rows)
@@ -91,7 +101,10 @@ def _write(path: Path, samples: FloatArray, start: int, broken: str, others: lis
         samples[3:, third : third + 500] += 3 * np.sin(np.arange(500) / 25)
     n = 20 if broken == "short" else samples.shape[1]
     stamps = start + np.arange(n) / RATE
-    columns = {"time (s)": stamps, "gyro (rad/s)": samples[:3, :n].T, "accel (m/s^2)": samples[3:, :n].T}
+    if len(samples) == 1:
+        columns = {"time (s)": stamps, "gx (rad/s)": samples[0, :n]}
+    else:
+        columns = {"time (s)": stamps, "gyro (rad/s)": samples[:3, :n].T, "accel (m/s^2)": samples[3:, :n].T}
     np.savez(path, **columns)  # type: ignore[arg-type] # its last argument is a flag
     if broken == "cut":
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])

@@ -226,3 +226,15 @@ def test_a_new_start_forgets_everything(tmp_path: Path) -> None:
     assert not store.exists
     assert store.logs().is_empty()
     assert not (store.folder / "reports").exists()
+
+
+def test_bins_are_read_group_by_group(tmp_path: Path) -> None:
+    """Those of each group's logs, whichever parts they stand in; all at once they are the same rows."""
+    store = fleet(tmp_path, "a", "b", "c")
+    store.commit([log("d"), log("e")], [], [bin_row("d"), bin_row("e")])
+    # Done again: only the newest counts.
+    store.commit([log("a", finished=2.0)], [], [{**bin_row("a"), "bins": b"again"}])
+    groups = [["key-e", "key-a"], [], ["key-b", "key-unknown"], ["key-c", "key-d"]]
+    frames = list(store.bins_in_turn(groups))
+    assert [frame["bins"].to_list() for frame in frames] == [[b"again", b"e"], [], [b"b"], [b"c", b"d"]]
+    assert pl.concat(frames).sort("key").equals(store.bins())

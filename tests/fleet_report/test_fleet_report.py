@@ -20,6 +20,7 @@ from imucal import DataError, Fleet, ReadError
 from imucal.errors import ChoiceError
 from imucal.fleet.store import FleetStore
 from imucal.fleet.store_columns import MANIFEST
+from imucal.fleet_report import unit_tests
 from imucal.fleet_report.fleet_document import fleet_csv, fleet_document, fleet_schema
 from imucal.fleet_report.fleet_figures import drift_figure, heat_figure, models_figure, units_figure
 from imucal.fleet_report.fleet_page import render_fleet_page, verdict
@@ -77,6 +78,28 @@ def test_logs_that_do_not_count_are_grouped(fleet: Fleet) -> None:
     assert verdict(fleet)[0] == "look"
     assert "u07 (gyro_z N)" in verdict(fleet)[1]
     assert "5 of 101 logs do not count" in verdict(fleet)[1]
+
+
+def test_a_copy_of_a_log_is_not_waited_for(tmp_path: Path) -> None:
+    """It is done with the log that it is a copy of; one that was asked for and is not done is."""
+    store = write_store(tmp_path / "fleet", units=3, temperatures=(25.0,), special=False, failures=False)
+    first = store.manifest()["path"][0]
+    rows = [{"path": "copy.mcap", "copy_of": first}, {"path": "other.mcap", "copy_of": first}]
+    store.add_to_manifest(pl.DataFrame(rows))
+    fleet = imucal.load_fleet(store.folder)
+    assert (fleet.asked, len(fleet.logs)) == (3, 3)
+    assert "not done yet" not in render_fleet_page(fleet)
+    store.add_to_manifest(pl.DataFrame({"path": ["late.mcap"]}))
+    assert "1 of 4 logs are not done yet" in render_fleet_page(imucal.load_fleet(store.folder))
+
+
+def test_units_are_tested_in_turn_as_at_once(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many logs' bins are held at a time."""
+    monkeypatch.setattr(unit_tests, "_AT_ONCE", 1)
+    again = imucal.load_fleet(fleet.folder)
+    for one, two in zip(fleet.model().terms, again.model().terms, strict=True):
+        assert one.unit_logs == two.unit_logs
+    assert any(term.unit_logs for term in again.model().terms)
 
 
 def test_the_document_is_as_its_schema_says(fleet: Fleet) -> None:
@@ -395,7 +418,7 @@ def test_a_picture_that_fails_costs_nothing_else(
     monkeypatch.setattr("imucal.fleet_report.fleet_figures.heat_figure", broken)
     monkeypatch.setattr("imucal.fleet_report.fleet_figures.units_figure", broken)
     files = [file.name for file in imucal.write_fleet(fleet, tmp_path)]
-    assert files == ["fleet.json", "fleet.csv", "fleet.html", "drift.png"]
+    assert files == ["fleet.json", "fleet.csv", "drift.png", "fleet.html"]
     findings = json.loads((tmp_path / "fleet.json").read_text(encoding="utf-8"))["findings"]
     assert {finding["code"] for finding in findings} == {"not-drawn"}
 

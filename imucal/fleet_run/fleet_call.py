@@ -1,0 +1,228 @@
+"""A fleet run by a call: what `imucal fleet run` does, without its lines."""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+from imucal.fleet.store import FleetStore
+from imucal.fleet_report import Fleet, load_fleet
+from imucal.fleet_run.asked_logs import as_json, asked_logs
+from imucal.fleet_run.dask_cluster import Engine
+from imucal.fleet_run.fleet_plan import FleetPlan, plan_fleet
+from imucal.fleet_run.log_tasks import REPORTS, FleetSettings
+from imucal.fleet_run.manifest_file import LogEntry, stored_entries
+from imucal.fleet_run.path_labels import LabelPattern
+from imucal.fleet_run.running import RunCount, run_plan
+from imucal.noise import parse_structure, structure_text
+from imucal.resources import memory_there_is, parse_size, threads
+
+#: The share of the machine's memory that all workers may take, and what is taken where none is known.
+_SHARE, _UNKNOWN = 0.8, 2 << 30
+#: Model and level of a fleet that says nothing else.
+MODEL, LEVEL = "N + B + K", 0.95
+
+
+def run_fleet(
+    logs: str | Path | Iterable[str | Path] = (),
+    folder: str | Path = "fleet",
+    *,
+    labels: str | None = None,
+    manifest: str | Path | None = None,
+    model: str | None = None,
+    level: float | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    shard: tuple[int, int] | None = None,
+    memory: int | str | None = None,
+    timeout_s: float | None = None,
+    reports: str = "failed",
+    fresh: bool = False,
+    reading: Mapping[str, object] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Fleet:
+    """Fit the same noise model to every one of many logs, and keep the results in a folder.
+
+    It does what ``imucal fleet run`` does, to the same folder with the same results: what is done is kept,
+    the same call again does what is left. Logs that fail are in `Fleet.failures`; they raise nothing.
+
+    Parameters
+    ----------
+    logs
+        Files, folders of any depth, names with wildcards, URLs: one, or several. None: the logs that the
+        folder's manifest asks for.
+    folder
+        Of the fleet; made where it is missing.
+    labels
+        Where labels stand in the paths, such as ``{model}/{unit}/*.mcap``.
+    manifest
+        A table of logs (CSV) with a column ``path``.
+    model, level
+        Terms, and confidence level of every interval: by default those that the folder has, else
+        ``N + B + K`` and 0.95.
+    jobs
+        Workers of a cluster on this machine, by Dask; by default one a processor.
+    scheduler
+        Address of a Dask scheduler, whose workers are taken instead.
+    shard
+        ``(i, n)``: do part i of n, from 1, log by log and without Dask; ``(1, 1)`` is all of it.
+    memory
+        Bytes that a log may take, or a text such as ``2GB``; by default 80 % of the machine's, shared by
+        the workers.
+    timeout_s
+        Seconds that a log may take; by default 300 and 3 for each MB.
+    reports
+        Which logs get a report of their own: ``none``, ``failed`` or ``all``.
+    fresh
+        Forget what the folder has.
+    reading
+        Arguments of `imucal.read`, and ``skip_s`` and ``take_s``, for every log.
+    progress
+        Called with the number of logs done, and of all to do.
+
+    Returns
+    -------
+    Fleet
+        As `imucal.load_fleet` returns it.
+
+    Raises
+    ------
+    ValueError
+        If an argument can't be meant, or the folder holds fits of another model or level.
+    ReadError
+        If no log has such a name, or the folder is damaged.
+    ManifestError
+        If the manifest, or a label in a path, is wrong.
+    EngineError
+        If Dask is missing, or its workers can't be reached or are gone; what is done is kept.
+    WriteError
+        If the folder can't be written.
+    DataError
+        If no log was done.
+
+    Notes
+    -----
+    Logs are done in processes of their own, which load imucal and not the script that calls: so a script
+    needs no ``if __name__ == "__main__"``, and a notebook may call this.
+    """
+    _check(shard, scheduler, reports, level, jobs)
+    store = FleetStore(Path(folder).absolute())
+    workers = 1 if shard else jobs or threads()
+    settings = fleet_settings(
+        store,
+        kept_settings(
+            store, model=model and structure_text(parse_structure(model)), level=level, fresh=fresh
+        ),
+        workers=workers,
+        memory=parse_size(memory) if isinstance(memory, str) else memory,
+        timeout=timeout_s,
+        reports=reports,
+        shard=shard,
+    )
+    asked = _entries(store, logs, manifest, labels)
+    plan = plan_fleet(asked, settings, None if fresh else store, reading=as_json(reading or {}))
+    plan = plan.shard(*shard) if shard else plan
+    prepare(store, plan, settings, fresh=fresh)
+    if plan.tasks:
+        engine = None if shard else Engine(address=scheduler, jobs=workers, memory=settings.memory)
+        run_plan(plan, settings, engine=engine, tell=_teller(progress))
+    return load_fleet(folder)
+
+
+def _entries(
+    store: FleetStore,
+    logs: str | Path | Iterable[str | Path],
+    manifest: str | Path | None,
+    labels: str | None,
+) -> tuple[LogEntry, ...]:
+    names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs]
+    if not names and manifest is None:
+        return tuple(stored_entries(store.manifest()))
+    pattern = LabelPattern(labels) if labels else None
+    return asked_logs(names, manifest=Path(manifest) if manifest else None, labels=pattern).entries
+
+
+def kept_settings(
+    store: FleetStore, *, model: str | None, level: float | None, fresh: bool
+) -> tuple[str, float]:
+    """Return model and level: as asked, as those of a fleet that is there, or the usual ones.
+
+    Raises
+    ------
+    ValueError
+        If the fleet that is there has others: it has one structure for all of its logs.
+    """
+    kept = store.settings() if store.exists and not fresh else {}
+    asked = {"model": model, "level": level}
+    given = {name: value for name, value in asked.items() if value is not None}
+    for name, value in given.items():
+        if kept.get(name, value) != value:
+            msg = f"{store.folder.name}: holds fits with {name} {kept[name]}, found {value}"
+            raise ValueError(msg)
+    every: dict[str, object] = {"model": MODEL, "level": LEVEL, **kept, **given}
+    return str(every["model"]), float(str(every["level"]))
+
+
+def fleet_settings(
+    store: FleetStore,
+    model_and_level: tuple[str, float],
+    *,
+    workers: int,
+    memory: int | None,
+    timeout: float | None,
+    reports: str,
+    shard: tuple[int, int] | None,
+) -> FleetSettings:
+    """Return what holds for every log; each worker has its share of the memory where none is said."""
+    model, level = model_and_level
+    return FleetSettings(
+        store=str(store.folder),
+        folder=str(Path.cwd()),
+        model=model,
+        level=level,
+        memory=memory or int((memory_there_is() or _UNKNOWN) * _SHARE) // workers,
+        timeout=timeout,
+        reports=reports,
+        shard=str(shard[0]) if shard else "0",
+    )
+
+
+def prepare(store: FleetStore, plan: FleetPlan, settings: FleetSettings, *, fresh: bool) -> None:
+    """Make the store, and write down what is asked for.
+
+    Raises
+    ------
+    WriteError
+        If it can't be written.
+    """
+    if fresh and store.exists:
+        store.clear()
+    store.create()
+    store.keep_settings({"model": settings.model, "level": settings.level})
+    store.add_to_manifest(plan.manifest())
+
+
+def _check(
+    shard: tuple[int, int] | None, scheduler: str | None, reports: str, level: float | None, jobs: int | None
+) -> None:
+    if shard and not 1 <= shard[0] <= shard[1]:
+        msg = f"shard {shard} is no part; expected (i, n) with i from 1 to n"
+        raise ValueError(msg)
+    if shard and scheduler:
+        msg = "a shard works without a cluster; expected shard or scheduler, not both"
+        raise ValueError(msg)
+    if reports not in REPORTS:
+        msg = f"reports {reports!r}, expected one of {', '.join(REPORTS)}"
+        raise ValueError(msg)
+    if level is not None and not 0 < level < 1:
+        msg = f"level {level}, expected one between 0 and 1, such as 0.95"
+        raise ValueError(msg)
+    if jobs is not None and jobs < 1:
+        msg = f"jobs {jobs}, expected a number from 1"
+        raise ValueError(msg)
+
+
+def _teller(progress: Callable[[int, int], None] | None) -> Callable[[RunCount], None]:
+    def tell(count: RunCount) -> None:
+        if progress is not None:
+            progress(count.done, count.logs)
+
+    return tell

@@ -1,0 +1,176 @@
+"""A fleet run by a call: the same store as the command's, from a script without a guard, from a notebook."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import imucal
+from imucal.fleet.store import FleetStore
+from tests.cli.run import run
+from tests.fleet.simulated_fleet import make_fleet
+from tests.fleet_run.faults import OF_THE_RUN
+
+LABELS = "{model}/{unit}/{temperature_c}C/*.npz"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with three logs, one of them garbage, and the fleet that the command made of them."""
+    folder = tmp_path_factory.mktemp("call").resolve()
+    make_fleet(folder / "logs", logs=3, seconds=20.0, seed=6, axes=1)
+    (folder / "logs/alpha/u00/15C/log0000.npz").write_bytes(b"garbage")
+    arguments = ("--labels", LABELS, "--shard", "1/1", "--max-failed", "50%", "-o", "typed")
+    assert run("fleet", "run", "logs", *arguments, cwd=folder).returncode == 0
+    return folder
+
+
+def test_a_call_does_what_the_command_does(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same rows with the same keys; what failed is in the fleet, and progress is told when asked for."""
+    monkeypatch.chdir(folder)
+    told: list[tuple[int, int]] = []
+
+    def tell(done: int, of: int) -> None:
+        told.append((done, of))
+
+    fleet = imucal.run_fleet("logs", "called", labels=LABELS, shard=(1, 1), progress=tell)
+    assert told[0] == (0, 3)
+    assert told[-1] == (3, 3)
+    assert [log.path for logs in fleet.failures.values() for log in logs] == [
+        "logs/alpha/u00/15C/log0000.npz"
+    ]
+    typed, called = FleetStore("typed"), FleetStore("called")
+    assert called.logs().drop(OF_THE_RUN).equals(typed.logs().drop(OF_THE_RUN))
+    assert called.results().equals(typed.results())
+    assert called.bins().equals(typed.bins())
+    assert called.manifest().equals(typed.manifest())
+    assert called.settings() == typed.settings()
+    # And the command finds nothing to do in the folder of the call, nor the call in that of the command.
+    again = run("fleet", "run", "-o", "called", "--shard", "1/1", "--max-failed", "50%", cwd=folder)
+    assert again.stderr.startswith("0 logs to do, 0 MB; 3 done before\n")
+    parts = sorted(Path("typed/logs").iterdir())
+    assert imucal.run_fleet(folder="typed", shard=(1, 1)).asked == 3
+    assert sorted(Path("typed/logs").iterdir()) == parts
+
+
+def test_arguments_of_reading_make_the_same_key(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However they are given: as the command's options, or as those of `imucal.read`."""
+    monkeypatch.chdir(folder)
+    log = "logs/beta/u00/15C/log0001.npz"
+    options = ("--skip", "1s", "--gyro-unit", "deg/s", "--strict")
+    assert run("fleet", "run", log, *options, "--shard", "1/1", "-o", "part", cwd=folder).returncode == 0
+    parts = sorted(Path("part/logs").iterdir())
+    reading = {"strict": True, "skip_s": 1.0, "gyro_unit": "deg/s", "columns": None, "topic": ""}
+    imucal.run_fleet([Path(log)], "part", shard=(1, 1), reading=reading)
+    assert sorted(Path("part/logs").iterdir()) == parts
+
+
+SCRIPT = """
+import imucal
+
+fleet = imucal.run_fleet("logs", "scripted", labels={labels!r}, jobs=1)
+print(fleet.asked, len(fleet.logs), __file__)
+"""
+
+
+def test_a_script_needs_no_guard(folder: Path) -> None:
+    """Workers do not run it: its line is printed once."""
+    script = folder / "script.py"
+    script.write_text(SCRIPT.format(labels=LABELS))
+    done = subprocess.run(  # noqa: S603 - our own interpreter
+        [sys.executable, str(script)], cwd=folder, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert (done.stdout, done.stderr) == (f"3 3 {script}\n", "")
+    assert FleetStore(folder / "scripted").results().equals(FleetStore(folder / "typed").results())
+
+
+def test_a_notebook_may_call_it(folder: Path) -> None:
+    """Where a loop of events runs in the main thread already, and there is no script."""
+    cell = (
+        "import asyncio, imucal\n"
+        "async def cell():\n"
+        f"    fleet = imucal.run_fleet('logs', 'noted', labels={LABELS!r}, jobs=1)\n"
+        "    print(fleet.asked, len(fleet.logs))\n"
+        "asyncio.run(cell())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-"],
+        input=cell,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert (done.stdout, done.stderr) == ("3 3\n", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "said"),
+    [
+        ({"shard": (0, 4)}, ValueError, r"shard \(0, 4\) is no part; expected \(i, n\) with i from 1 to n"),
+        ({"shard": (1, 2), "scheduler": "tcp://h:1"}, ValueError, "expected shard or scheduler, not both"),
+        ({"reports": "some"}, ValueError, "reports 'some', expected one of none, failed, all"),
+        ({"level": 95}, ValueError, "level 95, expected one between 0 and 1"),
+        ({"jobs": 0}, ValueError, "jobs 0, expected a number from 1"),
+        ({"memory": "much"}, ValueError, "a size such as 500M or 2G"),
+        ({"model": "Z"}, ValueError, "Z"),
+        ({"model": "auto"}, ValueError, "auto"),
+        ({"labels": "*.npz"}, ValueError, "no label; write such as"),
+        (
+            {"labels": "{temperature_c}/*/*/*.npz"},
+            imucal.ImucalError,
+            "temperature_c is '.*', expected a number",
+        ),
+        ({"logs": "missing/*.bag"}, imucal.ReadError, "no log has such a name"),
+        ({"logs": ()}, imucal.ReadError, "expected the folder of a fleet"),
+        (
+            {"folder": "typed", "model": "N + K"},
+            ValueError,
+            "holds fits with model N \\+ B \\+ K, found N \\+ K",
+        ),
+        ({"folder": "logs"}, imucal.WriteError, "no fleet of imucal's; nothing was changed"),
+    ],
+)
+def test_slips(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: dict[str, Any],
+    error: type[Exception],
+    said: str,
+) -> None:
+    """Each says what was found and what is expected."""
+    monkeypatch.chdir(folder)
+    with pytest.raises(error, match=said):
+        imucal.run_fleet(**{"logs": "logs", "folder": "slip", "shard": (1, 1), **arguments})
+    assert not Path("slip").exists()
+
+
+def test_the_report_is_written_once(folder: Path) -> None:
+    """A run with nothing to do leaves it as it is; one whose labels were mended writes it anew."""
+    page = folder / "typed" / "fleet.html"
+    before = page.stat().st_mtime_ns
+    arguments = ("--shard", "1/1", "--max-failed", "50%", "-o", "typed")
+    again = run("fleet", "run", "logs", "--labels", LABELS, *arguments, cwd=folder)
+    assert again.stdout.splitlines()[-1] == str(page)
+    assert page.stat().st_mtime_ns == before
+    run("fleet", "run", "logs", "--labels", "{model}/{free}/{temperature_c}C/*.npz", *arguments, cwd=folder)
+    assert page.stat().st_mtime_ns > before
+    assert json.loads((folder / "typed/fleet.json").read_text())["schema"]
+
+
+def test_a_fresh_run_does_all_of_it_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a folder that holds a report, and also where another model is asked for."""
+    monkeypatch.chdir(folder)
+    logs = "logs/beta"
+    first = imucal.run_fleet(logs, "anew", labels=LABELS, shard=(1, 1))
+    imucal.write_fleet(first)
+    again = imucal.run_fleet(logs, "anew", labels=LABELS, shard=(1, 1), fresh=True, model="N")
+    assert (first.asked, again.asked) == (1, 1)
+    assert FleetStore("anew").settings()["model"] == "N"
+    said = run("fleet", "run", logs, "-o", "anew", "--shard", "1/1", "--fresh", cwd=folder)
+    assert (said.returncode, said.stderr.splitlines()[0].split(",")[0]) == (0, "1 log to do"), said.stderr
+    assert FleetStore("anew").settings() == {"model": "N + B + K", "level": 0.95}
