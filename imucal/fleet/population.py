@@ -19,6 +19,7 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
+from imucal.fleet.bounded import only_bounded, rms_bound, share_bound
 from imucal.fleet.log_value import LogValue, LogValues
 from imucal.fleet.outliers import FALSE_SHARE, adjusted, leave_one_out
 from imucal.fleet.posterior import Posterior, posterior_of, scatters, whole_posterior
@@ -38,6 +39,8 @@ _SUSPECTS, _SUSPECT = 5, 0.2
 #: Quantile of the normal law at 95 %, two-sided; and where the interval and the median lie.
 _TWO_SIDED = 1.959963984540054
 _TAILS = (0.025, 0.5, 0.975)
+#: Probability with which the next unit lies in its limits.
+_CONTENT = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +61,18 @@ class UnitValue:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MedianUnit:
+    """The coefficient of the median unit with its 95 % interval.
+
+    Where all logs together only bound it, `value` is None, `low` is 0 and `high` the bound.
+    """
+
+    value: float | None
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Population:
     """What a coefficient is like over the units of one sensor model.
 
@@ -70,9 +85,11 @@ class Population:
     median
         Coefficient of the median unit, with its 95 % interval.
     spread
-        Standard deviation between units, in the logarithm (0.1: 10 %); None below three units.
+        Standard deviation between units, in the logarithm (0.1: 10 %); None below three units, and where all
+        logs together only bound the coefficient.
     within
-        Standard deviation between logs of one unit; None where no unit has two logs.
+        Standard deviation between logs of one unit; None where no unit has two logs, and where the logs only
+        bound it.
     prediction
         Limits that hold the next unit with probability 0.95; None below three units.
     quantile
@@ -85,7 +102,7 @@ class Population:
 
     units: tuple[UnitValue, ...]
     logs: int
-    median: Interval
+    median: MedianUnit
     spread: Interval | None
     within: Interval | None
     prediction: tuple[float, float] | None
@@ -94,6 +111,20 @@ class Population:
     content: float
     confidence: float
     findings: tuple[Finding, ...]
+
+    def off_median(self, unit: UnitValue) -> float | None:
+        """Return how far a unit lies off the median, in the logarithm; None where either is only bounded."""
+        if unit.value is None or self.median.value is None:
+            return None
+        return math.log(unit.value / self.median.value)
+
+    def deviations(self, unit: UnitValue) -> float | None:
+        """Return how many standard deviations of the next unit a unit lies off the median; None as above."""
+        off = self.off_median(unit)
+        if off is None or self.prediction is None:
+            return None
+        low, high = self.prediction
+        return off / (math.log(high / low) / (2 * _TWO_SIDED))
 
 
 def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: float = 0.95) -> Population:
@@ -125,12 +156,16 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
     within = posterior.quantiles(posterior.omega, _TAILS) if len(posterior.omega) > 1 else None
     spread = posterior.quantiles(posterior.tau, _TAILS)
     scatter = 0.0 if within is None else float(within[1])
+    units = _judged(values, unit_likelihoods(values, scatter, place), posterior, place)
+    if only_bounded(values):
+        return _bounded(values, units, content, confidence)
     quantile, tolerance = np.exp(posterior.reaches(content, (0.5, confidence)))
     low, high = np.exp(posterior.prediction(_TAILS[::2]))
+    median = _interval(np.exp(posterior.quantiles(posterior.mu, _TAILS)))
     return Population(
-        units=_judged(values, unit_likelihoods(values, scatter, place), posterior, place),
+        units=units,
         logs=len(logs),
-        median=_interval(np.exp(posterior.quantiles(posterior.mu, _TAILS))),
+        median=MedianUnit(value=median.value, low=median.low, high=median.high),
         spread=_interval(spread),
         within=None if within is None else _interval(within),
         prediction=(float(low), float(high)),
@@ -211,7 +246,7 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
     n = len(values.names)
     units = _units(values, unit_likelihoods(values, 0.0, place))
     told = [unit.value for unit in units if unit.value is not None]
-    middle = math.exp(sum(map(math.log, told)) / len(told)) if told else units[0].high / 2
+    middle = math.exp(sum(map(math.log, told)) / len(told)) if told else None
     text = (
         f"{n} unit{'s' * (n > 1)}: the spread between units, the next unit and a tolerance bound need "
         f"{_FEWEST} at least; 10 are worth testing."
@@ -219,7 +254,7 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
     return Population(
         units=units,
         logs=values.centre.size,
-        median=Interval(value=middle, low=min(u.low for u in units), high=max(u.high for u in units)),
+        median=MedianUnit(value=middle, low=min(u.low for u in units), high=max(u.high for u in units)),
         spread=None,
         within=None,
         prediction=None,
@@ -228,6 +263,30 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
         content=content,
         confidence=confidence,
         findings=(Finding(level="info", code="few-units", text=text),),
+    )
+
+
+def _bounded(
+    values: LogValues, units: tuple[UnitValue, ...], content: float, confidence: float
+) -> Population:
+    """Return how large a coefficient can be that all logs together do not show."""
+    text = (
+        f"All {values.centre.size} logs together only bound this term: the numbers are what they can't "
+        "exclude, and the spread between units is not known; longer logs would show it."
+    )
+    highest = share_bound(values, content, confidence)
+    return Population(
+        units=units,
+        logs=values.centre.size,
+        median=MedianUnit(value=None, low=0.0, high=rms_bound(values, _TAILS[-1])),
+        spread=None,
+        within=None,
+        prediction=(0.0, share_bound(values, _CONTENT, _CONTENT)),
+        quantile=min(share_bound(values, content, 0.5), highest),
+        tolerance=highest,
+        content=content,
+        confidence=confidence,
+        findings=(Finding(level="info", code="weak-term", text=text),),
     )
 
 

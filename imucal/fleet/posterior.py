@@ -1,7 +1,10 @@
 """The posterior of a fleet's median, spread between units and scatter within them, on a grid.
 
-mu is flat, tau has Jeffreys' prior, omega is on a short grid. Each tau has a grid of mu of its own, and both
-are narrowed until they fit the support.
+Where the units are well told mu is flat and tau has Jeffreys' prior. Where they are only bounded, flat would
+be an answer: the likelihood does not fall towards zero, nor for a wide spread about a small median. There
+the square of the median is flat instead, as a measured variance asks for, and tau is as likely as units of
+one model are alike. omega is on a short grid. Each tau has a grid of mu of its own, and both are narrowed
+until they fit the support.
 """
 
 import math
@@ -26,6 +29,9 @@ _DRAWS = 4000
 _GOLDEN = (math.sqrt(5) - 1) / 2
 #: Keeps the logarithm of a probability that underflows finite.
 _TINY = math.exp(-690)
+_LARGEST = 600.0
+#: Spread of units of one model, in the logarithm, where the data do not tell it; also between logs of a unit.
+_USUAL = 0.3
 #: Largest spread between units that is thought of, in the logarithm.
 _WIDEST = 2.0
 #: What lies so far below the posterior's peak, in the logarithm, weighs nothing.
@@ -166,10 +172,32 @@ def _log_posterior(
     result = units.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
     if blurs:
         result += [_weak_part(units, matrix) for matrix in blurs]
-    # Jeffreys' prior of tau, and the step from tau to its logarithm.
-    prior = 0.5 * np.log(np.sum(1 / (units.deviation**2 + t2) ** 2, axis=1))
-    posterior: FloatArray = result + np.log(t2) + prior[:, None]
+    posterior: FloatArray = result + _prior(units, tau)[:, None] + _prior_of_median(units, mu)
     return posterior
+
+
+def _prior(units: UnitLikelihoods, tau: FloatArray) -> FloatArray:
+    """Return the logarithm of the prior of log tau and of the scatter within units: Jeffreys' where told."""
+    t2 = tau**2
+    variance = units.deviation**2
+    told = 0.5 * np.log(np.sum(1 / (variance + t2[:, None]) ** 2, axis=1)) + np.log(t2)
+    usual = np.log(tau) - 0.5 * (t2 + units.omega**2) / _USUAL**2
+    untold = float(np.mean((variance / (variance + _USUAL**2)) ** 2))
+    result: FloatArray = (1 - untold) * told + untold * usual
+    return result
+
+
+def _prior_of_median(units: UnitLikelihoods, mu: FloatArray) -> FloatArray:
+    """Return the logarithm of Jeffreys' prior of mu at a usual spread: flat where told, else in exp(2 mu)."""
+    if not units.weak.size:
+        return np.zeros_like(mu)
+    told = float(np.sum(1 / (units.deviation[units.normal] ** 2 + _USUAL**2)))
+    # One deviation for all: a prior need not be more exact.
+    weak = np.count_nonzero(~units.normal)
+    precision = float(np.mean(units.deviation[~units.normal] ** -2.0))
+    at = np.exp(np.minimum(-4 * (mu - units.about), _LARGEST)) / precision
+    result: FloatArray = 0.5 * np.log((told + weak / (at + _USUAL**2)) / (told + weak / _USUAL**2))
+    return result
 
 
 def _weak_part(units: UnitLikelihoods, matrix: FloatArray) -> FloatArray:

@@ -26,6 +26,10 @@ class UnitLikelihoods:
 
     Attributes
     ----------
+    omega
+        The scatter between logs of a unit.
+    about
+        Where the deviations of weak units hold, in the logarithm.
     normal
         Which units are a normal law, shape (units,).
     centre, deviation
@@ -38,6 +42,8 @@ class UnitLikelihoods:
         Their log-likelihoods on it, shape (weak units, points).
     """
 
+    omega: float
+    about: float
     normal: BoolArray
     centre: FloatArray
     deviation: FloatArray
@@ -75,6 +81,8 @@ def unit_likelihoods(logs: LogValues, omega: float, place: Place) -> UnitLikelih
     )
     theta = _grid(place)
     return UnitLikelihoods(
+        omega=omega,
+        about=place.centre,
         normal=normal,
         centre=centre,
         deviation=1 / np.sqrt(np.maximum(total, 1e-300)),

@@ -11,7 +11,7 @@ from importlib.resources import files
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
-from imucal.fleet.population import UnitValue
+from imucal.fleet.population import MedianUnit, UnitValue
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.report.document import plain
 
@@ -163,7 +163,7 @@ def _term(term: FleetTerm) -> dict[str, object]:
     }
 
 
-def _interval(interval: Interval | None) -> dict[str, float] | None:
+def _interval(interval: Interval | MedianUnit | None) -> dict[str, float | None] | None:
     if interval is None:
         return None
     return {"value": interval.value, "low": interval.low, "high": interval.high}

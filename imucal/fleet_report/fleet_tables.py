@@ -94,6 +94,8 @@ def _band(term: FleetTerm) -> str | Markup:
     if term.population.prediction is None:
         return "–"
     low, high = term.population.prediction
+    if not low:
+        return join(["below ", alone(term, high)])
     return join([alone(term, low), " to ", alone(term, high)])
 
 
@@ -121,25 +123,20 @@ def heat_table(model: SensorModel) -> Markup:
         for term in terms
     ]
     caption = f"{model.title}: each unit against the median, in %; < where it only has an upper bound"
+    if any(term.population.median.value is None for term in columns):
+        caption += ", seen where the median has"
     if left_out > 0:
         caption += f"; the {_MOST} strangest of {len(names)} units"
     head = [row(element("td"), *groups), row(element("th", "unit", scope="col"), *axes)]
     return table(caption, head, body, class_="heat")
 
 
-def _deviation(term: FleetTerm, unit: UnitValue) -> float:
-    """Return how many standard deviations a unit lies off the median, in the logarithm."""
-    band = term.population.prediction
-    if unit.value is None or band is None:
-        return 0.0
-    sd = math.log(band[1] / band[0]) / (2 * 1.96)
-    return math.log(unit.value / term.population.median.value) / sd
-
-
 def _strangeness(name: str, terms: Sequence[FleetTerm], every: Sequence[dict[str, UnitValue]]) -> float:
     """Return what sorts units: odd ones first, then the farthest from a median."""
     own = [(term, of_term[name]) for term, of_term in zip(terms, every, strict=True) if name in of_term]
-    return max((100.0 * unit.odd + abs(_deviation(term, unit)) for term, unit in own), default=0.0)
+    return max(
+        (100.0 * unit.odd + abs(term.population.deviations(unit) or 0.0) for term, unit in own), default=0.0
+    )
 
 
 def _heat_cell(term: FleetTerm, unit: UnitValue | None, *, first: bool) -> Markup:
@@ -148,10 +145,12 @@ def _heat_cell(term: FleetTerm, unit: UnitValue | None, *, first: bool) -> Marku
         return element("td", "–", class_=" ".join(classes) or None)
     if unit.value is None:
         text = "<"
+    elif (off := term.population.off_median(unit)) is None:
+        text = "seen"
     else:
-        change = 100 * math.expm1(math.log(unit.value / term.population.median.value))
+        change = 100 * math.expm1(off)
         text = f"{change:+.0f}".replace("-", "\N{MINUS SIGN}") if abs(change) >= 0.5 else "0"
-        level = min(int(abs(_deviation(term, unit))), 3)
+        level = min(int(abs(term.population.deviations(unit) or 0.0)), 3)
         classes += [f"{'u' if change > 0 else 'd'}{level}"] * (level > 0)
     if unit.odd:
         text, classes = f"{text}!", [*classes, "is-odd"]

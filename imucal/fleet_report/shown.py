@@ -17,7 +17,8 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def sheet_unit(term: FleetTerm) -> DatasheetUnit:
     """Return the unit that data sheets print a term in: µg in place of mg where the median is small."""
     unit = TERMS[term.symbol].datasheet_unit(term.sensor)
-    return level_unit(term.sensor, term.population.median.value) if unit.name == "mg" else unit
+    median = term.population.median
+    return level_unit(term.sensor, median.value or median.high) if unit.name == "mg" else unit
 
 
 def quantity(term: FleetTerm, value: float | None, low: float, high: float) -> tuple[Quantity, Quantity]:

@@ -9,6 +9,7 @@ from scipy import integrate, stats
 from scipy.special import ndtr, ndtri
 
 from imucal.fleet import LogValue, population
+from imucal.fleet.bounded import only_bounded, rms_bound, share_bound
 from imucal.fleet.log_value import LogValues
 from imucal.fleet.outliers import adjusted, leave_one_out
 from imucal.fleet.posterior import _blurs, _log_posterior, posterior_of
@@ -35,10 +36,18 @@ def test_exact_units_have_the_noncentral_t_bound(units: int) -> None:
 
 def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) -> float:
     """Return the log-posterior by nested quadrature of each unit's and each log's own effect."""
-    total = 2 * math.log(tau)
     place = place_of(values)
-    s2 = unit_likelihoods(values, omega, place).deviation ** 2
-    total += 0.5 * math.log(float(np.sum(1 / (s2 + tau**2) ** 2)))
+    units = unit_likelihoods(values, omega, place)
+    s2 = units.deviation**2
+    jeffreys = 2 * math.log(tau) + 0.5 * math.log(sum(1 / (s + tau**2) ** 2 for s in s2))
+    usual = math.log(tau) - (tau**2 + omega**2) / (2 * 0.09)
+    untold = sum((s / (s + 0.09)) ** 2 for s in s2) / s2.size
+    total = (1 - untold) * jeffreys + untold * usual
+    # Of the median: a weak unit's error at mu is that of its square, and all weak ones have the same.
+    weak = 1 / (np.mean(1 / s2[~units.normal]) * math.exp(4 * (mu - place.centre)))
+    told = sum(1 / (s + 0.09) for s in s2[units.normal])
+    count = int(np.sum(~units.normal))
+    total += 0.5 * math.log((told + count / (weak + 0.09)) / (told + count / 0.09))
     theta = np.linspace(mu - 6, mu + 3, 1801)
     scatter = _normal(theta[:, None] - theta, omega) if omega else None
     for unit in range(len(values.names)):
@@ -78,7 +87,7 @@ def test_the_unit_of_measurement_does_not_matter(factor: float) -> None:
     one, other = population(logs), population(scaled)
     assert one.spread is not None
     assert other.spread is not None
-    assert other.median.value == pytest.approx(one.median.value * factor, rel=1e-6)
+    assert other.median.value == pytest.approx((one.median.value or 0.0) * factor, rel=1e-6)
     assert other.spread.value == pytest.approx(one.spread.value, rel=1e-6)
     assert other.tolerance == pytest.approx((one.tolerance or 0.0) * factor, rel=1e-6)
 
@@ -115,9 +124,60 @@ def test_a_weak_term_is_pooled_without_bias() -> None:
     rng = np.random.default_rng(4502)
     found = [population(weak_fleet(rng, units=20, tau=0.3, error=0.8)) for _ in range(6)]
     assert np.mean([f.median.low <= 1 <= f.median.high for f in found]) > 0.6
-    assert np.mean([math.log(f.median.value) for f in found]) == pytest.approx(0, abs=0.15)
+    assert np.mean([math.log(f.median.value or math.nan) for f in found]) == pytest.approx(0, abs=0.15)
     assert np.mean([u.value is None for f in found for u in f.units]) > 0.5
     assert all(any(x.code == "weak-term" for x in f.findings) for f in found[:1])
+
+
+@pytest.mark.parametrize(
+    ("units", "logs", "tau", "error"), [(6, 2, 0.1, 5.0), (10, 1, 0.3, 2.0), (24, 3, 0.3, 8.0)]
+)
+def test_what_all_logs_only_bound_has_bounds_that_hold(
+    units: int, logs: int, tau: float, error: float
+) -> None:
+    """Median, next unit and tolerance; a fleet that by chance shows the term has intervals that hold."""
+    rng = np.random.default_rng(4505)
+    found = [population(weak_fleet(rng, units=units, logs=logs, tau=tau, error=error)) for _ in range(12)]
+    bounded = [f for f in found if f.median.value is None]
+    assert len(bounded) >= 7
+    assert all(f.median.low == 0 and f.spread is None and f.within is None for f in bounded)
+    assert all(f.prediction is not None and f.prediction[0] == 0 for f in bounded)
+    assert {x.code for f in bounded for x in f.findings} == {"weak-term"}
+    assert sum(f.median.low <= 1 <= f.median.high for f in found) >= 10
+    assert sum((f.tolerance or 0) >= math.exp(ndtri(0.95) * tau) for f in found) >= 10
+
+
+def test_a_bound_is_that_of_the_mean_square() -> None:
+    """Against the cut normal law by SciPy; the worst lognormal law touches the bound of a share."""
+    logs = [
+        LogValue(unit=f"u{i}", value=None, low=0.0, high=3.0, variance=v, variance_sd=2.0)
+        for i, v in enumerate((0.5, -0.3, 1.0, 0.2))
+    ]
+    values = LogValues.of(logs)
+    assert only_bounded(values)
+    law = stats.truncnorm(-0.35, math.inf, loc=0.35, scale=1.0)
+    assert rms_bound(values, 0.9) ** 2 == pytest.approx(law.ppf(0.9))
+    spreads = np.linspace(0, 3, 3001)
+    worst = np.max(np.exp(ndtri(0.95) * spreads - spreads**2))
+    assert share_bound(values, 0.95, 0.9) == pytest.approx(rms_bound(values, 0.9) * worst, rel=1e-6)
+    # Units that scatter more than their errors widen it; one that shows the term decides nothing alone.
+    wide = LogValues.of([replace(log, variance=10 * (log.variance or 0.0)) for log in logs])
+    scale = math.sqrt(89 / (4 * 3))
+    law = stats.truncnorm(-3.5 / scale, math.inf, loc=3.5, scale=scale)
+    assert rms_bound(wide, 0.9) ** 2 == pytest.approx(law.ppf(0.9))
+    assert only_bounded(LogValues.of([*logs, replace(logs[0], unit="one", variance=9.0)]))
+    assert not only_bounded(LogValues.of([replace(log, variance=6.0) for log in logs]))
+
+
+def test_how_far_off_a_unit_lies_is_not_known_where_either_is_bounded() -> None:
+    """In standard deviations of the next unit, where both have values."""
+    rng = np.random.default_rng(4506)
+    told = population(strong_fleet(rng, units=12, tau=0.2, error=0.01))
+    off = [told.deviations(unit) for unit in told.units]
+    assert np.std([x for x in off if x is not None]) == pytest.approx(1, abs=0.4)
+    weak = population(weak_fleet(rng, units=8, tau=0.1, error=5.0))
+    assert weak.median.value is None
+    assert all(weak.deviations(unit) is None for unit in weak.units)
 
 
 def test_an_odd_unit_is_found_and_others_are_not() -> None:
@@ -194,6 +254,7 @@ def test_few_units_have_no_spread_and_it_is_said() -> None:
     assert found.prediction is None
     (finding,) = found.findings
     assert finding.text.startswith("2 units: the spread between units")
+    assert found.median.value is not None
     assert found.median.low < found.median.value < found.median.high
 
 
