@@ -42,7 +42,7 @@ def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) 
     jeffreys = 2 * math.log(tau) + 0.5 * math.log(sum(1 / (s + tau**2) ** 2 for s in s2))
     usual = math.log(tau) - (tau**2 + omega**2) / (2 * 0.09)
     untold = sum((s / (s + 0.09)) ** 2 for s in s2) / s2.size
-    total = (1 - untold) * jeffreys + untold * usual
+    total = float((1 - untold) * jeffreys + untold * usual)
     # Of the median: a weak unit's error at mu is that of its square, and all weak ones have the same.
     weak = 1 / (np.mean(1 / s2[~units.normal]) * math.exp(4 * (mu - place.centre)))
     told = sum(1 / (s + 0.09) for s in s2[units.normal])
