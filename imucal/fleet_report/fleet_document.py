@@ -136,6 +136,10 @@ def _term(term: FleetTerm) -> dict[str, object]:
             }
             for unit in found.units
         ],
+        "moves": [
+            {"label": mean.label, "p_value": mean.p_value, "p_adjusted": mean.p_odd, "moves": mean.odd}
+            for mean in (trend.means if trend else ())
+        ],
         "slopes": [
             {
                 "unit": slope.unit,

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from imucal.fleet.population import UnitValue
+from imucal.fleet.trend import Trend
 from imucal.fleet_report.shown import (
     alone,
     bound_name,
@@ -19,6 +20,8 @@ from imucal.recording import Axis
 from imucal.report.markup import Markup, element, join, labelled, row, table
 
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
+#: Label -> what its slope is for.
+_PER = {"temperature_c": "°C", "days": "year"}
 #: Most rows of the table of units: the strangest ones.
 _MOST = 200
 
@@ -173,8 +176,7 @@ def slope_table(models: Iterable[SensorModel]) -> Markup:
                 refused.setdefault(term.no_trend, []).append(where)
                 continue
             cells = (
-                slope_text(term.trend.temperature, "°C") if term.trend.temperature else "–",
-                slope_text(term.trend.drift, "year") if term.trend.drift else "–",
+                *(_mean_slope(term.trend, label) for label in _PER),
                 str(term.trend.units),
                 "; ".join(_moving(term)) or "none",
             )
@@ -186,15 +188,23 @@ def slope_table(models: Iterable[SensorModel]) -> Markup:
     if not rows:
         return join(notes)
     head = [row(*(element("th", title, scope="col") for title in ("", *titles)))]
-    caption = "Change of each coefficient with its 95 % interval"
+    caption = "Change of each coefficient with its 95 % interval; bold where it is more than chance"
     return join([table(caption, head, rows, class_="wide cards"), *notes])
 
 
+def _mean_slope(trend: Trend, label: str) -> str | Markup:
+    """Return the fleet's slope, bold where it is not chance."""
+    mean = next((mean for mean in trend.means if mean.label == label), None)
+    if mean is None:
+        return "–"
+    text = slope_text(mean.slope, _PER[label])
+    return element("b", text) if mean.odd else text
+
+
 def _moving(term: FleetTerm) -> Iterator[str]:
-    names = {"temperature_c": "°C", "days": "year"}
     for slope in term.trend.slopes if term.trend else ():
         if slope.odd:
-            yield f"{slope.unit} {slope_text(slope.slope, names[slope.label])}"
+            yield f"{slope.unit} {slope_text(slope.slope, _PER[slope.label])}"
 
 
 def unit_logs_table(model: SensorModel) -> Markup:
