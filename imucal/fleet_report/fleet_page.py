@@ -1,10 +1,7 @@
 """``fleet.html``: what the units of each sensor model are like, on one page that opens without a network.
 
-Tables and pictures are there without any script; the script switches units and colours.
+Tables and pictures are there without any script.
 """
-
-from importlib.resources import files
-from string import Template
 
 from imucal.fleet_report.fleet_lists import failures_section, loose_section, words_section
 from imucal.fleet_report.fleet_tables import (
@@ -20,6 +17,7 @@ from imucal.fleet_report.shown import bound_name, median_text, percent, price_te
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
 from imucal.report.markup import Markup, element, join
+from imucal.report.page_frame import Page, Section, page_file, render_frame
 
 _KEY = (
     ('<circle class="mark" cx="13" cy="7" r="3.2"/><line class="whisker" x1="2" y1="7" x2="24" y2="7"/>',
@@ -34,31 +32,19 @@ _KEY = (
 
 def render_fleet_page(fleet: Fleet) -> str:
     """Return the page; the same fleet always gives the same text."""
-    sections = list(_sections(fleet))
-    links = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in sections]
-    bodies = [
-        element(
-            "section",
-            element("h2", title, id=f"{anchor}-title"),
-            body,
-            id=anchor,
-            aria_labelledby=f"{anchor}-title",
-        )
-        for anchor, title, body in sections
-    ]
     name = fleet.folder.resolve().name
-    style = _file("imucal.report", "page.css") + _file("imucal.fleet_report", "fleet.css")
     grade, sentence = verdict(fleet)
-    return Template(_file("imucal.fleet_report", "fleet.html")).substitute(
-        title=element("title", f"{name} – fleet of IMUs"),
-        heading=element("h1", f"Fleet {name}"),
-        verdict=element("p", sentence.replace(" %", "\N{NO-BREAK SPACE}%"), class_=f"verdict {grade}"),
-        lead=element("p", _lead(fleet), class_="lead"),
-        navigation=element("ul", *links),
-        sections=join(bodies),
-        version=element("span", f"imucal {fleet.version}"),
-        style=style,
-        script=_file("imucal.fleet_report", "fleet.js"),
+    return render_frame(
+        Page(
+            title=f"{name} – fleet of IMUs",
+            heading=f"Fleet {name}",
+            grade=grade,
+            sentence=sentence,
+            lead=_lead(fleet),
+            sections=_sections(fleet),
+            version=fleet.version,
+            style=page_file("fleet.css", "imucal.fleet_report"),
+        )
     )
 
 
@@ -112,9 +98,9 @@ def _lead(fleet: Fleet) -> str:
     return " · ".join(parts) or f"{len(fleet.logs)} logs"
 
 
-def _sections(fleet: Fleet) -> list[tuple[str, str, Markup]]:
+def _sections(fleet: Fleet) -> list[Section]:
     models = fleet.models
-    found: list[tuple[str, str, Markup]] = []
+    found: list[Section] = []
     if models:
         note = element("p", "Bold: the number for the config of every unit. ", _few_note(fleet))
         found.append(("config", "The number for the config", join([note, *map(config_table, models)])))
@@ -195,7 +181,3 @@ def _heat_note() -> Markup:
         "Colour: how many standard deviations of the next unit a unit lies above (warm) or below (cold) the "
         "median, one, two or three. A frame and ! mark an odd unit.",
     )
-
-
-def _file(package: str, name: str) -> str:
-    return files(package).joinpath("page", name).read_text(encoding="utf-8")
