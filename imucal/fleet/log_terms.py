@@ -54,5 +54,6 @@ def log_values(
             temperature_c=temperature_c,
             days=days,
             level=level,
+            correlation_time=e.correlation_time.value if e.correlation_time else None,
         )
     return values

@@ -236,7 +236,8 @@ class FleetStore:
         try:
             found = pl.read_parquet(paths, include_file_paths="part", glob=False)
         except (OSError, pl.exceptions.PolarsError):
-            found = pl.concat(map(_read_part, paths))
+            # Parts of an earlier version may lack a column.
+            found = pl.concat(map(_read_part, paths), how="diagonal")
         found = pl.concat([empty, found], how="diagonal")
         return found.with_columns(pl.col("part").str.split("/").list.last())
 

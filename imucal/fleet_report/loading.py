@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -154,7 +154,7 @@ def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[Term
 
 
 def _value(row: Row, unit: str) -> LogValue:
-    names = ("value", "low", "high", "variance", "variance_sd", "temperature_c", "days", "level")
+    names = [field.name for field in fields(LogValue) if field.name != "unit"]
     return LogValue(unit=unit, **{name: row[name] for name in names})
 
 
