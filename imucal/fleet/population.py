@@ -68,7 +68,11 @@ class Population:
     logs
         How many logs there are.
     median
-        Coefficient of the median unit, with its 95 % interval.
+        Coefficient of the median unit, with its 95 % interval. Where it is `bounded`, the interval begins at
+        0, and value and high are its upper limit.
+    bounded
+        Whether the logs, all together, do not tell the median unit from one without this term. The spreads
+        are then not known either.
     spread
         Standard deviation between units, in the logarithm (0.1: 10 %); None below three units.
     within
@@ -94,6 +98,7 @@ class Population:
     content: float
     confidence: float
     findings: tuple[Finding, ...]
+    bounded: bool = False
 
 
 def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: float = 0.95) -> Population:
@@ -127,10 +132,12 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
     scatter = 0.0 if within is None else float(within[1])
     quantile, tolerance = np.exp(posterior.reaches(content, (0.5, confidence)))
     low, high = np.exp(posterior.prediction(_TAILS[::2]))
-    return Population(
+    strong = bool(values.narrow.all())
+    median = posterior.quantiles(posterior.mu, _TAILS) if strong else np.array(posterior.likely_median())
+    found = Population(
         units=_judged(values, unit_likelihoods(values, scatter, place), posterior, place),
         logs=len(logs),
-        median=_interval(np.exp(posterior.quantiles(posterior.mu, _TAILS))),
+        median=_interval(np.exp(median)),
         spread=_interval(spread),
         within=None if within is None else _interval(within),
         prediction=(float(low), float(high)),
@@ -138,7 +145,25 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         tolerance=float(tolerance),
         content=content,
         confidence=confidence,
-        findings=_unlabelled(values),
+        findings=_weakness(values),
+    )
+    return found if found.median.low else _bounded(found)
+
+
+def _bounded(found: Population) -> Population:
+    """Return what is left to say where the median unit may be without the term: bounds."""
+    text = (
+        "The logs do not show this term: the median unit and the spread between units are not known, and "
+        "every number is an upper bound. Longer logs would say more than more units."
+    )
+    return replace(
+        found,
+        median=replace(found.median, value=found.median.high),
+        spread=None,
+        within=None,
+        prediction=(0.0, max(found.prediction[1], found.median.high)) if found.prediction else None,
+        findings=(Finding(level="info", code="weak-term", text=text),),
+        bounded=True,
     )
 
 
@@ -211,7 +236,8 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
     n = len(values.names)
     units = _units(values, unit_likelihoods(values, 0.0, place))
     told = [unit.value for unit in units if unit.value is not None]
-    middle = math.exp(sum(map(math.log, told)) / len(told)) if told else units[0].high / 2
+    high = max(unit.high for unit in units)
+    middle = math.exp(sum(map(math.log, told)) / len(told)) if told else high
     text = (
         f"{n} unit{'s' * (n > 1)}: the spread between units, the next unit and a tolerance bound need "
         f"{_FEWEST} at least; 10 are worth testing."
@@ -219,7 +245,8 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
     return Population(
         units=units,
         logs=values.centre.size,
-        median=Interval(value=middle, low=min(u.low for u in units), high=max(u.high for u in units)),
+        median=Interval(value=middle, low=min(u.low for u in units), high=high),
+        bounded=not told,
         spread=None,
         within=None,
         prediction=None,
@@ -231,7 +258,7 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
     )
 
 
-def _unlabelled(values: LogValues) -> tuple[Finding, ...]:
+def _weakness(values: LogValues) -> tuple[Finding, ...]:
     """Say where nearly all logs only bound the term: the median then leans on the bounds."""
     share = float(np.mean(~np.isfinite(values.deviation)))
     if share <= _MOSTLY:

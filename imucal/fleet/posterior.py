@@ -32,6 +32,10 @@ _WIDEST = 2.0
 _NOTHING = 16.0
 #: A scatter that is less probable than this, against the most probable, is left out at second sight.
 _LITTLE = 1e-4
+#: Points of the density of mu.
+_FINE = 801
+#: Likelihood at the limits of a 95 % interval, of the greatest: exp(-1.96²/2).
+_LIMIT = 0.1465
 #: Units whose terms are added at a time.
 _CHUNK = 2048
 
@@ -50,6 +54,23 @@ class Posterior:
         every = np.broadcast_to(values, self.weight.shape)
         keep = self.weight > math.exp(-_NOTHING) * self.weight.max()
         return weighted_quantiles(every[keep], self.weight[keep], at)
+
+    def likely_median(self) -> tuple[float, float, float]:
+        """Return the limits of mu and its mode, where weak units make its posterior lean down the scale.
+
+        The limits lie where its density is so far below the greatest as a likelihood is at the limits of a
+        95 % interval; the lower one is -inf where mu may be so low that the coefficient is none. Quantiles
+        would depend on how far down the grid reaches.
+        """
+        weight, mu = self.weight.sum(axis=0), self.mu[0]
+        seen = mu[weight > math.exp(-_NOTHING) * weight.max()]
+        grid = np.linspace(float(seen.min()), float(seen.max()), _FINE)
+        # The weight is of cells: each tau has steps of mu of its own.
+        density = weight / (mu[:, 1:2] - mu[:, :1])
+        total = np.sum([np.interp(grid, *row, right=0.0) for row in zip(mu, density, strict=True)], axis=0)
+        likely = total > _LIMIT * total.max()
+        low = -math.inf if likely[0] else float(grid[likely][0])
+        return low, float(grid[total.argmax()]), float(grid[likely][-1])
 
     def reaches(self, content: float, at: Sequence[float]) -> FloatArray:
         """Return quantiles of the logarithm that a share `content` of all units stays below."""

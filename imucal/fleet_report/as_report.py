@@ -125,6 +125,8 @@ def _axis(
 
 def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Estimate:
     found = term.population
+    if value == "median" and found.bounded:
+        return Estimate.bounded(term.term, term.symbol, found.median.high)
     if value == "median":
         limits = found.median.value, found.median.low, found.median.high
     elif found.tolerance is None or found.quantile is None:

@@ -77,9 +77,13 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
         _draw_mark(axes, one, value * factor, i, size=4.5)
     if found.prediction:
         axes.axvspan(
-            *(limit * factor for limit in found.prediction), color=MODEL.light, alpha=0.13, linewidth=0
+            *(max(limit * factor, low) for limit in found.prediction),
+            color=MODEL.light,
+            alpha=0.13,
+            linewidth=0,
         )
-    axes.axvline(found.median.value * factor, color=MODEL.light, linewidth=1.4)
+    if not found.bounded:
+        axes.axvline(found.median.value * factor, color=MODEL.light, linewidth=1.4)
     if found.tolerance:
         axes.axvline(found.tolerance * factor, color=_BOUND, linewidth=1.5, linestyle="--")
         axes.annotate(
@@ -125,10 +129,11 @@ def _draw_strip(axes: "Axes", term: FleetTerm, row: int) -> None:
     """Draw the units of one model as a row: a dot each, the median and the next unit's band."""
     found, factor = term.population, sheet_unit(term).factor
     if found.prediction:
-        low, high = (limit * factor for limit in found.prediction)
+        low, high = (max(limit, span(term)[0]) * factor for limit in found.prediction)
         axes.barh(row, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
-    middle = found.median.value * factor
-    axes.plot([middle, middle], [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
+    if not found.bounded:
+        middle = found.median.value * factor
+        axes.plot([middle, middle], [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
     for j, one in enumerate(found.units):
         _draw_mark(axes, one, (one.value or one.high) * factor, row + 0.18 * (j % 3 - 1), size=3.5)
 
@@ -157,7 +162,7 @@ def heat_figure(model: SensorModel) -> "Figure":
     odd: list[tuple[int, int]] = []
     for j, term in enumerate(model.terms):
         band = term.population.prediction
-        sd = math.log(band[1] / band[0]) / (2 * 1.96) if band else math.nan
+        sd = math.log(band[1] / band[0]) / (2 * 1.96) if band and band[0] else math.nan
         for unit in term.population.units:
             i = names.index(unit.unit)
             if unit.value is not None:

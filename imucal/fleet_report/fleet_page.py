@@ -179,5 +179,6 @@ def _heat_note() -> Markup:
     return element(
         "p",
         "Colour: how many standard deviations of the next unit a unit lies above (warm) or below (cold) the "
-        "median, one, two or three. A frame and ! mark an odd unit.",
+        "median, one, two or three. A frame and ! mark an odd unit; seen: the unit shows a term that the "
+        "logs of all units together do not.",
     )

@@ -63,7 +63,7 @@ def _config_cell(term: FleetTerm | None) -> Markup:
         [
             bold,
             element("small", "median ", median_text(term)),
-            element("small", ", ".join(spreads) or "spread not known"),
+            element("small", ", ".join(spreads) or "spread between units not known"),
         ]
     )
 
@@ -97,6 +97,8 @@ def _band(term: FleetTerm) -> str | Markup:
     if term.population.prediction is None:
         return "–"
     low, high = term.population.prediction
+    if term.population.bounded:
+        return join(["below ", alone(term, high)])
     return join([alone(term, low), " to ", alone(term, high)])
 
 
@@ -133,7 +135,7 @@ def heat_table(model: SensorModel) -> Markup:
 def _deviation(term: FleetTerm, unit: UnitValue) -> float:
     """Return how many standard deviations a unit lies off the median, in the logarithm."""
     band = term.population.prediction
-    if unit.value is None or band is None:
+    if unit.value is None or band is None or term.population.bounded:
         return 0.0
     sd = math.log(band[1] / band[0]) / (2 * 1.96)
     return math.log(unit.value / term.population.median.value) / sd
@@ -151,6 +153,8 @@ def _heat_cell(term: FleetTerm, unit: UnitValue | None, *, first: bool) -> Marku
         return element("td", "–", class_=" ".join(classes) or None)
     if unit.value is None:
         text = "<"
+    elif term.population.bounded:
+        text = "seen"
     else:
         change = 100 * math.expm1(math.log(unit.value / term.population.median.value))
         text = f"{change:+.0f}".replace("-", "\N{MINUS SIGN}") if abs(change) >= 0.5 else "0"

@@ -31,7 +31,7 @@ def span(term: FleetTerm) -> tuple[float, float]:
     found = term.population
     values = [unit.value or unit.high for unit in found.units]
     values += [found.median.value, *(found.prediction or ()), *([found.tolerance] if found.tolerance else ())]
-    low, high = min(values), max(values)
+    low, high = min(value for value in values if value > 0), max(values)
     told = [unit for unit in found.units if unit.value]
     low = max(min([low, *(unit.low for unit in told)]), low / _BELOW)
     high = min(max([high, *(unit.high for unit in told)]), high * _BELOW)
@@ -49,7 +49,8 @@ def unit_panel(term: FleetTerm, label: str) -> Markup:
     if found.prediction:
         low, high = map(x, found.prediction)
         parts.append(_rect(low, _TOP, high - low, height, "band"))
-    parts.append(_line(x(found.median.value), _TOP, x(found.median.value), _TOP + height, "median"))
+    if not found.bounded:
+        parts.append(_line(x(found.median.value), _TOP, x(found.median.value), _TOP + height, "median"))
     if found.tolerance:
         at = x(found.tolerance)
         parts += [
@@ -75,8 +76,9 @@ def strip_panel(models: Sequence[tuple[SensorModel, FleetTerm]], label: str) -> 
         if found.prediction:
             low, high = map(x, found.prediction)
             parts.append(_rect(low, top + 5, high - low, row - 10, "band"))
-        at = x(found.median.value)
-        parts.append(_line(at, top + 4, at, top + row - 4, "median"))
+        if not found.bounded:
+            at = x(found.median.value)
+            parts.append(_line(at, top + 4, at, top + row - 4, "median"))
         for place, unit in enumerate(found.units):
             # Three lanes keep units of one value apart.
             y = top + row / 2 + 9 * (place % 3 - 1)

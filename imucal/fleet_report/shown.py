@@ -35,7 +35,7 @@ def with_limits(term: FleetTerm, value: float | None, low: float, high: float) -
 def median_text(term: FleetTerm) -> Markup:
     """Return the median unit with its interval."""
     median = term.population.median
-    return with_limits(term, median.value, median.low, median.high)
+    return with_limits(term, None if term.population.bounded else median.value, median.low, median.high)
 
 
 def alone(term: FleetTerm, value: float) -> Markup:

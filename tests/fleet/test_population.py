@@ -234,3 +234,41 @@ def test_no_logs_and_impossible_shares_are_refused() -> None:
     logs = strong_fleet(np.random.default_rng(51), units=3, tau=0.1, error=0.1)
     with pytest.raises(ValueError, match="between 0 and 1, got 95"):
         population(logs, content=95)
+
+
+def test_a_term_that_no_log_shows_is_bounded() -> None:
+    """Of logs that tell the square of 1 to 8 each, the median unit and the spread are said not to be known.
+
+    The limits still hold the truth: in five fleets, one miss would be chance, three would not.
+    """
+    held = []
+    for seed in range(5):
+        found = population(weak_fleet(np.random.default_rng([81, seed]), units=8, logs=2, tau=0.3, error=8.0))
+        assert found.bounded
+        assert found.spread is None
+        assert found.within is None
+        assert found.median.low == 0.0
+        assert found.median.value == found.median.high
+        assert found.prediction is not None
+        assert found.prediction[0] == 0.0
+        assert [finding.code for finding in found.findings] == ["weak-term"]
+        held.append(found.median.high >= 1 and (found.tolerance or 0.0) >= math.exp(1.645 * 0.3))
+    assert sum(held) >= 3
+
+
+def test_limits_of_a_weak_median_hold_it() -> None:
+    """Ten units that tell the square to 0.8 each: a posterior that leans to zero does not drag them along."""
+    found = [
+        population(weak_fleet(np.random.default_rng([82, seed]), units=10, tau=0.3, error=0.8))
+        for seed in range(8)
+    ]
+    assert sum(one.median.low <= 1 <= one.median.high for one in found) >= 6
+    told = [math.log(one.median.value) for one in found if not one.bounded]
+    assert abs(np.mean(told)) < 0.25
+
+
+def test_units_without_any_value_are_bounded_below_three_too() -> None:
+    """Two bounds are a bound."""
+    found = population([LogValue(unit=u, value=None, low=0.0, high=h) for u, h in (("a", 2.0), ("b", 3.0))])
+    assert found.bounded
+    assert found.median.value == found.median.high == pytest.approx(3.0, rel=0.01)

@@ -460,3 +460,35 @@ def test_the_page_in_a_browser(browser: Browser, fleet: Fleet, tmp_path: Path) -
     assert browser.run(paper) == "rgb(255, 255, 255)"
     assert browser.run(inside)
     assert not [log for log in browser.logs("browser") if log["level"] == "SEVERE"]
+
+
+def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
+    """In page, JSON, CSV, pictures and the export of the median; the bound for the config stays."""
+    write_store(tmp_path, units=4, temperatures=(25.0,), special=False, failures=False, weak="", absent="y")
+    fleet = imucal.load_fleet(tmp_path, unit_logs=False)
+    term = fleet.model()["gyro_y", "K"]
+    assert term.population.bounded
+    document = fleet_document(fleet)
+    jsonschema.validate(document, fleet_schema())
+    (told,) = [
+        t
+        for m in document["models"]  # type: ignore[attr-defined]
+        for t in m["terms"]
+        if (t["sensor"], t["axis"], t["term"]) == ("gyroscope", "y", "K")
+    ]
+    assert told["bounded"]
+    assert told["median"]["value"] is None
+    assert told["spread"] is None
+    rows = csv.DictReader(io.StringIO(fleet_csv(fleet)))
+    cells = [row for row in rows if (row["sensor"], row["axis"], row["term"]) == ("gyroscope", "y", "K")]
+    assert {(row["bounded"], row["median"]) for row in cells} == {("1", "")}
+    page = render_fleet_page(fleet)
+    assert "The logs do not show this term" in page
+    from imucal.fleet_report.fleet_figures import fleet_figures
+
+    assert all(draw() for draw in fleet_figures(fleet).values())
+    report = imucal.fleet_as_report(fleet, value="median")
+    (axis,) = [axis for axis in report.axes if axis.name == "gyro_y"]
+    assert axis.fit["K"].status == "bounded"
+    (axis,) = [axis for axis in imucal.fleet_as_report(fleet).axes if axis.name == "gyro_y"]
+    assert axis.fit["K"].value == term.population.tolerance
