@@ -44,8 +44,8 @@ _TAILS = (0.025, 0.5, 0.975)
 class UnitValue:
     """One unit of a fleet: its coefficient from all of its logs, None where they only bound it.
 
-    `p_odd` is the adjusted p-value of belonging to the others, None where it was not tested; `odd` says
-    that it does not.
+    `p_value` is the chance that one of the others is so far off, None where it was not tested; `p_odd` is
+    adjusted for the number of units, and `odd` says that it does not belong to the others.
     """
 
     unit: str
@@ -53,6 +53,7 @@ class UnitValue:
     value: float | None
     low: float
     high: float
+    p_value: float | None = None
     p_odd: float | None = None
     odd: bool = False
 
@@ -159,6 +160,8 @@ def _bounded(found: Population) -> Population:
     return replace(
         found,
         median=replace(found.median, value=found.median.high),
+        # What so few units leave room for must not lie above what each of them has.
+        tolerance=min(found.tolerance or math.inf, max(unit.high for unit in found.units)),
         spread=None,
         within=None,
         prediction=(0.0, max(found.prediction[1], found.median.high)) if found.prediction else None,
@@ -193,11 +196,10 @@ def _judged(
     values: LogValues, units: UnitLikelihoods, posterior: Posterior, place: Place
 ) -> tuple[UnitValue, ...]:
     """Return each unit with the probability of being so odd by chance."""
+    alone = _p_values(values, units, posterior, place)
     return tuple(
-        replace(unit, p_odd=float(p), odd=bool(p <= FALSE_SHARE))
-        for unit, p in zip(
-            _units(values, units), adjusted(_p_values(values, units, posterior, place)), strict=True
-        )
+        replace(unit, p_value=own, p_odd=p, odd=p <= FALSE_SHARE)
+        for unit, own, p in zip(_units(values, units), alone.tolist(), adjusted(alone).tolist(), strict=True)
     )
 
 

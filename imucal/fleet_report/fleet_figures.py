@@ -10,12 +10,11 @@ import numpy as np
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import UnitValue
 from imucal.fleet_report.fleet_tables import by_term
-from imucal.fleet_report.panels import round_ticks, sorted_units, span
+from imucal.fleet_report.panels import labelled_ticks, sorted_units, span
 from imucal.fleet_report.shown import bound_name, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.recording import Sensor
 from imucal.report.figure_parts import LABEL_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
-from imucal.report.log_ticks import tick_label
 from imucal.report.palette import DATA, FADED, FRAME, GRID, INK, LEFT_OUT, MODEL
 from imucal.units import pretty
 
@@ -246,10 +245,12 @@ def _log_ticks(axes: "Axes", low: float, high: float) -> None:
 
     axes.set_xscale("log")
     axes.set_xlim(low, high)
-    places = round_ticks(low, high)
+    places, labels, power = labelled_ticks(low, high)
     axes.xaxis.set_major_locator(FixedLocator(places))
-    axes.xaxis.set_major_formatter(FixedFormatter([tick_label(place) for place in places]))
+    axes.xaxis.set_major_formatter(FixedFormatter(labels))
     axes.xaxis.set_minor_locator(NullLocator())
+    if power:
+        axes.set_xlabel(axes.get_xlabel().replace(" in ", f" in {power}", 1))
 
 
 def _png(figure: "Figure") -> bytes:
