@@ -1,5 +1,6 @@
 """What the commands of a fleet print: what is to be done, what became of it, and why logs failed."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,6 +8,7 @@ import click
 
 from imucal.cli._echo import echo
 from imucal.cli._options import say
+from imucal.cli._terminal import fitted, width
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
 
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from imucal.fleet.store import FleetStore
+    from imucal.fleet_report import Fleet
     from imucal.fleet_run import FleetPlan
 
 #: So many logs of each kind of failure are named.
@@ -93,7 +96,6 @@ def write_files(store: "FleetStore", *, quiet: bool) -> None:
     One that is newer than the store is left as it is.
     """
     from imucal.fleet_report import load_fleet, write_fleet
-    from imucal.fleet_report.fleet_page import verdict
 
     page = store.folder / "fleet.html"
     try:
@@ -104,7 +106,16 @@ def write_files(store: "FleetStore", *, quiet: bool) -> None:
         say(f"the report is missing: {error}", quiet=quiet)
         return
     echo(str(next((file for file in files if file.suffix == ".html"), files[0])))
-    say(verdict(fleet)[1], quiet=quiet)
+    say_verdict(fleet, quiet=quiet)
+
+
+def say_verdict(fleet: "Fleet", *, quiet: bool) -> None:
+    """Print which units are odd; on a terminal broken between words, else in one line for who searches it."""
+    from imucal.fleet_report.fleet_page import verdict
+
+    text = verdict(fleet)[1]
+    for line in fitted(text, width(), indent=2) if sys.stderr.isatty() else [text]:
+        say(line, quiet=quiet)
 
 
 def failed_logs(logs: "pl.DataFrame") -> "pl.DataFrame":

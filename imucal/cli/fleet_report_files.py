@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from imucal.cli._echo import echo
+from imucal.cli._fleet_lines import say_verdict
 from imucal.cli._options import Number, quiet_option, say, shown
 
 
@@ -45,11 +46,10 @@ def command(
     tolerance bound) with what more units would save. Units that are odd or drift are named.
     """
     from imucal.fleet_report import load_fleet, write_fleet
-    from imucal.fleet_report.fleet_page import verdict
 
     fleet = load_fleet(folder, content=content, confidence=confidence)
     for path in write_fleet(fleet, html=html, pictures=pictures):
         echo(str(path))
-    say(verdict(fleet)[1], quiet=quiet)
+    say_verdict(fleet, quiet=quiet)
     if fleet.loose:
         say(f"to have them counted, run the fleet with --labels '{fleet.labels}'", quiet=quiet)

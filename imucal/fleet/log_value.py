@@ -33,6 +33,8 @@ class LogValue:
         Temperature in °C, and age in days since any epoch, for `imucal.fleet.trend`; nan where unknown.
     level
         Confidence level of the limits.
+    correlation_time
+        In s, of a Gauss-Markov term that the log estimates; None otherwise.
 
     Raises
     ------
@@ -49,6 +51,7 @@ class LogValue:
     temperature_c: float = math.nan
     days: float = math.nan
     level: float = 0.95
+    correlation_time: float | None = None
 
     def __post_init__(self) -> None:
         inside = self.value is None or 0 <= self.low <= self.value <= self.high

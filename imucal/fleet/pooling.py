@@ -4,42 +4,27 @@ The records' likelihoods multiply, as those of the blocks of one record between 
 tested for being the same in all of them; where it is not, what one would expect of yet another record is
 the mean of the records with their spread, and never the narrow interval of one coefficient.
 
-Sources: Bakalli et al. (2018), IEEE/ION PLANS, "A computational multivariate-based technique for inertial
-sensor calibration" (several records of one sensor); DerSimonian & Laird (1986), Controlled Clinical Trials
-7, 177 (the spread); Hartung & Knapp (2001), Statistics in Medicine 20, 1771 (the interval of the mean).
+Source: Bakalli et al. (2018), IEEE/ION PLANS, "A computational multivariate-based technique for inertial
+sensor calibration" (several records of one sensor).
 """
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-import numpy as np
-
-from imucal.arrays import FloatArray
-from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
-from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.bin_fit import fit_bins
-from imucal.fitting.spectral.record_tests import RecordTest, record_tests
-from imucal.fitting.spectral.squared_coefficients import squared_coefficients
-from imucal.fleet.log_value import LogValue
+from imucal.fitting.spectral.estimates import MISFIT
+from imucal.fitting.spectral.record_tests import record_tests
+from imucal.fleet.differing_records import means_over_records
+from imucal.fleet.poolable import bins_of, refuse_different, structure_of
 from imucal.noise.model import NoiseModel, structure_text
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 
 #: Chance, for each term, that records of one coefficient are found to differ.
 CHANCE = 0.05
-#: Relative difference of two sampling rates, and of two filters' corners, that is none.
-_SAME_RATE, _SAME_CORNER = 1e-3, 0.15
-#: Misfit score above which the model does not describe the records.
-_MISFIT = 3.0
-#: Standard error of a logarithm below which each record tells a term by itself.
-_TOLD = 0.3
-#: A term so many deviations above zero is told by its limits, better than by a normal law of its variance.
-_STRONG = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,9 +136,9 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
     tails and spikes are judged by record, and an output filter that no record shows by itself is none. A
     ramp, where `model` has one, is common to all records.
     """
-    structure = _structure(model, level)
-    every = _bins_of(fits)
-    _refuse_different(fits)
+    structure = structure_of(model, level)
+    every = bins_of(fits)
+    refuse_different(fits)
     return pool_bins(every, structure, sensor=fits[0].sensor, rate_hz=fits[0].rate_hz, level=level)
 
 
@@ -165,16 +150,9 @@ def pool_bins(
     tests = record_tests(found)
     differs = {test.key for test in tests if test.p_value < CHANCE}
 
-    @cache
-    def squares() -> list[dict[str, tuple[float, float]]]:
-        return [_squares(one, structure, level) for one in every]
-
     joint = {e.key: e for e in found.estimates}
-    widened = {
-        test.key: _widened(test, joint[test.key], squares, level, differs=test.key in differs)
-        for test in tests
-        if differs and test.key in joint
-    }
+    asked = [(t, joint[t.key], t.key in differs) for t in tests if differs and t.key in joint]
+    widened = means_over_records(every, structure, asked, level)
     estimates = tuple(widened.get(e.key, (e, 0.0))[0] for e in found.estimates)
     homogeneity = tuple(
         Homogeneity(
@@ -202,179 +180,6 @@ def pool_bins(
     )
 
 
-def log_values(
-    unit: str,
-    fit: NoiseFit,
-    *,
-    model: str = "N + B + K",
-    level: float = 0.95,
-    temperature_c: float = math.nan,
-    days: float = math.nan,
-) -> dict[str, LogValue]:
-    """Return what one log says of each term, for `imucal.population`; from the bins of its fit.
-
-    Every term has its value and limits, from a fit of the same `model` for every log. One that is not
-    three deviations above zero has its squared coefficient and deviation too, in SI squared: an estimate
-    without bias that may be negative, so that the mean of many weak logs is right.
-
-    Raises
-    ------
-    DataError, ValueError
-        As `pool`.
-
-    Notes
-    -----
-    The deviation is that of a term which is one deviation above zero: in 100 simulated records of 10⁵
-    samples it was 1.0 to 1.4 times the scatter there, 1.5 to 2.7 times where the term was absent or nearly
-    so, 0.6 times at two and a half.
-    """
-    found = fit_bins(_bins_of([fit]), _structure(model, level), level=level)
-    squares = squared_coefficients(found.problem, found.whole)
-    values = {}
-    for e in found.estimates:
-        square = squares.get(e.key)
-        weak = square is not None and square.value <= _STRONG * square.deviation
-        values[e.key] = LogValue(
-            unit=unit,
-            value=e.value,
-            low=e.low,
-            high=e.high,
-            variance=square.value if square and weak else None,
-            variance_sd=square.deviation if square and weak else None,
-            temperature_c=temperature_c,
-            days=days,
-            level=level,
-        )
-    return values
-
-
-def _structure(model: str, level: float) -> tuple[str, ...]:
-    structure = FitSettings(model=model, level=level).structure
-    if structure is None:
-        msg = "pool: model 'auto' would choose by the record; give the terms, such as 'N + B + K'"
-        raise ValueError(msg)
-    return structure
-
-
-def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
-    if not fits:
-        msg = "pool: found no fits, expected at least one"
-        raise ValueError(msg)
-    every = []
-    for number, fit in enumerate(fits, 1):
-        if fit.bins is None:
-            msg = (
-                f"fit {number} of {len(fits)} ({fit.method}): found no bins, expected those of method 'mle'; "
-                "fit the log again, and write its report with imucal fit --bins"
-            )
-            raise DataError(msg)
-        every.append(fit.bins)
-    return every
-
-
-def _refuse_different(fits: Sequence[NoiseFit]) -> None:
-    """Refuse what is not of one sensor, one rate and one filter."""
-    first = fits[0]
-    for number, fit in enumerate(fits[1:], 2):
-        where = f"fit {number} of {len(fits)}"
-        if fit.sensor != first.sensor:
-            msg = (
-                f"{where}: found {_named(fit)}, expected {_named(first)} as in fit 1; pool one axis at a time"
-            )
-            raise DataError(msg)
-        if abs(fit.rate_hz / first.rate_hz - 1) > _SAME_RATE:
-            msg = (
-                f"{where}: found {fit.rate_hz:.6g} Hz, expected {first.rate_hz:.6g} Hz as in fit 1; "
-                "pool records of one sampling rate"
-            )
-            raise DataError(msg)
-        if not _same_filter(first, fit):
-            msg = (
-                f"{where}: found {_filter(fit)}, expected {_filter(first)} as in fit 1; "
-                "pool records of one setting of the sensor"
-            )
-            raise DataError(msg)
-
-
-def _same_filter(one: NoiseFit, other: NoiseFit) -> bool:
-    """Whether neither has an output filter, or both have one at about the same corner."""
-    if one.response is None or other.response is None:
-        return one.response is other.response
-    return abs(math.log(one.response.cutoff_hz / other.response.cutoff_hz)) <= _SAME_CORNER
-
-
-def _named(fit: NoiseFit) -> str:
-    return "no sensor's name" if fit.sensor is None else f"the {fit.sensor}"
-
-
-def _filter(fit: NoiseFit) -> str:
-    if fit.response is None:
-        return "no output filter"
-    return f"an output filter at {fit.response.cutoff_hz:.4g} Hz"
-
-
-def _squares(bins: Bins, structure: tuple[str, ...], level: float) -> dict[str, tuple[float, float]]:
-    """Return the squared coefficients of one record by itself, and their standard deviations."""
-    found = fit_bins([bins], structure, level=level)
-    squares = squared_coefficients(found.problem, found.whole)
-    return {key: (square.value, square.deviation) for key, square in squares.items()}
-
-
-def _widened(
-    test: RecordTest,
-    joint: Estimate,
-    squares: Callable[[], list[dict[str, tuple[float, float]]]],
-    level: float,
-    *,
-    differs: bool,
-) -> tuple[Estimate, float]:
-    """Return the estimate of a term where records differ, in it or in another one; and its spread.
-
-    The interval is never inside that of one common coefficient.
-    """
-    if np.all((test.log_deviations < _TOLD) & (test.values > 0)):
-        mean, low, high, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
-        value, low, high = math.exp(mean), math.exp(low), math.exp(high)
-    else:
-        told = np.array([record[test.key] for record in squares()])
-        # Where they differ, a large square has a large deviation: weights by it would favour the small.
-        deviations = np.full(len(told), np.sqrt(np.mean(told[:, 1] ** 2))) if differs else told[:, 1]
-        mean, low, high, spread = _mean(told[:, 0], deviations, level, random=differs)
-        value, low, high = (math.sqrt(max(x, 0.0)) for x in (mean, low, high))
-        # Of the square, relative to the upper end where the mean is not told from zero.
-        spread = 0.5 * spread / max(value, 0.5 * high) ** 2
-    low, high = min(low, joint.low), max(high, joint.high)
-    widening = joint.widening * max((high - low) / (joint.high - joint.low), 1.0)
-    if low <= 0 or value <= 0:
-        return replace(Estimate.bounded(test.key, test.symbol, high), widening=widening), spread
-    estimate = replace(joint, status="estimated", value=value, low=low, high=high, widening=widening)
-    return estimate, spread
-
-
-def _mean(
-    values: FloatArray, deviations: FloatArray, level: float, *, random: bool
-) -> tuple[float, float, float, float]:
-    """Return the mean of r values, shape (r,), its limits, and their spread beyond their deviations."""
-    from scipy.special import ndtri, stdtrit
-
-    weight = deviations**-2.0
-    dof = values.size - 1
-    spread = 0.0
-    if random:
-        statistic = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
-        scale = float(weight.sum() - np.square(weight).sum() / weight.sum())
-        spread = math.sqrt(max(statistic - dof, 0.0) / scale)
-        weight = 1 / (deviations**2 + spread**2)
-    mean = float(np.average(values, weights=weight))
-    error = math.sqrt(1 / float(weight.sum()))
-    wide = float(ndtri((1 + level) / 2))
-    if random:
-        scatter = float(np.sum(weight * (values - mean) ** 2)) / dof
-        error *= math.sqrt(max(scatter, 1.0))
-        wide = float(stdtrit(dof, (1 + level) / 2))
-    return mean, mean - wide * error, mean + wide * error, spread
-
-
 def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:
     """Return the model with the values of the estimates, without the terms that became bounded."""
     kept = [term for term in model.terms if term.symbol in {"GM", "R"}]
@@ -400,7 +205,7 @@ def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: s
                 "may differ as much.",
             )
         )
-    if goodness.statistic > _MISFIT:
+    if goodness.statistic > MISFIT:
         findings.append(
             Finding(
                 level="warning",

@@ -47,8 +47,8 @@ _CONTENT = 0.95
 class UnitValue:
     """One unit of a fleet: its coefficient from all of its logs, None where they only bound it.
 
-    `p_odd` is the adjusted p-value of belonging to the others, None where it was not tested; `odd` says
-    that it does not.
+    `p_value` is the chance that one of the others is so far off, None where it was not tested; `p_odd` is
+    adjusted for the number of units, and `odd` says that it does not belong to the others.
     """
 
     unit: str
@@ -56,20 +56,9 @@ class UnitValue:
     value: float | None
     low: float
     high: float
+    p_value: float | None = None
     p_odd: float | None = None
     odd: bool = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MedianUnit:
-    """The coefficient of the median unit with its 95 % interval.
-
-    Where all logs together only bound it, `value` is None, `low` is 0 and `high` the bound.
-    """
-
-    value: float | None
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,13 +72,15 @@ class Population:
     logs
         How many logs there are.
     median
-        Coefficient of the median unit, with its 95 % interval.
+        Coefficient of the median unit, with its 95 % interval. Where it is `bounded`, the interval begins at
+        0, and value and high are its upper limit.
+    bounded
+        Whether the logs, all together, do not tell the median unit from one without this term. The spreads
+        are then not known either.
     spread
-        Standard deviation between units, in the logarithm (0.1: 10 %); None below three units, and where all
-        logs together only bound the coefficient.
+        Standard deviation between units, in the logarithm (0.1: 10 %); None below three units.
     within
-        Standard deviation between logs of one unit; None where no unit has two logs, and where the logs only
-        bound it.
+        Standard deviation between logs of one unit; None where no unit has two logs.
     prediction
         Limits that hold the next unit with probability 0.95; None below three units.
     quantile
@@ -102,7 +93,7 @@ class Population:
 
     units: tuple[UnitValue, ...]
     logs: int
-    median: MedianUnit
+    median: Interval
     spread: Interval | None
     within: Interval | None
     prediction: tuple[float, float] | None
@@ -111,20 +102,7 @@ class Population:
     content: float
     confidence: float
     findings: tuple[Finding, ...]
-
-    def off_median(self, unit: UnitValue) -> float | None:
-        """Return how far a unit lies off the median, in the logarithm; None where either is only bounded."""
-        if unit.value is None or self.median.value is None:
-            return None
-        return math.log(unit.value / self.median.value)
-
-    def deviations(self, unit: UnitValue) -> float | None:
-        """Return how many standard deviations of the next unit a unit lies off the median; None as above."""
-        off = self.off_median(unit)
-        if off is None or self.prediction is None:
-            return None
-        low, high = self.prediction
-        return off / (math.log(high / low) / (2 * _TWO_SIDED))
+    bounded: bool = False
 
 
 def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: float = 0.95) -> Population:
@@ -161,11 +139,10 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         return _bounded(values, units, content, confidence)
     quantile, tolerance = np.exp(posterior.reaches(content, (0.5, confidence)))
     low, high = np.exp(posterior.prediction(_TAILS[::2]))
-    median = _interval(np.exp(posterior.quantiles(posterior.mu, _TAILS)))
     return Population(
         units=units,
         logs=len(logs),
-        median=MedianUnit(value=median.value, low=median.low, high=median.high),
+        median=_interval(np.exp(posterior.quantiles(posterior.mu, _TAILS))),
         spread=_interval(spread),
         within=None if within is None else _interval(within),
         prediction=(float(low), float(high)),
@@ -173,7 +150,32 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         tolerance=float(tolerance),
         content=content,
         confidence=confidence,
-        findings=_unlabelled(values),
+        findings=_weakness(values),
+    )
+
+
+def _bounded(
+    values: LogValues, units: tuple[UnitValue, ...], content: float, confidence: float
+) -> Population:
+    """Return how large a coefficient can be that all logs together do not show."""
+    text = (
+        "All logs together do not show this term: every number is an upper bound, and the spread between "
+        "units is not known. Longer logs would say more than more units."
+    )
+    highest, median = share_bound(values, content, confidence), rms_bound(values, _TAILS[-1])
+    return Population(
+        units=units,
+        logs=values.centre.size,
+        median=Interval(value=median, low=0.0, high=median),
+        bounded=True,
+        spread=None,
+        within=None,
+        prediction=(0.0, share_bound(values, _CONTENT, _CONTENT)),
+        quantile=min(share_bound(values, content, 0.5), highest),
+        tolerance=highest,
+        content=content,
+        confidence=confidence,
+        findings=(Finding(level="info", code="weak-term", text=text),),
     )
 
 
@@ -203,11 +205,10 @@ def _judged(
     values: LogValues, units: UnitLikelihoods, posterior: Posterior, place: Place
 ) -> tuple[UnitValue, ...]:
     """Return each unit with the probability of being so odd by chance."""
+    alone = _p_values(values, units, posterior, place)
     return tuple(
-        replace(unit, p_odd=float(p), odd=bool(p <= FALSE_SHARE))
-        for unit, p in zip(
-            _units(values, units), adjusted(_p_values(values, units, posterior, place)), strict=True
-        )
+        replace(unit, p_value=own, p_odd=p, odd=p <= FALSE_SHARE)
+        for unit, own, p in zip(_units(values, units), alone.tolist(), adjusted(alone).tolist(), strict=True)
     )
 
 
@@ -246,7 +247,8 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
     n = len(values.names)
     units = _units(values, unit_likelihoods(values, 0.0, place))
     told = [unit.value for unit in units if unit.value is not None]
-    middle = math.exp(sum(map(math.log, told)) / len(told)) if told else None
+    high = max(unit.high for unit in units)
+    middle = math.exp(sum(map(math.log, told)) / len(told)) if told else high
     text = (
         f"{n} unit{'s' * (n > 1)}: the spread between units, the next unit and a tolerance bound need "
         f"{_FEWEST} at least; 10 are worth testing."
@@ -254,7 +256,8 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
     return Population(
         units=units,
         logs=values.centre.size,
-        median=MedianUnit(value=middle, low=min(u.low for u in units), high=max(u.high for u in units)),
+        median=Interval(value=middle, low=min(u.low for u in units), high=high),
+        bounded=not told,
         spread=None,
         within=None,
         prediction=None,
@@ -266,31 +269,7 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
     )
 
 
-def _bounded(
-    values: LogValues, units: tuple[UnitValue, ...], content: float, confidence: float
-) -> Population:
-    """Return how large a coefficient can be that all logs together do not show."""
-    text = (
-        f"All {values.centre.size} logs together only bound this term: the numbers are what they can't "
-        "exclude, and the spread between units is not known; longer logs would show it."
-    )
-    highest = share_bound(values, content, confidence)
-    return Population(
-        units=units,
-        logs=values.centre.size,
-        median=MedianUnit(value=None, low=0.0, high=rms_bound(values, _TAILS[-1])),
-        spread=None,
-        within=None,
-        prediction=(0.0, share_bound(values, _CONTENT, _CONTENT)),
-        quantile=min(share_bound(values, content, 0.5), highest),
-        tolerance=highest,
-        content=content,
-        confidence=confidence,
-        findings=(Finding(level="info", code="weak-term", text=text),),
-    )
-
-
-def _unlabelled(values: LogValues) -> tuple[Finding, ...]:
+def _weakness(values: LogValues) -> tuple[Finding, ...]:
     """Say where nearly all logs only bound the term: the median then leans on the bounds."""
     share = float(np.mean(~np.isfinite(values.deviation)))
     if share <= _MOSTLY:

@@ -256,7 +256,8 @@ class FleetStore:
                 engine="streaming"
             )
         except (OSError, pl.exceptions.PolarsError):
-            found = pl.concat(map(_read_part, paths))
+            # Parts of an earlier version may lack a column.
+            found = pl.concat(map(_read_part, paths), how="diagonal")
         found = pl.concat([empty, found], how="diagonal")
         return found.with_columns(pl.col("part").str.split("/").list.last())
 

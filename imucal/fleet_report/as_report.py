@@ -8,11 +8,12 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum
 from imucal.errors import DataError
-from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
+from imucal.fitting.noise_fit import Estimate, Goodness, Interval, NoiseFit
 from imucal.fleet_report.shown import bound_name
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import ALWAYS, TERMS
+from imucal.noise.term import NoiseTerm
+from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov
 from imucal.recording import Source
 from imucal.report.result import AxisReport, Overview, Report
 
@@ -50,8 +51,7 @@ def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue
         raise DataError(msg)
     axes: dict[str, list[FleetTerm]] = {}
     for term in found.terms:
-        if not TERMS[term.symbol].repeatable:
-            axes.setdefault(term.name, []).append(term)
+        axes.setdefault(term.name, []).append(term)
     of_units = f"fleet of {len(found.units)} units{f' of {found.name}' if found.name else ''}"
     what = f"{bound_name(found.terms[0])} tolerance bound" if value == "tolerance" else "median unit"
     seconds = sorted(log.seconds for log in found.logs if log.seconds and not log.left_out)
@@ -62,7 +62,7 @@ def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue
             _axis(
                 found,
                 terms[0],
-                {term.term: _estimate(fleet, term, value, what) for term in terms},
+                {term.term: _estimate(fleet, term, value, what) for term in terms if _is_shown(term)},
                 duration,
                 fleet=fleet,
             )
@@ -83,7 +83,7 @@ def _axis(
             f"{', '.join(ALWAYS)}; run the fleet with --model 'N + B + K'"
         )
         raise DataError(msg)
-    noise = NoiseModel(terms=tuple(TERMS[key].of(e.value or e.high) for key, e in estimates.items()))
+    noise = NoiseModel(terms=tuple(map(_noise_term, estimates.values())))
     rate = model.rate_hz
     size = max(int(duration * rate), 4)
     m = 2 ** np.arange(max(int(math.log2(size)), 1))
@@ -125,7 +125,7 @@ def _axis(
 
 def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Estimate:
     found = term.population
-    if value == "median" and found.median.value is None:
+    if value == "median" and found.bounded:
         return Estimate.bounded(term.term, term.symbol, found.median.high)
     if value == "median":
         limits = found.median.value, found.median.low, found.median.high
@@ -145,5 +145,31 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
         value=middle,
         low=low,
         high=high,
+        correlation_time=_correlation_time(fleet, term) if TERMS[term.symbol].repeatable else None,
         origin=f"{what} of {len(found.units)} units" if value == "tolerance" else "",
     )
+
+
+def _is_shown(term: FleetTerm) -> bool:
+    """Return whether a term is always there, or some log shows it: a bounded Gauss-Markov term is none."""
+    return not TERMS[term.symbol].repeatable or any(log.value for log in term.logs)
+
+
+def _correlation_time(fleet: Fleet, term: FleetTerm) -> Interval:
+    """Return the median of the logs' correlation times, and where 95 % of them lie."""
+    times = [log.correlation_time for log in term.logs if log.value and log.correlation_time]
+    if not times:
+        msg = (
+            f"{fleet.folder}: found no correlation time of {term.name} {term.term}, which runs of an earlier "
+            "version did not keep; run the fleet again with --fresh"
+        )
+        raise DataError(msg)
+    low, value, high = np.exp(np.quantile(np.log(times), (0.025, 0.5, 0.975))).tolist()
+    return Interval(value=value, low=low, high=high)
+
+
+def _noise_term(estimate: Estimate) -> NoiseTerm:
+    value = estimate.value or estimate.high
+    if estimate.correlation_time:
+        return GaussMarkov(sigma=value, T=estimate.correlation_time.value)
+    return TERMS[estimate.symbol].of(value)

@@ -3,9 +3,9 @@
 from imucal.checking.verdict import Measured, Row, Verdict
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.fleet.log_terms import log_values
 from imucal.fleet.log_value import LogValue
 from imucal.fleet.membership import FEWEST, membership
-from imucal.fleet.pooling import log_values
 from imucal.fleet_report.shown import sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
@@ -96,13 +96,14 @@ def _row(model: SensorModel, term: FleetTerm, value: LogValue, p: float, alpha: 
         "fail": "not as a unit of the fleet",
         "undecided": "the log is too short to tell",
     }
+    where = f"in [{low:.4g}, {high:.4g}]" if low else f"<= {high:.4g}"
     text = (
-        f"{term.name}: {term.term} is {measured.text()} {unit.name}; the next unit of {model.title} lies in "
-        f"[{low:.4g}, {high:.4g}] with 95 % (adjusted p = {p:.2g}): {said[verdict]}"
+        f"{term.name}: {term.term} is {measured.text()} {unit.name}; the next unit of {model.title} lies "
+        f"{where if low else f'below {high:.4g}'} with 95 % (adjusted p = {p:.2g}): {said[verdict]}"
     )
     return Row(
         where=term.name,
-        subject=f"{term.term} in [{low:.4g}, {high:.4g}] {unit.name}",
+        subject=f"{term.term} {where} {unit.name}",
         verdict=verdict,
         text=text,
         unit=unit.name,

@@ -11,7 +11,7 @@ from importlib.resources import files
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
-from imucal.fleet.population import MedianUnit, UnitValue
+from imucal.fleet.population import UnitValue
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.report.document import plain
 
@@ -20,6 +20,7 @@ SCHEMA = "imucal/fleet/1"
 _COLUMNS = (
     *("model", "sensor", "axis", "term", "unit_si", "unit", "logs", "value", "low", "high", "odd", "p_odd"),
     *("logs_differ", "median", "spread", "within", "prediction_low", "prediction_high", "tolerance"),
+    *("median_low", "median_high", "bounded"),
 )
 
 
@@ -86,11 +87,14 @@ def _row(model: SensorModel, term: FleetTerm, unit: UnitValue) -> list[object]:
         *(model.name, str(term.sensor), term.axis, term.term, term.unit, unit.unit, unit.logs),
         *(unit.value, unit.low, unit.high, int(unit.odd), unit.p_odd),
         int(tested[unit.unit]) if unit.unit in tested else None,
-        found.median.value,
+        None if found.bounded else found.median.value,
         found.spread.value if found.spread else None,
         found.within.value if found.within else None,
         *prediction,
         found.tolerance,
+        found.median.low,
+        found.median.high,
+        int(found.bounded),
     ]
 
 
@@ -114,7 +118,8 @@ def _term(term: FleetTerm) -> dict[str, object]:
         "logs": found.logs,
         "content": found.content,
         "confidence": found.confidence,
-        "median": _interval(found.median),
+        "median": {**(_interval(found.median) or {}), **({"value": None} if found.bounded else {})},
+        "bounded": found.bounded,
         "spread": _interval(found.spread),
         "within": _interval(found.within),
         "prediction": list(found.prediction) if found.prediction else None,
@@ -135,6 +140,10 @@ def _term(term: FleetTerm) -> dict[str, object]:
                 "odd": unit.odd,
             }
             for unit in found.units
+        ],
+        "moves": [
+            {"label": mean.label, "p_value": mean.p_value, "p_adjusted": mean.p_odd, "moves": mean.odd}
+            for mean in (trend.means if trend else ())
         ],
         "slopes": [
             {
@@ -163,7 +172,7 @@ def _term(term: FleetTerm) -> dict[str, object]:
     }
 
 
-def _interval(interval: Interval | MedianUnit | None) -> dict[str, float | None] | None:
+def _interval(interval: Interval | None) -> dict[str, float] | None:
     if interval is None:
         return None
     return {"value": interval.value, "low": interval.low, "high": interval.high}

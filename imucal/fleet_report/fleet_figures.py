@@ -10,12 +10,11 @@ import numpy as np
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import UnitValue
 from imucal.fleet_report.fleet_tables import by_term
-from imucal.fleet_report.panels import round_ticks, sorted_units, span
+from imucal.fleet_report.panels import labelled_ticks, sorted_units, span
 from imucal.fleet_report.shown import bound_name, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.recording import Sensor
 from imucal.report.figure_parts import LABEL_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
-from imucal.report.log_ticks import tick_label
 from imucal.report.palette import DATA, FADED, FRAME, GRID, INK, LEFT_OUT, MODEL
 from imucal.units import pretty
 
@@ -76,9 +75,13 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
         axes.plot([start, one.high * factor], [i, i], color=colour, linewidth=1, linestyle=style)
         _draw_mark(axes, one, value * factor, i, size=4.5)
     if found.prediction:
-        first, last = (limit * factor for limit in found.prediction)
-        axes.axvspan(max(first, low), last, color=MODEL.light, alpha=0.13, linewidth=0)
-    if found.median.value:
+        axes.axvspan(
+            *(max(limit * factor, low) for limit in found.prediction),
+            color=MODEL.light,
+            alpha=0.13,
+            linewidth=0,
+        )
+    if not found.bounded:
         axes.axvline(found.median.value * factor, color=MODEL.light, linewidth=1.4)
     if found.tolerance:
         axes.axvline(found.tolerance * factor, color=_BOUND, linewidth=1.5, linestyle="--")
@@ -127,7 +130,7 @@ def _draw_strip(axes: "Axes", term: FleetTerm, row: int) -> None:
     if found.prediction:
         low, high = (max(limit, span(term)[0]) * factor for limit in found.prediction)
         axes.barh(row, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
-    if found.median.value:
+    if not found.bounded:
         middle = found.median.value * factor
         axes.plot([middle, middle], [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
     for j, one in enumerate(found.units):
@@ -157,10 +160,12 @@ def heat_figure(model: SensorModel) -> "Figure":
     values = np.full((len(names), len(model.terms)), np.nan)
     odd: list[tuple[int, int]] = []
     for j, term in enumerate(model.terms):
+        band = term.population.prediction
+        sd = math.log(band[1] / band[0]) / (2 * 1.96) if band and band[0] else math.nan
         for unit in term.population.units:
             i = names.index(unit.unit)
-            off = term.population.deviations(unit)
-            values[i, j] = math.nan if off is None else off
+            if unit.value is not None:
+                values[i, j] = math.log(unit.value / term.population.median.value) / sd
             if unit.odd:
                 odd.append((i, j))
     tall = min(14.0, max(2.0, 0.2 * len(names)))
@@ -240,10 +245,12 @@ def _log_ticks(axes: "Axes", low: float, high: float) -> None:
 
     axes.set_xscale("log")
     axes.set_xlim(low, high)
-    places = round_ticks(low, high)
+    places, labels, power = labelled_ticks(low, high)
     axes.xaxis.set_major_locator(FixedLocator(places))
-    axes.xaxis.set_major_formatter(FixedFormatter([tick_label(place) for place in places]))
+    axes.xaxis.set_major_formatter(FixedFormatter(labels))
     axes.xaxis.set_minor_locator(NullLocator())
+    if power:
+        axes.set_xlabel(axes.get_xlabel().replace(" in ", f" in {power}", 1))
 
 
 def _png(figure: "Figure") -> bytes:

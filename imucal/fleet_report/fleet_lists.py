@@ -30,7 +30,8 @@ _WORDS = {
     ),
     "odd": (
         "A unit that is not like the others, judged by what the others alone are like. In a fleet without "
-        "odd units, each term of each axis has a false alarm with a probability of at most 5 %."
+        "odd units, each term of each axis has a false alarm with a probability of at most 5 %; the first "
+        "line of this page names apart those that may be one of so many terms' false alarms."
     ),
     "upper bound": (
         "The logs of the unit do not show the term; it is below this. It still counts in median and spread."

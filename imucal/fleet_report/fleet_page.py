@@ -1,11 +1,13 @@
 """``fleet.html``: what the units of each sensor model are like, on one page that opens without a network.
 
-Tables and pictures are there without any script; the script switches units and colours.
+Tables and pictures are there without any script.
 """
 
-from importlib.resources import files
-from string import Template
+from collections.abc import Sequence
 
+import numpy as np
+
+from imucal.fleet.outliers import FALSE_SHARE, adjusted
 from imucal.fleet_report.fleet_lists import failures_section, loose_section, words_section
 from imucal.fleet_report.fleet_tables import (
     by_term,
@@ -20,6 +22,7 @@ from imucal.fleet_report.shown import bound_name, median_text, percent, price_te
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
 from imucal.report.markup import Markup, element, join
+from imucal.report.page_frame import Page, Section, page_file, render_frame
 
 _KEY = (
     ('<circle class="mark" cx="13" cy="7" r="3.2"/><line class="whisker" x1="2" y1="7" x2="24" y2="7"/>',
@@ -34,38 +37,37 @@ _KEY = (
 
 def render_fleet_page(fleet: Fleet) -> str:
     """Return the page; the same fleet always gives the same text."""
-    sections = list(_sections(fleet))
-    links = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in sections]
-    bodies = [
-        element(
-            "section",
-            element("h2", title, id=f"{anchor}-title"),
-            body,
-            id=anchor,
-            aria_labelledby=f"{anchor}-title",
-        )
-        for anchor, title, body in sections
-    ]
     name = fleet.folder.resolve().name
-    style = _file("imucal.report", "page.css") + _file("imucal.fleet_report", "fleet.css")
     grade, sentence = verdict(fleet)
-    return Template(_file("imucal.fleet_report", "fleet.html")).substitute(
-        title=element("title", f"{name} – fleet of IMUs"),
-        heading=element("h1", f"Fleet {name}"),
-        verdict=element("p", sentence.replace(" %", "\N{NO-BREAK SPACE}%"), class_=f"verdict {grade}"),
-        lead=element("p", _lead(fleet), class_="lead"),
-        navigation=element("ul", *links),
-        sections=join(bodies),
-        version=element("span", f"imucal {fleet.version}"),
-        style=style,
-        script=_file("imucal.fleet_report", "fleet.js"),
+    return render_frame(
+        Page(
+            title=f"{name} – fleet of IMUs",
+            heading=f"Fleet {name}",
+            grade=grade,
+            sentence=sentence,
+            lead=_lead(fleet),
+            sections=_sections(fleet),
+            version=fleet.version,
+            style=page_file("fleet.css", "imucal.fleet_report"),
+        )
     )
 
 
 def verdict(fleet: Fleet) -> tuple[str, str]:
     """Return the grade of a fleet and one sentence: which units are odd, and how many logs do not count."""
     several = len(fleet.models) > 1
-    said = [text for model in fleet.models for text in _strange(model, f"{model.title}: " if several else "")]
+    sure = _beyond_chance(fleet)
+    said: list[str] = []
+    chance: list[str] = []
+    for model in fleet.models:
+        title = f"{model.title}: " if several else ""
+        odd = [(unit.unit, term) for term in model.terms for unit in term.odd]
+        if surely := [(unit, term) for unit, term in odd if (id(term), unit) in sure]:
+            said.append(f"{title}odd {_listed(surely, 'unit')}")
+        if perhaps := [(unit, term) for unit, term in odd if (id(term), unit) not in sure]:
+            chance.append(f"{title}{_listed(perhaps)}")
+        if moving := [(unit, term) for term in model.terms for unit in term.drifting]:
+            said.append(f"{title}moving with time or temperature as no other: {_listed(moving)}")
     failed = sum(len(logs) for logs in fleet.failures.values())
     if failed:
         said.append(f"{failed} of {len(fleet.logs)} logs do not count")
@@ -74,30 +76,37 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
     few = [model.title for model in fleet.models if len(model.units) < 3]
     if few:
         said.append(f"{', '.join(few)}: too few units to tell a spread or a bound")
-    if not said:
-        return "good", "No unit is odd, and every log counts."
-    text = "; ".join(said)
-    return "look", f"{text[0].upper()}{text[1:]}."
+    grade, text = ("look", "; ".join(said)) if said else ("good", "no unit is odd, and every log counts")
+    if chance:
+        text += f"; far off in one term of so many, perhaps by chance: {'; '.join(chance)}"
+    return grade, f"{text[0].upper()}{text[1:]}."
 
 
-def _strange(model: SensorModel, title: str) -> list[str]:
-    """Return which units of a model are odd, and which move otherwise than the others."""
-    odd: dict[str, list[str]] = {}
-    for term in model.terms:
-        for unit in term.odd:
-            odd.setdefault(unit.unit, []).append(f"{term.name} {term.term}")
-    said = []
-    if odd:
-        listed = "; ".join(f"{unit} ({', '.join(where)})" for unit, where in odd.items())
-        said.append(f"{title}odd {'units' if len(odd) > 1 else 'unit'} {listed}")
-    moving: dict[str, list[str]] = {}
-    for term in model.terms:
-        for name in term.drifting:
-            moving.setdefault(name, []).append(f"{term.name} {term.term}")
-    if moving:
-        listed = "; ".join(f"{unit} ({', '.join(where)})" for unit, where in moving.items())
-        said.append(f"{title}moving with time or temperature as no other: {listed}")
-    return said
+def _beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
+    """Return the terms, by identity, and units that are odd among all units of all terms together.
+
+    Each term has its false alarms, of which a fleet with many terms has some.
+    """
+    tested = [
+        (id(term), unit.unit, unit.p_value)
+        for model in fleet.models
+        for term in model.terms
+        for unit in term.population.units
+        if unit.p_value is not None
+    ]
+    p_values = adjusted(np.array([p for *_, p in tested]))
+    return {
+        (term, unit) for (term, unit, _), p in zip(tested, p_values.tolist(), strict=True) if p <= FALSE_SHARE
+    }
+
+
+def _listed(places: Sequence[tuple[str, FleetTerm]], noun: str = "") -> str:
+    """Return ``units u07 (gyro_z N); u11 (gyro_x B, gyro_x K)``."""
+    terms: dict[str, list[str]] = {}
+    for unit, term in places:
+        terms.setdefault(unit, []).append(f"{term.name} {term.term}")
+    listed = "; ".join(f"{unit} ({', '.join(where)})" for unit, where in terms.items())
+    return f"{noun}{'s' * (len(terms) > 1)} {listed}" if noun else listed
 
 
 def _lead(fleet: Fleet) -> str:
@@ -112,9 +121,9 @@ def _lead(fleet: Fleet) -> str:
     return " · ".join(parts) or f"{len(fleet.logs)} logs"
 
 
-def _sections(fleet: Fleet) -> list[tuple[str, str, Markup]]:
+def _sections(fleet: Fleet) -> list[Section]:
     models = fleet.models
-    found: list[tuple[str, str, Markup]] = []
+    found: list[Section] = []
     if models:
         note = element("p", "Bold: the number for the config of every unit. ", _few_note(fleet))
         found.append(("config", "The number for the config", join([note, *map(config_table, models)])))
@@ -186,16 +195,14 @@ def _strips(models: tuple[SensorModel, ...]) -> Markup:
         panels.append(
             element("figure", strip_panel(own, label), element("figcaption", element("b", f"{name} {key}")))
         )
-    return element("div", *panels, class_="panels")
+    note = "A dot is a unit, the line the median unit; the next unit lies in the band with 95 % probability."
+    return join([element("p", note), element("div", *panels, class_="panels")])
 
 
 def _heat_note() -> Markup:
     return element(
         "p",
         "Colour: how many standard deviations of the next unit a unit lies above (warm) or below (cold) the "
-        "median, one, two or three. A frame and ! mark an odd unit.",
+        "median, one, two or three. A frame and ! mark an odd unit; seen: the unit shows a term that the "
+        "logs of all units together do not.",
     )
-
-
-def _file(package: str, name: str) -> str:
-    return files(package).joinpath("page", name).read_text(encoding="utf-8")

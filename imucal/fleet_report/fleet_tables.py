@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from imucal.fleet.population import UnitValue
+from imucal.fleet.trend import Trend
 from imucal.fleet_report.shown import (
     alone,
     bound_name,
@@ -19,6 +20,8 @@ from imucal.recording import Axis
 from imucal.report.markup import Markup, element, join, labelled, row, table
 
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
+#: Label -> what its slope is for.
+_PER = {"temperature_c": "°C", "days": "year"}
 #: Most rows of the table of units: the strangest ones.
 _MOST = 200
 
@@ -60,7 +63,7 @@ def _config_cell(term: FleetTerm | None) -> Markup:
         [
             bold,
             element("small", "median ", median_text(term)),
-            element("small", ", ".join(spreads) or "spread not known"),
+            element("small", ", ".join(spreads) or "spread between units not known"),
         ]
     )
 
@@ -94,7 +97,7 @@ def _band(term: FleetTerm) -> str | Markup:
     if term.population.prediction is None:
         return "–"
     low, high = term.population.prediction
-    if not low:
+    if term.population.bounded:
         return join(["below ", alone(term, high)])
     return join([alone(term, low), " to ", alone(term, high)])
 
@@ -123,20 +126,25 @@ def heat_table(model: SensorModel) -> Markup:
         for term in terms
     ]
     caption = f"{model.title}: each unit against the median, in %; < where it only has an upper bound"
-    if any(term.population.median.value is None for term in columns):
-        caption += ", seen where the median has"
     if left_out > 0:
         caption += f"; the {_MOST} strangest of {len(names)} units"
     head = [row(element("td"), *groups), row(element("th", "unit", scope="col"), *axes)]
     return table(caption, head, body, class_="heat")
 
 
+def _deviation(term: FleetTerm, unit: UnitValue) -> float:
+    """Return how many standard deviations a unit lies off the median, in the logarithm."""
+    band = term.population.prediction
+    if unit.value is None or band is None or term.population.bounded:
+        return 0.0
+    sd = math.log(band[1] / band[0]) / (2 * 1.96)
+    return math.log(unit.value / term.population.median.value) / sd
+
+
 def _strangeness(name: str, terms: Sequence[FleetTerm], every: Sequence[dict[str, UnitValue]]) -> float:
     """Return what sorts units: odd ones first, then the farthest from a median."""
     own = [(term, of_term[name]) for term, of_term in zip(terms, every, strict=True) if name in of_term]
-    return max(
-        (100.0 * unit.odd + abs(term.population.deviations(unit) or 0.0) for term, unit in own), default=0.0
-    )
+    return max((100.0 * unit.odd + abs(_deviation(term, unit)) for term, unit in own), default=0.0)
 
 
 def _heat_cell(term: FleetTerm, unit: UnitValue | None, *, first: bool) -> Markup:
@@ -145,12 +153,12 @@ def _heat_cell(term: FleetTerm, unit: UnitValue | None, *, first: bool) -> Marku
         return element("td", "–", class_=" ".join(classes) or None)
     if unit.value is None:
         text = "<"
-    elif (off := term.population.off_median(unit)) is None:
+    elif term.population.bounded:
         text = "seen"
     else:
-        change = 100 * math.expm1(off)
+        change = 100 * math.expm1(math.log(unit.value / term.population.median.value))
         text = f"{change:+.0f}".replace("-", "\N{MINUS SIGN}") if abs(change) >= 0.5 else "0"
-        level = min(int(abs(term.population.deviations(unit) or 0.0)), 3)
+        level = min(int(abs(_deviation(term, unit))), 3)
         classes += [f"{'u' if change > 0 else 'd'}{level}"] * (level > 0)
     if unit.odd:
         text, classes = f"{text}!", [*classes, "is-odd"]
@@ -172,8 +180,7 @@ def slope_table(models: Iterable[SensorModel]) -> Markup:
                 refused.setdefault(term.no_trend, []).append(where)
                 continue
             cells = (
-                slope_text(term.trend.temperature, "°C") if term.trend.temperature else "–",
-                slope_text(term.trend.drift, "year") if term.trend.drift else "–",
+                *(_mean_slope(term.trend, label) for label in _PER),
                 str(term.trend.units),
                 "; ".join(_moving(term)) or "none",
             )
@@ -185,15 +192,23 @@ def slope_table(models: Iterable[SensorModel]) -> Markup:
     if not rows:
         return join(notes)
     head = [row(*(element("th", title, scope="col") for title in ("", *titles)))]
-    caption = "Change of each coefficient with its 95 % interval"
+    caption = "Change of each coefficient with its 95 % interval; bold where it is more than chance"
     return join([table(caption, head, rows, class_="wide cards"), *notes])
 
 
+def _mean_slope(trend: Trend, label: str) -> str | Markup:
+    """Return the fleet's slope, bold where it is not chance."""
+    mean = next((mean for mean in trend.means if mean.label == label), None)
+    if mean is None:
+        return "–"
+    text = slope_text(mean.slope, _PER[label])
+    return element("b", text) if mean.odd else text
+
+
 def _moving(term: FleetTerm) -> Iterator[str]:
-    names = {"temperature_c": "°C", "days": "year"}
     for slope in term.trend.slopes if term.trend else ():
         if slope.odd:
-            yield f"{slope.unit} {slope_text(slope.slope, names[slope.label])}"
+            yield f"{slope.unit} {slope_text(slope.slope, _PER[slope.label])}"
 
 
 def unit_logs_table(model: SensorModel) -> Markup:

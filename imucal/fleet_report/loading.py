@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ from imucal.errors import DataError
 from imucal.fleet.log_value import LogValue
 from imucal.fleet.population import population
 from imucal.fleet.store import FleetStore
-from imucal.fleet.trend import Trend, trend
+from imucal.fleet.trend import Trend, adjust, trend
 from imucal.fleet_report.sample_size import prices
 from imucal.fleet_report.summary import Fleet, FleetLog, FleetTerm, LooseLog, SensorModel, UnitLogs
 from imucal.fleet_report.unit_tests import TermKey, unit_tests
@@ -70,7 +71,7 @@ def load_fleet(
     loose = _loose(results, logs)
     return Fleet(
         folder=Path(folder),
-        models=tuple(models),
+        models=_judged_together(models),
         logs=tuple(logs.values()),
         asked=asked,
         loose=loose,
@@ -104,6 +105,18 @@ def _model(name: str, logs: tuple[FleetLog, ...], terms: Sequence[FleetTerm]) ->
         logs=logs,
         rate_hz=rates[len(rates) // 2] if rates else math.nan,
         terms=tuple(sorted(terms, key=_place)),
+    )
+
+
+def _judged_together(models: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
+    """Return models whose trends were looked at in all terms: what moves by chance in one of many is none."""
+    moved = iter(adjust([term.trend for model in models for term in model.terms if term.trend]))
+    return tuple(
+        replace(
+            model,
+            terms=tuple(replace(term, trend=next(moved)) if term.trend else term for term in model.terms),
+        )
+        for model in models
     )
 
 
@@ -143,7 +156,7 @@ def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[Term
 
 
 def _value(row: Row, unit: str) -> LogValue:
-    names = ("value", "low", "high", "variance", "variance_sd", "temperature_c", "days", "level")
+    names = [field.name for field in fields(LogValue) if field.name != "unit"]
     return LogValue(unit=unit, **{name: row[name] for name in names})
 
 

@@ -11,14 +11,14 @@ from imucal.report.markup import Markup, element, join
 from imucal.units import pretty
 
 #: Size of a picture and of its margins, in its own units; height of a row, most and least.
-_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM = 420, 76, 14, 22, 40
+_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM = 420, 88, 16, 22, 40
 _ROW, _THIN, _TALLEST = 15.0, 1.5, 560.0
 #: Rows lower than this have no name, but for odd units.
 _NAMED = 10.0
 #: A whisker or bound reaches no farther below the lowest value than this factor.
 _BELOW = 3.0
-#: Most letters of a unit's name.
-_LETTERS = 11
+#: Most letters of a unit's name; width of a letter.
+_LETTERS, _LETTER = 11, 7.5
 
 
 def sorted_units(term: FleetTerm) -> list[UnitValue]:
@@ -30,9 +30,8 @@ def span(term: FleetTerm) -> tuple[float, float]:
     """Return the limits of a term's scale: all values, the band and the bound, and most of the whiskers."""
     found = term.population
     values = [unit.value or unit.high for unit in found.units]
-    limits = (found.median.value, *(found.prediction or ()), found.tolerance)
-    values += [limit for limit in limits if limit]
-    low, high = min(values), max(values)
+    values += [found.median.value, *(found.prediction or ()), *([found.tolerance] if found.tolerance else ())]
+    low, high = min(value for value in values if value > 0), max(values)
     told = [unit for unit in found.units if unit.value]
     low = max(min([low, *(unit.low for unit in told)]), low / _BELOW)
     high = min(max([high, *(unit.high for unit in told)]), high * _BELOW)
@@ -50,9 +49,8 @@ def unit_panel(term: FleetTerm, label: str) -> Markup:
     if found.prediction:
         low, high = map(x, found.prediction)
         parts.append(_rect(low, _TOP, high - low, height, "band"))
-    if found.median.value:
-        at = x(found.median.value)
-        parts.append(_line(at, _TOP, at, _TOP + height, "median"))
+    if not found.bounded:
+        parts.append(_line(x(found.median.value), _TOP, x(found.median.value), _TOP + height, "median"))
     if found.tolerance:
         at = x(found.tolerance)
         parts += [
@@ -78,7 +76,7 @@ def strip_panel(models: Sequence[tuple[SensorModel, FleetTerm]], label: str) -> 
         if found.prediction:
             low, high = map(x, found.prediction)
             parts.append(_rect(low, top + 5, high - low, row - 10, "band"))
-        if found.median.value:
+        if not found.bounded:
             at = x(found.median.value)
             parts.append(_line(at, top + 4, at, top + row - 4, "median"))
         for place, unit in enumerate(found.units):
@@ -109,18 +107,29 @@ def _frame(term: FleetTerm, x: Callable[[float], float], height: float) -> list[
     parts = []
     for class_, factor, name in (("sheet", unit.factor, unit.name), ("si", 1.0, term.unit)):
         inside: list[Markup] = []
-        for place in round_ticks(low * factor, high * factor):
-            at = x(place / factor)
-            inside += [
-                _line(at, _TOP, at, _TOP + height, "grid"),
-                _text(at, _TOP + height + 15, tick_label(place), text_anchor="middle"),
-            ]
+        places, labels, power = labelled_ticks(low * factor, high * factor)
+        free = 0.0
+        for place, label in zip(places, labels, strict=True):
+            at, half = x(place / factor), _LETTER * len(label) / 2
+            inside.append(_line(at, _TOP, at, _TOP + height, "grid"))
+            if at - half >= free and at + half <= _WIDTH:
+                inside.append(_text(at, _TOP + height + 15, label, text_anchor="middle"))
+                free = at + half + _LETTER
         middle = (_LEFT + _WIDTH - _RIGHT) / 2
-        inside.append(
-            _text(middle, _TOP + height + 33, f"{term.term} in {pretty(name)}", text_anchor="middle")
-        )
+        title = f"{term.term} in {power}{pretty(name)}"
+        inside.append(_text(middle, _TOP + height + 33, title, text_anchor="middle"))
         parts.append(element("g", *inside, class_=class_))
     return parts
+
+
+def labelled_ticks(low: float, high: float) -> tuple[list[float], list[str], str]:
+    """Return places, their labels, and the power of ten that goes before the unit, such as ``10⁻³ ``."""
+    places = round_ticks(low, high)
+    power = math.floor(math.log10(min(places)) + 1e-9)
+    if -2 <= power <= 3:
+        return places, [tick_label(place) for place in places], ""
+    labels = [f"{place / 10.0**power:.4g}" for place in places]
+    return places, labels, f"{tick_label(10.0**power)} "
 
 
 def round_ticks(low: float, high: float) -> list[float]:

@@ -17,8 +17,7 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def sheet_unit(term: FleetTerm) -> DatasheetUnit:
     """Return the unit that data sheets print a term in: µg in place of mg where the median is small."""
     unit = TERMS[term.symbol].datasheet_unit(term.sensor)
-    median = term.population.median
-    return level_unit(term.sensor, median.value or median.high) if unit.name == "mg" else unit
+    return level_unit(term.sensor, term.population.median.value) if unit.name == "mg" else unit
 
 
 def quantity(term: FleetTerm, value: float | None, low: float, high: float) -> tuple[Quantity, Quantity]:
@@ -36,7 +35,7 @@ def with_limits(term: FleetTerm, value: float | None, low: float, high: float) -
 def median_text(term: FleetTerm) -> Markup:
     """Return the median unit with its interval."""
     median = term.population.median
-    return with_limits(term, median.value, median.low, median.high)
+    return with_limits(term, None if term.population.bounded else median.value, median.low, median.high)
 
 
 def alone(term: FleetTerm, value: float) -> Markup:

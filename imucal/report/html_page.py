@@ -7,8 +7,6 @@ page carries deflated: two megabytes instead of five.
 import base64
 import zlib
 from functools import cache, partial
-from importlib.resources import files
-from string import Template
 from typing import TYPE_CHECKING
 
 from imucal.report import numbers
@@ -17,6 +15,7 @@ from imucal.report.figure_allan import shown_points
 from imucal.report.markup import Markup, both_units, element, join, labelled, row, table
 from imucal.report.page_data import page_data
 from imucal.report.page_downstream import downstream_section
+from imucal.report.page_frame import Page, page_file, render_frame
 from imucal.report.page_segments import segments_figure
 from imucal.report.page_summary import findings_section, summary_section
 from imucal.report.page_words import glossary_section, method_section
@@ -48,39 +47,25 @@ def render_page(report: Report, *, picture: "Callable[[AxisReport], Figure] | No
         ("terms", "What the terms mean", glossary_section()),
         ("method", "How the numbers were made", method_section(report)),
     ]
-    name = report.source.name
-    links = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in sections]
-    bodies = [
-        element(
-            "section",
-            element("h2", title, id=f"{anchor}-title"),
-            body,
-            id=anchor,
-            aria_labelledby=f"{anchor}-title",
-        )
-        for anchor, title, body in sections
+    data = [
+        element("script", Markup(page_data(report)), type="application/json", id="imucal-data"),
+        element("script", Markup(_plotly()), type="text/plain", id="imucal-plotly"),
     ]
-    return Template(_part("page.html")).substitute(
-        title=element("title", f"{name} – IMU noise report"),
-        heading=element("h1", name),
-        verdict=element(
-            "p",
-            report.verdict.sentence.replace(" %", "\N{NO-BREAK SPACE}%"),
-            class_=f"verdict {report.verdict.grade}",
-        ),
-        lead=_lead(report),
-        navigation=element("ul", *links),
-        sections=join(bodies),
-        version=element("span", f"imucal {report.version}"),
-        style=_part("page.css"),
-        script=_part("page.js"),
-        data=page_data(report),
-        plotly=_plotly(),
+    return render_frame(
+        Page(
+            title=f"{report.source.name} – IMU noise report",
+            heading=report.source.name,
+            grade=report.verdict.grade,
+            sentence=report.verdict.sentence,
+            lead=_lead(report),
+            sections=sections,
+            version=report.version,
+            style=page_file("page.css"),
+            script=page_file("page.js"),
+            notices=Markup(page_file("notices.html")),
+            data=join(data),
+        )
     )
-
-
-def _part(name: str) -> str:
-    return files("imucal.report").joinpath("page", name).read_text(encoding="utf-8")
 
 
 @cache
@@ -91,14 +76,14 @@ def _plotly() -> str:
     return base64.b64encode(zlib.compress(get_plotlyjs().encode(), 7)).decode("ascii")
 
 
-def _lead(report: Report) -> Markup:
+def _lead(report: Report) -> str:
     """Return one line on what was recorded."""
     texts = []
     for axis in report.axes:
         text = f"{axis.sensor}: {duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
         if text not in texts:
             texts.append(text)
-    return element("p", " · ".join(texts) or "No axis could be analysed.", class_="lead")
+    return " · ".join(texts) or "No axis could be analysed."
 
 
 def _axis_section(report: Report, axis: AxisReport) -> Markup:

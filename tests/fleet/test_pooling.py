@@ -206,6 +206,19 @@ def test_the_variance_of_a_weak_walk_has_no_bias() -> None:
     assert 0.8 < np.mean(deviations) / scatter < 1.25
 
 
+def test_a_gauss_markov_term_keeps_its_correlation_time() -> None:
+    """As the fit of the log has it; other terms have none."""
+    fit = imucal.fit(
+        imucal.AxisSeries.from_samples(simulated("N=1e-4 + GM(sigma=2e-3, T=2)", 20_000, 71), rate_hz=100.0),
+        model="N + GM",
+    )
+    values = imucal.log_values("u", fit, model="N + GM")
+    time = fit["GM"].correlation_time
+    assert time is not None
+    assert values["GM"].correlation_time == pytest.approx(time.value, rel=1e-6)
+    assert values["N"].correlation_time is None
+
+
 def test_a_population_takes_the_values() -> None:
     """Of weak logs, whose median is then within its limits; each with its unit's labels."""
     logs = [

@@ -8,6 +8,10 @@ import pytest
 
 from imucal.errors import DataError
 from imucal.fleet import LogValue, trend
+from imucal.fleet.labelled_logs import LabelledLogs, labelled_logs
+from imucal.fleet.slope_posterior import slope_posterior
+from imucal.fleet.trend import adjust
+from tests.benchmarks.fleet_trends import make_fleet, said
 
 
 def _fleet(
@@ -138,3 +142,119 @@ def test_as_many_logs_as_unknowns_leave_no_scatter_to_judge() -> None:
     moved = trend([replace(log, days=log.days - days) for log in logs])
     assert moved.drift is not None
     assert moved.drift.value == pytest.approx(found.drift.value, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "error", "omega"), [((10, 4), 0.006, 0.15), ((12, 2), 0.006, 0.15), ((8, 5), -0.8, 0.0)]
+)
+def test_units_without_a_trend_are_seldom_said_to_move(
+    shape: tuple[int, int], error: float, omega: float
+) -> None:
+    """Ten fleets of four terms, at random days and temperatures: two of ten would be chance, four not.
+
+    Logs of a unit scatter by 15 %, far beyond their errors, of two logs too, whose scatter no unit shows by
+    itself; the weak term is bounded by two logs of three. Where 5 % alarm falsely, four of ten do so once
+    in a thousand times.
+    """
+    rng = np.random.default_rng([63, *shape])
+    found = np.array([said(make_fleet(rng, shape, error, omega)) for _ in range(10)])
+    alone, _, fleet, held, own = found.sum(axis=0)
+    assert alone < 4
+    assert fleet < 4
+    assert held >= 8.5
+    assert own >= 8.5
+
+
+@pytest.mark.parametrize(("label", "by"), [("day", 0.1 / 100), ("celsius", 0.01)])
+def test_what_moves_by_ten_per_cent_is_found(label: str, by: float) -> None:
+    """10 % in 100 days of one unit, or 1 % a °C of all, beside errors of 5 %."""
+    rng = np.random.default_rng(64)
+    alone = label == "day"
+    _, of_unit, of_fleet, *_ = said(make_fleet(rng, (10, 6), 0.05, 0.0, alone=alone, **{label: by}))
+    assert of_unit if alone else of_fleet
+
+
+def test_terms_that_were_looked_at_together_share_their_false_alarms() -> None:
+    """Beside nine terms that do not move, a unit must move by more to be named."""
+    rng = np.random.default_rng(62)
+    moving = trend(_fleet(rng, beta=0.004, gamma=0.1))
+    still = [trend(_fleet(rng, beta=0.0, gamma=0.0)) for _ in range(3)]
+    together = adjust([moving, *still])
+    assert together[0].temperature == moving.temperature
+    for one, alone in zip(together, [moving, *still], strict=True):
+        for slope, before in zip((*one.means, *one.slopes), (*alone.means, *alone.slopes), strict=True):
+            assert slope.p_value == before.p_value
+            assert slope.p_odd >= slope.p_value
+    assert adjust(together) == together
+
+
+def test_temperature_and_time_that_move_together_are_refused() -> None:
+    """Every unit was warmer by 10 °C a year later: which of the two moves it, nobody knows."""
+    logs = [
+        LogValue(
+            unit=u, value=1.0 + late, low=0.9, high=1.3, temperature_c=15.0 + 10 * late, days=365.0 * late
+        )
+        for u in "abcd"
+        for late in (0, 0.1, 0.2)
+    ]
+    with pytest.raises(DataError, match="moved together in every unit"):
+        trend(logs)
+
+
+def test_bounds_with_a_variance_count_and_an_absent_term_is_refused() -> None:
+    """A weak log tells by its squared coefficient; where all of them are zero, there is no slope."""
+    logs = [
+        LogValue(
+            unit=u, value=None, low=0.0, high=2.0, variance=2.0 + 0.8 * heat, variance_sd=0.5,
+            temperature_c=25 + 10 * heat,
+        )
+        for u in "abcdef"
+        for heat in (-1.0, 0.0, 1.0)
+    ]  # fmt: skip
+    found = trend(logs)
+    assert found.temperature is not None
+    # Of the square, 0.8 in 2 over 10 °C; of the coefficient, half of it.
+    assert found.temperature.value == pytest.approx(0.5 * 0.4 / 10, rel=1e-3)
+    with pytest.raises(DataError, match="only bound this term"):
+        trend([replace(log, variance=0.1) for log in logs])
+
+
+def test_the_posterior_is_that_of_dense_matrices() -> None:
+    """Weights and mean slopes at points of the grid, against covariances of all logs written out."""
+    rng = np.random.default_rng(65)
+    logs = labelled_logs(_fleet(rng, beta=0.004, gamma=0.1, spread=0.002, units=4))
+    posterior = slope_posterior(logs)
+    points = np.argsort(posterior.weight)[[-1, -5, -40]]
+    heights = []
+    for point in points:
+        height, mean, covariance = _dense(logs, float(posterior.omega[point]), posterior.tau[point])
+        heights.append(height)
+        assert mean == pytest.approx(posterior.mean[point], rel=1e-7)
+        assert covariance == pytest.approx(posterior.covariance[point], rel=1e-7)
+    expected = np.log(posterior.weight[points])
+    assert np.diff(heights) == pytest.approx(np.diff(expected), rel=1e-6)
+
+
+def _dense(logs: LabelledLogs, omega: float, tau: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return log-posterior, mean slopes and covariance by generalized least squares, levels beside slopes."""
+    same = logs.unit[:, None] == logs.unit
+    cover = np.diag(logs.deviation**2 + omega**2) + same * ((logs.x * tau**2) @ logs.x.T)
+    design = np.column_stack([logs.x, np.eye(int(logs.unit[-1]) + 1)[logs.unit]])
+    inverse = np.linalg.inv(cover)
+    covariance = np.linalg.inv(design.T @ inverse @ design)
+    beta = covariance @ design.T @ inverse @ logs.y
+    rest = logs.y - design @ beta
+    prior = math.log(omega**2 * np.sqrt(np.sum((logs.deviation**2 + omega**2) ** -2.0)))
+    for x, t in zip(logs.x.T, tau, strict=True):
+        weight = 1 / (logs.deviation**2 + omega**2)
+        error2 = [
+            1 / np.sum(w * (own - np.average(own, weights=w)) ** 2)
+            for unit in range(int(logs.unit[-1]) + 1)
+            for own, w in ((x[logs.unit == unit], weight[logs.unit == unit]),)
+        ]
+        prior += math.log(t**2 * np.sqrt(np.sum((np.array(error2) + t**2) ** -2.0)))
+    height = prior - 0.5 * (
+        rest @ inverse @ rest + np.linalg.slogdet(cover)[1] - np.linalg.slogdet(covariance)[1]
+    )
+    labels = logs.x.shape[1]
+    return float(height), beta[:labels], covariance[:labels, :labels]

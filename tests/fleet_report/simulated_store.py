@@ -39,10 +39,14 @@ def write_store(
     weak: str = "x",
     special: bool = True,
     failures: bool = True,
+    times: Sequence[float | None] = (),
+    absent: str = "",
 ) -> FleetStore:
     """Write the store of a fleet: by `special`, unit 7 is odd in gyro_z N and unit 11 drifts in gyro_x B.
 
     Only K of the gyroscope's axes in `weak` is weak: that takes the most time.
+    Of the gyroscope's axes in `absent`, no log shows K.
+    Where there are `times`, gyro_x has a Gauss-Markov term, with these correlation times by turns.
     `bins` units carry binned spectra of short records too, of which the last one's records differ.
     """
     store = FleetStore(folder)
@@ -69,7 +73,10 @@ def write_store(
                 key = f"{number:02}{unit:04}{place:02}"
                 logs.append(_log(key, path, model, f"u{unit:02}" if labelled else None, celsius, place))
                 drift = 0.5 * place if special and unit == 11 else 0.0
-                results += _results(rng, key, own, celsius, place, drift, weak)
+                told = _results(rng, key, own, celsius, place, drift, weak)
+                results += [_hidden(row, absent) for row in told]
+                if times:
+                    results.append(_markov(rng, key, times[len(logs) % len(times)]))
                 if unit < bins:
                     scale = 1.3 if unit == bins - 1 and place == 1 else 1.0
                     record = bins_from(simulated(f"N={scale * 1e-4} + K=1e-5", 2000, 91, unit, place))
@@ -137,6 +144,18 @@ def _results(  # noqa: PLR0917
             }
         )
     return rows
+
+
+def _hidden(row: dict[str, Any], absent: str) -> dict[str, Any]:
+    if (row["sensor"], row["term"]) != ("gyroscope", "K") or row["axis"] not in absent:
+        return row
+    return {**row, "value": None, "low": 0.0, "high": 4e-6, "variance": -1e-12, "variance_sd": 8e-12}
+
+
+def _markov(rng: np.random.Generator, key: str, time: float | None) -> dict[str, Any]:
+    """Return a row of a Gauss-Markov term of gyro_x, of 3e-5 rad/s."""
+    row = {"key": key, "sensor": "gyroscope", "axis": "x", "term": "GM", "unit_si": "rad/s", "level": 0.95}
+    return {**row, **_told(rng, 3e-5, (0.1, False), median=3e-5), "correlation_time": time}
 
 
 def _error(sensor: str, axis: str, error: float, weak: str) -> tuple[float, bool]:

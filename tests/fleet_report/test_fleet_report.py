@@ -224,6 +224,33 @@ def test_a_tolerance_bound_is_the_number_of_the_exports(fleet: Fleet) -> None:
         imucal.fleet_as_report(fleet, value="mean")  # type: ignore[arg-type]
 
 
+def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_path: Path) -> None:
+    """Where the format has them; where not, its comment says so. A store without times is refused."""
+    from imucal.report.exports import render
+
+    write_store(tmp_path, units=5, special=False, failures=False, times=(40.0, 100.0, 250.0))
+    fleet = imucal.load_fleet(tmp_path, unit_logs=False)
+    report = imucal.fleet_as_report(fleet)
+    (axis,) = [axis for axis in report.axes if axis.name == "gyro_x"]
+    found = axis.fit["GM"]
+    assert found.value == fleet.model()["gyro_x", "GM"].population.tolerance
+    assert found.correlation_time is not None
+    assert found.correlation_time.value == pytest.approx(100, rel=1e-6)
+    assert [axis.name for axis in report.axes if "GM" in str(axis.fit.model)] == ["gyro_x"]
+    states = render(report, "gm")
+    assert f"{found.value!r}" in states or f"{found.value:.3g}" in states
+    assert "100" in states
+    assert "without a place in this format: B (" in render(report, "kalibr")
+    assert "GM (gyro_x)" in render(report, "kalibr")
+
+
+def test_a_store_without_correlation_times_is_refused(tmp_path: Path) -> None:
+    """As runs of an earlier version wrote it: no export leaves the term out in silence."""
+    write_store(tmp_path, units=4, special=False, failures=False, times=(None,))
+    with pytest.raises(DataError, match=r"found no correlation time of gyro_x GM.*--fresh"):
+        imucal.fleet_as_report(imucal.load_fleet(tmp_path, unit_logs=False))
+
+
 def test_a_model_is_chosen_by_name(fleet: Fleet) -> None:
     """One that is not there is refused, with those that are."""
     assert fleet.model("ACME-6") is fleet.model()
@@ -456,3 +483,35 @@ def test_the_page_in_a_browser(browser: Browser, fleet: Fleet, tmp_path: Path) -
     assert browser.run(paper) == "rgb(255, 255, 255)"
     assert browser.run(inside)
     assert not [log for log in browser.logs("browser") if log["level"] == "SEVERE"]
+
+
+def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
+    """In page, JSON, CSV, pictures and the export of the median; the bound for the config stays."""
+    write_store(tmp_path, units=4, temperatures=(25.0,), special=False, failures=False, weak="", absent="y")
+    fleet = imucal.load_fleet(tmp_path, unit_logs=False)
+    term = fleet.model()["gyro_y", "K"]
+    assert term.population.bounded
+    document = fleet_document(fleet)
+    jsonschema.validate(document, fleet_schema())
+    (told,) = [
+        t
+        for m in document["models"]  # type: ignore[attr-defined]
+        for t in m["terms"]
+        if (t["sensor"], t["axis"], t["term"]) == ("gyroscope", "y", "K")
+    ]
+    assert told["bounded"]
+    assert told["median"]["value"] is None
+    assert told["spread"] is None
+    rows = csv.DictReader(io.StringIO(fleet_csv(fleet)))
+    cells = [row for row in rows if (row["sensor"], row["axis"], row["term"]) == ("gyroscope", "y", "K")]
+    assert {(row["bounded"], row["median"]) for row in cells} == {("1", "")}
+    page = render_fleet_page(fleet)
+    assert "All logs together do not show this term" in page
+    from imucal.fleet_report.fleet_figures import fleet_figures
+
+    assert all(draw() for draw in fleet_figures(fleet).values())
+    report = imucal.fleet_as_report(fleet, value="median")
+    (axis,) = [axis for axis in report.axes if axis.name == "gyro_y"]
+    assert axis.fit["K"].status == "bounded"
+    (axis,) = [axis for axis in imucal.fleet_as_report(fleet).axes if axis.name == "gyro_y"]
+    assert axis.fit["K"].value == term.population.tolerance

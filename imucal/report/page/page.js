@@ -276,11 +276,7 @@
   const redraw = () => drawn.forEach(draw);
 
   for (const input of document.querySelectorAll(".controls input")) {
-    input.addEventListener("change", () => {
-      root.dataset[input.name] = input.value;
-      redraw();
-    });
-    if (input.defaultChecked) input.checked = true;
+    input.addEventListener("change", redraw);
   }
   darkness.addEventListener("change", redraw);
   // The labels' places depend on the size.
