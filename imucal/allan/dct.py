@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from imucal.allan.four_step import LONG, four_step_dct
+from imucal.allan.four_step import dct2
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
@@ -179,8 +179,6 @@ def own_ordinates(samples: FloatArray) -> FloatArray:
 
 
 def _transform(samples: FloatArray) -> FloatArray:
-    from scipy.fft import dct
-
     if samples.size < 2:
         msg = f"the spectrum needs at least 2 samples, got {samples.size}"
         raise DataError(msg)
@@ -188,10 +186,7 @@ def _transform(samples: FloatArray) -> FloatArray:
     if not np.isfinite(mean):
         msg = "the spectrum needs finite samples; got NaN or infinity: leave those samples out first"
         raise DataError(msg)
-    if samples.size >= LONG:
-        return four_step_dct(samples, mean)[1:]
-    ordinates: FloatArray = dct(samples - mean, type=2, norm="ortho", overwrite_x=True)
-    return ordinates[1:]
+    return dct2(samples, mean)[1:]
 
 
 def bin_power(ordinates: FloatArray, bins: DctBins) -> FloatArray:

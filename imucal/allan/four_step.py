@@ -26,6 +26,26 @@ _PIECE, _FEWEST = 1 << 16, 16
 _SHARE = 0.43
 
 
+def dct2(samples: FloatArray, mean: float = 0.0) -> FloatArray:
+    """Return the orthonormal DCT-II of `samples` less a constant, shape (n,), as is quickest."""
+    if samples.size >= LONG:
+        return four_step_dct(samples, mean)
+    from scipy.fft import dct
+
+    transformed: FloatArray = dct(samples - mean, type=2, norm="ortho", overwrite_x=True)
+    return transformed
+
+
+def idct2(ordinates: FloatArray) -> FloatArray:
+    """Return the samples, shape (n,), of which `ordinates`, which are overwritten, are the DCT-II."""
+    if ordinates.size >= LONG:
+        return four_step_idct(ordinates)
+    from scipy.fft import idct
+
+    samples: FloatArray = idct(ordinates, type=2, norm="ortho", overwrite_x=True)
+    return samples
+
+
 def split(n: int) -> int:
     """Return the divisor of `n` that serves best as one of its two factors: the nearest to n^0.43.
 
@@ -70,6 +90,45 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
         mirrored = place[::-1, rows - last + 1 : rows - first + 1]
         np.negative(part[first - start : last - start][::-1].imag.T, out=mirrored)
     result[0] *= np.sqrt(0.5)
+    return result
+
+
+def four_step_idct(ordinates: FloatArray) -> FloatArray:
+    """Return the inverse of `four_step_dct` (the orthonormal DCT-III), shape (n,): its steps backwards.
+
+    The ordinates are overwritten.
+    """
+    from scipy.fft import ifft, irfft
+
+    n = ordinates.size
+    rows = split(n)
+    columns = n // rows
+    place = ordinates.reshape(columns, rows)
+    inner = np.empty((rows // 2 + 1, columns), dtype=np.complex128)
+    shift = np.sqrt(n / 2) * np.exp(0.5j * np.pi / columns * np.arange(columns))
+    step = max(_FEWEST, _PIECE // columns)
+    for start in range(0, len(inner), step):
+        stop = min(start + step, len(inner))
+        part = inner[start:stop]
+        part.real = place[:, start:stop].copy().T
+        first = max(start, 1)
+        part.imag[first - start :] = -place[::-1, rows - stop + 1 : rows - first + 1].copy().T[::-1]
+        if start == 0:
+            part.real[0, 0] *= np.sqrt(2)
+            part.imag[0, 0] = 0.0
+            part.imag[0, 1:] = -place[:0:-1, 0]
+        part *= shift
+        part[:] = ifft(part, axis=1, overwrite_x=True)
+        part *= _turns(np.arange(start, stop), n, columns).conj()
+    values = ordinates.reshape(rows, columns)
+    step = max(_FEWEST, _PIECE // rows)
+    for start in range(0, columns, step):
+        values[:, start : start + step] = irfft(inner[:, start : start + step], rows, axis=0)
+    del inner, part
+    half = (n + 1) // 2
+    result = np.empty(n)
+    result[::2] = values.ravel()[:half]
+    result[1::2] = values.ravel()[half:][::-1]
     return result
 
 

@@ -67,8 +67,8 @@ def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
     A value that is not positive after the losses' part is taken out is left out. Cost some 4 ns per
     place of the grid and factor; memory three full-length arrays.
     """
-    integrals = _integrals(series)
     pattern = _pattern(series)
+    integrals = _integrals(series)
     share = series.n / series.clock.grid_size / 2
     raw, added, counts = np.zeros((3, m.size))
     for i, factor in enumerate(m.tolist()):
@@ -124,15 +124,17 @@ class _Integrals:
 
 
 def _integrals(series: AxisSeries) -> _Integrals:
-    size = series.clock.grid_size + 1
-    index = series.clock.grid() + 1
-    centred = series.samples - series.samples.mean()
-    sums = []
-    for amounts in (centred, np.square(centred), 1.0):
-        total = np.zeros(size)
-        total[index] = amounts
-        sums.append(np.cumsum(total, out=total))
-    return _Integrals(values=sums[0], squares=sums[1], filled=sums[2])
+    clock, mean = series.clock, float(series.samples.mean())
+    values, filled = np.zeros(clock.grid_size + 1), np.zeros(clock.grid_size + 1)
+    for segment in clock.segments:
+        start = segment.offset - clock.segments[0].offset + 1
+        place = slice(start, start + segment.size)
+        np.subtract(series.samples[segment.start : segment.stop], mean, out=values[place])
+        filled[place] = 1.0
+    squares = np.square(values)
+    for amounts in (values, squares, filled):
+        np.cumsum(amounts, out=amounts)
+    return _Integrals(values=values, squares=squares, filled=filled)
 
 
 @dataclass(slots=True)
@@ -209,16 +211,19 @@ def _pattern(series: AxisSeries) -> _Pattern:
     clock = series.clock
     mean_gap = clock.missing / max(len(clock.gaps), 1)
     lags = int(min(max(_MEAN_GAPS * np.ceil(mean_gap), 1), _LONGEST, clock.grid_size))
-    index = clock.grid()
-    centred = series.samples - series.samples.mean()
+    mean = float(series.samples.mean())
     pairs, squares, possible = np.zeros((3, lags))
     for start in range(0, clock.grid_size, _CHUNK):
         size = min(_CHUNK, clock.grid_size - start)
-        low, high = np.searchsorted(index, [start, start + size])
+        low, high = clock.index_from(start), clock.index_from(start + size)
+        part = clock.slice(low, high)
+        index = part.grid()
+        if index.size:
+            index += part.segments[0].offset - clock.segments[0].offset - start
         length = next_fast_len(size + lags, real=True)
         here, value = np.zeros((2, length))
-        here[index[low:high] - start] = 1.0
-        value[index[low:high] - start] = centred[low:high]
+        here[index] = 1.0
+        value[index] = series.samples[low:high] - mean
         there, plain, squared = rfft(here), rfft(value), rfft(value**2)
         pairs += irfft(np.abs(there) ** 2, length)[:lags]
         # The sum of w[t] w[t+k] (y[t+k] - y[t])² is even in k: the real part holds both squares.

@@ -6,7 +6,7 @@ import pytest
 from scipy.fft import dct
 
 from imucal.allan.dct import dct_ordinates
-from imucal.allan.four_step import LONG, four_step_dct, split
+from imucal.allan.four_step import LONG, dct2, four_step_dct, four_step_idct, idct2, split
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 7, 12, 15, 16, 36, 49, 97, 1000, 1001, 65_537, 120_000])
@@ -15,6 +15,21 @@ def test_ordinates_are_those_of_one_piece(n: int) -> None:
     samples = np.random.default_rng(1300 + n).standard_normal(n) + 3.0
     found, witness = four_step_dct(samples, 3.0), dct(samples - 3.0, norm="ortho")
     npt.assert_allclose(found, witness, rtol=0, atol=1e-14 * np.abs(witness).max())
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 7, 12, 15, 16, 36, 49, 97, 1000, 1001, 65_537, 120_000])
+def test_the_inverse_gives_the_samples_back(n: int) -> None:
+    """Of any ordinates, the mean's with them."""
+    samples = np.random.default_rng(1400 + n).standard_normal(n) + 3.0
+    found = four_step_idct(dct(samples, norm="ortho"))
+    npt.assert_allclose(found, samples, rtol=0, atol=1e-14 * np.abs(samples).max())
+
+
+@pytest.mark.parametrize("n", [LONG - 1, LONG])
+def test_ordinates_and_samples_are_each_others(n: int) -> None:
+    """Whichever way is the quickest."""
+    samples = np.random.default_rng(1304).standard_normal(n)
+    npt.assert_allclose(idct2(dct2(samples, 1.0)) + 1.0, samples, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("n", [LONG, 600_600, 1 << 20])

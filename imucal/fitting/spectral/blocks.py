@@ -250,14 +250,16 @@ def _transform(
         ordinates = own_ordinates(samples)
         ordinates /= scale
     else:
-        grid = series.clock.grid()[run.start : run.stop] - run.offset
+        grid = series.clock.slice(run.start, run.stop).grid()
         seen = np.zeros(run.size, dtype=bool)
         seen[grid] = True
         full = np.zeros(run.size)
-        full[grid] = samples / scale
-        ordinates, variance, loss, drawn = complete(full, seen, bins)
+        full[grid] = samples
+        full /= scale
         if temperature is not None:
             temperature = np.interp(np.arange(run.size), grid, temperature)
+        del grid
+        ordinates, variance, loss, drawn = complete(full, seen, bins)
     return Block(
         offset=run.offset,
         bins=bins,

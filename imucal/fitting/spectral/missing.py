@@ -13,15 +13,20 @@ lost information: Louis (1982), JRSS B 44.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from imucal.allan.dct import DctBins
+from imucal.allan.four_step import dct2, idct2
 from imucal.arrays import BoolArray, FloatArray, IntArray
 
 _ROUNDS = 3
 _STEPS = 40
 _CLOSE = 1e-3
+#: More missing samples, or so many more sines than samples, take longer than transforms do.
+_FEW, _DIRECT = 1000, 30
 #: The random draws are the same for the same length, so that a fit can be repeated.
 _SEED = 20_24
 
@@ -34,7 +39,7 @@ def complete(
     Parameters
     ----------
     samples
-        Shape (n,), the values at missing places are ignored.
+        Shape (n,), the values at missing places are ignored; overwritten.
     seen
         Which samples were observed, shape (n,).
 
@@ -47,41 +52,139 @@ def complete(
     drawn
         The missing samples in order, their expectation and an error drawn with it, shape (g,).
     """
-    from scipy.fft import dct, idct
-
     n = samples.size
-    places = np.arange(n)
-    filled = np.where(seen, samples, np.interp(places, places[seen], samples[seen]))
-    mean = filled.mean()
-    filled -= mean
     gaps = np.flatnonzero(~seen)
-    draw = np.random.default_rng(_SEED).standard_normal(n - 1)
+    samples[gaps] = _between(samples, gaps)
+    mean = float(samples.mean())
+    samples -= mean
     groups = _groups(bins)
-    variance, error = np.zeros(n - 1), np.zeros(n)
-    ordinates = dct(filled, norm="ortho")[1:]
+    pairs = _Pairs.of(gaps, n, groups)
+    # Ordinates 0 … n-1; long arrays are written over, or let go as soon as they are not needed.
+    mean_of, error_of = dct2(samples), np.broadcast_to(0.0, n)
     for _ in range(_ROUNDS):
-        spectrum = _smooth(ordinates**2 + variance, groups)
-        weight = np.concatenate([[0.0], 1 / spectrum])
-
-        def precision(values: FloatArray, weight: FloatArray = weight) -> FloatArray:
-            result: FloatArray = idct(weight * dct(values, norm="ortho"), norm="ortho")
-            return result
-
-        def missing(values: FloatArray, apply: Callable[[FloatArray], FloatArray] = precision) -> FloatArray:
-            padded = np.zeros(n)
-            padded[gaps] = values
-            return apply(padded)[gaps]
-
-        unit = float(np.median(spectrum[spectrum.size // 2 :]))
-        filled[gaps] -= _conjugate(missing, precision(filled)[gaps], unit)
-        other = idct(np.concatenate([[0.0], np.sqrt(spectrum) * draw]), norm="ortho")
-        error[gaps] = _conjugate(missing, precision(other)[gaps], unit)
-        ordinates = dct(filled, norm="ortho")[1:]
-        variance = dct(error, norm="ortho")[1:] ** 2
-    whole = ordinates**2 + variance
-    share = np.add.reduceat(variance, groups) / np.add.reduceat(whole, groups)
+        spectrum = _means(mean_of[1:], error_of[1:], groups)
+        del error_of
+        # The transform of the samples is there already, and that of the draw is the draw.
+        right = idct2(_weighed(mean_of, 1 / spectrum, groups))[gaps]
+        del mean_of
+        draw = np.empty(n)
+        np.random.default_rng(_SEED).standard_normal(out=draw[1:])
+        drawn = idct2(_weighed(draw, 1 / np.sqrt(spectrum), groups))[gaps]
+        del draw
+        apply = _precision(gaps, pairs, 1 / spectrum, groups, n)
+        unit = _upper_median(spectrum, groups, n)
+        samples[gaps] -= _conjugate(apply, right, unit)
+        error = _conjugate(apply, drawn, unit)
+        error_of = dct2(_padded(error, gaps, n))
+        np.square(error_of, out=error_of)
+        mean_of = dct2(samples)
+    ordinates, variance = mean_of[1:], error_of[1:]
+    count = np.diff(groups, append=n - 1)
+    share = np.add.reduceat(variance, groups) / (_means(ordinates, variance, groups) * count)
     loss = share[np.searchsorted(groups, bins.first - 1, side="right") - 1]
-    return ordinates, variance, np.clip(loss, 0.0, 0.99), mean + filled[gaps] + error[gaps]
+    return ordinates, variance, np.clip(loss, 0.0, 0.99), mean + samples[gaps] + error
+
+
+def _between(samples: FloatArray, gaps: IntArray) -> FloatArray:
+    """Return what straight lines over each gap give at its places, shape (g,); at an end the neighbour."""
+    begins = np.diff(gaps, prepend=-2) > 1
+    gap = np.cumsum(begins) - 1
+    before, after = gaps[begins] - 1, gaps[np.append(begins[1:], True)[: gaps.size]] + 1
+    left = samples[np.where(before < 0, after, before)]
+    right = samples[np.where(after >= samples.size, before, after)]
+    fraction = (gaps - before[gap]) / (after - before)[gap]
+    return np.asarray(left[gap] + fraction * (right - left)[gap])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Distances between missing samples: `lag`, shape (l,), and which of them |i-j| and i+j+1 are, (g, g)."""
+
+    lag: IntArray
+    apart: IntArray
+    beyond: IntArray
+
+    @classmethod
+    def of(cls, gaps: IntArray, n: int, groups: IntArray) -> "_Pairs | None":
+        """Return the distances; None where they are so many that transforms are quicker."""
+        if gaps.size > _FEW:
+            return None
+        apart, beyond = np.abs(gaps[:, np.newaxis] - gaps), gaps[:, np.newaxis] + gaps + 1
+        lag, which = np.unique(np.stack([apart, beyond]), return_inverse=True)
+        if lag.size * groups.size > _DIRECT * n:
+            return None
+        which = which.reshape(2, *apart.shape)
+        return cls(lag, which[0], which[1])
+
+
+def _precision(
+    gaps: IntArray, pairs: _Pairs | None, weight: FloatArray, groups: IntArray, n: int
+) -> Callable[[FloatArray], FloatArray]:
+    """Return what multiplies by the missing block of C' diag(w) C, w the weight of each group.
+
+    Its element i, j is r(i-j) + r(i+j+1) with r(l) = sum over k of w_k cos(pi k l / n) / n.
+    """
+    if pairs is not None:
+        of_lag = _cosine_sums(pairs.lag, weight, groups, n)
+        matrix = of_lag[pairs.apart] + of_lag[pairs.beyond]
+        return lambda values: np.asarray(matrix @ values)
+
+    def by_transforms(values: FloatArray) -> FloatArray:
+        result: FloatArray = idct2(_weighed(dct2(_padded(values, gaps, n)), weight, groups))[gaps]
+        return result
+
+    return by_transforms
+
+
+def _cosine_sums(lag: IntArray, weight: FloatArray, groups: IntArray, n: int) -> FloatArray:
+    """Return the sum over k = 1 … n-1 of w_k cos(pi k l / n) / n at each lag, shape (l,).
+
+    Of equal weights from a to before b it is w (sin((b - 1/2) t) - sin((a - 1/2) t)) / (2 sin(t/2)).
+    """
+    edge = np.append(groups, n - 1) + 0.5
+    fall = -np.diff(weight, prepend=0.0, append=0.0)
+    sums = np.full(lag.size, float(weight @ np.diff(edge)))
+    # Lags 0 and 2n are the same, and have no sine.
+    for at in np.flatnonzero(lag % (2 * n)).tolist():
+        angle = np.pi * int(lag[at]) / n
+        sums[at] = float(fall @ np.sin(edge * angle)) / (2 * np.sin(angle / 2))
+    return sums / n
+
+
+def _padded(values: FloatArray, gaps: IntArray, n: int) -> FloatArray:
+    """Return values at missing places and 0 elsewhere, shape (n,)."""
+    padded = np.zeros(n)
+    padded[gaps] = values
+    return padded
+
+
+def _weighed(ordinates: FloatArray, weight: FloatArray, groups: IntArray) -> FloatArray:
+    """Multiply ordinates 0 … n-1 in place by the weight of their group, that of 0 being 0; return them."""
+    ordinates[0] = 0.0
+    for (start, stop), factor in zip(_spans(ordinates.size - 1, groups), weight.tolist(), strict=True):
+        ordinates[start + 1 : stop + 1] *= factor
+    return ordinates
+
+
+def _means(ordinates: FloatArray, variance: FloatArray, groups: IntArray) -> FloatArray:
+    """Return the mean of square and variance in each group, more than 0, shape of `groups`."""
+    means = [
+        float(np.mean(np.square(ordinates[start:stop]) + variance[start:stop]))
+        for start, stop in _spans(ordinates.size, groups)
+    ]
+    return np.maximum(means, 1e-300)
+
+
+def _upper_median(spectrum: FloatArray, groups: IntArray, n: int) -> float:
+    """Return the median over the upper half of the ordinates."""
+    half = (n - 1) // 2
+    ends = np.maximum(np.append(groups, n - 1), half)
+    return float(np.median(np.repeat(spectrum, np.diff(ends))))
+
+
+def _spans(n: int, groups: IntArray) -> list[tuple[int, int]]:
+    """Return the first and the last index of each group, the last beyond it."""
+    return list(pairwise([*groups.tolist(), n]))
 
 
 def _groups(bins: DctBins) -> IntArray:
@@ -92,12 +195,6 @@ def _groups(bins: DctBins) -> IntArray:
         if start - chosen[-1] >= 16 and bins.n - 1 - start >= 16:
             chosen.append(start)
     return np.array(chosen, dtype=np.int64)
-
-
-def _smooth(square: FloatArray, groups: IntArray) -> FloatArray:
-    """Return the mean of the squares in each group, spread over its ordinates."""
-    count = np.diff(groups, append=square.size)
-    return np.repeat(np.maximum(np.add.reduceat(square, groups) / count, 1e-300), count)
 
 
 def _conjugate(apply: Callable[[FloatArray], FloatArray], right: FloatArray, unit: float) -> FloatArray:

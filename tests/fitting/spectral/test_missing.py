@@ -2,10 +2,12 @@
 
 import numpy as np
 import numpy.testing as npt
+import pytest
 from scipy.fft import dct
 
 from imucal.allan.dct import dct_bins
-from imucal.fitting.spectral.missing import _conjugate, complete
+from imucal.fitting.spectral import missing
+from imucal.fitting.spectral.missing import _conjugate, _groups, _Pairs, _precision, complete
 
 
 def test_conjugate_gradients_solve_the_system() -> None:
@@ -43,3 +45,37 @@ def test_white_noise_loses_the_missing_share() -> None:
     assert abs(np.mean(ordinates**2 + variance) - 1) < 4 * np.sqrt(2 / 16_000)
     # A draw has the variance of what is missing: one sample of 4000 in four standard errors.
     assert abs(np.mean(drawn**2) - 1) < 4 * np.sqrt(2 / 4000)
+
+
+@pytest.mark.parametrize("direct", [0.0, 1e9])
+def test_the_precision_of_missing_samples_is_its_definition(
+    direct: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The missing block of C' diag(w) C, by sums of cosines as by transforms; also at both ends."""
+    monkeypatch.setattr(missing, "_DIRECT", direct)
+    n, gaps = 400, np.array([0, 1, 57, 58, 59, 200, 399])
+    groups = _groups(dct_bins(n))
+    weight = np.random.default_rng(1310).uniform(0.1, 5.0, groups.size)
+    each = np.append(0.0, np.repeat(weight, np.diff(groups, append=n - 1)))
+    transform = dct(np.eye(n), axis=0, norm="ortho")
+    block = (transform.T @ (each[:, np.newaxis] * transform))[np.ix_(gaps, gaps)]
+    pairs = _Pairs.of(gaps, n, groups)
+    assert (pairs is None) == (direct == 0)
+    apply = _precision(gaps, pairs, weight, groups, n)
+    found = np.stack([apply(unit) for unit in np.eye(gaps.size)], axis=1)
+    npt.assert_allclose(found, block, atol=1e-13 * np.abs(block).max())
+
+
+def test_few_and_many_missing_samples_are_completed_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By sums of cosines and by transforms to the same expectation, also of the first and the last sample."""
+    rng = np.random.default_rng(1311)
+    samples = rng.standard_normal(5000) + 0.01 * np.cumsum(rng.standard_normal(5000))
+    seen = np.ones(5000, dtype=bool)
+    for part in (slice(0, 2), slice(1000, 1007), slice(4999, 5000)):
+        seen[part] = False
+    found = []
+    for direct in (0.0, 1e9):
+        monkeypatch.setattr(missing, "_DIRECT", direct)
+        found.append(complete(samples.copy(), seen, dct_bins(5000)))
+    for one, other in zip(*found, strict=True):
+        npt.assert_allclose(one, other, atol=1e-12 * np.abs(other).max())
