@@ -12,6 +12,7 @@ greenhall
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -22,7 +23,7 @@ from imucal.allan.estimators import Estimator
 from imucal.allan.gaps import GappyVariances
 from imucal.allan.generic import fit_curve, fit_spectrum
 from imucal.allan.variance import sum_of_squares
-from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 
@@ -199,12 +200,14 @@ def spectral_edf(
     return edf
 
 
+@lru_cache(maxsize=256)
 def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
     """Return an estimator's response H and its square, averaged over each bin, shape (b,).
 
     The variance is the mean of H S over all angular frequencies, S the spectrum per sample; for
     the Allan variance H = 2 sin(m w/2)^4 / (m sin(w/2))². Where a bin is wider than a ripple, the
     ripple's mean takes its place: the mean of (2 sin)^(2j) is the central binomial coefficient of j.
+    Axes of one length share them; both are read-only.
 
     Source: NIST SP 1065 (2008), eq. 65, for sampled data.
     """
@@ -214,7 +217,7 @@ def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatAr
     wide = bins.count * m * np.pi / bins.n > 1
     response = np.where(wide, comb(2 * order, order), ripple) * tail
     squared = np.where(wide, comb(4 * order, 2 * order), ripple**2) * tail**2
-    return response, squared
+    return read_only(response), read_only(squared)
 
 
 def excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None = None) -> float:

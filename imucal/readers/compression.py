@@ -31,6 +31,9 @@ _SMALL = 1 << 26
 #: Above, data may grow by this factor.
 _MAX_RATIO = 400
 
+#: The first bytes of an lz4 frame.
+_LZ4 = b"\x04\x22\x4d\x18"
+
 #: Names of compressions; MCAP writes "" and ROS bags write "none".
 KINDS = ("", "none", "zstd", "lz4", "bz2")
 
@@ -159,7 +162,9 @@ def _unpack_zstd(data: memoryview, size: int) -> bytes:
 def _unpack_lz4(data: memoryview, size: int) -> bytes:
     import lz4.frame
 
-    stated = lz4.frame.get_frame_info(data[:32]).get("content_size", 0)
+    # Bit 3 of the fifth byte says whether the frame's header states a size. Source: LZ4 frame format 1.6.
+    told = data[:4] == _LZ4 and len(data) > 13 and data[4] & 8
+    stated = int.from_bytes(data[6:14], "little") if told else 0
     if stated > size:
         msg = f"an lz4 frame states {stated} bytes, its chunk {size}"
         raise DamagedError(msg)

@@ -213,7 +213,7 @@ def _take_alike(raw: memoryview, key: int, payloads: IntArray, sizes: IntArray) 
     if guards is None:
         return np.arange(payloads.size)
     heads = gather(raw, payloads[rows], len(head))
-    length = np.ndarray(heads.shape, "<u4", buffer=heads, offset=len(head) - 4, strides=heads.strides)
+    length = np.ndarray(heads.shape, "<u4", buffer=heads, offset=len(head) - 4, strides=heads.strides).copy()
     alike = Alike(guards, len(head)).each(heads) & (payloads[rows] + len(head) + length <= len(raw))
     rows = rows[alike]
     payloads[rows] += len(head)

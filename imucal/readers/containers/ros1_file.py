@@ -2,7 +2,7 @@
 
 import contextlib
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import cast
@@ -187,7 +187,7 @@ class BagFile:
                 self._add_connection(entry.head, self._file.read(at + entry.start, entry.end - entry.start))
             at = after
 
-    def _add_connection(self, head: dict[bytes, bytes], data: Bytes) -> None:
+    def _add_connection(self, head: Mapping[bytes, bytes], data: Bytes) -> None:
         """Take a connection record; a damaged one is as good as none."""
         with contextlib.suppress(DamagedError):
             found = connection(head, data)

@@ -5,7 +5,9 @@ refuses unindexed and cut ones, and builds an object for each message when it op
 """
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 from imucal.readers.containers.container import Bytes
@@ -31,7 +33,7 @@ class Connection:
 class Record(NamedTuple):
     """A record: the fields of its header, and where its data start and end."""
 
-    head: dict[bytes, bytes]
+    head: Mapping[bytes, bytes]
     start: int
     end: int
 
@@ -53,16 +55,21 @@ def record(buffer: Bytes, at: int) -> Record:
         end = at + 4 + U32.unpack_from(buffer, at)[0]
         if end - at - 4 > _MAX_HEADER or end > len(buffer):
             raise _broken()
-        head = fields(buffer, at + 4, end)
+        head = _head(bytes(buffer[at + 4 : end]))
         return Record(head, end + 4, end + 4 + U32.unpack_from(buffer, end)[0])
     except struct.error as error:
         raise _broken() from error
 
 
-def fields(buffer: Bytes, at: int, end: int) -> dict[bytes, bytes]:
-    """Return name -> value of the fields between two places."""
-    found = {}
-    data, place = bytes(buffer[at:end]), 0
+@lru_cache(maxsize=128)
+def _head(data: bytes) -> Mapping[bytes, bytes]:
+    """Return the fields of a header; those of index records are mostly what they were in the chunk before."""
+    return fields(data)
+
+
+def fields(data: bytes) -> dict[bytes, bytes]:
+    """Return name -> value of the fields that stand one behind the other."""
+    found, place = {}, 0
     while place + 4 <= len(data):
         start = place + 4
         place = start + U32.unpack_from(data, place)[0]
@@ -73,7 +80,7 @@ def fields(buffer: Bytes, at: int, end: int) -> dict[bytes, bytes]:
     return found
 
 
-def number(found: dict[bytes, bytes], name: bytes, size: int) -> int:
+def number(found: Mapping[bytes, bytes], name: bytes, size: int) -> int:
     """Return a field that holds a little-endian number of `size` bytes."""
     value = found.get(name)
     if value is None or len(value) != size:
@@ -81,9 +88,9 @@ def number(found: dict[bytes, bytes], name: bytes, size: int) -> int:
     return int.from_bytes(value, "little")
 
 
-def connection(found: dict[bytes, bytes], data: Bytes) -> Connection:
+def connection(found: Mapping[bytes, bytes], data: Bytes) -> Connection:
     """Parse a connection record: its header, and the connection's own header as data."""
-    inner = fields(data, 0, len(data))
+    inner = fields(bytes(data))
     return Connection(
         number(found, b"conn", 4),
         found.get(b"topic", b"").decode("utf-8", "replace"),

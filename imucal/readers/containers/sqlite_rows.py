@@ -56,7 +56,7 @@ def parse_rows(buffer: memoryview, page: int, usable: int) -> Rows:
     known &= (blob & 1 == 0) & (blob >> 1 <= size + 6) & (size >= head) & (cells < ends - 8)
     columns = [record + head]
     for kind in (identity, topic, time):
-        columns.append(columns[-1] + _SIZES[np.clip(kind, 0, 11)])
+        columns.append(columns[-1] + _SIZES.take(kind, mode="clip"))
     sizes = (blob - 12) >> 1
     known &= columns[3] + sizes == record + size
     long = known & (size > usable - 35)
@@ -111,13 +111,18 @@ def _integers(data: NDArray[np.uint8], at: IntArray, kinds: IntArray) -> IntArra
     """Return integer columns of the given serial types, shape (n,)."""
     result = np.zeros(at.size, dtype=np.int64)
     same = bool((kinds == kinds[:1]).all())
-    for kind in (kinds[:1] if same else np.unique(kinds)).tolist():
+    # There are ten types: a count of each is quicker than a search. Negative ones are damage.
+    for kind in (kinds[:1] if same else np.flatnonzero(np.bincount(np.maximum(kinds, 0)))).tolist():
         chosen = slice(None) if same else kinds == kind
         if kind == 9:
             result[chosen] = 1
         elif 1 <= kind <= 6:
             size = int(_SIZES[kind])
-            raw = gather(data.data, at[chosen], size).view(np.uint8).reshape(-1, size)
+            words = gather(data.data, at[chosen], size)
+            if size in {1, 2, 4, 8}:
+                result[chosen] = words.view(f">i{size}")
+                continue
+            raw = words.view(np.uint8).reshape(-1, size)
             value = raw[:, 0].astype(np.int8).astype(np.int64)
             for column in range(1, size):
                 value = (value << 8) | raw[:, column]

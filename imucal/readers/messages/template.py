@@ -72,7 +72,8 @@ class Template:
     def decode(self, batch: Batch, columns: Columns, first: int) -> bool:
         """Write the samples of a batch to the columns; False if a record has another shape."""
         starts = batch.starts
-        if int(starts.max()) + self.end > len(batch.buffer) or int(starts.min()) < 0:
+        # As unsigned numbers, negative ones lie beyond any buffer.
+        if int(starts.view(np.uint64).max()) + self.end > len(batch.buffer):
             return False
         head = _gather(batch.buffer, starts, 0, self.head)
         part = slice(first, first + batch.n)

@@ -32,7 +32,7 @@ STANDARD_INPUT = "-"
 #: Bytes looked at to find the layout.
 _HEAD = 1 << 18
 #: Bytes of text parsed at once: large enough for the parser, small enough for memory.
-_BLOCK = 8 << 20
+_BLOCK = 2 << 20
 #: Bytes before the end of a block in which its last line is looked for first.
 _TAIL = 1 << 12
 #: Errors of a stream that is cut or damaged.

@@ -22,7 +22,7 @@ from imucal.readers.containers.sqlite_pages import (
     page_size,
     scan_leaves,
 )
-from imucal.readers.containers.sqlite_rows import parse_rows
+from imucal.readers.containers.sqlite_rows import _integers, parse_rows
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
 Held = Callable[..., LogFile]
@@ -293,3 +293,20 @@ def test_a_write_ahead_log_that_has_to_be_left_out_is_said(log: bytes | None, tm
     assert [(found.code, found.text.partition(" ")[0]) for found in findings] == (
         [("wal-ignored", "log.db3-wal")] if log else []
     )
+
+
+def test_integers_of_every_type_and_of_none() -> None:
+    """Beside each other; a type that is none gives zero, a negative one too."""
+    data = np.arange(0x70, 0xB0, dtype=np.uint8)
+    kinds = np.array([1, 2, 3, 4, 5, 6, 0, 8, 9, -3])
+    places = np.arange(kinds.size) * 3 + 5
+    widths = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}
+    expected = [
+        int.from_bytes(data[at : at + widths[kind]].tobytes(), "big", signed=True)
+        if kind in widths
+        else int(kind == 9)
+        for at, kind in zip(places.tolist(), kinds.tolist(), strict=True)
+    ]
+    assert _integers(data, places, kinds).tolist() == expected
+    for kind, at, value in zip(kinds.tolist(), places.tolist(), expected, strict=True):
+        assert _integers(data, np.array([at, at]), np.array([kind, kind])).tolist() == [value, value]
