@@ -98,10 +98,12 @@ def write_files(store: "FleetStore", *, quiet: bool) -> None:
     from imucal.fleet_report import load_fleet, write_fleet
 
     page = store.folder / "fleet.html"
+    if page.is_file() and page.stat().st_mtime_ns > store.changed_ns():
+        echo(str(page))
+        return
     try:
         fleet = load_fleet(store.folder)
-        is_new = page.is_file() and page.stat().st_mtime_ns > store.changed_ns()
-        files = (page,) if is_new else write_fleet(fleet)
+        files = write_fleet(fleet)
     except ImucalError as error:
         say(f"the report is missing: {error}", quiet=quiet)
         return

@@ -101,6 +101,7 @@ class _Run(Generic[Batch, Result]):
         self._work, self._patience, self._told = work, patience, told
         self._hands: dict[Future, _Hand[Batch]] = {}
         self._by_number: dict[int, _Hand[Batch]] = {}
+        self._there: dict[str, int] = {}
         self._submitted = self._count = 0
         self._asked = -math.inf
         self._heard = time.monotonic()
@@ -140,9 +141,10 @@ class _Run(Generic[Batch, Result]):
             return self._count
         self._asked = time.monotonic()
         try:
-            count = sum(self._client.nthreads().values()) if self._client.status == "running" else 0
+            self._there = dict(self._client.nthreads()) if self._client.status == "running" else {}
         except (OSError, TimeoutError):
-            count = 0
+            self._there = {}
+        count = sum(self._there.values())
         if count:
             self._heard = time.monotonic()
             self._told(count)
@@ -189,6 +191,10 @@ class _Run(Generic[Batch, Result]):
     def _late(self) -> Iterator[tuple[Batch, Result | Lost]]:
         """Restart workers that are far over the time of their batch: what they do can't be cancelled."""
         now = time.monotonic()
+        for hand in self._hands.values():
+            # Of a worker that is gone: the scheduler gives its batch to another, which will say so.
+            if self._there and hand.begun and hand.worker not in self._there:
+                hand.begun = 0.0
         late = {
             future: hand
             for future, hand in self._hands.items()
@@ -196,7 +202,8 @@ class _Run(Generic[Batch, Result]):
         }
         for future, hand in late.items():
             del self._hands[future], self._by_number[hand.number]
-            with suppress(OSError, TimeoutError, ValueError):
+            # A KeyError: the scheduler has restarted it in this moment.
+            with suppress(OSError, TimeoutError, ValueError, KeyError):
                 future.cancel()
                 self._client.restart_workers([hand.worker], timeout=CLOSE_S, raise_for_error=False)
             yield hand.batch, Lost(status="timeout", reason="its worker did not answer any more")

@@ -20,6 +20,9 @@ from imucal.fleet_run.manifest_file import LABELS, LogEntry
 _SETTLED = ("ok", "unreadable", "no-data")
 #: Usual bytes of a log a second on one core, and seconds that each takes besides.
 _BYTES_PER_S, _SECONDS = 17e6, 1.0
+#: Batches of each worker: at least, so that all end together; and in a long run, whose batches are up to
+#: `_LONGER` times as long.
+_LEAST_BATCHES, _BATCHES, _LONGER = 4, 40, 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,9 +157,13 @@ def expected_seconds(task: LogTask) -> float:
 
 
 def batches(tasks: Sequence[LogTask], *, workers: int, seconds: float) -> Iterator[list[LogTask]]:
-    """Yield tasks in batches of about so many seconds each; of fewer where that would leave workers idle."""
+    """Yield tasks in batches of about so many seconds each; of fewer where that would leave workers idle.
+
+    In a long run they are longer: a batch is a part of the store, and all parts are read at its end.
+    """
     total = sum(expected_seconds(task) for task in tasks)
-    target = min(seconds, total / (4 * workers))
+    longer = min(total / (_BATCHES * workers), _LONGER * seconds)
+    target = min(max(seconds, longer), total / (_LEAST_BATCHES * workers))
     batch: list[LogTask] = []
     expected = 0.0
     for task in tasks:

@@ -5,11 +5,12 @@ speed: CPU a log of ``fleet run`` on one worker, and in one process, against a p
 that a busy machine is the same for all.
 engine: memory of client, scheduler and worker, and CPU a log, at 1e5 logs on which nothing is done: in
 batches as real runs have them, and in tasks of one log.
-store: time and memory of writing and reading 1e6 rows of results.
+store: time and memory of writing and reading 1e6 rows of results and more, in parts as real runs make them.
 """
 
 import argparse
 import math
+import multiprocessing
 import os
 import resource
 import subprocess
@@ -20,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from unittest.mock import patch
 
+import numpy as np
 import psutil
 
 from imucal.fleet.store import FleetStore
@@ -37,6 +39,8 @@ CASES = {
     "fleet run --shard 1/1": ("--shard", "1/1"),
     "fleet run --jobs 1": ("--jobs", "1"),
 }
+#: How a store is read: in the third and the fourth 5000 logs at a time.
+READINGS = ("logs", "results", "bins", "bins of strewn logs", "all bins at once")
 LOOP = """
 import sys
 import imucal
@@ -148,14 +152,14 @@ def _worker() -> psutil.Process:
     )
 
 
-def store(folder: Path, *, logs: int = 60_000, batch: int = 20) -> None:
-    """Print what a store of 18 rows of results a log costs, with bins of 3 kB an axis."""
+def store(folder: Path, *, logs: int, batch: int) -> None:
+    """Print what a store of 18 rows of results a log costs, with bins of 3 kB an axis, and reading it."""
     made = FleetStore(folder / "many")
     made.create()
     axes = [(sensor, axis) for sensor in ("gyroscope", "accelerometer") for axis in "xyz"]
     begun = time.perf_counter()
     for first in range(0, logs, batch):
-        keys = [f"{number:032x}" for number in range(first, first + batch)]
+        keys = [f"{number:032x}" for number in range(first, min(first + batch, logs))]
         of_log = {"status": "ok", "verdict": "good", "findings": [], "finished": 1.0, "content": "c"}
         made.commit(
             [{"key": key, "path": f"logs/{key}.mcap", **of_log} for key in keys],
@@ -172,21 +176,41 @@ def store(folder: Path, *, logs: int = 60_000, batch: int = 20) -> None:
             ],
         )
     wrote = time.perf_counter() - begun
+    parts = -(-logs // batch)
     size = sum(path.stat().st_size for path in made.folder.rglob("*.parquet"))
-    print(f"{logs} logs in {logs // batch} parts: written in {wrote:.1f} s, {size / 1e6:.0f} MB", flush=True)
-    for name, read in (("logs", made.logs), ("results", made.results), ("bins", made.bins)):
-        begun = time.perf_counter()
-        rows = read().height
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-        seconds = time.perf_counter() - begun
-        print(f"{name}: {rows} rows in {seconds:.2f} s; highest memory so far {peak:.0f} MB", flush=True)
+    print(f"{logs} logs in {parts} parts: written in {wrote:.1f} s, {size / 1e6:.0f} MB", flush=True)
+    for what in READINGS:
+        # Each in a process of its own, so that its memory is its own.
+        process = multiprocessing.get_context("spawn").Process(target=_read, args=(made.folder, what, logs))
+        process.start()
+        process.join()
+        assert process.exitcode == 0
+
+
+def _read(folder: Path, what: str, logs: int) -> None:
+    """Print how long one reading of a store takes, and how much memory."""
+    made = FleetStore(folder)
+    keys = [f"{number:032x}" for number in range(logs)]
+    if what == "bins of strewn logs":
+        keys = np.random.default_rng(1).permutation(keys).tolist()
+    begun = time.perf_counter()
+    if what in {"logs", "results"}:
+        rows = getattr(made, what)().height
+    elif what == "all bins at once":
+        rows = made.bins().height
+    else:
+        groups = [keys[first : first + 5000] for first in range(0, logs, 5000)]
+        rows = sum(frame.height for frame in made.bins_in_turn(groups))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(f"{what}: {rows} rows, {time.perf_counter() - begun:.1f} s, at most {peak:.0f} MB", flush=True)
 
 
 def main() -> None:
     """Run what is asked for, or everything."""
     parser = argparse.ArgumentParser()
     parser.add_argument("what", nargs="*", choices=["speed", "engine", "store", []])
-    parser.add_argument("--tasks", type=int, default=100_000)
+    parser.add_argument("--tasks", type=int, default=100_000, help="engine, store: logs")
+    parser.add_argument("--batch", type=int, default=6, help="store: logs of a part")
     parser.add_argument("--logs", type=int, nargs=2, default=(1, 6), help="speed: two numbers of logs")
     parser.add_argument("--seconds", type=float, default=40_000.0, help="speed: length of each log")
     parser.add_argument("--rounds", type=int, default=3)
@@ -200,7 +224,7 @@ def main() -> None:
                 for seconds in (BATCH_S, 0.0):
                     engine(folder, logs=given.tasks, seconds=seconds)
             else:
-                store(folder)
+                store(folder, logs=given.tasks, batch=given.batch)
 
 
 if __name__ == "__main__":

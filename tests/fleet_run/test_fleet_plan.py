@@ -153,6 +153,16 @@ def test_batches_hold_every_task_once(workers: int, seconds: float) -> None:
     assert len(made) >= min(2 * workers, 90)
 
 
+def test_a_long_run_has_longer_batches() -> None:
+    """Each is a part of the store: 1e5 logs of 6 s make 2 000 on eight workers, not 20 000."""
+    tasks = [LogTask(path=f"{number}.mcap", size=85_000_000) for number in range(100_000)]
+    sizes = [len(batch) for batch in batches(tasks, workers=8, seconds=30.0)]
+    assert sum(sizes) == len(tasks)
+    assert set(sizes[:-1]) == {50}
+    few = [len(batch) for batch in batches(tasks[:200], workers=8, seconds=30.0)]
+    assert set(few) == {5}
+
+
 def test_no_tasks_are_no_batches() -> None:
     """Nothing to hand out."""
     assert list(batches([], workers=2, seconds=30.0)) == []
