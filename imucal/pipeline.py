@@ -28,8 +28,8 @@ from imucal.resources import memory_limit
 from imucal.screening import screen
 from imucal.side_work import findings_or_why_not
 
-#: Samples looked at at once, and of those that are worked on: they stay in the cache.
-_BLOCK, _PART = 1 << 20, 1 << 15
+#: Samples looked at at once.
+_BLOCK = 1 << 20
 #: Bytes that the analysis of an axis takes for each of its samples, and those that all axes may take that are
 #: worked on at a time.
 _BYTES, _ROOM = 32, 500_000_000
@@ -42,6 +42,9 @@ _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
     *("max_gm", "clean", "verify", "second_opinion", "segments", "bins"),
 )
+
+#: Samples worked on at a time, which stay in the cache.
+_PART = 1 << 15
 
 #: Called with the number of axes done, of all axes, and the name of the next one.
 Progress: TypeAlias = Callable[[int, int, str], None]
