@@ -43,6 +43,9 @@ _DOCUMENTED = (
     *("max_gm", "clean", "verify", "second_opinion", "segments", "bins"),
 )
 
+#: Samples worked on at a time, which stay in the cache.
+_PART = 1 << 15
+
 #: Called with the number of axes done, of all axes, and the name of the next one.
 Progress: TypeAlias = Callable[[int, int, str], None]
 
@@ -186,8 +189,11 @@ def _characterize_axis(
     with shared_transform(finite.samples):
         curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
         density = spectrum(finite)
-        # Last: the fit takes the transform for its own.
+        # The fit takes the transform for its own.
         result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
+        opinion: tuple[Finding, ...] = ()
+        if settings.second_opinion and settings.method == "mle":
+            opinion = _second_opinion(finite, result, at_samples)
     found = result.findings + findings_or_why_not(
         lambda: resolution_findings(result, finite.duration_s),
         what="How long a record would do is not known",
@@ -198,8 +204,7 @@ def _characterize_axis(
         what="What the curve can't tell is not known",
         code="spectral-ambiguity",
     )
-    if settings.second_opinion and settings.method == "mle":
-        found += _second_opinion(finite, result, at_samples)
+    found += opinion
     # Of steps the fit says more: it has taken them out, or knows that they go to and fro.
     taken_out = {"step"} if {f.code for f in found} & {"step", "telegraph"} else set()
     findings = [f for f in screened if f.axis == series.name and f.code not in taken_out]
@@ -244,7 +249,7 @@ def _second_opinion(
 def _moments(samples: FloatArray) -> tuple[float, float]:
     """Return mean and standard deviation without a copy of the samples, which may lie in a mapped file."""
     mean = float(np.mean(samples))
-    parts = (samples[start : start + _BLOCK] - mean for start in range(0, samples.size, _BLOCK))
+    parts = (samples[start : start + _PART] - mean for start in range(0, samples.size, _PART))
     return mean, float(np.sqrt(sum(float(np.sum(part * part)) for part in parts) / samples.size))
 
 

@@ -1,7 +1,7 @@
 """What was measured: sensors, clocks, axes and recordings. Always SI units."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Literal, TypeAlias
 
@@ -58,6 +58,8 @@ class AxisSeries:
     axis: Axis
     samples: FloatArray
     clock: Clock
+    #: Whether all samples are known to be usable: every step asks, and one look is enough.
+    _known_finite: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
         samples = np.asarray(self.samples, dtype=np.float64)
@@ -122,9 +124,11 @@ class AxisSeries:
 
     def finite(self) -> "AxisSeries":
         """Return the series without NaN, infinite and absurd samples; they become gaps."""
-        if all(bool(_sane(self.samples[part]).all()) for part in blocks(self.n, self.samples)):
-            return self
-        return self.keeping(self.usable)
+        if not self._known_finite:
+            if not all(bool(_sane(self.samples[part]).all()) for part in blocks(self.n, self.samples)):
+                return self.keeping(self.usable)
+            object.__setattr__(self, "_known_finite", True)
+        return self
 
     @property
     def usable(self) -> NDArray[np.bool_]:

@@ -117,6 +117,16 @@ def test_a_cut_beyond_the_log_says_how_long_it_lasts() -> None:
     assert recording.between(1.0, 2.0).series[0].n == 10
 
 
+def test_finite_samples_are_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A series that was found finite is asked again without a look; other samples are looked at."""
+    series = AxisSeries.from_samples(np.arange(5.0), rate_hz=1.0)
+    assert series.finite() is series
+    other = replace(series, samples=np.array([0.0, 1.0, np.nan, 3.0, 4.0]))
+    assert other.finite().n == 4
+    monkeypatch.setattr("imucal.recording._sane", None)
+    assert series.finite() is series
+
+
 def test_absurd_samples_are_left_out_like_infinite_ones() -> None:
     """Their squares would overflow; they become gaps."""
     samples = np.array([0.0, 1.0, np.nan, 1e308, -np.inf, 2.0, 3.0])

@@ -18,7 +18,7 @@ from math import comb
 import numpy as np
 
 from imucal.allan.covariance import GenericModel, model_edf
-from imucal.allan.dct import DctBins, bin_power, dct_bins, dct_ordinates, fast_length
+from imucal.allan.dct import DctBins, bin_power, dct_bins, dct_ordinates, fast_length, shared_number
 from imucal.allan.estimators import Estimator
 from imucal.allan.gaps import GappyVariances
 from imucal.allan.generic import fit_curve, fit_spectrum
@@ -227,6 +227,12 @@ def excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None = None) ->
     """
     if samples.size < 3:
         return 0.0
+    if neighbours is None:
+        return shared_number(samples, "excess kurtosis", lambda: _excess_kurtosis(samples, None))
+    return _excess_kurtosis(samples, neighbours)
+
+
+def _excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None) -> float:
     mean = float((samples[-1] - samples[0]) / (samples.size - 1))
     count = second = fourth = 0.0
     for start in range(0, samples.size - 1, _BLOCK):

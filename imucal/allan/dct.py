@@ -6,10 +6,10 @@ is so exactly. A few hundred sums of squared ordinates hold what the spectrum of
 Source: the boundary conditions of the DCT-II, Strang (1999), SIAM Review 41, 135.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -108,10 +108,11 @@ def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shared:
-    """The samples of an axis, and the transform of their longest run once it is known."""
+    """The samples of an axis; the transform of their longest run, and numbers, once they are known."""
 
     samples: FloatArray
-    known: dict[tuple[int, int], FloatArray]
+    known: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
+    numbers: dict[str, float] = field(default_factory=dict)
 
     def place(self, samples: FloatArray) -> tuple[int, int] | None:
         """Return where a run stands among the samples and its size; None for other samples, or few."""
@@ -139,11 +140,21 @@ def shared_transform(samples: FloatArray) -> Iterator[None]:
     if shared:
         # These are other samples, such as those without spikes: one transform at a time is enough.
         shared.known.clear()
-    token = _SHARED.set(_Shared(samples.view(), {}))
+    token = _SHARED.set(_Shared(samples.view()))
     try:
         yield
     finally:
         _SHARED.reset(token)
+
+
+def shared_number(samples: FloatArray, name: str, work: Callable[[], float]) -> float:
+    """Return what `work` makes of all `samples`, shape (n,): once, while their transform is shared."""
+    shared = _SHARED.get()
+    if shared is None or samples.size != shared.samples.size or shared.place(samples) is None:
+        return work()
+    if name not in shared.numbers:
+        shared.numbers[name] = work()
+    return shared.numbers[name]
 
 
 def dct_ordinates(samples: FloatArray) -> FloatArray:

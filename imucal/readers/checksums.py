@@ -14,7 +14,7 @@ from imucal.recording import LogFileInfo
 from imucal.resources import threads
 
 #: Bytes hashed at once: large enough that other threads work meanwhile.
-_BLOCK = 1 << 22
+_BLOCK = 1 << 20
 
 
 class Checksums:
@@ -54,25 +54,28 @@ class Checksums:
     def _work(self) -> None:
         self._found = []
         for path in self._files:
-            info = self._info(path)
+            info = _checked(path, self._stop)
             if info is None:
                 return
             self._found.append(info)
 
-    def _info(self, path: Path) -> LogFileInfo | None:
-        """Return what is known of a file; None where nobody waits for it any more."""
-        machine, size = hashlib.blake2b(), 0
-        try:
-            with path.open("rb", buffering=0) as file:
-                while block := file.read(_BLOCK):
-                    if self._stop.is_set():
-                        return None
-                    machine.update(block)
-                    size += len(block)
-        except OSError:
-            # It was read a moment ago; what is wrong with it now is no matter of the result.
-            return LogFileInfo(path=str(path), size_bytes=size, blake2b=None)
-        return LogFileInfo(path=str(path), size_bytes=size, blake2b=machine.hexdigest())
+
+def _checked(path: Path, stop: threading.Event) -> LogFileInfo | None:
+    """Return what is known of a file; None where nobody waits for it any more."""
+    machine, size = hashlib.blake2b(), 0
+    # The same memory for every block: new pages take longer than reading into them.
+    block = memoryview(bytearray(_BLOCK))
+    try:
+        with path.open("rb", buffering=0) as file:
+            while count := file.readinto(block):
+                if stop.is_set():
+                    return None
+                machine.update(block[:count])
+                size += count
+    except OSError:
+        # It was read a moment ago; what is wrong with it now is no matter of the result.
+        return LogFileInfo(path=str(path), size_bytes=size, blake2b=None)
+    return LogFileInfo(path=str(path), size_bytes=size, blake2b=machine.hexdigest())
 
 
 def _files_of(path: Path) -> list[Path]:

@@ -5,15 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal import mapped
 from imucal.arrays import FloatArray
-from imucal.recording import ABSURD, AxisSeries
+from imucal.recording import AxisSeries
 from imucal.screening.stillness import disturbed, without_spikes
 from imucal.screening.welch import Density, density
 from imucal.screening.windows import Windows, cut
 
-#: Samples looked at in one go.
-_BLOCK = 1 << 20
 #: Samples that show the LSB, in stretches spread over the log.
 _STRETCHES, _STRETCH = 16, 2048
 #: Steps of more LSB than this say little about the LSB.
@@ -66,7 +63,7 @@ class Profile:
 def profile(series: AxisSeries) -> Profile:
     """Return the profile of an axis; one pass over the samples, and a bounded number of transforms."""
     whole = series
-    series = _sane(series)
+    series = series.finite()
     windows = cut(series)
     lsb = resolution(series)
     marks = disturbed(windows, lsb)
@@ -83,15 +80,6 @@ def profile(series: AxisSeries) -> Profile:
         noise=float(np.sqrt(np.median(quiet))) if quiet.size else 0.0,
         density=density(series, avoid=windows.start[marks], width=windows.width),
     )
-
-
-def _sane(series: AxisSeries) -> AxisSeries:
-    """Return the axis without NaN, infinite and absurd samples; they become gaps."""
-    parts = mapped.blocks(series.n, series.samples, size=_BLOCK)
-    keep = [np.abs(series.samples[part]) <= ABSURD for part in parts]
-    if all(part.all() for part in keep):
-        return series
-    return series.keeping(np.concatenate(keep))
 
 
 def excerpt(n: int) -> list[slice]:

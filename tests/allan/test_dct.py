@@ -12,6 +12,7 @@ from imucal.allan.dct import (
     fast_length,
     own_ordinates,
     ramp_ordinates,
+    shared_number,
     shared_transform,
 )
 from imucal.arrays import FloatArray
@@ -122,6 +123,23 @@ def test_a_shared_transform_is_made_once_and_is_the_same(monkeypatch: pytest.Mon
         assert made.pop() == 1000
     dct_ordinates(samples[:900])
     assert made == [900, 900, 400, 400, 900]
+
+
+def test_a_shared_number_is_worked_out_once() -> None:
+    """Of the shared samples only: of others, and of a part of them, each time."""
+    samples, calls = np.arange(100.0), []
+
+    def work() -> float:
+        calls.append(1)
+        return float(len(calls))
+
+    assert [shared_number(samples, "n", work) for _ in range(2)] == [1.0, 2.0]
+    with shared_transform(samples):
+        assert [shared_number(samples, "n", work) for _ in range(2)] == [3.0, 3.0]
+        assert shared_number(samples, "other", work) == 4.0
+        assert [shared_number(samples[1:], "n", work) for _ in range(2)] == [5.0, 6.0]
+        assert shared_number(samples.copy(), "n", work) == 7.0
+    assert shared_number(samples, "n", work) == 8.0
 
 
 def test_a_shared_transform_may_be_given_away(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,41 +4,56 @@
 
 The job is done with the JSON only and with all pictures and the page; `--before` does it also with
 another version, a tree and the interpreter that has what it needs. y is the CPU time of AllanTools'
-``oadev``, 1e7 samples at 93 factors, in the same run: machines differ, and so do their hours. Stages
-overlap where one calls another; each is counted whole.
+``oadev``, 1e7 samples at 93 factors, in the same run: machines differ, and so do their hours. Modules are
+compiled before, as an installer does. Stages overlap where one calls another; each is counted whole, with
+the modules that it is the first to import.
 """
 
 import argparse
 import contextlib
 import cProfile
 import io
+import json
 import os
 import pstats
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from imucal.resources import threads
 
+_Number = TypeVar("_Number", int, float)
+
 #: Stage -> part of the file's path, and name of the function whose CPU it is.
 STAGES = {
-    "import and command line": ("<frozen importlib._bootstrap>", "_find_and_load"),
+    "imports, also within the others": ("<frozen importlib._bootstrap>", "_find_and_load"),
     "read": ("imucal/readers/__init__.py", "read"),
+    "checksum of the log": ("imucal/readers/checksums.py", "_checked"),
     "screen": ("imucal/screening/__init__.py", "screen"),
     "Allan curve": ("imucal/allan/engine.py", "allan_curve"),
+    "spectrum": ("imucal/allan/dct.py", "spectrum"),
     "spikes": ("imucal/fitting/robust.py", "clean"),
     "blocks of ordinates": ("imucal/fitting/spectral/blocks.py", "make_blocks"),
-    "blind starts": ("imucal/fitting/spectral/starts.py", "find_starts"),
-    "likelihood": ("imucal/fitting/spectral/likelihood.py", "evaluate"),
+    "two levels, steps, cycles": ("imucal/fitting/spectral/mle.py", "_disturbances"),
+    "band and filter": ("imucal/fitting/spectral/band.py", "find_band"),
+    "choice of the model": ("imucal/fitting/spectral/selection.py", "choose"),
+    "terms that are not in it": ("imucal/fitting/spectral/hull.py", "hull_estimates"),
     "segments": ("imucal/fitting/spectral/segment_fit.py", "fit_segments"),
     "second opinion": ("imucal/fitting/curve_opinion.py", "fit_of_curve"),
     "record length": ("imucal/planning.py", "resolution_findings"),
-    "spectrum": ("imucal/allan/dct.py", "spectrum"),
+    "document and JSON": ("imucal/report/json_file.py", "dumps"),
     "pictures and page": ("imucal/report/writer.py", "write_report"),
+    "of these: transforms": ("imucal/allan/dct.py", "_transform"),
+    "of these: blind starts": ("imucal/fitting/spectral/starts.py", "find_starts"),
+    "of these: likelihood": ("imucal/fitting/spectral/likelihood.py", "evaluate"),
 }
 #: Work that could be shared -> the functions of which the calls are counted.
 REPEATS = {
@@ -81,7 +96,7 @@ def measured(arguments: list[str], version: tuple[str, str]) -> tuple[float, flo
     tree, python = version
     start = time.perf_counter()
     command = [python, "-m", "imucal", *arguments]
-    surroundings = {**os.environ, "PYTHONPATH": tree}
+    surroundings = _surroundings(tree)
     # In its own folder: Python looks where it was started first, and would find this version there.
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=surroundings, cwd=tree)  # noqa: S603
     _, status, used = os.wait4(process.pid, 0)
@@ -93,30 +108,52 @@ def measured(arguments: list[str], version: tuple[str, str]) -> tuple[float, flo
     return used.ru_utime + used.ru_stime, wall, used.ru_maxrss / 1024
 
 
-def _run(arguments: list[str]) -> None:
+@cache
+def _compiled() -> tempfile.TemporaryDirectory[str]:
+    """Return where compiled modules are kept as long as this runs."""
+    return tempfile.TemporaryDirectory()
+
+
+def _surroundings(tree: str) -> dict[str, str]:
+    """Return the environment of a run: its own tree, whose compiled modules are kept."""
+    surroundings = {**os.environ, "PYTHONPATH": tree, "PYTHONPYCACHEPREFIX": _compiled().name}
+    surroundings.pop("PYTHONDONTWRITEBYTECODE", None)
+    return surroundings
+
+
+def stages(arguments: list[str], tree: str) -> tuple[dict[tuple[str, str], float], float]:
+    """Return the CPU time in s of every function of the job, by file and name, and that of all."""
+    script = str(Path(__file__).parent / "stage_times.py")
+    with tempfile.TemporaryDirectory() as folder:
+        found = Path(folder) / "found.json"
+        process = subprocess.Popen(  # noqa: S603 - our own command
+            [sys.executable, script, str(found), *arguments, "--jobs", "1"],
+            stdout=subprocess.DEVNULL,
+            env={**_surroundings(tree), "IMUCAL_THREADS": "1"},
+            cwd=tree,
+        )
+        _, _, used = os.wait4(process.pid, 0)
+        every = json.loads(found.read_text(encoding="utf-8"))
+    return {(path, name): seconds for path, name, seconds in every}, used.ru_utime + used.ru_stime
+
+
+def repeats(arguments: list[str]) -> dict[tuple[str, str], int]:
+    """Return how often every function of the job is called, by file and name."""
     from imucal.cli import main as imucal
 
-    imucal(arguments)
-
-
-def stages(arguments: list[str]) -> dict[tuple[str, str], tuple[int, float]]:
-    """Return calls and CPU time in s of every function of the job, by file and name."""
-    profile = cProfile.Profile(time.process_time)
+    profile = cProfile.Profile()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
-        profile.runcall(_run, arguments)
-    found: dict[tuple[str, str], tuple[int, float]] = {}
-    for (path, _, name), (_, calls, _, total, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
-        before = found.get((path, name), (0, 0.0))
-        found[path, name] = (before[0] + calls, max(before[1], total))
-    return found
+        profile.runcall(imucal, [*arguments, "--jobs", "1"])
+    calls: Counter[tuple[str, str]] = Counter()
+    for (path, _, name), (_, count, _, _, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
+        calls[path, name] += count
+    return calls
 
 
-def _of(found: dict[tuple[str, str], tuple[int, float]], where: tuple[str, str]) -> tuple[int, float]:
-    """Return calls and CPU of a function; 0 of one that was not called."""
+def _of(found: Mapping[tuple[str, str], _Number], where: tuple[str, str]) -> _Number | None:
+    """Return what was found of a function; None of one that was not called."""
     file, function = where
-    return next(
-        (entry for (path, name), entry in found.items() if path.endswith(file) and name == function), (0, 0.0)
-    )
+    return next((n for (path, name), n in found.items() if path.endswith(file) and name == function), None)
 
 
 def compared(log: Path, folder: Path, versions: dict[str, tuple[str, str]], y: float) -> None:
@@ -151,16 +188,19 @@ def main() -> None:
         log = given.log or simulate(folder, given.hours, given.rate)
         print(f"{log.name}, y = {y:.2f} s, {threads()} processors\n")
         compared(log, folder / "out", versions, y)
-        # The profiler sees one thread.
-        found = stages([*job(log, folder / "out", pictures=True), "--jobs", "1"])
-    print("\n| stage, under the profiler | calls | CPU s | CPU / y | of all, % |\n|---|---|---|---|---|")
-    total = max(seconds for _, seconds in found.values())
+        asked = job(log, folder / "out", pictures=True)
+        tree = versions["this"][0]
+        stages(asked, tree)  # what comes first finds modules that are not compiled
+        runs = [stages(asked, tree) for _ in range(3)]
+        found, total = min(runs, key=lambda run: run[1])
+        calls = repeats(asked)
+    print(f"\n| stage of {total:.2f} s, one thread | CPU s | CPU / y | of all, % |\n|---|---|---|---|")
     for stage, where in STAGES.items():
-        calls, seconds = _of(found, where)
-        print(f"| {stage} | {calls} | {seconds:.2f} | {seconds / y:.2f} | {100 * seconds / total:.0f} |")
+        seconds = _of(found, where) or 0.0
+        print(f"| {stage} | {seconds:.2f} | {seconds / y:.3f} | {100 * seconds / total:.0f} |")
     print("\n| work that could be shared | times |\n|---|---|")
     for work, where in REPEATS.items():
-        print(f"| {work} | {_of(found, where)[0]} |")
+        print(f"| {work} | {_of(calls, where) or 0} |")
 
 
 if __name__ == "__main__":

@@ -195,8 +195,12 @@ def _lag_grid(mi: int, mj: int, low: int, high: int) -> IntArray:
     spread = _SPREAD[: np.searchsorted(_SPREAD, high - low, side="right")]
     offsets = np.concatenate([-spread, _NEAR, spread])
     kinks = np.unique([a * mi - b * mj for a in range(3) for b in range(3)])
+    about = kinks[:, np.newaxis] + offsets
+    # Up to half way to the next kink, whose own lags go on from there.
+    half = np.concatenate([[low], (kinks[1:] + kinks[:-1]) // 2, [high]])
+    own = (about >= half[:-1, np.newaxis]) & (about <= half[1:, np.newaxis])
     between = np.linspace(-2 * mj, 2 * mi, 129).astype(np.int64)
-    lags = np.concatenate([np.add.outer(kinks, offsets).ravel(), between, [low, high]])
+    lags = np.concatenate([about[own], between, [low, high]])
     return np.asarray(np.unique(lags[(lags >= low) & (lags <= high)]), dtype=np.int64)
 
 
