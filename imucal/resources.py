@@ -21,11 +21,9 @@ _COLUMNS = 500_000_000
 _SHARE = 4
 _SIZE = re.compile(r"(?P<number>\d+(?:\.\d*)?)\s*(?P<prefix>[kmgt]?)i?b?", re.IGNORECASE)
 _PREFIXES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
-#: What the libraries beneath read when they are loaded.
-POOLS = (
-    *("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS"),
-    *("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"),
-)
+#: What the libraries of matrices read when they are loaded, and all libraries beneath.
+MATRICES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+POOLS = ("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS", *MATRICES)
 
 
 def memory_limit() -> int:
@@ -126,6 +124,15 @@ def limit_pools() -> None:
     if text.isascii() and text.isdigit() and int(text):
         for name in POOLS:
             os.environ.setdefault(name, text)
+
+
+def single_matrix_thread() -> None:
+    """Let one thread multiply matrices, unless something else is set; before NumPy is loaded.
+
+    They are small here, and threads that wait for each other in a loop take a third more processor time.
+    """
+    for name in MATRICES:
+        os.environ.setdefault(name, "1")
 
 
 def _physical() -> int | None:

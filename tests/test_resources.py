@@ -155,6 +155,24 @@ def test_a_process_starts_no_more_threads(tmp_path: Path) -> None:
     assert done.stdout.strip() == "1"
 
 
+@pytest.mark.parametrize(("there", "threads_of_matrices"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
+def test_a_command_multiplies_matrices_by_one_thread(
+    there: dict[str, str], threads_of_matrices: str, tmp_path: Path
+) -> None:
+    """Before NumPy is loaded, which reads it then; what the user has set stays."""
+    code = (
+        "import sys, os; from imucal.cli import main; assert 'numpy' not in sys.modules\n"
+        "try: main(['--version'])\n"
+        "except SystemExit: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    clean = {name: value for name, value in os.environ.items() if not name.endswith("_THREADS")}
+    done = subprocess.run(  # noqa: S603 - our own interpreter
+        [sys.executable, "-c", code],
+        env={**clean, **there}, cwd=tmp_path, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.split()[-1] == threads_of_matrices
+
+
 def test_a_log_is_decoded_by_as_many_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One thread is the caller's own; a wrong number is an error of the call, exit code 2."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(600)))

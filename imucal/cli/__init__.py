@@ -14,6 +14,7 @@ import click
 from imucal.cli._lazy_group import LazyGroup
 from imucal.errors import ChoiceError, DataError, ImucalError, WriteError
 from imucal.printable import printable
+from imucal.resources import single_matrix_thread
 
 __all__ = ["COMMANDS", "main", "options_for"]
 
@@ -86,6 +87,7 @@ def imucal() -> None:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and end the process with its exit code."""
     _fill_streams()
+    single_matrix_thread()
     sys.exit(_run(arguments))
 
 

@@ -2,8 +2,9 @@
 
     python tests/benchmarks/bench_axis.py [--large] [--near 2160000]
 
-`--large` adds 1e8 samples. Each length runs in a process of its own; y is that of `bench_job`. Neighbours are
-n - 20 … n + 20 and the primes on either side; every one of them should take at most 1.2 times the median.
+`--large` adds 1e8 samples; one row is of a record in which 20 samples are missing. Each length runs in a
+process of its own; y is that of `bench_job`. Neighbours are n - 20 … n + 20 and the primes on either side;
+every one of them should take at most 1.2 times the median.
 """
 
 import argparse
@@ -37,9 +38,14 @@ def axis(n: int) -> AxisSeries:
     return AxisSeries.from_samples(np.random.default_rng(5).standard_normal(n), rate_hz=200.0)
 
 
-def measure(n: int) -> dict[str, float]:
+def measure(n: int, missing: int) -> dict[str, float]:
     """Return CPU in s and bytes a sample of a fit, beside what was there before."""
     series = axis(n)
+    if missing:
+        keep = np.ones(n, dtype=np.bool_)
+        keep[n // 3 : n // 3 + missing] = False
+        series = series.keeping(keep)
+        del keep
     imucal.fit(axis(20_000))
     before, highest, stop = resident(), 0, threading.Event()
 
@@ -58,9 +64,9 @@ def measure(n: int) -> dict[str, float]:
     return {"cpu": cpu, "bytes": max(highest - before, 0) / n}
 
 
-def alone(n: int) -> dict[str, float]:
+def alone(n: int, missing: int) -> dict[str, float]:
     """Measure in a process of its own."""
-    command = [sys.executable, "-m", "tests.benchmarks.bench_axis", "--one", str(n)]
+    command = [sys.executable, "-m", "tests.benchmarks.bench_axis", "--one", str(n), str(missing)]
     done = subprocess.run(command, check=True, capture_output=True, cwd=Path(__file__).parents[2])  # noqa: S603
     found: dict[str, float] = json.loads(done.stdout)
     return found
@@ -101,19 +107,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--large", action="store_true")
     parser.add_argument("--near", type=int, default=2_160_000)
-    parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--one", type=int, nargs=2, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.one:
-        print(json.dumps(measure(given.one)))
+        print(json.dumps(measure(*given.one)))
         return
     y = min(yardstick() for _ in range(2))
     print("| white samples | CPU s | CPU / y | ns a sample | bytes a sample beside them |")
     print("|---|---|---|---|---|")
-    for n in (10**6, 10**7, *([10**8] if given.large else [])):
-        best = min((alone(n) for _ in range(2)), key=lambda found: found["cpu"])
+    records = [(10**6, 0), (10**7, 0), (10**7, 20), *([(10**8, 0)] if given.large else [])]
+    for n, missing in records:
+        best = min((alone(n, missing) for _ in range(2)), key=lambda found: found["cpu"])
         cpu = best["cpu"]
         numbers = f"{cpu:.2f} | {cpu / y:.2f} | {1e9 * cpu / n:.0f} | {best['bytes']:.1f}"
-        print(f"| {n:.0e} | {numbers} |", flush=True)
+        name = f"{n:.0e}, {missing} missing" if missing else f"{n:.0e}"
+        print(f"| {name} | {numbers} |", flush=True)
     neighbours(given.near)
 
 
