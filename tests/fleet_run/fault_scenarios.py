@@ -72,9 +72,12 @@ def worker_killed(bench: Bench) -> str:
     return _same(bench, "worker", end)
 
 
-def worker_frozen(bench: Bench, *, timeout: str = "15") -> str:
-    """So that it does not answer any more: it is ended, and its batch done by another."""
-    run = bench.start("frozen", "--jobs", str(bench.jobs), "--timeout", timeout)
+def worker_frozen(bench: Bench) -> str:
+    """So that it does not answer any more: it is ended, and its batch done by another.
+
+    That takes one to two minutes, whatever the time of a log.
+    """
+    run = bench.start("frozen", "--jobs", str(bench.jobs))
     wait_until(lambda: bool(workers_of(run.pid)) or run.poll() is not None)
     workers_of(run.pid)[0].suspend()
     end = ended(run)
@@ -228,7 +231,8 @@ def _same(bench: Bench, name: str, last: Ended, *, first: Ended | None = None) -
     """Say that a store has every log once, with the undisturbed results."""
     assert last.code == 0, last.err
     differences = bench.differences(name, "whole")
-    assert differences == [], differences
+    statuses = bench.store(name).logs()["status"].value_counts().rows()
+    assert differences == [], (differences, statuses, last.err)
     logs = bench.store(name).logs()
     assert logs["path"].n_unique() == logs["key"].n_unique() == logs.height, logs
     codes = f"exit {first.code}, then {last.code}" if first else f"exit {last.code}"
