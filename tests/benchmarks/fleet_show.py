@@ -64,9 +64,9 @@ def told(text: str, lines: int) -> None:
     print("".join(f"  {line}\n" for line in text.splitlines()[:lines]), end="", flush=True)
 
 
-def show(folder: Path, *, logs: int, seconds: float) -> int:
+def show(folder: Path, *, logs: int, seconds: float, axes: int) -> int:
     """Go through all commands; return how many things were not as they should be."""
-    made = make_fleet(folder / "logs", logs=logs, seconds=seconds)
+    made = make_fleet(folder / "logs", logs=logs, seconds=seconds, axes=axes)
     print(f"{logs} logs of {seconds:g} s; broken: {dict(Counter(log.broken for log in made if log.broken))}")
     scene = Show(folder)
     dry = scene.type("fleet", "run", "logs", *LABELS, "--dry-run", code=0)
@@ -122,10 +122,11 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--logs", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--axes", type=int, choices=[1, 3], default=3, help="3 of each sensor, or one in all")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = (asked.folder or Path(scratch)).resolve()
-        wrong = show(folder, logs=asked.logs, seconds=asked.seconds)
+        wrong = show(folder, logs=asked.logs, seconds=asked.seconds, axes=asked.axes)
     print(f"{wrong} things were not as they should be")
     sys.exit(bool(wrong))
 

@@ -36,7 +36,7 @@ def process_of_a_log_killed(bench: Bench) -> str:
     """As by the system, where the machine has no memory left; the log is done again."""
     run = bench.start("child", *HERE)
     wait_until(lambda: bool(children_of(run.pid)))
-    time.sleep(1.0)
+    time.sleep(0.5)
     for child in children_of(run.pid):
         child.kill()
     end = ended(run)
@@ -72,9 +72,12 @@ def worker_killed(bench: Bench) -> str:
     return _same(bench, "worker", end)
 
 
-def worker_frozen(bench: Bench, *, timeout: str = "15") -> str:
-    """So that it does not answer any more: it is ended, and its batch done by another."""
-    run = bench.start("frozen", "--jobs", str(bench.jobs), "--timeout", timeout)
+def worker_frozen(bench: Bench) -> str:
+    """So that it does not answer any more: it is ended, and its batch done by another.
+
+    That takes one to two minutes, whatever the time of a log.
+    """
+    run = bench.start("frozen", "--jobs", str(bench.jobs))
     wait_until(lambda: bool(workers_of(run.pid)) or run.poll() is not None)
     workers_of(run.pid)[0].suspend()
     end = ended(run)
@@ -96,7 +99,11 @@ def log_without_end(bench: Bench) -> str:
 
 def log_without_measure(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
     """Of memory: it is named, and all others are done."""
-    shutil.copytree(bench.folder / "logs", bench.folder / "large")
+    # Two small ones beside it.
+    names = sorted(path.relative_to(bench.folder / "logs") for path in (bench.folder / "logs").rglob("*.npz"))
+    for name in names[:2]:
+        (bench.folder / "large" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(bench.folder / "logs" / name, bench.folder / "large" / name)
     huge_log(bench.folder / "large" / "huge.npz")
     end = bench.run("large-store", *arguments, "--memory", "310MB", logs="large")
     assert end.code == 0, end.err
@@ -104,8 +111,8 @@ def log_without_measure(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
     status = dict(zip(logs["path"], logs["status"], strict=True))
     assert status.pop("large/huge.npz") == "memory", end.err
     whole = bench.store("whole").logs()
-    expected = zip(whole["path"], whole["status"], strict=True)
-    assert status == {path.replace("logs/", "large/", 1): s for path, s in expected}
+    expected = dict(zip(whole["path"], whole["status"], strict=True))
+    assert status == {f"large/{name}": expected[f"logs/{name}"] for name in names[:2]}
     shutil.rmtree(bench.folder / "large")
     return f"exit {end.code}: memory, all others done"
 
@@ -131,13 +138,17 @@ def scheduler_killed(bench: Bench) -> str:
 
 def interrupted(bench: Bench, arguments: tuple[str, ...] = ("--jobs", "2")) -> str:
     """Ctrl-C goes to every process of a terminal: 130, no traceback, and the command that goes on."""
-    shutil.rmtree(bench.folder / "interrupted", ignore_errors=True)
-    run = bench.start("interrupted", *arguments)
-    bench.wait_for_parts("interrupted", run)
-    begun = time.monotonic()
-    os.killpg(run.pid, signal.SIGINT)
-    end = ended(run)
-    seconds = time.monotonic() - begun
+    for _ in range(3):
+        shutil.rmtree(bench.folder / "interrupted", ignore_errors=True)
+        run = bench.start("interrupted", *arguments)
+        bench.wait_for_parts("interrupted", run)
+        begun = time.monotonic()
+        os.killpg(run.pid, signal.SIGINT)
+        end = ended(run)
+        seconds = time.monotonic() - begun
+        # On a busy machine it may have been done before.
+        if end.code:
+            break
     assert end.code == 130, end.err
     assert "Traceback" not in end.err, end.err
     done = bench.store("interrupted").logs().height
@@ -220,7 +231,8 @@ def _same(bench: Bench, name: str, last: Ended, *, first: Ended | None = None) -
     """Say that a store has every log once, with the undisturbed results."""
     assert last.code == 0, last.err
     differences = bench.differences(name, "whole")
-    assert differences == [], differences
+    statuses = bench.store(name).logs()["status"].value_counts().rows()
+    assert differences == [], (differences, statuses, last.err)
     logs = bench.store(name).logs()
     assert logs["path"].n_unique() == logs["key"].n_unique() == logs.height, logs
     codes = f"exit {first.code}, then {last.code}" if first else f"exit {last.code}"
