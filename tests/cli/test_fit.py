@@ -159,3 +159,4 @@ def test_axes_fitted_at_a_time_change_nothing_in_the_report(tmp_path: Path) -> N
     assert (one.returncode, two.returncode, none.returncode) == (0, 0, 2)
     assert one.stdout == two.stdout != ""
     assert "--jobs" in none.stderr
+    assert run(*command[:-1], cwd=tmp_path).stdout == one.stdout
