@@ -55,6 +55,23 @@ def render_fleet_page(fleet: Fleet) -> str:
 
 def verdict(fleet: Fleet) -> tuple[str, str]:
     """Return the grade of a fleet and one sentence: which units are odd, and how many logs do not count."""
+    said, chance = _strange(fleet)
+    failed = sum(len(logs) for logs in fleet.failures.values())
+    if failed:
+        said.append(f"{failed} of {len(fleet.logs)} logs do not count")
+    if fleet.loose:
+        said.append(f"{len(fleet.loose)} logs have no unit's label")
+    few = [model.title for model in fleet.models if len(model.units) < 3]
+    if few:
+        said.append(f"{', '.join(few)}: too few units to tell a spread or a bound")
+    grade, text = ("look", "; ".join(said)) if said else ("good", "no unit is odd, and every log counts")
+    if chance:
+        text += f"; far off in one term of so many, perhaps by chance: {'; '.join(chance)}"
+    return grade, f"{text[0].upper()}{text[1:]}."
+
+
+def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:
+    """Return which units of each model are odd or move otherwise, and which may be odd by chance."""
     several = len(fleet.models) > 1
     sure = _beyond_chance(fleet)
     said: list[str] = []
@@ -68,18 +85,7 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
             chance.append(f"{title}{_listed(perhaps)}")
         if moving := [(unit, term) for term in model.terms for unit in term.drifting]:
             said.append(f"{title}moving with time or temperature as no other: {_listed(moving)}")
-    failed = sum(len(logs) for logs in fleet.failures.values())
-    if failed:
-        said.append(f"{failed} of {len(fleet.logs)} logs do not count")
-    if fleet.loose:
-        said.append(f"{len(fleet.loose)} logs have no unit's label")
-    few = [model.title for model in fleet.models if len(model.units) < 3]
-    if few:
-        said.append(f"{', '.join(few)}: too few units to tell a spread or a bound")
-    grade, text = ("look", "; ".join(said)) if said else ("good", "no unit is odd, and every log counts")
-    if chance:
-        text += f"; far off in one term of so many, perhaps by chance: {'; '.join(chance)}"
-    return grade, f"{text[0].upper()}{text[1:]}."
+    return said, chance
 
 
 def _beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:

@@ -216,9 +216,9 @@ def unit_logs_table(model: SensorModel) -> Markup:
     titles = ("units with several logs", "logs differ in", "of which")
     body = []
     for term in model.terms:
-        if not term.unit_logs:
-            continue
         differing = [unit for unit in term.unit_logs if unit.differs]
+        if not differing:
+            continue
         said = join(
             element(
                 "li",
@@ -227,8 +227,15 @@ def unit_logs_table(model: SensorModel) -> Markup:
             )
             for unit in differing
         )
-        cells = (str(len(term.unit_logs)), str(len(differing)), element("ul", said) if differing else "–")
+        cells = (str(len(term.unit_logs)), str(len(differing)), element("ul", said))
         body.append(row(element("th", f"{term.name} {term.term}", scope="row"), *labelled(titles, cells)))
+    if not body:
+        units = {unit.unit for term in model.terms for unit in term.unit_logs}
+        text = (
+            f"{model.title}: the logs of each of {len(units)} units agree with one coefficient a term; all "
+            "tests are judged together."
+        )
+        return element("p", text)
     head = [row(*(element("th", title, scope="col") for title in ("", *titles)))]
     caption = f"{model.title}: have the logs of a unit one coefficient?"
     return table(caption, head, body, class_="wide cards")

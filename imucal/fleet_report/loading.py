@@ -6,9 +6,12 @@ from dataclasses import fields, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from imucal._version import __version__
 from imucal.errors import DataError
 from imucal.fleet.log_value import LogValue
+from imucal.fleet.outliers import FALSE_SHARE, adjusted
 from imucal.fleet.population import population
 from imucal.fleet.store import FleetStore
 from imucal.fleet.trend import Trend, adjust, trend
@@ -109,15 +112,20 @@ def _model(name: str, logs: tuple[FleetLog, ...], terms: Sequence[FleetTerm]) ->
 
 
 def _judged_together(models: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
-    """Return models whose trends were looked at in all terms: what moves by chance in one of many is none."""
-    moved = iter(adjust([term.trend for model in models for term in model.terms if term.trend]))
-    return tuple(
-        replace(
-            model,
-            terms=tuple(replace(term, trend=next(moved)) if term.trend else term for term in model.terms),
+    """Return models judged over all of their terms: what is rare in one of many terms is none of these."""
+    every = [term for model in models for term in model.terms]
+    moved = iter(adjust([term.trend for term in every if term.trend]))
+    tests = [test for term in every for test in term.unit_logs]
+    chances = iter(adjusted(np.array([test.p_value for test in tests])).tolist())
+
+    def judged(term: FleetTerm) -> FleetTerm:
+        return replace(
+            term,
+            trend=next(moved) if term.trend else None,
+            unit_logs=tuple(replace(test, differs=next(chances) <= FALSE_SHARE) for test in term.unit_logs),
         )
-        for model in models
-    )
+
+    return tuple(replace(model, terms=tuple(map(judged, model.terms))) for model in models)
 
 
 def _log(row: Row) -> FleetLog:

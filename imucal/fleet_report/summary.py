@@ -53,8 +53,10 @@ class FleetLog:
 class UnitLogs:
     """Several logs of one unit, of one term: whether they have one coefficient.
 
-    `value`, `low` and `high` are those of the joint fit, widened where the logs differ; None where the term
-    is only bounded. `spread` is the relative deviation between logs beyond chance, 0 where they agree.
+    `p_value` is of this test alone, `differs` is judged over all units and terms of the fleet (Benjamini &
+    Hochberg 1995). `value`, `low` and `high` are those of the joint fit, widened where the logs differ; None
+    where the term is only bounded. `spread` is the relative deviation between logs beyond chance, 0 where
+    they agree.
     """
 
     unit: str

@@ -1,7 +1,7 @@
 """What bins say of records of one unit: coverage of pooled limits, false alarms, and weak squares.
 
-``python -m tests.benchmarks.pooled_records [pools] [records] [samples]`` prints, for a strong and a weak
-walk, how often pooled limits hold the truth and records of one coefficient are found to differ; and the
+``python -m tests.benchmarks.pooled_records [pools] [records] [samples] [seed]`` prints, for a strong and a
+weak walk, how often pooled limits hold the truth and records of one coefficient are found to differ; and the
 mean and scatter of the squared coefficient of single logs against its standard deviation.
 """
 
@@ -16,7 +16,7 @@ from tests.fleet.records import bins_from, quick_fit, simulated
 TRUTHS = ({"N": 1e-3, "B": 2e-4, "K": 2e-5}, {"N": 1e-3, "B": 2e-4, "K": 2e-4})
 
 
-def main(pools: int = 100, records: int = 3, samples: int = 100_000) -> None:
+def main(pools: int = 100, records: int = 3, samples: int = 100_000, seed: int = 4711) -> None:
     """Print both tables."""
     bins = bins_from(simulated("N=1", samples, 0))
     arrays = ("n", "start", "first", "size", "power", "cross", "gram")
@@ -26,7 +26,7 @@ def main(pools: int = 100, records: int = 3, samples: int = 100_000) -> None:
         held, alarms, seconds = [], [], 0.0
         squares: dict[str, list[tuple[float, float]]] = {key: [] for key in truth}
         for i in range(pools):
-            fits = [quick_fit(simulated(text, samples, 4711, number, i, j)) for j in range(records)]
+            fits = [quick_fit(simulated(text, samples, seed, number, i, j)) for j in range(records)]
             start = time.process_time()
             pooled = imucal.pool(fits)
             seconds += time.process_time() - start

@@ -515,3 +515,17 @@ def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
     assert axis.fit["K"].status == "bounded"
     (axis,) = [axis for axis in imucal.fleet_as_report(fleet).axes if axis.name == "gyro_y"]
     assert axis.fit["K"].value == term.population.tolerance
+
+
+def test_logs_of_units_are_judged_over_all_units_and_terms(tmp_path: Path) -> None:
+    """Six units without a difference but for the last: what is rare in one of many tests is not named."""
+    from imucal.fleet.outliers import adjusted
+
+    write_store(tmp_path, units=6, temperatures=(25.0, 25.0), special=False, failures=False, weak="", bins=6)
+    fleet = imucal.load_fleet(tmp_path)
+    tests = [test for term in fleet.model().terms for test in term.unit_logs]
+    assert len(tests) == 18
+    p_values = adjusted(np.array([test.p_value for test in tests]))
+    assert [test.differs for test in tests] == (p_values <= 0.05).tolist()
+    assert {test.unit for test in tests if test.differs} == {"u05"}
+    assert "u05 by" in render_fleet_page(fleet)
