@@ -199,7 +199,10 @@ def command(
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
     missing: list[Finding] = []
     if not no_report:
-        for path in write_report(report, folder, formats=formats, html=not no_html, tell=missing.append):
+        files = write_report(
+            report, folder, formats=formats, html=not no_html, tell=missing.append, workers=jobs
+        )
+        for path in files:
             say(str(path), quiet=request.quiet)
         print_findings(missing, quiet=request.quiet)
         if report.verdict.usable:

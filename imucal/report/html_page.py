@@ -6,8 +6,8 @@ page carries deflated: two megabytes instead of five.
 
 import base64
 import zlib
-from functools import cache, partial
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from functools import cache
 
 from imucal.report import numbers
 from imucal.report.figure import axis_figure, axis_title, render_small
@@ -24,24 +24,24 @@ from imucal.report.sheet_units import sheet_units
 from imucal.side_work import try_side_work
 from imucal.units import DatasheetUnit, duration, pretty
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
-    from matplotlib.figure import Figure
-
-
-def render_page(report: Report, *, picture: "Callable[[AxisReport], Figure] | None" = None) -> str:
+def render_page(report: Report, *, pictures: Mapping[str, bytes] | None = None) -> str:
     """Return the page; the same report always gives the same text.
 
-    `picture` gives an axis's figure where it is drawn already: pages show it where scripts are off.
+    `pictures` has those of the axes (`render_small`), by name, that are drawn already: pages show them where
+    scripts are off.
     """
-    drawn = picture or partial(axis_figure, report)
+    drawn = pictures or {}
     sections = [
         ("summary", "Summary", summary_section(report)),
         ("findings", "Findings", findings_section(report)),
         ("downstream", "Which number goes where", downstream_section(report)),
         *(
-            (axis.name, axis_title(axis), join([_static(axis, drawn), _axis_section(report, axis)]))
+            (
+                axis.name,
+                axis_title(axis),
+                join([_static(report, axis, drawn.get(axis.name)), _axis_section(report, axis)]),
+            )
             for axis in report.axes
         ),
         ("terms", "What the terms mean", glossary_section()),
@@ -132,11 +132,14 @@ def _moments(axis: AxisReport, unit: DatasheetUnit) -> str:
     return f"mean {mean:.6g} {name}, standard deviation {std:.4g} {name}"
 
 
-def _static(axis: AxisReport, drawn: "Callable[[AxisReport], Figure]") -> Markup:
+def _static(report: Report, axis: AxisReport, drawn: bytes | None) -> Markup:
     """Return the picture of an axis that stands in for its plots where scripts are off."""
     where = axis_title(axis).lower()
     picture, failed = try_side_work(
-        lambda: render_small(drawn(axis)), None, what=f"The picture of {where} is missing", code="not-drawn"
+        lambda: drawn or render_small(axis_figure(report, axis)),
+        None,
+        what=f"The picture of {where} is missing",
+        code="not-drawn",
     )
     if picture is None:
         return element("noscript", *(element("p", finding.text, class_="notice") for finding in failed))

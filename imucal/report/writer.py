@@ -13,11 +13,11 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imucal.atomic import sync_folder
 from imucal.errors import WriteError
@@ -27,6 +27,9 @@ from imucal.report.document import axis_document, to_document
 from imucal.report.json_file import dumps
 from imucal.report.result import AxisReport, Report
 from imucal.side_work import try_side_work
+
+if TYPE_CHECKING:
+    from imucal.report.drawings import Drawings
 
 _REPORT = "report.json"
 #: Files this module writes, in any version and with any settings.
@@ -45,6 +48,7 @@ def write_report(
     formats: Sequence[str] = ("png",),
     html: bool = True,
     tell: Callable[[Finding], None] | None = None,
+    workers: int | None = None,
 ) -> tuple[Path, ...]:
     """Write the report folder `out`; return its files, report.json first.
 
@@ -60,6 +64,8 @@ def write_report(
         Whether to write the page.
     tell
         Called with the finding of each picture or page that was left out.
+    workers
+        Most pictures that are drawn at a time, as in `imucal.characterize`.
 
     Raises
     ------
@@ -69,13 +75,21 @@ def write_report(
         If a format is unknown.
     """
     out = Path(out)
-    renderers = _renderers(report, formats, html=html)
+    from imucal.report.drawings import draw, picture_names
+    from imucal.report.figure import FORMATS
+
+    unknown = [form for form in formats if form not in FORMATS]
+    if unknown:
+        msg = f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}"
+        raise ValueError(msg)
+    names = _names(report, picture_names(report, formats), html=html)
     with _translated(out):
-        _refuse_foreign(out, tuple(renderers))
+        _refuse_foreign(out, names)
         with _scratch(out) as scratch:
-            left_out = _write_all(report, renderers, scratch, tell or (lambda _: None))
+            drawings = draw(report, formats, small=html, workers=workers)
+            written = _write_all(report, drawings, names, scratch, tell or (lambda _: None))
             sync_folder(scratch)
-            names = tuple(name for name in renderers if name not in left_out)
+            names = tuple(name for name in names if name in written)
             _publish(scratch, out, names)
     return tuple(out / name for name in names)
 
@@ -98,62 +112,49 @@ def check_folder(out: Path) -> None:
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
-def _renderers(report: Report, formats: Sequence[str], *, html: bool) -> dict[str, Callable[[Report], bytes]]:
-    """Return what makes each file of a report, in the order in which they take their places."""
-    from imucal.report.figure import FORMATS, axis_figure, render, sensor_figure
-
-    unknown = [form for form in formats if form not in FORMATS]
-    if unknown:
-        msg = f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}"
-        raise ValueError(msg)
-    # One drawing of an axis serves the page and every format.
-    drawn = cache(axis_figure)
-
-    def picture(axis: AxisReport, form: str, told: Report) -> bytes:
-        return render(drawn(told, axis), form, version=told.version)
-
-    def overview(sensor: Sensor, form: str, told: Report) -> bytes:
-        return render(sensor_figure(told, sensor), form, version=told.version)
-
-    made: dict[str, Callable[[Report], bytes]] = {_REPORT: lambda told: dumps(to_document(told)).encode()}
-    if html:
-        from imucal.report.html_page import render_page
-
-        made["report.html"] = lambda told: render_page(told, picture=partial(drawn, told)).encode()
-    for axis in report.axes:
-        made[f"{axis.name}.json"] = partial(_axis_json, axis)
-        for form in formats:
-            made[f"{axis.name}.{form}"] = partial(picture, axis, form)
-    for sensor in Sensor:
-        if any(axis.sensor is sensor for axis in report.axes):
-            for form in formats:
-                made[f"{sensor.short}.{form}"] = partial(overview, sensor, form)
-    return made
+def _names(report: Report, pictures: Sequence[str], *, html: bool) -> tuple[str, ...]:
+    """Return the files of a report in the order in which they take their places."""
+    stems = [*(axis.name for axis in report.axes), *(sensor.short for sensor in Sensor)]
+    names = [_REPORT, *(["report.html"] if html else [])]
+    for stem in stems:
+        names += [f"{stem}.json"] if stem in {axis.name for axis in report.axes} else []
+        names += [name for name in pictures if name.rpartition(".")[0] == stem]
+    return tuple(names)
 
 
 def _write_all(
     report: Report,
-    renderers: Mapping[str, Callable[[Report], bytes]],
+    drawings: "Drawings",
+    names: Sequence[str],
     scratch: Path,
     tell: Callable[[Finding], None],
 ) -> set[str]:
-    """Write each file, pictures first, so that page and JSON say which are missing; return those."""
-    left_out = set()
-    for name in sorted(renderers, key=lambda name: (name.endswith(".json"), name.endswith(".html"))):
-        if name.endswith(".json"):
-            _write(scratch / name, renderers[name](report))
-            continue
-        content, failed = try_side_work(
-            partial(renderers[name], report), None, what=f"{name} was left out", code="not-drawn"
+    """Write each file, pictures first, so that page and JSON say which are missing; return those written."""
+    for name, content in drawings.files.items():
+        _write(scratch / name, content)
+    written = set(drawings.files)
+    failures = tuple(drawings.failures)
+    report = replace(report, findings=report.findings + failures)
+    if "report.html" in names:
+        from imucal.report import html_page
+
+        page, failed = try_side_work(
+            lambda: html_page.render_page(report, pictures=drawings.small).encode(),
+            None,
+            what="report.html was left out",
+            code="not-drawn",
         )
-        if content is not None:
-            _write(scratch / name, content)
-            continue
-        left_out.add(name)
+        if page is not None:
+            _write(scratch / "report.html", page)
+            written.add("report.html")
         report = replace(report, findings=report.findings + failed)
-        for finding in failed:
-            tell(finding)
-    return left_out
+        failures += failed
+    _write(scratch / _REPORT, dumps(to_document(report)).encode())
+    for axis in report.axes:
+        _write(scratch / f"{axis.name}.json", _axis_json(axis, report))
+    for failure in failures:
+        tell(failure)
+    return written | {_REPORT, *(f"{axis.name}.json" for axis in report.axes)}
 
 
 def _axis_json(axis: AxisReport, report: Report) -> bytes:

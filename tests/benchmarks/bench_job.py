@@ -29,6 +29,7 @@ from typing import TypeVar
 import numpy as np
 
 from imucal.resources import threads
+from tests.benchmarks.process_memory import memory_of_family
 
 _Number = TypeVar("_Number", int, float)
 
@@ -91,21 +92,36 @@ def job(log: Path, folder: Path, *, pictures: bool) -> list[str]:
     return ["fit", str(log), "--json", "-q", *(["-o", str(folder)] if pictures else ["--no-report"])]
 
 
-def measured(arguments: list[str], version: tuple[str, str]) -> tuple[float, float, float]:
-    """Run the job of a version in a process of its own; return CPU s, wall s, and peak in MB."""
-    tree, python = version
+def measured(arguments: list[str], version: tuple[str, str]) -> tuple[float, float]:
+    """Run the job of a version in a process of its own; return CPU s and wall s."""
     start = time.perf_counter()
-    command = [python, "-m", "imucal", *arguments]
-    surroundings = _surroundings(tree)
-    # In its own folder: Python looks where it was started first, and would find this version there.
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=surroundings, cwd=tree)  # noqa: S603
+    process = _started(arguments, version)
     _, status, used = os.wait4(process.pid, 0)
     wall = time.perf_counter() - start
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         msg = f"imucal {' '.join(arguments)}: exit code {process.returncode}, expected 0"
         raise RuntimeError(msg)
-    return used.ru_utime + used.ru_stime, wall, used.ru_maxrss / 1024
+    return used.ru_utime + used.ru_stime, wall
+
+
+def peak(arguments: list[str], version: tuple[str, str]) -> float:
+    """Return the most memory that the job's processes have together, in MB, seen every 20 ms."""
+    process = _started(arguments, version)
+    most = 0
+    while process.poll() is None:
+        most = max(most, memory_of_family(process.pid)[0])
+        time.sleep(0.02)
+    return most / 1e6
+
+
+def _started(arguments: list[str], version: tuple[str, str]) -> "subprocess.Popen[bytes]":
+    tree, python = version
+    command = [python, "-m", "imucal", *arguments]
+    # In its own folder: Python looks where it was started first, and would find this version there.
+    return subprocess.Popen(  # noqa: S603 - our own command
+        command, stdout=subprocess.DEVNULL, env=_surroundings(tree), cwd=tree
+    )
 
 
 @cache
@@ -166,9 +182,11 @@ def compared(log: Path, folder: Path, versions: dict[str, tuple[str, str]], y: f
             for name, version in versions.items():
                 runs[name].append(measured(arguments, version))
         for name, found in runs.items():
-            cpu, wall, peak = min(found)
+            cpu, wall = min(found)
+            memory = peak(arguments, versions[name])
             print(
-                f"| {what} | {name} | {cpu:.2f} | {cpu / y:.2f} | {wall / cpu:.2f} | {peak:.0f} |", flush=True
+                f"| {what} | {name} | {cpu:.2f} | {cpu / y:.2f} | {wall / cpu:.2f} | {memory:.0f} |",
+                flush=True,
             )
 
 

@@ -18,7 +18,6 @@ at most was their own memory and lay in no file.
 """
 
 import argparse
-import contextlib
 import gzip
 import os
 import subprocess
@@ -31,6 +30,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+
+from tests.benchmarks.process_memory import memory_of_family
 
 #: Rows of the block that is repeated: as many as a counter of 8 bits tells apart.
 BLOCK = 256
@@ -177,34 +178,13 @@ def measured(arguments: list[str], limit: str | None) -> tuple[int, float, float
         done, status, used = os.wait4(process.pid, os.WNOHANG)
         if done:
             break
-        held = [_memory(one) for one in _family(process.pid)]
-        most = max(most, sum(whole for whole, _ in held))
-        own = max(own, sum(anonymous for _, anonymous in held))
+        whole, anonymous = memory_of_family(process.pid)
+        most, own = max(most, whole), max(own, anonymous)
         time.sleep(0.02)
     process.returncode = os.waitstatus_to_exitcode(status)
     wall = time.perf_counter() - start
     cpu = used.ru_utime + used.ru_stime
     return process.returncode, cpu, wall, most / 1e6, own / 1e6
-
-
-def _family(process: int) -> list[int]:
-    """Return a process, its children and theirs, as far as they are there."""
-    found = [process]
-    for one in found:
-        with contextlib.suppress(OSError):
-            for task in Path(f"/proc/{one}/task").iterdir():
-                found += map(int, (task / "children").read_text(encoding="ascii").split())
-    return found
-
-
-def _memory(process: int) -> tuple[int, int]:
-    """Return the bytes of a process, its share of what it shares, and those of them in no file."""
-    try:
-        text = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii")
-    except OSError:
-        return 0, 0
-    sizes = {line.split(":")[0]: line.split()[1] for line in text.splitlines()[1:]}
-    return 1024 * int(sizes.get("Pss", 0)), 1024 * int(sizes.get("Pss_Anon", 0))
 
 
 def main() -> None:

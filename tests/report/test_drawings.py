@@ -1,0 +1,76 @@
+"""Pictures drawn side by side: the same files, and the same sentences where one fails."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from imucal.recording import Sensor
+from imucal.report import drawings, figure
+from imucal.report.drawings import draw, picture_names
+from imucal.report.result import AxisReport, Report
+from imucal.report.writer import write_report
+from tests.report.synthetic import consumer_report, small_report
+
+
+def _two_axes() -> Report:
+    report = consumer_report()
+    return replace(report, axes=report.axes[2:4])
+
+
+def test_the_number_at_a_time_changes_nothing(tmp_path: Path) -> None:
+    """Every file of a report, to the byte."""
+    one = write_report(_two_axes(), tmp_path / "one", workers=1)
+    two = write_report(_two_axes(), tmp_path / "two", workers=2)
+    assert [path.name for path in one] == [path.name for path in two]
+    assert all(a.read_bytes() == b.read_bytes() for a, b in zip(one, two, strict=True))
+
+
+def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Two at a time where two are asked for; their results come in the order of the files."""
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    work = drawings._drawn
+
+    def marked(*arguments: object, **named: object) -> object:
+        (marks / str(os.getpid())).touch()
+        return work(*arguments, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(drawings, "_drawn", marked)
+    monkeypatch.setattr("imucal.parallel.may_fork", lambda: True)
+    report = _two_axes()
+    found = draw(report, ("png",), small=True, workers=2)
+    assert 1 <= len(list(marks.iterdir())) <= 2
+    assert str(os.getpid()) not in {mark.name for mark in marks.iterdir()}
+    assert tuple(found.files) == picture_names(report, ("png",))
+    assert tuple(found.small) == tuple(axis.name for axis in report.axes)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_picture_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
+    """Of every format it would have had; the others are there."""
+    monkeypatch.delenv("IMUCAL_DEBUG", raising=False)
+    whole = figure.axis_figure
+
+    def fails(report: Report, axis: AxisReport) -> object:
+        if axis.sensor is Sensor.GYROSCOPE:
+            raise ArithmeticError
+        return whole(report, axis)
+
+    monkeypatch.setattr(figure, "axis_figure", fails)
+    report = _two_axes()
+    found = draw(report, ("png", "svg"), small=True, workers=workers)
+    missing = {f"{axis.name}.{form}" for axis in report.axes[:1] for form in ("png", "svg")}
+    assert set(picture_names(report, ("png", "svg"))) - set(found.files) == missing
+    assert [finding.text.split()[0] for finding in found.failures] == sorted(missing)
+    assert set(found.small) == {report.axes[1].name}
+
+
+def test_no_formats_and_no_page_draw_nothing() -> None:
+    """Nor is anything drawn that nobody asked for."""
+    assert draw(small_report(), (), small=False).files == {}
+    assert picture_names(small_report(), ()) == ()
+    only_small = draw(small_report(), (), small=True)
+    assert only_small.files == {}
+    assert set(only_small.small) == {axis.name for axis in small_report().axes}
