@@ -107,15 +107,26 @@ def _enter_and_work(task: LogTask, settings: FleetSettings) -> LogRows:
 
 def _child(settings: FleetSettings) -> ChildProcess:
     """Return the child of this thread; a forked process gets one of its own."""
-    known: dict[tuple[int, int], ChildProcess] = _children.__dict__.setdefault("known", {})
+    known = _known()
     which = (os.getpid(), settings.memory)
     if which not in known:
-        for other in known.values():
-            other.end()
-        known.clear()
+        end_child()
         known[which] = ChildProcess(environment=_environment(settings), counted="data")
         atexit.register(known[which].end)
     return known[which]
+
+
+def end_child() -> None:
+    """End this thread's child: what comes later may have another environment, such as other credentials."""
+    known = _known()
+    for child in known.values():
+        child.end()
+    known.clear()
+
+
+def _known() -> dict[tuple[int, int], ChildProcess]:
+    known: dict[tuple[int, int], ChildProcess] = _children.__dict__.setdefault("known", {})
+    return known
 
 
 def _environment(settings: FleetSettings) -> dict[str, str | None]:

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from imucal.readers.compression import crc32
+
 #: Bytes at the beginning and at the end of a file that make its edge.
 _EDGE = 1 << 16
 #: Bytes read at once.
@@ -72,7 +74,7 @@ def _part(file: Path, start: int, stop: int) -> bytes:
 
 
 def content_of(path: Path) -> str:
-    """Return a checksum of the content of a log's files: the first half of a SHA-256.
+    """Return a checksum of the content of a log's files: BLAKE2b of their sizes and of each block's CRC-32.
 
     Raises
     ------
@@ -81,16 +83,17 @@ def content_of(path: Path) -> str:
 
     Notes
     -----
-    Processors have instructions for SHA-256: it takes half the time of BLAKE2b, which was 5 % of that of
-    an uncompressed log.
+    It tells logs apart and guards against nobody: a CRC runs at the speed of memory, while a checksum
+    against forgers of all bytes took 3 to 5 % of the time of an uncompressed log.
     """
-    machine = hashlib.sha256()
+    machine = hashlib.blake2b(digest_size=16)
+    block = memoryview(bytearray(_BLOCK))
     for file in _files(path):
         with file.open("rb", buffering=0) as stream:
             machine.update(file.stat().st_size.to_bytes(8, "little"))
-            while block := stream.read(_BLOCK):
-                machine.update(block)
-    return machine.hexdigest()[:32]
+            while count := stream.readinto(block):
+                machine.update(crc32(block[:count]).to_bytes(4, "little"))
+    return machine.hexdigest()
 
 
 def _files(path: Path) -> Iterator[Path]:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 
-from imucal.fleet_run.batch_work import commit, done_of, failure, work_on_batch
+from imucal.fleet_run.batch_work import commit, done_of, end_child, failure, work_on_batch
 from imucal.fleet_run.dask_cluster import Engine
 from imucal.fleet_run.dask_engine import Lost, outcomes
 from imucal.fleet_run.fleet_plan import FleetPlan, batches
@@ -131,8 +131,11 @@ def _given_up(batch: list[LogTask], lost: Lost, settings: FleetSettings) -> list
 def _here(
     take: Callable[[], list[LogTask] | None], work: Callable[[list[LogTask]], list[LogDone]]
 ) -> Iterator[tuple[list[LogTask], list[LogDone] | Lost]]:
-    while (batch := take()) is not None:
-        yield batch, work(batch)
+    try:
+        while (batch := take()) is not None:
+            yield batch, work(batch)
+    finally:
+        end_child()
 
 
 def _patience(settings: FleetSettings, batch: list[LogTask]) -> float:
