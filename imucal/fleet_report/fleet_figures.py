@@ -111,12 +111,14 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
     for place, (name, key) in zip(axes, keys, strict=False):
         own = [(m, t) for m in models for t in m.terms if (t.name, t.term) == (name, key)]
         unit = sheet_unit(own[0][1])
-        for i, (_, term) in enumerate(own):
-            _draw_strip(place, term, i)
         spans = [span(term) for _, term in own]
+        lowest = min(s[0] for s in spans)
+        for i, (_, term) in enumerate(own):
+            # In one unit, whatever is usual for so small a value.
+            _draw_strip(place, term, i, factor=unit.factor, lowest=lowest)
         place.set_yticks(range(len(own)), [model.title for model, _ in own], fontsize=SMALL_SIZE, color=INK)
         _style(place, f"{key} in {pretty(unit.name)}", f"{name} {key}")
-        _log_ticks(place, min(s[0] for s in spans) * unit.factor, max(s[1] for s in spans) * unit.factor)
+        _log_ticks(place, lowest * unit.factor, max(s[1] for s in spans) * unit.factor)
         place.set_ylim(len(own) - 0.4, -0.6)
     for place in axes[len(keys) :]:
         place.set_visible(False)
@@ -124,11 +126,11 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
     return figure
 
 
-def _draw_strip(axes: "Axes", term: FleetTerm, row: int) -> None:
+def _draw_strip(axes: "Axes", term: FleetTerm, row: int, *, factor: float, lowest: float) -> None:
     """Draw the units of one model as a row: a dot each, the median and the next unit's band."""
-    found, factor = term.population, sheet_unit(term).factor
+    found = term.population
     if found.prediction:
-        low, high = (max(limit, span(term)[0]) * factor for limit in found.prediction)
+        low, high = (max(limit, lowest) * factor for limit in found.prediction)
         axes.barh(row, high - low, left=low, height=0.7, color=MODEL.light, alpha=0.13)
     if not found.bounded:
         middle = found.median.value * factor

@@ -28,6 +28,7 @@ from imucal.fleet_report.fleet_tables import heat_table
 from imucal.fleet_report.loading import labels_to_type
 from imucal.fleet_report.panels import unit_panel
 from imucal.fleet_report.sample_size import NEAR, tolerance_excess
+from imucal.fleet_report.summary import FleetTerm
 from imucal.recording import Sensor
 from tests.fleet_report.simulated_store import TERMS, write_store
 from tests.report.browser import Browser
@@ -416,6 +417,39 @@ def test_pictures_are_drawn(fleet: Fleet) -> None:
     assert "u11" in texts
     other = replace(model, name="BOLT-9")
     assert len(models_figure((model, other)).axes) == 18
+
+
+def test_models_side_by_side_are_in_one_unit(fleet: Fleet) -> None:
+    """Of a bias in µg and one in mg every unit is drawn, where it lies."""
+    model = fleet.model()
+    other = replace(model, name="BOLT-9", terms=tuple(_larger(term, 1000.0) for term in model.terms))
+    axes = next(a for a in models_figure((model, other)).axes if a.get_title(loc="left") == "accel_x B")
+    assert axes.get_xlabel() == "B in µg"
+    low, high = axes.get_xlim()
+    marks = [float(line.get_xdata()[0]) for line in axes.lines if line.get_marker() != "None"]  # type: ignore[index, arg-type]
+    assert len(marks) == 2 * len(model.units)
+    assert all(low <= mark <= high for mark in marks)
+    assert np.array(marks[len(model.units) :]) == pytest.approx(1000 * np.array(marks[: len(model.units)]))
+
+
+def _larger(term: FleetTerm, factor: float) -> FleetTerm:
+    """Return a term whose units have other coefficients."""
+    found = term.population
+    units = tuple(
+        replace(
+            unit, value=unit.value and factor * unit.value, low=factor * unit.low, high=factor * unit.high
+        )
+        for unit in found.units
+    )
+    middle = found.median
+    median = replace(middle, value=factor * middle.value, low=factor * middle.low, high=factor * middle.high)
+    low, high = found.prediction or (0.0, 0.0)
+    tolerance = factor * (found.tolerance or 0.0)
+    prediction = (factor * low, factor * high)
+    return replace(
+        term,
+        population=replace(found, units=units, median=median, prediction=prediction, tolerance=tolerance),
+    )
 
 
 def test_two_models_stand_side_by_side(fleet: Fleet) -> None:
