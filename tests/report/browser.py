@@ -29,7 +29,7 @@ _ARGUMENTS = (
     "--window-size=1280,1000",
 )
 _KEYS = {"right": "\ue014", "left": "\ue012"}
-_PATIENCE_S = 30.0
+_PATIENCE_S = 60.0
 
 
 def require_chromium() -> tuple[str, str]:

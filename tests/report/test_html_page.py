@@ -359,8 +359,11 @@ def _load(browser: Browser, address: str) -> None:
 
 
 def _show(browser: Browser, plot: str) -> None:
-    browser.run("document.getElementById(arguments[0]).scrollIntoView({block: 'center'})", plot)
-    browser.wait(f"return document.querySelector('#{plot} .main-svg') !== null")
+    # At every look: plots that are drawn above it meanwhile may push it out of sight again.
+    browser.wait(
+        f"document.getElementById('{plot}').scrollIntoView({{block: 'center'}});"
+        f"return document.querySelector('#{plot} .main-svg') !== null"
+    )
 
 
 def test_every_plot_is_drawn_without_an_error_or_a_request(browser: Browser, address: str) -> None:
