@@ -42,7 +42,7 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
     say(f"{number_of_logs(len(plan.tasks))}, {size / 1e6:.4g} MB, about {minutes:.2g} min on {by}")
 
 
-def say_plan(plan: "FleetPlan", *, quiet: bool) -> None:
+def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
     """Say what is to be done, what stands twice, and what labels would bring."""
     size = sum(task.size for task in plan.tasks)
     parts = [f"{number_of_logs(len(plan.tasks))} to do, {size / 1e6:.4g} MB"]
@@ -52,7 +52,8 @@ def say_plan(plan: "FleetPlan", *, quiet: bool) -> None:
     say("; ".join(parts), quiet=quiet)
     for path, other in plan.copies.items():
         say(f"  {path}: same content as {other}", quiet=quiet)
-    if not any(entry.labels.get("unit") for entry in plan.entries):
+    # Labels that the store has stay where a run gives none.
+    if not any(entry.labels.get("unit") for entry in plan.entries) and not store.logs()["unit"].count():
         example = "--labels '{model}/{unit}/*.mcap'"
         say(
             f"No log has a label unit: logs stand one by one; say which units they are: {example}",

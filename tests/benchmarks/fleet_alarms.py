@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import imucal
+from imucal.fitting.spectral.bin_fit import fit_bins
+from imucal.fitting.spectral.record_tests import record_tests
 from imucal.fleet.outliers import FALSE_SHARE, adjusted
-from tests.fleet.records import quick_fit, simulated
+from tests.fleet.records import bins_from, simulated
 
 #: Relative spread of N, B and K between units.
 SPREADS = {"N": 0.1, "B": 0.2, "K": 0.3}
@@ -36,12 +37,12 @@ class Size:
 
 def p_values(size: Size, truth: dict[str, float], seed: Sequence[int], *, last: float) -> list[float]:
     """Return the p-values of a unit's terms; the last of its logs has `last` times its N."""
-    fits = []
+    every = []
     for log in range(size.logs):
         own = truth | {"N": truth["N"] * (last if log == size.logs - 1 else 1.0)}
         text = " + ".join(f"{key}={value}" for key, value in own.items())
-        fits.append(quick_fit(simulated(text, size.samples, *seed, log)))
-    return [test.p_value for test in imucal.pool(fits).homogeneity]
+        every.append(bins_from(simulated(text, size.samples, *seed, log)))
+    return [test.p_value for test in record_tests(fit_bins(every, tuple(truth), level=0.95))]
 
 
 def named(tests: list[list[float]]) -> set[int]:
