@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._echo import echo
-from imucal.cli._options import say
+from imucal.cli._echo import echo, say
 from imucal.cli._terminal import fitted, width
 from imucal.errors import ImucalError
 from imucal.grading import GRADES

@@ -12,8 +12,8 @@ import click
 from imucal.cli import options_for
 from imucal.cli._echo import echo, echo_json
 from imucal.cli._finding_lines import suggestion
-from imucal.cli._options import reading_options
 from imucal.cli._progress import download_progress
+from imucal.cli._reading_options import reading_options
 from imucal.cli._terminal import FULL, width
 from imucal.errors import ImucalError
 from imucal.findings import Finding

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._echo import echo, echo_json
-from imucal.cli._options import LEVEL, RATE, Duration, quiet_option, say, shown
+from imucal.cli._echo import echo, echo_json, say
+from imucal.cli._option_types import LEVEL, RATE, Duration
+from imucal.cli._options import quiet_option, shown
 from imucal.cli._param_type import ParamType
 from imucal.cli._report_input import is_report, read_report
 from imucal.cli._terminal import FULL, fitted, width
