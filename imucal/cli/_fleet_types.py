@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._option_types import Duration, Structure
-from imucal.cli._param_type import ParamType
+from imucal.cli.parameters.option_types import Duration, Structure
+from imucal.cli.parameters.param_type import ParamType
 from imucal.resources import parse_size
 
 if TYPE_CHECKING:

@@ -10,12 +10,11 @@ import click
 from imucal._version import __version__
 from imucal.cli._echo import echo, echo_json, say
 from imucal.cli._finding_lines import print_findings
-from imucal.cli._log_request import LogRequest, log_options
-from imucal.cli._option_types import Duration, Structure
-from imucal.cli._options import shown
 from imucal.cli._progress import axes_progress, smoothing_progress
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.cli.fit import FORMATS, report_folder
+from imucal.cli.parameters import LogRequest, log_options, shown
+from imucal.cli.parameters.option_types import Duration, Structure
 from imucal.errors import DataError
 from imucal.recording import AxisSeries, Recording, Sensor
 

@@ -7,12 +7,11 @@ import click
 
 from imucal.cli._echo import echo, echo_json, say
 from imucal.cli._finding_lines import print_findings
-from imucal.cli._log_request import LogRequest, log_options
-from imucal.cli._option_types import LEVEL, Structure, TauSet
-from imucal.cli._options import shown
 from imucal.cli._terminal import width
 from imucal.cli._typed_names import as_typed, name_of_log
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
+from imucal.cli.parameters import LogRequest, log_options, shown
+from imucal.cli.parameters.option_types import LEVEL, Structure, TauSet
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
 

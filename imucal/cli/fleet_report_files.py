@@ -6,8 +6,8 @@ import click
 
 from imucal.cli._echo import echo, say
 from imucal.cli._fleet_lines import say_verdict
-from imucal.cli._option_types import Number
-from imucal.cli._options import quiet_option, shown
+from imucal.cli.parameters import quiet_option, shown
+from imucal.cli.parameters.option_types import Number
 
 
 @click.command(

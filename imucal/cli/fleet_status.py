@@ -8,8 +8,8 @@ import click
 
 from imucal.cli._echo import echo, echo_json, say
 from imucal.cli._fleet_lines import count, failed_logs, number_of_logs, print_failures, print_standing
-from imucal.cli._options import quiet_option
 from imucal.cli._typed_names import as_typed
+from imucal.cli.parameters import quiet_option
 from imucal.grading import GRADES
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from imucal.cli._option_types import RATE, Number, UnitName
+from imucal.cli.parameters.option_types import RATE, Number, UnitName
 from imucal.recording import Sensor
 
 Command = TypeVar("Command", bound=Callable[..., Any])

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import click
 
-from imucal.cli._param_type import ParamType
+from imucal.cli.parameters.param_type import ParamType
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, parse_sample_unit
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal.cli._echo import say
-from imucal.cli._option_types import Duration
-from imucal.cli._options import quiet_option
 from imucal.cli._progress import axes_progress, download_progress, reading_progress
-from imucal.cli._reading_options import READING, Command, with_all_fields
+from imucal.cli.parameters.option_types import Duration
+from imucal.cli.parameters.reading_options import READING, Command, with_all_fields
+from imucal.cli.parameters.shared_options import quiet_option
 from imucal.recording import AxisSeries, Recording
 from imucal.units import duration
 
