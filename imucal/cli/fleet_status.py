@@ -33,9 +33,9 @@ def command(*, folder: Path, as_json: bool, quiet: bool) -> None:
     manifest = store.manifest()
     logs = store.logs()
     damaged = store.damaged()
-    known = set(logs["path"])
     copies = manifest.drop_nulls("copy_of")
-    left = [path for path in manifest["path"] if path not in known and path not in set(copies["path"])]
+    settled = {*logs["path"], *copies["path"]}
+    left = [path for path in manifest["path"] if path not in settled]
     if as_json:
         echo_json(json.dumps(_document(logs, manifest, left, damaged), indent=2))
         return
