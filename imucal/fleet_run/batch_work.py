@@ -65,7 +65,6 @@ def done_of(rows: LogRows) -> LogDone:
         status=str(log["status"]),
         reason=str(log["reason"]),
         verdict=str(log.get("verdict") or ""),
-        wall_s=cast("float", log.get("wall_s") or 0.0),
     )
 
 
