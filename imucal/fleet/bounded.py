@@ -10,18 +10,25 @@ import math
 
 import numpy as np
 
+from imucal.arrays import FloatArray
 from imucal.fleet.log_value import LogValues
+from imucal.fleet.squares import Squares
 
 #: A mean square that is not so many deviations above zero, whichever unit is left out, is only bounded.
 _SHOWN = 1.959963984540054
+#: Points of the mean square's likelihood, up to where its logarithm is so far below the peak.
+_POINTS, _NOTHING = 1001, -30.0
+#: Units that are added at a time.
+_CHUNK = 1024
 
 
 def only_bounded(values: LogValues) -> bool:
     """Return whether all logs together do not show the coefficient; one unit alone does not decide."""
     if np.isnan(np.where(np.isnan(values.variance), values.bound, values.variance)).any():
         return False
-    square, error = values.unit_variances()
-    weight = error**-2
+    # At zero, as the question is.
+    units = values.squares().mean_by(values.unit, 0.0)
+    square, weight = units.estimate, units.sd**-2.0
     others = (np.sum(weight * square) - weight * square) / np.sqrt(np.sum(weight) - weight)
     return bool(others.min() < _SHOWN)
 
@@ -29,18 +36,36 @@ def only_bounded(values: LogValues) -> bool:
 def rms_bound(values: LogValues, confidence: float) -> float:
     """Return the value that the units' root mean square stays below with a probability `confidence`.
 
-    A normal law of the mean square, cut at zero (flat prior), its deviation as the units scatter where they
-    do so more than their errors say.
+    The likelihood of one square for all units (flat prior), wider where they scatter by more than their
+    errors say.
     """
-    from scipy.special import ndtr, ndtri
+    from scipy.integrate import cumulative_simpson
 
-    square, error = values.unit_variances()
-    weight = error**-2
-    mean = float(np.sum(weight * square) / np.sum(weight))
-    scatter = float(np.sum(weight * (square - mean) ** 2)) / max(square.size - 1, 1)
-    deviation = math.sqrt(max(scatter, 1.0) / float(np.sum(weight)))
-    beyond = (1 - confidence) * float(ndtr(mean / deviation))
-    return math.sqrt(max(mean - deviation * float(ndtri(beyond)), 1e-300))
+    units = values.squares().mean_by(values.unit, 0.0)
+    weight = units.sd**-2.0
+    error = 1 / math.sqrt(float(np.sum(weight)))
+    mean = max(float(np.sum(weight * units.estimate)) * error**2, 0.0)
+    apart = (units.estimate - mean) / units.deviation(mean)
+    scatter = max(float(np.sum(apart**2)) / max(apart.size - 1, 1), 1.0)
+    reach = mean + error
+    while True:
+        reach *= 2
+        square = np.linspace(0.0, reach, _POINTS)
+        height = _height(units, square) / scatter
+        height -= height.max()
+        if height[-1] < _NOTHING:
+            break
+    total = cumulative_simpson(np.exp(height), x=square, initial=0.0)
+    return math.sqrt(float(np.interp(confidence, total / total[-1], square)))
+
+
+def _height(units: Squares, square: FloatArray) -> FloatArray:
+    """Return the log-likelihood of squares, all units together."""
+    height = np.zeros(square.size)
+    for first in range(0, units.sd.size, _CHUNK):
+        rows = np.arange(first, min(first + _CHUNK, units.sd.size))
+        height += units.take(rows).log_likelihood(square).sum(axis=0)
+    return height
 
 
 def share_bound(values: LogValues, content: float, confidence: float) -> float:

@@ -16,7 +16,7 @@ from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import Estimate
 from imucal.fitting.spectral.bin_fit import fit_bins
 from imucal.fitting.spectral.record_tests import RecordTest
-from imucal.fitting.spectral.squared_coefficients import squared_coefficients
+from imucal.fitting.spectral.squared_coefficients import SquaredCoefficient, squared_coefficients
 
 #: Standard error of a logarithm below which each record tells a term by itself.
 _TOLD = 0.3
@@ -44,7 +44,7 @@ def means_over_records(
     """
 
     @cache
-    def squares() -> list[dict[str, tuple[float, float]]]:
+    def squares() -> list[dict[str, SquaredCoefficient]]:
         return [_squares(one, structure, level) for one in every]
 
     return {
@@ -52,17 +52,15 @@ def means_over_records(
     }
 
 
-def _squares(bins: Bins, structure: tuple[str, ...], level: float) -> dict[str, tuple[float, float]]:
-    """Return the squared coefficients of one record by itself, and their standard deviations."""
-    found = fit_bins([bins], structure, level=level)
-    squares = squared_coefficients(found.problem, found.whole)
-    return {key: (square.value, square.deviation) for key, square in squares.items()}
+def _squares(bins: Bins, structure: tuple[str, ...], level: float) -> dict[str, SquaredCoefficient]:
+    """Return the squared coefficients of one record by itself."""
+    return squared_coefficients(fit_bins([bins], structure, level=level))
 
 
 def _widened(
     test: RecordTest,
     joint: Estimate,
-    squares: Callable[[], list[dict[str, tuple[float, float]]]],
+    squares: Callable[[], list[dict[str, SquaredCoefficient]]],
     level: float,
     *,
     differs: bool,
@@ -75,10 +73,14 @@ def _widened(
         mean, low, high, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
         value, low, high = math.exp(mean), math.exp(low), math.exp(high)
     else:
-        told = np.array([record[test.key] for record in squares()])
-        # Where they differ, a large square has a large deviation: weights by it would favour the small.
-        deviations = np.full(len(told), np.sqrt(np.mean(told[:, 1] ** 2))) if differs else told[:, 1]
-        mean, low, high, spread = _mean(told[:, 0], deviations, level, random=differs)
+        told = [record[test.key] for record in squares()]
+        values = np.array([square.value for square in told])
+        # At one place for all: at its own, a large square has a large deviation, and the small more weight.
+        common = max(float(values.mean()), 0.0)
+        deviations = np.array([square.deviation + square.growth * common for square in told])
+        if differs:
+            deviations = np.full(len(told), np.sqrt(np.mean(deviations**2)))
+        mean, low, high, spread = _mean(values, deviations, level, random=differs)
         value, low, high = (math.sqrt(max(x, 0.0)) for x in (mean, low, high))
         # Of the square, relative to the upper end where the mean is not told from zero.
         spread = 0.5 * spread / max(value, 0.5 * high) ** 2

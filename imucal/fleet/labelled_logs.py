@@ -9,11 +9,14 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.fleet.log_value import LogValue, LogValues
+from imucal.fleet.unit_likelihood import place_of
 
 #: Label -> what it must vary by within a unit to tell a slope.
 NEAREST = {"temperature_c": 1.0, "days": 0.5}
 #: A term whose mean square is not so many deviations above zero has no slope that could be told.
 _TOLD = 3.0
+#: A square is linear in the logarithm up to this error of the coefficient.
+_NARROW = 0.1
 #: Temperature and time of which so little, relative to themselves, is not shared, are one.
 _SAME = 1e-6
 
@@ -128,13 +131,16 @@ def _varying(labels: FloatArray) -> BoolArray:
 def _linear(values: LogValues) -> tuple[FloatArray, FloatArray]:
     """Return logarithms of the coefficients and their standard errors; infinite where there is none to use.
 
-    A weak log's square is normal, and may be negative: it is taken as linear about the fleet's mean square.
+    A weak log's square may be negative: it is taken as linear about the fleet's mean square.
     """
-    weak = ~values.narrow & np.isfinite(values.variance)
+    squares, at = values.squares(), math.exp(2 * place_of(values).centre)
+    # What most logs of the fleet are like decides, or high draws would count otherwise than low ones.
+    told = values.narrow & ((squares.deviation(at) <= 2 * _NARROW * at) | (values.deviation <= _NARROW / 2))
+    weak = ~told & np.isfinite(values.variance)
     if not weak.any():
         return values.centre, values.deviation
-    square = np.where(weak, values.variance, np.exp(2 * values.centre))
-    error = np.where(weak, values.variance_sd, 2 * square * values.deviation)
+    square = np.where(weak, squares.estimate, np.exp(2 * values.centre))
+    error = np.where(weak, squares.deviation(at), 2 * square * values.deviation)
     weight = np.where(np.isfinite(error), 1 / (error**2 + np.median(error) ** 2), 0.0)
     mean = float(np.sum(weight * square) / weight.sum())
     if (
@@ -145,5 +151,5 @@ def _linear(values: LogValues) -> tuple[FloatArray, FloatArray]:
         raise DataError(msg)
     return (
         np.where(weak, 0.5 * math.log(mean) + (square / mean - 1) / 2, values.centre),
-        np.where(weak, error / (2 * mean), values.deviation),
+        np.where(weak, squares.deviation(mean) / (2 * mean), values.deviation),
     )

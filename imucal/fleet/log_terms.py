@@ -8,9 +8,6 @@ from imucal.fitting.spectral.squared_coefficients import squared_coefficients
 from imucal.fleet.log_value import LogValue
 from imucal.fleet.poolable import bins_of, structure_of
 
-#: A term so many deviations above zero is told by its limits, better than by a normal law of its variance.
-_STRONG = 3.0
-
 
 def log_values(
     unit: str,
@@ -23,34 +20,28 @@ def log_values(
 ) -> dict[str, LogValue]:
     """Return what one log says of each term, for `imucal.population`; from the bins of its fit.
 
-    Every term has its value and limits, from a fit of the same `model` for every log. One that is not
-    three deviations above zero has its squared coefficient and deviation too, in SI squared: an estimate
-    without bias that may be negative, so that the mean of many weak logs is right.
+    Every term has its value and limits, from a fit of the same `model` for every log, and its squared
+    coefficient in SI squared with its law: an estimate without bias that may be negative, so that many weak
+    logs together are right. A ramp has limits only.
 
     Raises
     ------
     DataError, ValueError
         As `pool`.
-
-    Notes
-    -----
-    The deviation is that of a term which is one deviation above zero: in 100 simulated records of 10⁵
-    samples it was 1.0 to 1.4 times the scatter there, 1.5 to 2.7 times where the term was absent or nearly
-    so, 0.6 times at two and a half.
     """
     found = fit_bins(bins_of([fit]), structure_of(model, level), level=level)
-    squares = squared_coefficients(found.problem, found.whole)
+    squares = squared_coefficients(found)
     values = {}
     for e in found.estimates:
         square = squares.get(e.key)
-        weak = square is not None and square.value <= _STRONG * square.deviation
         values[e.key] = LogValue(
             unit=unit,
             value=e.value,
             low=e.low,
             high=e.high,
-            variance=square.value if square and weak else None,
-            variance_sd=square.deviation if square and weak else None,
+            variance=square.value if square else None,
+            variance_sd=square.deviation if square else None,
+            variance_growth=square.growth if square else 0.0,
             temperature_c=temperature_c,
             days=days,
             level=level,

@@ -1,4 +1,8 @@
-"""What each log says of one coefficient: an estimate with limits, a bound, or a variance with its error."""
+"""What each log says of one coefficient: an estimate with limits, a bound, or a variance with its law.
+
+The estimate of a variance is nearly a scaled chi-square on top of a known background, as the power of a few
+bins is: normal about a weak term, its deviation in proportion to a strong one.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -7,10 +11,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.fleet.squares import Squares
 
 #: Logarithms above this are as large as they need to be; keeps their exponentials finite.
 _LARGEST = 50.0
-#: An estimate is taken as normal in the logarithm up to this standard error; with a variance, up to that.
+#: An estimate is taken as normal in the logarithm up to this standard error; a variance's, up to that.
 _NARROW, _NARROW_VARIANCE = 0.3, 0.1
 
 
@@ -26,9 +31,12 @@ class LogValue:
         The coefficient; None where the log only bounds it.
     low, high
         Its limits at `level`; `low` is 0 and `high` the upper limit where it is bounded.
-    variance, variance_sd
-        The estimate of the squared coefficient that may be negative, and its standard deviation. A weak
-        term's likelihood is far closer to normal in the variance than its limits can say.
+    variance
+        The estimate of the squared coefficient, which may be negative. It says more than value and limits,
+        which are not looked at where there is one.
+    variance_sd, variance_growth
+        Its standard deviation is ``variance_sd + variance_growth * v`` where the squared coefficient is v.
+        They must not follow the estimate, or weights would: high ones would count for less.
     temperature_c, days
         Temperature in °C, and age in days since any epoch, for `imucal.fleet.trend`; nan where unknown.
     level
@@ -48,6 +56,7 @@ class LogValue:
     high: float
     variance: float | None = None
     variance_sd: float | None = None
+    variance_growth: float = 0.0
     temperature_c: float = math.nan
     days: float = math.nan
     level: float = 0.95
@@ -61,8 +70,8 @@ class LogValue:
             )
             raise ValueError(msg)
         told = 1.0 if self.variance_sd is None else self.variance_sd
-        if (self.variance is None) != (self.variance_sd is None) or not told > 0:
-            msg = f"{self.unit}: a variance needs a positive standard deviation"
+        if (self.variance is None) != (self.variance_sd is None) or not (told > 0 <= self.variance_growth):
+            msg = f"{self.unit}: a variance needs a positive standard deviation, which does not fall"
             raise ValueError(msg)
 
 
@@ -78,7 +87,7 @@ class LogValues:
         Index of each log's unit.
     centre, deviation
         Logarithm of the estimate and its standard error; infinite where the log only bounds it.
-    variance, variance_sd
+    variance, variance_sd, growth
         As in `LogValue`; nan where the log has none and its limits speak.
     bound
         Upper limit over its normal quantile, both squared: the deviation of a bounded variance.
@@ -92,6 +101,7 @@ class LogValues:
     deviation: FloatArray
     variance: FloatArray
     variance_sd: FloatArray
+    growth: FloatArray
     bound: FloatArray
     low_sd: FloatArray
     high_sd: FloatArray
@@ -111,15 +121,29 @@ class LogValues:
         high_sd = np.maximum((np.log(high) - centre) / z, 1e-9)
         told = ~np.isnan(value) & (low > 0)
         low_sd = np.where(told, np.maximum((centre - np.log(np.where(told, low, 1.0))) / z, 1e-9), high_sd)
+        deviation = np.where(told, (high_sd + low_sd) / 2, np.inf)
+        variance, variance_sd = (
+            _column(log.variance for log in logs),
+            _column(log.variance_sd for log in logs),
+        )
+        growth = np.where(np.isnan(variance), np.nan, [log.variance_growth for log in logs])
+        squared = variance > 0
+        relative = np.where(
+            squared, (variance_sd + growth * variance) / np.where(squared, variance, 1), np.inf
+        )
+        by_square = relative <= 2 * _NARROW_VARIANCE
+        # The mean of the logarithm of a chi-square lies below that of its mean.
+        centre = np.where(by_square, 0.5 * np.log(np.where(squared, variance, 1)) + relative**2 / 4, centre)
         names = tuple(dict.fromkeys(log.unit for log in logs))
         place = {name: i for i, name in enumerate(names)}
         return cls(
             names=names,
             unit=np.array([place[log.unit] for log in logs], dtype=np.int64),
             centre=centre,
-            deviation=np.where(told, (high_sd + low_sd) / 2, np.inf),
-            variance=_column(log.variance for log in logs),
-            variance_sd=_column(log.variance_sd for log in logs),
+            deviation=np.where(np.isnan(variance), deviation, relative / 2),
+            variance=variance,
+            variance_sd=variance_sd,
+            growth=growth,
             bound=np.where(np.isnan(value), high**2 / z, np.nan),
             low_sd=low_sd,
             high_sd=high_sd,
@@ -128,32 +152,38 @@ class LogValues:
     def log_likelihood(self, which: BoolArray, theta: FloatArray) -> FloatArray:
         """Return the log-likelihoods of logs at logarithms of the coefficient, shape (logs, theta)."""
         rows = np.flatnonzero(which)
-        centre, bound, variance, sd = (
-            column[rows, None] for column in (self.centre, self.bound, self.variance, self.variance_sd)
+        centre, bound, limits = (
+            column[rows, None] for column in (self.centre, self.bound, np.isnan(self.variance))
         )
         square = np.exp(2 * np.minimum(theta, _LARGEST))
         side = np.where(theta >= centre, self.high_sd[rows, None], self.low_sd[rows, None])
         score = np.where(np.isnan(bound), (theta - centre) / side, square / np.where(bound > 0, bound, 1.0))
-        score = np.where(np.isnan(variance), score, (square - variance) / sd)
-        result: FloatArray = -0.5 * score**2
+        squares = Squares(self.variance[rows], self.variance_sd[rows], self.growth[rows])
+        result: FloatArray = np.where(limits, -0.5 * score**2, squares.log_likelihood(square))
         return result
 
     def log_deviation(self, theta: float) -> FloatArray:
         """Return the standard error of each log in the logarithm, were its coefficient exp(theta)."""
-        sd = np.where(np.isnan(self.variance_sd), self.bound, self.variance_sd)
-        weak = np.where(np.isnan(sd), self.deviation, sd / (2 * math.exp(2 * theta)))
+        square = math.exp(2 * theta)
+        sd = np.where(np.isnan(self.variance), self.bound, self.variance_sd + self.growth * square)
+        weak = np.where(np.isnan(sd), self.deviation, sd / (2 * square))
         result: FloatArray = np.where(self.narrow, self.deviation, weak)
         return result
 
-    def unit_variances(self) -> tuple[FloatArray, FloatArray]:
-        """Return the squared coefficient of each unit from all of its logs, and its standard deviation."""
+    def squares(self) -> Squares:
+        """Return the squared coefficient of each log; one that it only bounds is zero."""
         square = np.exp(2 * self.centre)
-        own = np.where(np.isnan(self.bound), square, 0.0)
-        error = np.where(np.isnan(self.bound), 2 * square * self.deviation, self.bound)
-        own = np.where(np.isnan(self.variance), own, self.variance)
-        error = np.where(np.isnan(self.variance_sd), error, self.variance_sd)
-        weights = np.bincount(self.unit, error**-2)
-        return np.bincount(self.unit, own * error**-2) / weights, 1 / np.sqrt(weights)
+        told, limits = np.isnan(self.bound), np.isnan(self.variance)
+        error = np.where(told, square * (self.low_sd + self.high_sd), self.bound)
+        return Squares(
+            np.where(limits, np.where(told, square, 0.0), self.variance),
+            np.where(limits, error, self.variance_sd),
+            np.where(limits, 0.0, self.growth),
+        )
+
+    def unit_squares(self, theta: float) -> Squares:
+        """Return the squared coefficient of each unit from all of its logs, best for one of exp(theta)."""
+        return self.squares().mean_by(self.unit, math.exp(2 * theta))
 
     def unit_centre(self, unit: int, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return a unit's logarithm and its variance, for each scatter between its logs, shape (omega,)."""

@@ -38,6 +38,5 @@ def membership(logs: Sequence[LogValue], new: LogValue) -> float:
     one = LogValues.of([new])
     if one.narrow.all():
         return posterior.p_value(*one.unit_centre(0, posterior.omega.ravel()))
-    variance, sd = one.unit_variances()
     omega = float(posterior.quantiles(posterior.omega, [0.5])[0])
-    return float(posterior.p_values(variance, sd, np.array([omega]))[0])
+    return float(posterior.p_values(one.squares(), np.array([omega]))[0])

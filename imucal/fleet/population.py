@@ -219,14 +219,14 @@ def _p_values(values: LogValues, units: UnitLikelihoods, posterior: Posterior, p
     be judged so: Student's t of well told units, else the posterior of all. The rest can only pass.
     """
     told = bool(units.normal.all())
-    variance, sd = values.unit_variances()
+    squares = values.unit_squares(place.centre)
     scatter = posterior.quantiles(posterior.omega, [0.5])
     own = scatter / np.sqrt(np.bincount(values.unit))
     if told:
         tau = float(posterior.quantiles(posterior.tau, [0.5])[0])
         quick = leave_one_out(units.centre, units.deviation, tau)
     else:
-        quick = posterior.p_values(variance, sd, own)
+        quick = posterior.p_values(squares, own)
     result = np.ones(quick.size)
     oddest = np.argsort(quick)[:_SUSPECTS]
     for unit in oddest[quick[oddest] < _SUSPECT].tolist():
@@ -238,7 +238,7 @@ def _p_values(values: LogValues, units: UnitLikelihoods, posterior: Posterior, p
             result[unit] = alone.p_value(*values.unit_centre(unit, alone.omega.ravel()))
         else:
             alone = posterior_of(others, scatter, place)
-            result[unit] = alone.p_values(variance[[unit]], sd[[unit]], own[[unit]])[0]
+            result[unit] = alone.p_values(squares.take([unit]), own[[unit]])[0]
     return result
 
 
@@ -271,7 +271,7 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
 
 def _weakness(values: LogValues) -> tuple[Finding, ...]:
     """Say where nearly all logs only bound the term: the median then leans on the bounds."""
-    share = float(np.mean(~np.isfinite(values.deviation)))
+    share = float(np.mean(~np.isnan(values.bound)))
     if share <= _MOSTLY:
         return ()
     text = (

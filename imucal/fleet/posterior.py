@@ -15,6 +15,7 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
 from imucal.fleet.log_value import LogValues
+from imucal.fleet.squares import Squares
 from imucal.fleet.unit_likelihood import Place, UnitLikelihoods, blur, unit_likelihoods, weighted_quantiles
 
 #: Grid points of mu, of tau and of omega; the grid is narrowed so many times at most.
@@ -31,7 +32,7 @@ _GOLDEN = (math.sqrt(5) - 1) / 2
 _TINY = math.exp(-690)
 _LARGEST = 600.0
 #: Spread of units of one model, in the logarithm, where the data do not tell it; also between logs of a unit.
-_USUAL = 0.3
+_USUAL = 0.5
 #: Largest spread between units that is thought of, in the logarithm.
 _WIDEST = 2.0
 #: What lies so far below the posterior's peak, in the logarithm, weighs nothing.
@@ -86,18 +87,18 @@ class Posterior:
         above = float(np.sum(self.weight * ndtr(apart / np.sqrt(self.tau**2 + variance[:, None, None]))))
         return 2 * min(above, 1 - above)
 
-    def p_values(self, variance: FloatArray, sd: FloatArray, scatter: FloatArray) -> FloatArray:
-        """Return the two-sided chance of squared coefficients like these, known with a normal error.
+    def p_values(self, units: Squares, scatter: FloatArray) -> FloatArray:
+        """Return the two-sided chance of estimates of squared coefficients like these.
 
         `scatter`, shape (units,), is that of the mean of a unit's logs about the unit, in the logarithm.
         """
-        from scipy.special import ndtr, ndtri
+        from scipy.special import ndtri
 
         at = (np.arange(_DRAWS) + 0.5) / _DRAWS
         log, moved = self.prediction(at), ndtri((at * _DRAWS * _GOLDEN) % 1)
         square = np.exp(2 * (log + scatter[:, None] * moved))
-        above = ndtr((square - variance[:, None]) / sd[:, None]).mean(axis=1)
-        result: FloatArray = 2 * np.minimum(above, 1 - above)
+        below = units.below(square).mean(axis=1)
+        result: FloatArray = 2 * np.minimum(below, 1 - below)
         return result
 
 

@@ -26,7 +26,8 @@ LOGS = {
 #: One row a log, axis and term; the fields of `imucal.LogValue`, in SI.
 RESULTS = {
     **dict.fromkeys(("key", "sensor", "axis", "term", "unit_si"), _TEXT),
-    **dict.fromkeys(("value", "low", "high", "variance", "variance_sd", "level", "correlation_time"), _REAL),
+    **dict.fromkeys(("value", "low", "high", "variance", "variance_sd", "variance_growth"), _REAL),
+    **dict.fromkeys(("level", "correlation_time"), _REAL),
 }
 #: One row a log and axis: its binned spectrum.
 BINS = {"key": _TEXT, "sensor": _TEXT, "axis": _TEXT, "bins": pl.Binary()}

@@ -165,7 +165,9 @@ def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[Term
 
 def _value(row: Row, unit: str) -> LogValue:
     names = [field.name for field in fields(LogValue) if field.name != "unit"]
-    return LogValue(unit=unit, **{name: row[name] for name in names})
+    told = {name: row[name] for name in names}
+    # Stores of before had one deviation for all squares.
+    return LogValue(unit=unit, **told | {"variance_growth": told["variance_growth"] or 0.0})
 
 
 def _term(

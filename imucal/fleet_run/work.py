@@ -19,7 +19,16 @@ from imucal.recording import Recording
 #: A log's first stamp counts as a date from 2000 on: clocks that start with the sensor begin at 1970.
 _FIRST_DATE_NS = 946_684_800 * 10**9
 #: Columns that a row of results has of a `imucal.LogValue`.
-_OF_VALUE = ("value", "low", "high", "variance", "variance_sd", "level", "correlation_time")
+_OF_VALUE = (
+    "value",
+    "low",
+    "high",
+    "variance",
+    "variance_sd",
+    "variance_growth",
+    "level",
+    "correlation_time",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

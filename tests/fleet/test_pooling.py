@@ -15,6 +15,7 @@ from imucal.fitting.spectral.blocks import make_blocks
 from imucal.fitting.spectral.record_tests import _Record, record_tests
 from imucal.fitting.spectral.stored_ordinates import ordinates_of
 from imucal.fitting.spectral.transform import bin_blocks
+from imucal.fleet.log_value import LogValues
 from imucal.recording import AxisSeries, Sensor
 from tests.fleet.records import RATE, bins_from, fit_of, quick_fit, simulated
 
@@ -190,20 +191,41 @@ def test_scales_with_the_samples(factor: float) -> None:
     for key in weak:
         npt.assert_allclose(other[key].variance or 0, factor**2 * (one[key].variance or 0), rtol=1e-5)
         npt.assert_allclose(other[key].variance_sd or 0, factor**2 * (one[key].variance_sd or 0), rtol=1e-5)
+        npt.assert_allclose(other[key].variance_growth, one[key].variance_growth, rtol=1e-5)
 
 
 def test_the_variance_of_a_weak_walk_has_no_bias() -> None:
-    """Its mean over 60 records is K², and its deviation their scatter; a bound alone would say 0 … high."""
+    """Its mean over 60 records is K², and the law at K² their scatter; a bound alone would say 0 … high."""
     text, truth = "N=1e-3 + B=6e-4 + K=2e-4", 2e-4**2
     values = [imucal.log_values("u", quick_fit(simulated(text, 10_000, 16, i)))["K"] for i in range(60)]
     assert sum(value.value is None for value in values) > 12
-    squares = np.array([v.variance if v.variance is not None else (v.value or 0) ** 2 for v in values])
-    deviations = np.array([v.variance_sd for v in values if v.variance_sd is not None])
+    squares = np.array([value.variance for value in values])
+    deviations = np.array([(v.variance_sd or 0.0) + v.variance_growth * truth for v in values])
     assert np.sum(squares < 0) > 3
     scatter = float(np.std(squares, ddof=1))
     assert abs(np.mean(squares) - truth) < 2 * scatter / np.sqrt(60)
     # The scatter itself is known to 9 %.
     assert 0.8 < np.mean(deviations) / scatter < 1.25
+
+
+def test_a_walk_that_each_log_barely_shows_is_pooled_without_bias() -> None:
+    """Of 60 logs that tell it at one to two deviations, those that drew low do not count for more.
+
+    With deviations at each log's own estimate the mean square would be half the truth.
+    """
+    truth = 1e-4
+    logs = [
+        imucal.log_values(f"u{i}", quick_fit(simulated("N=9e-5 + K=1e-4", 4000, 91, i)))["K"]
+        for i in range(60)
+    ]
+    squares = LogValues.of(logs).squares()
+    one = squares.mean_by(np.zeros(60, dtype=np.int64), truth**2)
+    error = float(one.deviation(truth**2)[0])
+    assert 1 < truth**2 / (error * np.sqrt(60)) < 2
+    assert abs(one.estimate[0] - truth**2) < 2 * error
+    found = imucal.population(logs)
+    assert found.median.low <= truth <= found.median.high
+    assert not any(unit.odd for unit in found.units)
 
 
 def test_a_gauss_markov_term_keeps_its_correlation_time() -> None:

@@ -45,6 +45,8 @@ class BinFit:
         What a fit reports: those whose interval holds 0 are bounded, and not in the model.
     goodness
         How well the model describes all records.
+    misfits
+        Symbol -> by what factor a misfit makes its limits wider; empty where the model fits.
     """
 
     records: tuple[Ordinates, ...]
@@ -54,6 +56,7 @@ class BinFit:
     model: NoiseModel
     estimates: tuple[Estimate, ...]
     goodness: Goodness
+    misfits: dict[str, float]
 
 
 def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm: int = 2) -> BinFit:
@@ -82,14 +85,16 @@ def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm
     estimates, _ = numbered(with_absent(problem, fitted, own), ())
     owner = np.repeat(np.arange(len(parts)), [one.size.size for one in parts])
     edges = [every.take(owner == i).below(band.fraction) for i in range(len(parts))]
+    misfits = misfits_of(problem, fitted, found)
     return BinFit(
         records=tuple(edges),
         problem=problem,
         band=band,
         whole=whole,
         model=model_of(problem, fitted, own),
-        estimates=widened(estimates, None, misfits_of(problem, fitted, found)),
+        estimates=widened(estimates, None, misfits),
         goodness=found,
+        misfits=misfits,
     )
 
 

@@ -1,0 +1,142 @@
+"""Coverage of a fleet's numbers through real fits: records simulated, binned, fitted, and pooled.
+
+    python -m tests.benchmarks.fleet_fits --fleets 100 --seed 7301
+
+Each row is a term of a kind of fleet: every unit has coefficients of its own, ``tau`` about the truth that is
+named, every log is a record of so many samples at 100 Hz. ``told by`` is the truth over the standard
+deviation of one log, both squared. Bias of the median is of the fleets that tell it, in %; covers are
+in %, bounds counted as intervals from zero; ``error`` is the scatter of the medians over their mean
+interval's (1.96 deviations to each side).
+"""
+
+import argparse
+import math
+import multiprocessing
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+import imucal
+from imucal.fleet import LogValue, Population, population
+from tests.fleet.records import RATE, quick_fit
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of fleet: coefficients of its median unit in SI, and how many records of which length."""
+
+    truth: dict[str, float]
+    samples: int
+    units: int
+    logs: int
+    tau: float
+
+    @property
+    def title(self) -> str:
+        """How a row names it."""
+        terms = " + ".join(f"{key} {value:g}" for key, value in self.truth.items())
+        return f"{terms}; {self.units}×{self.logs} of {self.samples}, {self.tau:g}"
+
+
+KINDS = (
+    Kind({"N": 9e-5, "K": 1e-4}, 4000, 24, 1, 0.1),
+    Kind({"N": 9e-5, "K": 1e-4}, 4000, 8, 4, 0.2),
+    Kind({"N": 9e-5, "K": 3e-5}, 4000, 24, 1, 0.1),
+    Kind({"N": 9e-5, "K": 1e-4}, 20_000, 10, 1, 0.3),
+    Kind({"N": 1e-4, "B": 3e-5}, 20_000, 24, 1, 0.1),
+    Kind({"N": 1e-4, "B": 1e-4}, 20_000, 10, 1, 0.2),
+    Kind({"N": 1e-4, "B": 3e-5, "K": 1e-5}, 20_000, 24, 2, 0.2),
+    Kind({"N": 1e-4, "B": 1e-4, "K": 3e-5}, 20_000, 24, 1, 0.2),
+    Kind({"N": 9e-5}, 4000, 24, 1, 0.1),
+)
+
+
+def simulate(kind: Kind, seed: Sequence[int]) -> dict[str, list[LogValue]]:
+    """Return what each log of one fleet says of each term."""
+    rng = np.random.default_rng(seed)
+    found: dict[str, list[LogValue]] = {}
+    for unit in range(kind.units):
+        own = {key: value * math.exp(kind.tau * rng.standard_normal()) for key, value in kind.truth.items()}
+        model = imucal.NoiseModel.parse(" + ".join(f"{key}={value}" for key, value in own.items()))
+        for _ in range(kind.logs):
+            fit = quick_fit(model.simulate(kind.samples, rate_hz=RATE, rng=rng))
+            for term, value in imucal.log_values(f"u{unit}", fit).items():
+                found.setdefault(term, []).append(value)
+    return found
+
+
+def outcome(found: Population, logs: Sequence[LogValue], truth: float, tau: float) -> list[float]:
+    """Return what one fleet adds to the row of a term."""
+    bound = truth * math.exp(float(ndtri(0.95)) * tau)
+    told = bool(truth) and not found.bounded
+    spread = found.spread if told else None
+    squares = [log.variance for log in logs if log.variance is not None]
+    return [
+        truth**2 / float(np.std(squares, ddof=1)),
+        found.bounded,
+        math.log(found.median.value / truth) if told else math.nan,
+        found.median.low <= truth <= found.median.high,
+        math.log(found.median.high / found.median.low) / (2 * float(ndtri(0.975))) if told else math.nan,
+        spread.low <= tau <= spread.high if spread else math.nan,
+        (found.tolerance or 0.0) >= bound,
+        (found.tolerance or 0.0) / bound if truth else math.nan,
+        any(unit.odd for unit in found.units),
+    ]
+
+
+def one_fleet(task: tuple[int, int, int]) -> dict[str, list[float]]:
+    """Return the outcome of each term of one fleet, from the place of its kind and the seed."""
+    place, seed, number = task
+    kind = KINDS[place]
+    logs = simulate(kind, [seed, place, number])
+    return {
+        term: outcome(population(values), values, kind.truth.get(term, 0.0), kind.tau)
+        for term, values in logs.items()
+    }
+
+
+def main() -> None:
+    """Print the table in Markdown."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--fleets", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=7301)
+    parser.add_argument("--kinds", type=int, nargs="*", default=range(len(KINDS)), help="which, from 0")
+    parser.add_argument("--jobs", type=int, default=multiprocessing.cpu_count())
+    options = parser.parse_args()
+    print(
+        "| fleet (units × logs of samples, tau) | term | told by | fleets that bound | median: bias, cover "
+        "| error | tau cover | 95/95 cover, ÷ true quantile | odd alarms |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    begun = time.perf_counter()
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
+        for place in options.kinds:
+            fleets = pool.map(one_fleet, [(place, options.seed, number) for number in range(options.fleets)])
+            for term in fleets[0]:
+                print_row(KINDS[place], term, np.array([fleet[term] for fleet in fleets], dtype=np.float64))
+    print(f"\n{time.perf_counter() - begun:.0f} s")
+
+
+def print_row(kind: Kind, term: str, table: np.ndarray) -> None:
+    """Print a row of the table."""
+    told = table[~np.isnan(table[:, 2])]
+    many = len(told) > 1
+    bias = f"{100 * np.mean(told[:, 2]):+.1f}" if many else "–"
+    error = f"{np.std(told[:, 2], ddof=1) / np.mean(told[:, 4]):.2f}" if many else "–"
+    tau = f"{100 * np.nanmean(told[:, 5]):.0f}" if many else "–"
+    share = 100 * table.mean(axis=0)
+    far = f", {np.median(table[:, 7]):.2f}" if kind.truth.get(term) else ""
+    print(
+        f"| {kind.title} | {term} | {np.mean(table[:, 0]):.1f} | {share[1]:.0f} | {bias}, {share[3]:.0f} "
+        f"| {error} | {tau} | {share[6]:.0f}{far} | {share[8]:.0f} |",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()
