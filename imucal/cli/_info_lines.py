@@ -12,7 +12,7 @@ from imucal.findings import Finding
 from imucal.readers import LogContents, TopicContents
 from imucal.readers.tables.text import STANDARD_INPUT
 from imucal.remote import is_url
-from imucal.units import duration
+from imucal.units import data_size, duration
 
 #: Level, code and sentence of a finding: what it says, whatever axis it is about.
 _Words: TypeAlias = tuple[str, str, str]
@@ -74,7 +74,7 @@ def _head(contents: LogContents) -> Iterator[str]:
     if contents.compression:
         yield f"compression {contents.compression}"
     if contents.size_bytes is not None:
-        yield _size(contents.size_bytes)
+        yield data_size(contents.size_bytes)
     if contents.duration_s is not None:
         yield duration(contents.duration_s)
     if contents.start_ns is not None and contents.start_ns > _NO_DATE:
@@ -128,12 +128,6 @@ def _sentence(words: _Words, axes: list[str]) -> Iterator[str]:
     level, code, text = words
     where = f" {' '.join(dict.fromkeys(axes))}" if axes else ""
     yield from wrapped(f"{level} [{code}]{where}: {text}", indent=2)
-
-
-def _size(size: int) -> str:
-    if size >= 10**9:
-        return f"{size / 1e9:.4g} GB"
-    return f"{size / 1e6:.4g} MB" if size >= 10**6 else f"{size / 1e3:.4g} kB"
 
 
 def _date(ns: int) -> str:

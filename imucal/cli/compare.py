@@ -1,6 +1,7 @@
 """``imucal compare``: what differs between two reports."""
 
 import json
+import shlex
 from pathlib import Path
 
 import click
@@ -116,7 +117,7 @@ def _both(a: str, b: str, model: str | None) -> tuple[Report, Report]:
 
 def _typed(text: str) -> str:
     """Return a path or a URL as a shell takes it, without the URL's secrets."""
-    return shown_address(text) if is_url(text) else as_typed(Path(text))
+    return shlex.quote(shown_address(text)) if is_url(text) else as_typed(Path(text))
 
 
 def to_document(result: Comparison) -> dict[str, object]:

@@ -50,7 +50,7 @@ def test_a_call_does_what_the_command_does(folder: Path, monkeypatch: pytest.Mon
     assert called.settings() == typed.settings()
     # And the command finds nothing to do in the folder of the call, nor the call in that of the command.
     again = run("fleet", "run", "-o", "called", "--shard", "1/1", "--max-failed", "50%", cwd=folder)
-    assert again.stderr.startswith("0 logs to do, 0 MB; 3 done before\n")
+    assert again.stderr.startswith("0 logs to do, 0 kB; 3 done before\n")
     parts = sorted(Path("typed/logs").iterdir())
     assert imucal.run_fleet(folder="typed", shard=(1, 1)).asked == 3
     assert sorted(Path("typed/logs").iterdir()) == parts
