@@ -3,6 +3,7 @@
 import math
 
 from imucal.fitting.noise_fit import Interval
+from imucal.fleet.population import UnitValue
 from imucal.fleet_report.summary import FleetTerm
 from imucal.noise.terms import TERMS
 from imucal.report import numbers
@@ -11,6 +12,8 @@ from imucal.report.numbers import Quantity
 from imucal.report.sheet_units import level_unit
 from imucal.units import DatasheetUnit, pretty
 
+#: Width of a band of 95 %, in standard deviations.
+_BAND_SDS = 2 * 1.96
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -80,3 +83,14 @@ def price_text(term: FleetTerm) -> str:
     (now, excess), *more = term.price
     text = f"{now} units: {excess:.2f} × the level that it bounds"
     return "; ".join([text, *(f"{units} units: {ratio:.2f} ×" for units, ratio in more)])
+
+
+def deviation(term: FleetTerm, unit: UnitValue) -> float | None:
+    """Return how many standard deviations of the next unit a unit lies above the median, in the logarithm.
+
+    None where one of them is not known, or only bounded.
+    """
+    band = term.population.prediction
+    if unit.value is None or band is None or term.population.bounded:
+        return None
+    return math.log(unit.value / term.population.median.value) / (math.log(band[1] / band[0]) / _BAND_SDS)
