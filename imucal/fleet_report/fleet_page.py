@@ -18,7 +18,7 @@ from imucal.fleet_report.fleet_tables import (
     unit_logs_table,
 )
 from imucal.fleet_report.panels import strip_panel, unit_panel
-from imucal.fleet_report.shown import bound_name, median_text, percent, price_text
+from imucal.fleet_report.shown import bound_name, median_text, p_text, percent, price_text
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
 from imucal.report.markup import Markup, element, join
@@ -42,7 +42,7 @@ def render_fleet_page(fleet: Fleet) -> str:
     return render_frame(
         Page(
             title=f"{name} – fleet of IMUs",
-            heading=f"Fleet {name}",
+            heading="Fleet" if name == "fleet" else f"Fleet {name}",
             grade=grade,
             sentence=sentence,
             lead=_lead(fleet),
@@ -67,7 +67,9 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
     grade, text = ("look", "; ".join(said)) if said else ("good", "no unit is odd, and every log counts")
     if chance:
         text += f"; far off in one term of so many, perhaps by chance: {'; '.join(chance)}"
-    return grade, f"{text[0].upper()}{text[1:]}."
+    # A model's name stays as it is.
+    named = any(text.startswith((f"{model.title}:", f"{model.title},")) for model in fleet.models)
+    return grade, f"{text if named else text[0].upper() + text[1:]}."
 
 
 def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:
@@ -117,8 +119,8 @@ def _listed(places: Sequence[tuple[str, FleetTerm]], noun: str = "") -> str:
 
 def _lead(fleet: Fleet) -> str:
     parts = [
-        f"{model.title}: {len(model.units)} unit{'s' * (len(model.units) != 1)}, "
-        f"{sum(not log.left_out for log in model.logs)} logs that count at {model.rate_hz:.6g} Hz"
+        f"{f'{model.name}: ' * bool(model.name)}{len(model.units)} unit{'s' * (len(model.units) != 1)}, "
+        f"{sum(not log.left_out for log in model.logs)} logs that count, {model.rate_hz:.6g} Hz"
         for model in fleet.models
     ]
     waiting = fleet.asked - len(fleet.logs)
@@ -134,7 +136,7 @@ def _sections(fleet: Fleet) -> list[Section]:
         note = element("p", "Bold: the number for the config of every unit. ", _few_note(fleet))
         found.append(("config", "The number for the config", join([note, *map(config_table, models)])))
     for i, model in enumerate(models):
-        found.append((f"units-{i}", f"Units of {model.title}", _units(model)))
+        found.append((f"units-{i}", f"Units of {model.name}" if model.name else "Units", _units(model)))
     if len(models) > 1:
         found.append(("models", "Models side by side", _strips(models)))
     if models:
@@ -170,10 +172,13 @@ def _units(model: SensorModel) -> Markup:
         for svg, text in _KEY
     ]
     parts = [element("ul", *key, class_="keyline")]
-    for (sensor, name), terms in by_term(model).items():
+    groups = by_term(model)
+    if all(len(terms) == 1 for terms in groups.values()):
+        # One axis: its terms side by side.
+        return join([*parts, element("div", *map(_figure, model.terms), class_="panels")])
+    for (sensor, name), terms in groups.items():
         title = f"{name} {TERMS[terms[0].symbol].name(terms[0].sensor)}, {sensor}"
-        panels = [_figure(term) for term in terms]
-        parts += [element("h3", title[0].upper() + title[1:]), element("div", *panels, class_="panels")]
+        parts += [element("h3", title), element("div", *map(_figure, terms), class_="panels")]
     return join(parts)
 
 
@@ -185,7 +190,7 @@ def _figure(term: FleetTerm) -> Markup:
         text.append(f", units ±{percent(found.spread.value)}")
     text.append(".")
     if term.odd:
-        text.append(f" Odd: {', '.join(f'{u.unit} (p = {u.p_odd:.2g})' for u in term.odd)}.")
+        text.append(f" Odd: {', '.join(f'{u.unit} ({p_text(u.p_odd or 0.0)})' for u in term.odd)}.")
     if term.price:
         text.append(f" Price of {bound_name(term)}: {price_text(term)}.")
     text += [f" {finding.text}" for finding in found.findings]
