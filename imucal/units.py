@@ -140,6 +140,14 @@ def duration(seconds: float) -> str:
     return f"{whole} {units[0]} {rest} {units[1]}" if rest else f"{whole} {units[0]}"
 
 
+def data_size(size: int) -> str:
+    """Return a number of bytes as people say it: ``2.5 kB``, ``224 MB``, ``1.344 GB``, ``22.4 TB``."""
+    for unit, power in (("TB", 12), ("GB", 9), ("MB", 6)):
+        if size >= 10**power:
+            return f"{size / 10**power:.4g} {unit}"
+    return f"{size / 1e3:.4g} kB"
+
+
 def datasheet_unit(name: str) -> DatasheetUnit:
     """Return the data-sheet unit of that name."""
     return DatasheetUnit(name, DATASHEET_UNITS[name])

@@ -13,3 +13,9 @@ def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
 def echo_json(text: str, *, nl: bool = True) -> None:
     """Print a JSON text on standard output: the same value, such signs as JSON's own escapes."""
     click.echo(printable_json(text), nl=nl)
+
+
+def say(text: str, *, quiet: bool = False) -> None:
+    """Print a line for people, on standard error, so that standard output holds results only."""
+    if not quiet:
+        echo(text, err=True)

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._echo import echo
-from imucal.cli._options import say
+from imucal.cli._echo import echo, say
 from imucal.cli._terminal import fitted, width
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
+from imucal.units import data_size, duration
 
 if TYPE_CHECKING:
     import polars as pl
@@ -37,15 +37,17 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
         if what != "other":
             echo("\t".join((what, entry.path, labels or copy, copy if labels else "")).rstrip())
     size = sum(task.size for task in plan.tasks)
-    minutes = plan.seconds() / workers / 60
+    # What logs take differs by more than what rounding to a minute hides.
+    seconds = plan.seconds() / workers
+    about = duration(60 * round(seconds / 60) if seconds > 60 else float(f"{seconds:.2g}"))
     by = _number(workers, "worker")
-    say(f"{number_of_logs(len(plan.tasks))}, {size / 1e6:.4g} MB, about {minutes:.2g} min on {by}")
+    say(f"{number_of_logs(len(plan.tasks))}, {data_size(size)}, about {about} on {by}")
 
 
 def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
     """Say what is to be done, what stands twice, and what labels would bring."""
     size = sum(task.size for task in plan.tasks)
-    parts = [f"{number_of_logs(len(plan.tasks))} to do, {size / 1e6:.4g} MB"]
+    parts = [f"{number_of_logs(len(plan.tasks))} to do, {data_size(size)}"]
     parts += [f"{len(plan.done)} done before"] if plan.done else []
     parts += [f"{len(plan.again)} tried again"] if plan.again else []
     parts += [f"{_number(len(plan.copies), 'copy', 'copies')} of others, counted once"] if plan.copies else []
@@ -106,7 +108,8 @@ def write_files(store: "FleetStore", *, quiet: bool) -> None:
         fleet = load_fleet(store.folder)
         files = write_fleet(fleet)
     except ImucalError as error:
-        say(f"the report is missing: {error}", quiet=quiet)
+        # Said to who asked for quiet, too: results were wanted, and these are not there.
+        say(f"the report is missing: {error}")
         return
     echo(str(next((file for file in files if file.suffix == ".html"), files[0])))
     say_verdict(fleet, quiet=quiet)
@@ -131,22 +134,20 @@ def failed_logs(logs: "pl.DataFrame") -> "pl.DataFrame":
 
 def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
     """Print how many logs ended how, and what they took."""
+    from imucal.fleet.store_columns import STATUSES
+
     verdicts = {grade: count(logs, "ok", grade) for grade in GRADES}
-    failed = {
-        status: n
-        for status in ("unreadable", "no-data", "memory", "timeout", "crash")
-        if (n := count(logs, status))
-    }
+    failed = {status: n for status in STATUSES if status != "ok" and (n := count(logs, status))}
     said = [
         f"{verdicts['good']} good",
         f"{verdicts['look']} to look at",
         f"{verdicts['not-noise']} not noise",
     ]
-    said += [f"{count} {status}" for status, count in failed.items()]
+    said += [f"{n} {status}" for status, n in failed.items()]
     echo(f"{folder}: {number_of_logs(logs.height)} done: {', '.join(said)}")
     cpu, size = float(logs["cpu_s"].sum() or 0.0), int(logs["bytes"].sum() or 0)
     if cpu:
-        echo(f"{size / 1e6:.4g} MB in {cpu:.4g} s of one core, {size / cpu / 1e6:.3g} MB/s")
+        echo(f"{data_size(size)} in {duration(cpu)} of one core, {size / cpu / 1e6:.3g} MB/s")
 
 
 def print_failures(failed: "pl.DataFrame", *, quiet: bool) -> None:

@@ -5,17 +5,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._options import Duration
-from imucal.cli._param_type import ParamType
-from imucal.cli.fit import Structure
+from imucal.cli.parameters.option_types import Duration, Structure
+from imucal.cli.parameters.param_type import ParamType
 from imucal.resources import parse_size
 
 if TYPE_CHECKING:
     from imucal.fleet_run.path_labels import LabelPattern
-
-
-#: Bytes that the packages take which read and fit a log, and a short log.
-_LEAST = 300 << 20
 
 
 class Size(ParamType[int]):
@@ -24,12 +19,14 @@ class Size(ParamType[int]):
     name = "size"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        from imucal.fleet_run.log_tasks import LEAST_MEMORY
+
         try:
             size = value if isinstance(value, int) else parse_size(str(value))
         except ValueError as error:
             self.fail(f"{value!r}: expected {error}", param, ctx)
-        if size < _LEAST:
-            self.fail(f"{value!r} is too little for any log; give {_LEAST >> 20}M or more", param, ctx)
+        if size < LEAST_MEMORY:
+            self.fail(f"{value!r} is too little for any log; give {LEAST_MEMORY >> 20}M or more", param, ctx)
         return size
 
 

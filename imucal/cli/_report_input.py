@@ -6,7 +6,9 @@ from typing import Any, TypeVar
 
 import click
 
-from imucal.cli._options import LogRequest, as_typed, log_options, name_of_log, say
+from imucal.cli._echo import say
+from imucal.cli._typed_names import as_typed, name_of_log
+from imucal.cli.parameters import LogRequest, log_options
 from imucal.errors import ReadError
 from imucal.remote import is_url
 from imucal.remote.addresses import shown

@@ -1,4 +1,4 @@
-"""How wide a table may be."""
+"""How wide a table may be, and texts broken to keep within it."""
 
 import shutil
 import textwrap
@@ -19,3 +19,18 @@ def fitted(line: str, columns: int, *, indent: int) -> list[str]:
     if len(line) <= columns:
         return [line]
     return textwrap.wrap(line, columns, subsequent_indent=" " * indent, break_on_hyphens=False)
+
+
+def wrapped(text: str, *, indent: int = 0) -> list[str]:
+    """Break a text into lines of the page's width; line breaks of its own are kept."""
+    lines = []
+    for line in text.rstrip().split("\n"):
+        own = indent + len(line) - len(line.lstrip())
+        lines += textwrap.wrap(
+            line,
+            width(),
+            initial_indent=" " * own if line.strip() else "",
+            subsequent_indent=" " * (own + 2),
+            break_on_hyphens=False,
+        ) or [""]
+    return lines

@@ -8,36 +8,15 @@ import click
 from imucal._version import __version__
 from imucal.allan.confidence import EDF_METHODS
 from imucal.allan.estimators import ESTIMATORS
-from imucal.cli._echo import echo, echo_json
+from imucal.cli._echo import echo, echo_json, say
 from imucal.cli._finding_lines import print_findings
-from imucal.cli._options import LEVEL, TAU_SET, Duration, LogRequest, log_options, say, shown
-from imucal.cli._param_type import ParamType
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
+from imucal.cli.parameters import LogRequest, log_options, shown
+from imucal.cli.parameters.option_types import LEVEL, Taus
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.grading import judge_findings
 from imucal.recording import AxisSeries, Recording
-
-
-class Taus(ParamType[str | tuple[float, ...]]):
-    """A set of averaging times by name, or a list of durations."""
-
-    name = "taus"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> str | tuple[float, ...]:
-        text = str(value).strip()
-        if TAU_SET.fullmatch(text):
-            return text
-        try:
-            seconds = tuple(Duration().convert(part, param, ctx) for part in text.split(","))
-        except click.BadParameter:
-            seconds = (0.0,)
-        if min(seconds) <= 0:
-            known = "octave, decade, decade:20 or all, nor a list of times such as 0.1,1,10min"
-            self.fail(f"{text!r} is neither {known}", param, ctx)
-        return seconds
 
 
 @click.command(

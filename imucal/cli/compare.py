@@ -1,15 +1,18 @@
 """``imucal compare``: what differs between two reports."""
 
 import json
+import shlex
 from pathlib import Path
 
 import click
 
-from imucal.cli._echo import echo_json
+from imucal.cli._echo import echo_json, say
 from imucal.cli._fleet_input import is_fleet, model_option, read_fleet
-from imucal.cli._options import Number, as_typed, quiet_option, say, shown
 from imucal.cli._report_input import read_report
 from imucal.cli._terminal import FULL, width
+from imucal.cli._typed_names import as_typed
+from imucal.cli.parameters import quiet_option, shown
+from imucal.cli.parameters.option_types import Number
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
@@ -114,7 +117,7 @@ def _both(a: str, b: str, model: str | None) -> tuple[Report, Report]:
 
 def _typed(text: str) -> str:
     """Return a path or a URL as a shell takes it, without the URL's secrets."""
-    return shown_address(text) if is_url(text) else as_typed(Path(text))
+    return shlex.quote(shown_address(text)) if is_url(text) else as_typed(Path(text))
 
 
 def to_document(result: Comparison) -> dict[str, object]:

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal._version import __version__
-from imucal.cli._echo import echo, echo_json
+from imucal.cli._echo import echo, echo_json, say
 from imucal.cli._finding_lines import print_findings
-from imucal.cli._options import Duration, LogRequest, log_options, say, shown
 from imucal.cli._progress import axes_progress, smoothing_progress
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
-from imucal.cli.fit import FORMATS, Structure, report_folder
+from imucal.cli.fit import FORMATS, report_folder
+from imucal.cli.parameters import LogRequest, log_options, shown
+from imucal.cli.parameters.option_types import Duration, Structure
 from imucal.errors import DataError
 from imucal.recording import AxisSeries, Recording, Sensor
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, TypedDict, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from imucal.cli._echo import echo
+from imucal.cli._echo import echo, say
 from imucal.cli._fleet_input import is_fleet, model_option, read_fleet
-from imucal.cli._options import LogRequest, say, shown
-from imucal.cli._param_type import ParamType
 from imucal.cli._report_input import load_report, report_or_log
 from imucal.cli._verdict_line import force_option, refuse
+from imucal.cli.parameters import LogRequest, shown
+from imucal.cli.parameters.param_type import ParamType
 from imucal.errors import WriteError
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address

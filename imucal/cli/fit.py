@@ -5,46 +5,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._echo import echo, echo_json
+from imucal.cli._echo import echo, echo_json, say
 from imucal.cli._finding_lines import print_findings
-from imucal.cli._options import LEVEL, TAU_SET, LogRequest, as_typed, log_options, name_of_log, say, shown
-from imucal.cli._param_type import ParamType
 from imucal.cli._terminal import width
+from imucal.cli._typed_names import as_typed, name_of_log
 from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
+from imucal.cli.parameters import LogRequest, log_options, shown
+from imucal.cli.parameters.option_types import LEVEL, Structure, TauSet
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
-from imucal.noise import parse_structure, structure_text
 
 if TYPE_CHECKING:
     from imucal.findings import Finding
 
 #: Pictures that can be written.
 FORMATS = ("png", "svg", "pdf")
-
-
-class TauSet(ParamType[str]):
-    """A set of averaging times by its name."""
-
-    name = "taus"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        text = str(value).strip()
-        if not TAU_SET.fullmatch(text):
-            self.fail(f"{text!r} is not octave, decade, decade:20 or all", param, ctx)
-        return text
-
-
-class Structure(ParamType[str]):
-    """The terms of a model, or auto."""
-
-    name = "structure"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        text = str(value)
-        try:
-            return text if text == "auto" else structure_text(parse_structure(text))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
 
 
 @click.command(

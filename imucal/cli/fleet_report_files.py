@@ -4,9 +4,10 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._echo import echo
+from imucal.cli._echo import echo, say
 from imucal.cli._fleet_lines import say_verdict
-from imucal.cli._options import Number, quiet_option, say, shown
+from imucal.cli.parameters import quiet_option, shown
+from imucal.cli.parameters.option_types import Number
 
 
 @click.command(

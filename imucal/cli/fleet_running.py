@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imucal.cli._echo import say
 from imucal.cli._fleet_lines import conclude, print_plan, say_plan
 from imucal.cli._fleet_types import FixedStructure, Labels, Patience, Shard, Size
-from imucal.cli._options import LEVEL, Duration, Number, quiet_option, reading_options, say, shown
 from imucal.cli._progress import fleet_progress
+from imucal.cli.parameters import quiet_option, reading_options, shown
+from imucal.cli.parameters.option_types import LEVEL, Duration, Number
 from imucal.resources import threads
 
 if TYPE_CHECKING:

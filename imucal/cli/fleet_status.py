@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._echo import echo, echo_json
+from imucal.cli._echo import echo, echo_json, say
 from imucal.cli._fleet_lines import count, failed_logs, number_of_logs, print_failures, print_standing
-from imucal.cli._options import as_typed, quiet_option, say
+from imucal.cli._typed_names import as_typed
+from imucal.cli.parameters import quiet_option
 from imucal.grading import GRADES
 
 if TYPE_CHECKING:
@@ -32,9 +33,9 @@ def command(*, folder: Path, as_json: bool, quiet: bool) -> None:
     manifest = store.manifest()
     logs = store.logs()
     damaged = store.damaged()
-    known = set(logs["path"])
     copies = manifest.drop_nulls("copy_of")
-    left = [path for path in manifest["path"] if path not in known and path not in set(copies["path"])]
+    settled = {*logs["path"], *copies["path"]}
+    left = [path for path in manifest["path"] if path not in settled]
     if as_json:
         echo_json(json.dumps(_document(logs, manifest, left, damaged), indent=2))
         return

@@ -12,7 +12,7 @@ from imucal.fleet.population import UnitValue
 from imucal.fleet.trend import Trend
 from imucal.fleet_report.fleet_tables import by_term
 from imucal.fleet_report.panels import labelled_ticks, sorted_units, span
-from imucal.fleet_report.shown import bound_name, per, sheet_unit
+from imucal.fleet_report.shown import bound_name, deviation, per, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.recording import Sensor
 from imucal.report.figure_parts import LABEL_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
@@ -192,12 +192,10 @@ def heat_figure(model: SensorModel) -> "Figure":
     values = np.full((len(names), len(model.terms)), np.nan)
     odd: list[tuple[int, int]] = []
     for j, term in enumerate(model.terms):
-        band = term.population.prediction
-        sd = math.log(band[1] / band[0]) / (2 * 1.96) if band and band[0] else math.nan
         for unit in term.population.units:
             i = names.index(unit.unit)
-            if unit.value is not None:
-                values[i, j] = math.log(unit.value / term.population.median.value) / sd
+            off = deviation(term, unit)
+            values[i, j] = math.nan if off is None else off
             if unit.odd:
                 odd.append((i, j))
     tall = min(14.0, max(2.0, 0.2 * len(names)))

@@ -10,6 +10,7 @@ from imucal.fleet_report.shown import (
     alone,
     between,
     bound_name,
+    deviation,
     median_text,
     p_text,
     per,
@@ -135,19 +136,10 @@ def heat_table(model: SensorModel) -> Markup:
     return table(caption, head, body, class_="heat")
 
 
-def _deviation(term: FleetTerm, unit: UnitValue) -> float:
-    """Return how many standard deviations a unit lies off the median, in the logarithm."""
-    band = term.population.prediction
-    if unit.value is None or band is None or term.population.bounded:
-        return 0.0
-    sd = math.log(band[1] / band[0]) / (2 * 1.96)
-    return math.log(unit.value / term.population.median.value) / sd
-
-
 def _strangeness(name: str, terms: Sequence[FleetTerm], every: Sequence[dict[str, UnitValue]]) -> float:
     """Return what sorts units: odd ones first, then the farthest from a median."""
     own = [(term, of_term[name]) for term, of_term in zip(terms, every, strict=True) if name in of_term]
-    return max((100.0 * unit.odd + abs(_deviation(term, unit)) for term, unit in own), default=0.0)
+    return max((100.0 * unit.odd + abs(deviation(term, unit) or 0.0) for term, unit in own), default=0.0)
 
 
 def _heat_cell(term: FleetTerm, unit: UnitValue | None, *, first: bool) -> Markup:
@@ -161,7 +153,7 @@ def _heat_cell(term: FleetTerm, unit: UnitValue | None, *, first: bool) -> Marku
     else:
         change = 100 * math.expm1(math.log(unit.value / term.population.median.value))
         text = f"{change:+.0f}".replace("-", "\N{MINUS SIGN}") if abs(change) >= 0.5 else "0"
-        level = min(int(abs(_deviation(term, unit))), 3)
+        level = min(int(abs(deviation(term, unit) or 0.0)), 3)
         classes += [f"{'u' if change > 0 else 'd'}{level}"] * (level > 0)
     if unit.odd:
         text, classes = f"{text}!", [*classes, "is-odd"]

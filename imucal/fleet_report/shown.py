@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 
 from imucal.fitting.noise_fit import Interval
+from imucal.fleet.population import UnitValue
 from imucal.fleet.trend import Trend
 from imucal.fleet_report.summary import FleetTerm
 from imucal.noise.terms import TERMS
@@ -13,6 +14,8 @@ from imucal.report.numbers import Quantity
 from imucal.report.sheet_units import level_unit
 from imucal.units import DatasheetUnit, pretty
 
+#: Width of a band of 95 %, in standard deviations.
+_BAND_SDS = 2 * 1.96
 #: Less is not told apart.
 _LEAST_P = 1e-4
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -116,3 +119,14 @@ def price_text(term: FleetTerm) -> str:
     if not term.price:
         return ""
     return ", ".join(f"{ratio:.2f}\N{NO-BREAK SPACE}× with {units}" for units, ratio in term.price) + " units"
+
+
+def deviation(term: FleetTerm, unit: UnitValue) -> float | None:
+    """Return how many standard deviations of the next unit a unit lies above the median, in the logarithm.
+
+    None where one of them is not known, or only bounded.
+    """
+    band = term.population.prediction
+    if unit.value is None or band is None or term.population.bounded:
+        return None
+    return math.log(unit.value / term.population.median.value) / (math.log(band[1] / band[0]) / _BAND_SDS)

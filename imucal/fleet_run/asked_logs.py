@@ -9,6 +9,9 @@ from imucal.fleet_run.log_list import find_logs
 from imucal.fleet_run.manifest_file import LogEntry, label_of, read_manifest, shown_and_url
 from imucal.fleet_run.path_labels import LabelPattern
 
+#: Arguments of `imucal.read` that may be several texts.
+_SEVERAL = ("topic", "fields", "message_definition")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AskedLogs:
@@ -85,7 +88,3 @@ def _entry(log: str, pattern: LabelPattern | None) -> LogEntry:
             msg = f"labels: {path}: {name} is {text!r}, expected {error}"
             raise ManifestError(msg) from error
     return LogEntry(path=path, labels=labels, url=url)
-
-
-#: Arguments of `imucal.read` that may be several texts.
-_SEVERAL = ("topic", "fields", "message_definition")

@@ -65,16 +65,19 @@ def done_of(rows: LogRows) -> LogDone:
         status=str(log["status"]),
         reason=str(log["reason"]),
         verdict=str(log.get("verdict") or ""),
-        wall_s=cast("float", log.get("wall_s") or 0.0),
     )
 
 
 def _work_in_child(task: LogTask, settings: FleetSettings) -> LogRows:
     seconds = settings.patience(task)
     for _ in range(_ATTEMPTS):
-        answer = _child(settings).ask(
-            partial(_enter_and_work, task, settings), seconds=seconds, memory=settings.memory
-        )
+        try:
+            answer = _child(settings).ask(
+                partial(_enter_and_work, task, settings), seconds=seconds, memory=settings.memory
+            )
+        except OSError as error:
+            why = f"its process can't be started ({error.strerror or error}), as when a machine is full"
+            return failure(task, settings, "crash", f"{task.path}: {why}; run again where there is room")
         if answer.outcome == "done":
             return cast("LogRows", answer.value)
         if answer.outcome == "late" or _took_memory(answer):

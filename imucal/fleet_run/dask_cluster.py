@@ -77,11 +77,12 @@ def dask_client(engine: Engine) -> Iterator["Client"]:
         except (OSError, TimeoutError, ValueError) as error:
             if cluster is not None:
                 cluster.close(timeout=CLOSE_S)
-            where = engine.address or "a cluster on this machine"
-            msg = f"{where}: can't be reached ({error}); expected the address of a Dask scheduler"
+            msg = f"{engine.address}: can't be reached ({error}); expected the address of a Dask scheduler"
+            if engine.address is None:
+                msg = f"a cluster of {engine.jobs} workers can't be started ({error}); expected room for it"
             raise EngineError(msg) from error
         try:
-            _check_workers(client, engine.address or "the cluster")
+            _check_workers(client, engine)
             yield client
         finally:
             with suppress(Exception):
@@ -91,12 +92,15 @@ def dask_client(engine: Engine) -> Iterator["Client"]:
                     cluster.close(timeout=CLOSE_S)
 
 
-def _check_workers(client: "Client", where: str) -> None:
+def _check_workers(client: "Client", engine: Engine) -> None:
     try:
         client.wait_for_workers(1, timeout=WORKERS_S)
         found = client.run(versions, on_error="return")
     except (OSError, TimeoutError) as error:
-        msg = f"{where}: no worker within {WORKERS_S:.0f} s ({error}); start some: dask worker ADDRESS"
+        within = f"no worker within {WORKERS_S:.0f} s ({error})"
+        msg = f"{engine.address}: {within}; start some: dask worker {engine.address}"
+        if engine.address is None:
+            msg = f"a cluster of {engine.jobs} workers on this machine: {within}; expected room for fewer"
         raise EngineError(msg) from error
     for worker, version in found.items():
         if version != __version__:

@@ -116,6 +116,7 @@ class _Run(Generic[Batch, Result]):
                 if not self._hands:
                     return
                 yield from self._finished()
+                self._forget_gone_workers()
                 yield from self._late()
         finally:
             # What was not begun is not begun any more.
@@ -183,18 +184,23 @@ class _Run(Generic[Batch, Result]):
             result: Result = future.result(timeout=CONNECT_S)
         except KilledWorker:
             return Lost(status="crash", reason="the workers that did it ended")
-        except (TimeoutError, OSError):
+        except (TimeoutError, OSError) as error:
+            if future.status == "error":
+                # The work's own: another try would end the same, again and again.
+                return Lost(status="crash", reason=f"its worker failed ({type(error).__name__}: {error})")
             self._submit(hand.batch)
             return None
         return result
 
+    def _forget_gone_workers(self) -> None:
+        """Take what workers began that are gone for not begun: the scheduler gives it to others."""
+        for hand in self._hands.values():
+            if self._there and hand.begun and hand.worker not in self._there:
+                hand.begun = 0.0
+
     def _late(self) -> Iterator[tuple[Batch, Result | Lost]]:
         """Restart workers that are far over the time of their batch: what they do can't be cancelled."""
         now = time.monotonic()
-        for hand in self._hands.values():
-            # Of a worker that is gone: the scheduler gives its batch to another, which will say so.
-            if self._there and hand.begun and hand.worker not in self._there:
-                hand.begun = 0.0
         late = {
             future: hand
             for future, hand in self._hands.items()

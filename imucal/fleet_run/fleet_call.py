@@ -1,5 +1,6 @@
 """A fleet run by a call: what `imucal fleet run` does, without its lines."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from imucal.fleet_report import Fleet, load_fleet
 from imucal.fleet_run.asked_logs import as_json, asked_logs
 from imucal.fleet_run.dask_cluster import Engine
 from imucal.fleet_run.fleet_plan import FleetPlan, plan_fleet
-from imucal.fleet_run.log_tasks import REPORTS, FleetSettings
+from imucal.fleet_run.log_tasks import LEAST_MEMORY, REPORTS, FleetSettings
 from imucal.fleet_run.manifest_file import LogEntry, stored_entries
 from imucal.fleet_run.path_labels import LabelPattern
 from imucal.fleet_run.running import RunCount, run_plan
@@ -22,7 +23,7 @@ MODEL, LEVEL = "N + B + K", 0.95
 
 
 def run_fleet(
-    logs: str | Path | Iterable[str | Path] = (),
+    logs: str | Path | Iterable[str | Path] | None = None,
     folder: str | Path = "fleet",
     *,
     labels: str | None = None,
@@ -47,8 +48,8 @@ def run_fleet(
     Parameters
     ----------
     logs
-        Files, folders of any depth, names with wildcards, URLs: one, or several. None: the logs that the
-        folder's manifest asks for.
+        Files, folders of any depth, names with wildcards, URLs: one, or several. None, where `manifest` is
+        None too: the logs that the folder's manifest asks for.
     folder
         Of the fleet; made where it is missing.
     labels
@@ -103,7 +104,7 @@ def run_fleet(
     Logs are done in processes of their own, which load imucal and not the script that calls: so a script
     needs no ``if __name__ == "__main__"``, and a notebook may call this.
     """
-    _check(shard, scheduler, reports, level, jobs)
+    _check(shard=shard, scheduler=scheduler, reports=reports, level=level, jobs=jobs, timeout_s=timeout_s)
     store = FleetStore(Path(folder).absolute())
     workers = 1 if shard else jobs or threads()
     settings = fleet_settings(
@@ -112,7 +113,7 @@ def run_fleet(
             store, model=model and structure_text(parse_structure(model)), level=level, fresh=fresh
         ),
         workers=workers,
-        memory=parse_size(memory) if isinstance(memory, str) else memory,
+        memory=None if memory is None else _memory(memory),
         timeout=timeout_s,
         reports=reports,
         shard=shard,
@@ -129,15 +130,29 @@ def run_fleet(
 
 def _entries(
     store: FleetStore,
-    logs: str | Path | Iterable[str | Path],
+    logs: str | Path | Iterable[str | Path] | None,
     manifest: str | Path | None,
     labels: str | None,
 ) -> tuple[LogEntry, ...]:
-    names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs]
-    if not names and manifest is None:
+    if logs is None and manifest is None:
         return tuple(stored_entries(store.manifest()))
-    pattern = LabelPattern(labels) if labels else None
-    return asked_logs(names, manifest=Path(manifest) if manifest else None, labels=pattern).entries
+    names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
+    if not names and manifest is None:
+        # A pattern that matched nothing, say: it must not become all that the folder has.
+        msg = f"logs {logs!r}, expected some; leave them out to go on with those of the folder"
+        raise ValueError(msg)
+    pattern = None if labels is None else LabelPattern(labels)
+    table = None if manifest is None else Path(manifest)
+    return asked_logs(names, manifest=table, labels=pattern).entries
+
+
+def _memory(asked: int | str) -> int:
+    """Return bytes, as they are asked for or as a text says them."""
+    try:
+        return parse_size(str(asked), least=LEAST_MEMORY)
+    except ValueError as error:
+        msg = f"memory {asked!r}, expected {error}, {LEAST_MEMORY >> 20}M or more"
+        raise ValueError(msg) from error
 
 
 def kept_settings(
@@ -155,7 +170,7 @@ def kept_settings(
     given = {name: value for name, value in asked.items() if value is not None}
     for name, value in given.items():
         if kept.get(name, value) != value:
-            msg = f"{store.folder.name}: holds fits with {name} {kept[name]}, found {value}"
+            msg = f"{store.folder}: holds fits with {name} {kept[name]}, found {value}"
             raise ValueError(msg)
     every: dict[str, object] = {"model": MODEL, "level": LEVEL, **kept, **given}
     return str(every["model"]), float(str(every["level"]))
@@ -201,7 +216,13 @@ def prepare(store: FleetStore, plan: FleetPlan, settings: FleetSettings, *, fres
 
 
 def _check(
-    shard: tuple[int, int] | None, scheduler: str | None, reports: str, level: float | None, jobs: int | None
+    *,
+    shard: tuple[int, int] | None,
+    scheduler: str | None,
+    reports: str,
+    level: float | None,
+    jobs: int | None,
+    timeout_s: float | None,
 ) -> None:
     if shard and not 1 <= shard[0] <= shard[1]:
         msg = f"shard {shard} is no part; expected (i, n) with i from 1 to n"
@@ -217,6 +238,9 @@ def _check(
         raise ValueError(msg)
     if jobs is not None and jobs < 1:
         msg = f"jobs {jobs}, expected a number from 1"
+        raise ValueError(msg)
+    if timeout_s is not None and not 0 < timeout_s < math.inf:
+        msg = f"timeout_s {timeout_s}, expected seconds above 0"
         raise ValueError(msg)
 
 

@@ -20,8 +20,8 @@ from imucal.fleet_run.manifest_file import LABELS, LogEntry
 _SETTLED = ("ok", "unreadable", "no-data")
 #: Usual bytes of a log a second on one core, and seconds that each takes besides.
 _BYTES_PER_S, _SECONDS = 17e6, 1.0
-#: Batches of each worker: at least, so that all end together; and in a long run, whose batches are up to
-#: `_LONGER` times as long.
+#: Batches of each worker: at least so many, so that all workers end together; and so many in a long run,
+#: for which a batch may last `_LONGER` times as long.
 _LEAST_BATCHES, _BATCHES, _LONGER = 4, 40, 10
 
 
@@ -73,10 +73,10 @@ class FleetPlan:
 
         Which these are does not change with what is done, so that shards may start at any time.
         """
-        own = tuple(entry.path for entry in self.entries[number - 1 :: of])
+        own = dict.fromkeys(entry.path for entry in self.entries[number - 1 :: of])
         return replace(
             self,
-            own=own,
+            own=tuple(own),
             tasks=tuple(task for task in self.tasks if task.path in own),
             done=tuple(path for path in self.done if path in own),
             again=tuple(path for path in self.again if path in own),

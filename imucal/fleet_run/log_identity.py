@@ -15,7 +15,7 @@ from imucal.readers.compression import crc32
 
 #: Bytes at the beginning and at the end of a file that make its edge.
 _EDGE = 1 << 16
-#: Bytes read at once.
+#: Bytes read at once. Their CRCs make the checksum: with another size every content would have a new one.
 _BLOCK = 1 << 20
 
 
@@ -89,7 +89,8 @@ def content_of(path: Path) -> str:
     machine = hashlib.blake2b(digest_size=16)
     block = memoryview(bytearray(_BLOCK))
     for file in _files(path):
-        with file.open("rb", buffering=0) as stream:
+        # Buffered, as a file system may return less than was asked for, which would move the blocks.
+        with file.open("rb") as stream:
             machine.update(file.stat().st_size.to_bytes(8, "little"))
             while count := stream.readinto(block):
                 machine.update(crc32(block[:count]).to_bytes(4, "little"))

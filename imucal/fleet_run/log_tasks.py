@@ -9,6 +9,8 @@ from imucal._version import __version__
 
 #: Which logs get a report of their own.
 REPORTS = ("none", "failed", "all")
+#: Bytes that the packages take which read and fit a log, and a short log.
+LEAST_MEMORY = 300 << 20
 #: Seconds that a log may take, and more for each megabyte; usual ones take 0.06 s for each.
 PATIENCE, PATIENCE_PER_MB = 300.0, 3.0
 
@@ -97,8 +99,6 @@ class LogDone:
         Of the log; in bytes.
     status, reason, verdict
         As in the store.
-    wall_s
-        Time that it took, in s.
     """
 
     path: str
@@ -106,7 +106,6 @@ class LogDone:
     status: str
     reason: str = ""
     verdict: str = ""
-    wall_s: float = 0.0
 
     @property
     def failed(self) -> bool:

@@ -90,8 +90,8 @@ def run_plan(
         count.running += len(batch or ())
         return batch
 
-    def told(workers: int) -> None:
-        count.workers = workers
+    def told(at_work: int) -> None:
+        count.workers = at_work
         tell(count)
 
     tell(count)
@@ -114,11 +114,13 @@ def run_plan(
 
 
 def _try_alone(batch: list[LogTask], alone: deque[list[LogTask]], lost: set[str]) -> None:
-    """Let the logs of a lost batch be done by themselves: it may have been another's fault."""
+    """Let the logs of a lost batch be done by themselves: it may have been another's fault.
+
+    One that was alone is noted as lost and gets one more try: it may have been its worker's fault.
+    """
     if len(batch) == 1:
         lost.add(batch[0].path)
-    for task in batch:
-        alone.append([task])
+    alone.extend([task] for task in batch)
 
 
 def _given_up(batch: list[LogTask], lost: Lost, settings: FleetSettings) -> list[LogDone]:
@@ -131,6 +133,7 @@ def _given_up(batch: list[LogTask], lost: Lost, settings: FleetSettings) -> list
 def _here(
     take: Callable[[], list[LogTask] | None], work: Callable[[list[LogTask]], list[LogDone]]
 ) -> Iterator[tuple[list[LogTask], list[LogDone] | Lost]]:
+    """Yield batches as this process does them, one after the other."""
     try:
         while (batch := take()) is not None:
             yield batch, work(batch)

@@ -85,6 +85,7 @@ def test_report_says_which_labels_to_type(folder: Path) -> None:
         ),
         (("export", "fleet", "--rate", "9", "--to", "kalibr"), 2, "without options of reading a log"),
         (("compare", "fleet", "like.npz"), 2, "imucal check like.npz --fleet fleet"),
+        (("compare", "fleet", "https://h/a&b.npz"), 2, "imucal check 'https://h/a&b.npz' --fleet fleet"),
         (("compare", "a", "b", "--fleet-model", "X"), 2, "is no fleet, but --fleet-model is about one"),
         (("check", "like.npz", "--fleet", "nothing"), 3, "expected the folder of a fleet"),
         (("check", "like.npz", "--fleet-model", "X"), 2, "give --fleet FLEET too"),

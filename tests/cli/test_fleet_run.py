@@ -2,11 +2,15 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import pytest
 
+from imucal.cli._fleet_lines import print_plan, write_files
+from imucal.errors import WriteError
 from imucal.fleet.store import FleetStore
+from imucal.fleet_run import FleetPlan, LogTask
 from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet
 
@@ -57,7 +61,7 @@ def test_the_same_command_again_does_nothing_twice(done: Path) -> None:
     for arguments in (("logs", *LABELS), ()):
         again = run("fleet", "run", *arguments, "--shard", "1/1", "--max-failed", "20%", cwd=done)
         assert again.returncode == 0, again.stderr
-        assert again.stderr.startswith("0 logs to do, 0 MB; 8 done before\n")
+        assert again.stderr.startswith("0 logs to do, 0 kB; 8 done before\n")
     assert sorted((done / "fleet" / "logs").iterdir()) == parts
 
 
@@ -83,7 +87,7 @@ def test_more_failures_than_allowed_end_with_4(done: Path) -> None:
 def test_labels_that_the_store_has_are_not_asked_for_again(done: Path) -> None:
     """A run without labels keeps those of the first; one of a new folder asks for them."""
     again = run("fleet", "run", "logs", "--shard", "1/1", cwd=done)
-    assert again.stderr.startswith("0 logs to do, 0 MB; 8 done before\nunreadable: 1\n")
+    assert again.stderr.startswith("0 logs to do, 0 kB; 8 done before\nunreadable: 1\n")
     first = run("fleet", "run", "logs/alpha/u00", "-o", "without", "--shard", "1/1", cwd=done)
     assert "No log has a label unit: logs stand one by one" in first.stderr
 
@@ -97,6 +101,39 @@ def test_a_dry_run_writes_nothing(logs: Path) -> None:
     assert len(lines) == 8
     assert ended.stderr.startswith("8 logs, ")
     assert not (logs / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("number", "size", "workers", "said"),
+    [
+        (1, 10_000, 1, "1 log, 10 kB, about 1 s on 1 worker\n"),
+        (300, 17_000_000, 4, "300 logs, 5.1 GB, about 2 min on 4 workers\n"),
+        (100_000, 224_000_000, 8, "100000 logs, 22.4 TB, about 2 d 1 h on 8 workers\n"),
+    ],
+)
+def test_what_a_fleet_would_take_is_said_as_people_do(
+    number: int, size: int, workers: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of two days not how many minutes, of terabytes not how many megabytes."""
+    tasks = tuple(LogTask(path=f"{i}.npz", size=size) for i in range(number))
+    plan = FleetPlan(entries=(), tasks=tasks, done=(), again=(), copies={}, own=())
+    print_plan(plan, workers)
+    assert capsys.readouterr().err == said
+
+
+def test_a_report_that_cannot_be_written_is_said_to_who_asked_for_quiet(
+    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The results are there, the report that they were asked for is not."""
+
+    def full(_: object) -> None:
+        msg = "fleet.json: can't be written"
+        raise WriteError(msg)
+
+    shutil.copytree(done / "fleet", tmp_path / "fleet", ignore=shutil.ignore_patterns("fleet.*"))
+    monkeypatch.setattr("imucal.fleet_report.write_fleet", full)
+    write_files(FleetStore(tmp_path / "fleet"), quiet=True)
+    assert capsys.readouterr() == ("", "the report is missing: fleet.json: can't be written\n")
 
 
 def test_a_dry_run_says_what_is_done_and_what_stands_twice(done: Path, tmp_path: Path) -> None:

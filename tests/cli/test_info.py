@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucal.cli.info import TopicReading, _jitter, _what_was_read
+from imucal.cli._info_lines import _jitter, _what_was_read
+from imucal.cli._topic_reading import TopicReading
 from imucal.findings import Finding
 from imucal.readers import TopicContents
 from imucal.recording import AxisSeries, Recording, Sensor, Source

@@ -1,11 +1,15 @@
-"""The process that does a log: what it is given of its worker's environment."""
+"""The process that does a log: what it is given of its worker's environment, and one that can't start."""
 
+import errno
 import os
+from pathlib import Path
 
 import pytest
 
-from imucal.fleet_run.batch_work import _child
-from imucal.fleet_run.log_tasks import FleetSettings
+from imucal.child_process import ChildProcess
+from imucal.fleet.store import FleetStore
+from imucal.fleet_run.batch_work import _child, work_on_batch
+from imucal.fleet_run.log_tasks import FleetSettings, LogTask
 from imucal.resources import POOLS, THREADS
 
 
@@ -24,3 +28,23 @@ def test_a_log_has_one_thread_and_the_usual_allocator(monkeypatch: pytest.Monkey
     assert found.pop("IMUCAL_FLEET_TEST") == "stays"
     assert found.pop("IMUCAL_MEMORY") == str((1 << 30) + 1)
     assert set(found.values()) == {"1"}
+
+
+def test_a_process_that_cannot_start_is_the_failure_of_its_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says why, and ends neither the run nor the worker; the next run tries the log again."""
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(ChildProcess, "ask", full)
+    FleetStore(tmp_path / "store").create()
+    settings = FleetSettings(store=str(tmp_path / "store"), folder=str(tmp_path), memory=4 << 30)
+    (done,) = work_on_batch([LogTask(path="a.mcap")], settings)
+    assert done.status == "crash"
+    assert done.reason == (
+        "a.mcap: its process can't be started (Resource temporarily unavailable), as when a machine is full; "
+        "run again where there is room"
+    )
+    assert FleetStore(tmp_path / "store").logs()["status"].to_list() == ["crash"]

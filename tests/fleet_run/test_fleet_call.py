@@ -50,7 +50,7 @@ def test_a_call_does_what_the_command_does(folder: Path, monkeypatch: pytest.Mon
     assert called.settings() == typed.settings()
     # And the command finds nothing to do in the folder of the call, nor the call in that of the command.
     again = run("fleet", "run", "-o", "called", "--shard", "1/1", "--max-failed", "50%", cwd=folder)
-    assert again.stderr.startswith("0 logs to do, 0 MB; 3 done before\n")
+    assert again.stderr.startswith("0 logs to do, 0 kB; 3 done before\n")
     parts = sorted(Path("typed/logs").iterdir())
     assert imucal.run_fleet(folder="typed", shard=(1, 1)).asked == 3
     assert sorted(Path("typed/logs").iterdir()) == parts
@@ -116,21 +116,33 @@ def test_a_notebook_may_call_it(folder: Path) -> None:
         ({"reports": "some"}, ValueError, "reports 'some', expected one of none, failed, all"),
         ({"level": 95}, ValueError, "level 95, expected one between 0 and 1"),
         ({"jobs": 0}, ValueError, "jobs 0, expected a number from 1"),
-        ({"memory": "much"}, ValueError, "a size such as 500M or 2G"),
+        ({"memory": "much"}, ValueError, "memory 'much', expected a size such as 500M or 2G, 300M or more"),
+        ({"memory": 0}, ValueError, "memory 0, expected a size such as 500M or 2G, 300M or more"),
+        ({"memory": "20M"}, ValueError, "memory '20M', expected"),
+        ({"timeout_s": 0}, ValueError, "timeout_s 0, expected seconds above 0"),
+        ({"timeout_s": float("nan")}, ValueError, "timeout_s nan, expected seconds above 0"),
         ({"model": "Z"}, ValueError, "Z"),
         ({"model": "auto"}, ValueError, "auto"),
         ({"labels": "*.npz"}, ValueError, "no label; write such as"),
+        ({"labels": ""}, ValueError, "no label; write such as"),
+        ({"manifest": ""}, imucal.ImucalError, "expected a CSV table"),
         (
             {"labels": "{temperature_c}/*/*/*.npz"},
             imucal.ImucalError,
             "temperature_c is '.*', expected a number",
         ),
         ({"logs": "missing/*.bag"}, imucal.ReadError, "no log has such a name"),
-        ({"logs": ()}, imucal.ReadError, "expected the folder of a fleet"),
+        ({"logs": None}, imucal.ReadError, "expected the folder of a fleet"),
+        (
+            {"logs": []},
+            ValueError,
+            r"logs \[\], expected some; leave them out to go on",
+        ),
+        ({"logs": [], "folder": "typed"}, ValueError, "expected some; leave them out"),
         (
             {"folder": "typed", "model": "N + K"},
             ValueError,
-            "holds fits with model N \\+ B \\+ K, found N \\+ K",
+            "/typed: holds fits with model N \\+ B \\+ K, found N \\+ K",
         ),
         ({"folder": "logs"}, imucal.WriteError, "no fleet of imucal's; nothing was changed"),
     ],

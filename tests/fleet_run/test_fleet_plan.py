@@ -1,6 +1,8 @@
 """What of a fleet is to be done: less what is done, each content once, the same in every shard."""
 
 import os
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,6 +142,46 @@ def test_shards_share_all_logs_whenever_they_start(settings: FleetSettings) -> N
     finish(settings, first)
     later = [plan(settings, *names).shard(number, 3) for number in (2, 3)]
     assert sorted(path for part in (first, *later) for path in paths(part.tasks)) == sorted(names)
+
+
+def test_a_shard_of_very_many_logs_is_found_at_once() -> None:
+    """A hundred thousand: by a look at each, and not at each for each."""
+    names = [f"{number}.mcap" for number in range(100_000)]
+    whole = FleetPlan(
+        entries=tuple(LogEntry(path=name) for name in names),
+        tasks=tuple(LogTask(path=name) for name in names),
+        done=(),
+        again=(),
+        copies={},
+        own=tuple(names),
+    )
+    begun = time.process_time()
+    part = whole.shard(2, 2)
+    # Each against each took more than a minute.
+    assert time.process_time() - begun < 5
+    assert part.own == tuple(paths(part.tasks)) == tuple(names[1::2])
+
+
+def test_content_that_comes_in_small_pieces_is_the_same(tmp_path: Path) -> None:
+    """As from a file system over a network, which may return less than was asked for."""
+
+    def checksum(pieces: list[bytes]) -> str:
+        pipe = tmp_path / f"pipe{len(pieces)}"
+        os.mkfifo(pipe)
+
+        def write_pieces() -> None:
+            with pipe.open("wb", buffering=0) as stream:
+                for piece in pieces:
+                    stream.write(piece)
+
+        writer = threading.Thread(target=write_pieces)
+        writer.start()
+        found = content_of(pipe)
+        writer.join()
+        return found
+
+    data = bytes(range(256)) * 8192
+    assert checksum([data]) == checksum([data[at : at + 7000] for at in range(0, len(data), 7000)])
 
 
 @pytest.mark.parametrize(("workers", "seconds"), [(2, 30.0), (50, 30.0), (1, 0.0), (3, 1e9)])

@@ -1,10 +1,11 @@
-"""Batches of late workers, with a client of Dask that is played: what is given up, what is waited for."""
+"""Batches that are late or lost, with a played client of Dask: what is given up, what is waited for."""
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
-from imucal.fleet_run.dask_engine import Lost, _Run
+from imucal.fleet_run.dask_engine import Lost, _Hand, _Run
 
 
 class Played:
@@ -57,10 +58,30 @@ def test_a_batch_of_a_worker_that_is_gone_is_not_late() -> None:
     """The scheduler gives it to another, whose time begins when it says so."""
     client = Played("tcp://b:1")
     run = late_run(client, begun_at="tcp://a:1")
+    run._forget_gone_workers()
     assert list(run._late()) == []
     run._begun((0.0, (1, "tcp://b:1")))
     assert list(run._late()) == []
     assert (client.restarted, len(run._hands)) == ([], 1)
+
+
+@pytest.mark.parametrize(
+    ("status", "outcome", "in_hand"),
+    [
+        ("error", Lost(status="crash", reason="its worker failed (OSError: [Errno 28] no room)"), 0),
+        ("finished", None, 1),
+    ],
+)
+def test_what_the_work_raises_is_not_tried_for_ever(status: str, outcome: Lost | None, in_hand: int) -> None:
+    """An error of the way is: the same one where the result could not be brought."""
+
+    def result(**_: object) -> None:
+        raise OSError(28, "no room")
+
+    future = SimpleNamespace(status=status, result=result)
+    run: _Run[str, str] = _Run(cast("Any", Played("tcp://a:1")), "here", str, lambda _: 10.0, lambda _: None)
+    assert run._outcome(cast("Any", future), _Hand("batch", 1)) == outcome
+    assert len(run._hands) == in_hand
 
 
 @pytest.mark.parametrize("error", [KeyError("tcp://a:1"), TimeoutError(), OSError()])

@@ -29,13 +29,13 @@ def test_a_fleet_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None: 
     }
     assert list(cache.iterdir()) == []
     again = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
-    assert again.stderr.startswith("0 logs to do, 0 MB; 2 done before\n")
+    assert again.stderr.startswith("0 logs to do, 0 kB; 2 done before\n")
     bucket.pipe_file("logs/mems/u2/still.csv", one_axis(9))
     bucket.pipe_file("logs/mems/u4/still.csv", one_axis(0))
     third = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
     assert third.returncode == 0, third.stderr
     # The fourth unit's log is the first one's, byte for byte.
-    assert third.stderr.startswith("1 log to do, 0.02673 MB; ")
+    assert third.stderr.startswith("1 log to do, 26.73 kB; ")
     same = "s3://logs/mems/u4/still.csv: same content as s3://logs/mems/u1/still.csv"
     assert same in third.stderr
 

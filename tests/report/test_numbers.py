@@ -13,7 +13,7 @@ from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.numbers import Quantity, compact, decimals, with_uncertainty
 from imucal.report.sheet_units import sheet_units
-from imucal.units import duration
+from imucal.units import data_size, duration
 from tests.report.synthetic import consumer_report
 
 
@@ -175,6 +175,22 @@ def test_minimum_carries_the_interval_of_its_point() -> None:
 def test_durations_are_as_people_say_them(seconds: float, text: str) -> None:
     """Two units at most, the smaller one left out where it is nought."""
     assert duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [
+        (0, "0 kB"),
+        (26_730, "26.73 kB"),
+        (10**6, "1 MB"),
+        (224_000_000, "224 MB"),
+        (13_440_000_000, "13.44 GB"),
+        (22_400_000_000_000, "22.4 TB"),
+    ],
+)
+def test_sizes_have_no_exponent(size: int, text: str) -> None:
+    """Nor so many digits that they must be counted."""
+    assert data_size(size) == text
 
 
 @pytest.mark.parametrize(("value", "text"), [(2621.44, "2620 s"), (0.005, "0.005 s"), (41.3, "41.3 s")])
