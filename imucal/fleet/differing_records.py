@@ -82,8 +82,9 @@ def _widened(
             deviations = np.full(len(told), np.sqrt(np.mean(deviations**2)))
         mean, low, high, spread = _mean(values, deviations, level, random=differs)
         value, low, high = (math.sqrt(max(x, 0.0)) for x in (mean, low, high))
-        # Of the square, relative to the upper end where the mean is not told from zero.
-        spread = 0.5 * spread / max(value, 0.5 * high) ** 2
+        # Of the square, relative to the upper end where the mean is not told from zero; that of the common
+        # coefficient where all limits of the mean are below it.
+        spread = 0.5 * spread / max(value, 0.5 * max(high, joint.high)) ** 2
     low, high = min(low, joint.low), max(high, joint.high)
     widening = joint.widening * max((high - low) / (joint.high - joint.low), 1.0)
     if low <= 0 or value <= 0:

@@ -113,6 +113,7 @@ def main() -> None:
     parser.add_argument("--fleets", type=int, default=200)
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--no-power", action="store_true")
+    parser.add_argument("--rows", type=int, nargs="*", help="which, from 0; all by default")
     options = parser.parse_args()
     print(
         "| fleet | error | omega | no trend: alone, fleet, mean and own slopes held "
@@ -120,7 +121,8 @@ def main() -> None:
     )
     print("|---|---|---|---|---|---|---|---|---|")
     rows = [(shape, error, omega) for shape in FLEETS for error in ERRORS for omega in OMEGAS]
-    for place, (shape, error, omega) in enumerate(rows):
+    for place in range(len(rows)) if options.rows is None else options.rows:
+        shape, error, omega = rows[place]
         rng = np.random.default_rng([options.seed, place])
         start = time.process_time()
         none = [said(make_fleet(rng, shape, error, omega)) for _ in range(options.fleets)]

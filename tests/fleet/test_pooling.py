@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.testing as npt
 import pytest
+from scipy import signal
 
 import imucal
 from imucal import DataError, NoiseFit, PooledFit
@@ -124,6 +125,34 @@ def test_a_step_of_one_record_is_nothing_in_the_others() -> None:
     for ours, theirs in zip(pooled.homogeneity, same.homogeneity, strict=True):
         assert ours.p_value == pytest.approx(theirs.p_value, abs=0.1)
         assert 0 <= ours.statistic < 10
+
+
+def test_a_mean_below_zero_is_a_bound() -> None:
+    """Squares of a weak term may all lie below zero: found is the common bound, and no spread beyond all."""
+    pooled = imucal.pool(
+        [
+            quick_fit(simulated(f"N={n} + B=2e-4 + K=1e-4", 2000, 92, 7, i))
+            for i, n in enumerate((1e-3, 1e-3, 1.4e-3))
+        ]
+    )
+    assert pooled.homogeneity[0].differs
+    assert all(np.isfinite(test.spread) for test in pooled.homogeneity)
+    weak = [estimate for estimate in pooled.estimates if estimate.value is None]
+    assert weak
+    assert all(estimate.low == 0 < estimate.high for estimate in weak)
+
+
+def test_a_filter_of_one_record_is_not_that_of_all() -> None:
+    """Three records whose N differs, one of them behind a filter: no filter fits all, in any order."""
+    corner = np.exp(-2 * np.pi * 15 / RATE)
+    behind = signal.lfilter([1 - corner], [1, -corner], simulated("N=1e-3 + K=2e-5", 4000, 94, 0))
+    records = [
+        *(simulated(f"N={n} + K=2e-5", 4000, 93, 0, i) for i, n in enumerate((1e-3, 1.5e-3))),
+        np.asarray(behind),
+    ]
+    assert fit_of(records[2]).response is not None
+    for order in ((0, 1, 2), (2, 0, 1)):
+        assert _joint([records[i] for i in order]).band.poles == 0
 
 
 def test_a_walk_in_one_record_only_is_found() -> None:

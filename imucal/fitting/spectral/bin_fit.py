@@ -99,7 +99,7 @@ def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm
 
 
 def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, max_gm: int) -> Band:
-    """Return the band and response of all records; flat where each record by itself is.
+    """Return the band and response of all records; flat where most records by themselves are.
 
     Records whose coefficients differ fit no one model; together they may look like a filter's doing.
     """
@@ -110,9 +110,10 @@ def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, ma
 
     band = find(every)
     if len(parts) > 1 and not _flat(band):
-        own = next((alone for part in parts if not _flat(alone := find(part))), None)
-        if own is None:
-            return find(parts[0])
+        own = [find(part) for part in parts]
+        flat = [alone for alone in own if _flat(alone)]
+        if 2 * len(flat) > len(own):
+            return flat[0]
     return band
 
 
