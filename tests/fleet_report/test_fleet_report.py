@@ -23,8 +23,9 @@ from imucal.fleet.store_columns import MANIFEST
 from imucal.fleet_report import unit_tests
 from imucal.fleet_report.fleet_document import fleet_csv, fleet_document, fleet_schema
 from imucal.fleet_report.fleet_figures import drift_figure, heat_figure, models_figure, units_figure
-from imucal.fleet_report.fleet_page import render_fleet_page, verdict
+from imucal.fleet_report.fleet_page import render_fleet_page
 from imucal.fleet_report.fleet_tables import heat_table
+from imucal.fleet_report.fleet_verdict import verdict
 from imucal.fleet_report.loading import labels_to_type
 from imucal.fleet_report.panels import unit_panel
 from imucal.fleet_report.sample_size import NEAR, tolerance_excess
