@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._echo import echo, say
+from imucal.cli._finding_lines import print_findings
 from imucal.cli._terminal import fitted, width
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
@@ -15,6 +16,7 @@ from imucal.units import data_size, duration
 if TYPE_CHECKING:
     import polars as pl
 
+    from imucal.findings import Finding
     from imucal.fleet.store import FleetStore
     from imucal.fleet_report import Fleet
     from imucal.fleet_run import FleetPlan
@@ -105,12 +107,14 @@ def write_files(store: "FleetStore", *, quiet: bool) -> None:
         return
     try:
         fleet = load_fleet(store.folder)
-        files = write_fleet(fleet)
+        missing: list[Finding] = []
+        files = write_fleet(fleet, tell=missing.append)
     except ImucalError as error:
         # Said to who asked for quiet, too: results were wanted, and these are not there.
         say(f"the report is missing: {error}")
         return
     echo(str(next((file for file in files if file.suffix == ".html"), files[0])))
+    print_findings([*fleet.findings, *missing], quiet=quiet)
     say_verdict(fleet, quiet=quiet)
 
 

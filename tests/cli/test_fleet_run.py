@@ -118,7 +118,7 @@ def test_a_report_that_cannot_be_written_is_said_to_who_asked_for_quiet(
 ) -> None:
     """The results are there, the report that they were asked for is not."""
 
-    def full(_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         msg = "fleet.json: can't be written"
         raise WriteError(msg)
 

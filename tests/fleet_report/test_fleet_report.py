@@ -472,15 +472,20 @@ def test_files_are_written_whole(fleet: Fleet, tmp_path: Path) -> None:
 def test_a_picture_that_fails_costs_nothing_else(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The others are there, and the document says which is missing."""
+    """The others are there, and document and caller are told which is missing; an old one goes."""
 
     def broken(*_: object) -> None:
         raise ArithmeticError
 
     monkeypatch.setattr("imucal.fleet_report.fleet_figures.heat_figure", broken)
     monkeypatch.setattr("imucal.fleet_report.fleet_figures.units_figure", broken)
-    files = [file.name for file in imucal.write_fleet(fleet, tmp_path)]
-    assert files == ["fleet.json", "fleet.csv", "drift.png", "fleet.html"]
+    (tmp_path / "heat.png").write_bytes(b"of yesterday")
+    told: list[str] = []
+    files = imucal.write_fleet(fleet, tmp_path, tell=lambda finding: told.append(finding.text))
+    assert [file.name for file in files] == ["fleet.json", "fleet.csv", "drift.png", "fleet.html"]
+    assert not (tmp_path / "heat.png").exists()
+    missing = ("units-gyro", "units-accel", "heat")
+    assert [text.split(":")[0] for text in told] == [f"{name}.png is missing" for name in missing]
     findings = json.loads((tmp_path / "fleet.json").read_text(encoding="utf-8"))["findings"]
     assert {finding["code"] for finding in findings} == {"not-drawn"}
 
