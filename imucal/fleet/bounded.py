@@ -18,6 +18,8 @@ from imucal.fleet.squares import Squares
 _SHOWN = 1.959963984540054
 #: Points of the mean square's likelihood, up to where its logarithm is so far below the peak.
 _POINTS, _NOTHING = 1001, -30.0
+#: How often its reach is doubled at most.
+_DOUBLINGS = 200
 #: Units that are added at a time.
 _CHUNK = 1024
 
@@ -36,27 +38,50 @@ def only_bounded(values: LogValues) -> bool:
 def rms_bound(values: LogValues, confidence: float) -> float:
     """Return the value that the units' root mean square stays below with a probability `confidence`.
 
-    The likelihood of one square for all units (flat prior), wider where they scatter by more than their
-    errors say.
+    Of one square for all units, or of the mean of squares that differ, whichever is larger; neither is below
+    zero (flat prior).
     """
+    units = values.squares().mean_by(values.unit, 0.0)
+    return math.sqrt(max(_of_one(units, confidence), _of_different(units, confidence)))
+
+
+def _of_one(units: Squares, confidence: float) -> float:
+    """Return the bound of a square that is the same for all units, from its likelihood."""
     from scipy.integrate import cumulative_simpson
 
-    units = values.squares().mean_by(values.unit, 0.0)
-    weight = units.sd**-2.0
-    error = 1 / math.sqrt(float(np.sum(weight)))
-    mean = max(float(np.sum(weight * units.estimate)) * error**2, 0.0)
-    apart = (units.estimate - mean) / units.deviation(mean)
-    scatter = max(float(np.sum(apart**2)) / max(apart.size - 1, 1), 1.0)
-    reach = mean + error
-    while True:
-        reach *= 2
+    reach = float(units.sd.min())
+    for _ in range(_DOUBLINGS):
         square = np.linspace(0.0, reach, _POINTS)
-        height = _height(units, square) / scatter
+        height = _height(units, square)
         height -= height.max()
         if height[-1] < _NOTHING:
             break
+        reach *= 2
     total = cumulative_simpson(np.exp(height), x=square, initial=0.0)
-    return math.sqrt(float(np.interp(confidence, total / total[-1], square)))
+    return float(np.interp(confidence, total / total[-1], square))
+
+
+def _of_different(units: Squares, confidence: float) -> float:
+    """Return the bound of the mean of squares that scatter by more than their errors say, else zero.
+
+    Source: DerSimonian & Laird (1986), Controlled Clinical Trials 7, p. 177.
+    """
+    from scipy.special import ndtr, ndtri
+
+    weight = units.sd**-2.0
+    error = units.deviation(max(float(np.average(units.estimate, weights=weight)), 0.0))
+    weight = error**-2.0
+    apart = units.estimate - np.average(units.estimate, weights=weight)
+    beyond = float(np.sum(weight * apart**2)) - (apart.size - 1)
+    if beyond <= 0:
+        return 0.0
+    total = float(np.sum(weight))
+    weight = 1 / (error**2 + beyond / (total - float(np.sum(weight**2)) / total))
+    mean = float(np.average(units.estimate, weights=weight))
+    error_of_mean = 1 / math.sqrt(float(np.sum(weight)))
+    beyond = (1 - confidence) * float(ndtr(mean / error_of_mean))
+    bound: float = mean - error_of_mean * float(ndtri(beyond))
+    return bound
 
 
 def _height(units: Squares, square: FloatArray) -> FloatArray:

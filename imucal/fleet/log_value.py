@@ -122,25 +122,20 @@ class LogValues:
         told = ~np.isnan(value) & (low > 0)
         low_sd = np.where(told, np.maximum((centre - np.log(np.where(told, low, 1.0))) / z, 1e-9), high_sd)
         deviation = np.where(told, (high_sd + low_sd) / 2, np.inf)
-        variance, variance_sd = (
+        variance, variance_sd, growth = (
             _column(log.variance for log in logs),
             _column(log.variance_sd for log in logs),
+            _column(None if log.variance is None else log.variance_growth for log in logs),
         )
-        growth = np.where(np.isnan(variance), np.nan, [log.variance_growth for log in logs])
-        squared = variance > 0
-        relative = np.where(
-            squared, (variance_sd + growth * variance) / np.where(squared, variance, 1), np.inf
-        )
-        by_square = relative <= 2 * _NARROW_VARIANCE
-        # The mean of the logarithm of a chi-square lies below that of its mean.
-        centre = np.where(by_square, 0.5 * np.log(np.where(squared, variance, 1)) + relative**2 / 4, centre)
+        logarithm, error = _logarithms(variance, variance_sd + growth * variance)
+        centre = np.where(error <= _NARROW_VARIANCE, logarithm, centre)
         names = tuple(dict.fromkeys(log.unit for log in logs))
         place = {name: i for i, name in enumerate(names)}
         return cls(
             names=names,
             unit=np.array([place[log.unit] for log in logs], dtype=np.int64),
             centre=centre,
-            deviation=np.where(np.isnan(variance), deviation, relative / 2),
+            deviation=np.where(np.isnan(variance), deviation, error),
             variance=variance,
             variance_sd=variance_sd,
             growth=growth,
@@ -165,9 +160,9 @@ class LogValues:
     def log_deviation(self, theta: float) -> FloatArray:
         """Return the standard error of each log in the logarithm, were its coefficient exp(theta)."""
         square = math.exp(2 * theta)
-        sd = np.where(np.isnan(self.variance), self.bound, self.variance_sd + self.growth * square)
-        weak = np.where(np.isnan(sd), self.deviation, sd / (2 * square))
-        result: FloatArray = np.where(self.narrow, self.deviation, weak)
+        limits = np.isnan(self.variance) & np.isnan(self.bound)
+        weak = self.squares().deviation(square) / (2 * square)
+        result: FloatArray = np.where(self.narrow | limits, self.deviation, weak)
         return result
 
     def squares(self) -> Squares:
@@ -204,6 +199,16 @@ class LogValues:
         """Return which logs are normal in the logarithm."""
         result: BoolArray = self.deviation <= np.where(np.isnan(self.variance), _NARROW, _NARROW_VARIANCE)
         return result
+
+
+def _logarithms(variance: FloatArray, deviation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return logarithms of coefficients and their errors, from their squares; infinite where that is none.
+
+    The logarithm of a chi-square has a mean below that of its mean: by half its relative variance.
+    """
+    positive = np.where(variance > 0, variance, 1.0)
+    error = np.where(variance > 0, deviation / (2 * positive), np.inf)
+    return 0.5 * np.log(positive) + np.where(np.isfinite(error), error, 0.0) ** 2, error
 
 
 def _column(values: Iterable[float | None]) -> FloatArray:

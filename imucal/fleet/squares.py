@@ -57,7 +57,8 @@ class Squares:
         """Return the chance of an estimate below each, were the squares those, shape (n, squares).
 
         Wilson & Hilferty (1931), Proc. National Academy of Sciences 17, p. 684: the cube root of a
-        chi-square is nearly normal.
+        chi-square is nearly normal. An estimate may lie below what its background alone would be, since
+        the other terms are not known: far down it is normal.
         """
         from scipy.special import ndtr
 
@@ -65,6 +66,7 @@ class Squares:
         apart = (estimate - square) / (sd + growth * square)
         grows = np.maximum(growth, _NO_GROWTH)
         root = (np.cbrt(1 + grows * apart) - 1) * 3 / grows + grows / 3
+        root = np.where(apart < 0, np.maximum(root, apart), root)
         result: FloatArray = ndtr(np.where(growth < _NO_GROWTH, apart, root))
         return result
 

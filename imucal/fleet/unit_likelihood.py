@@ -93,9 +93,18 @@ def unit_likelihoods(logs: LogValues, omega: float, place: Place) -> UnitLikelih
 
 
 def blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
-    """Return the matrix that takes the mean of a function on `theta` over a normal law about `theta_to`."""
+    """Return the matrix that takes the mean of a function on `theta` over a normal law about `theta_to`.
+
+    Beyond the ends of the grid the function is what it is there.
+    """
+    from scipy.special import ndtr
+
     step = float(theta[1] - theta[0])
-    kernel = np.exp(-0.5 * ((theta_to[:, None] - theta) / max(width, step / 2)) ** 2)
+    wide = max(width, step / 2)
+    kernel = np.exp(-0.5 * ((theta_to[:, None] - theta) / wide) ** 2)
+    cell = math.sqrt(2 * math.pi) * wide / step
+    kernel[:, 0] = cell * ndtr((theta[0] + step / 2 - theta_to) / wide)
+    kernel[:, -1] = cell * ndtr((theta_to - theta[-1] + step / 2) / wide)
     result: FloatArray = kernel / kernel.sum(axis=1, keepdims=True)
     return result
 

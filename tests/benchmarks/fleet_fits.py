@@ -3,8 +3,8 @@
     python -m tests.benchmarks.fleet_fits --fleets 100 --seed 7301
 
 Each row is a term of a kind of fleet: every unit has coefficients of its own, ``tau`` about the truth that is
-named, every log is a record of so many samples at 100 Hz. ``told by`` is the truth over the standard
-deviation of one log, both squared. Bias of the median is of the fleets that tell it, in %; covers are
+named, every log is a record of so many samples at 100 Hz. ``told by`` is the square of the truth over the
+standard deviation of one log's. Bias of the median is of the fleets that tell it, in %; covers are
 in %, bounds counted as intervals from zero; ``error`` is the scatter of the medians over their mean
 interval's (1.96 deviations to each side).
 """
@@ -73,9 +73,9 @@ def outcome(found: Population, logs: Sequence[LogValue], truth: float, tau: floa
     bound = truth * math.exp(float(ndtri(0.95)) * tau)
     told = bool(truth) and not found.bounded
     spread = found.spread if told else None
-    squares = [log.variance for log in logs if log.variance is not None]
+    errors = [(log.variance_sd or math.nan) + log.variance_growth * truth**2 for log in logs]
     return [
-        truth**2 / float(np.std(squares, ddof=1)),
+        truth**2 / float(np.mean(errors)),
         found.bounded,
         math.log(found.median.value / truth) if told else math.nan,
         found.median.low <= truth <= found.median.high,

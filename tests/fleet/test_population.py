@@ -49,7 +49,7 @@ def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) 
     told = sum(1 / (s + 0.25) for s in s2[units.normal])
     count = int(np.sum(~units.normal))
     total += 0.5 * math.log((told + count / (weak + 0.25)) / (told + count / 0.25))
-    theta = np.linspace(mu - 6, mu + 3, 1801)
+    theta = np.linspace(mu - 6 - 3 * tau, mu + 3 + 4 * tau, 2401)
     scatter = _normal(theta[:, None] - theta, omega) if omega else None
     for unit in range(len(values.names)):
         likelihood = np.ones(theta.size)
@@ -71,10 +71,23 @@ def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
     weak = weak_fleet(rng, units=3, tau=0.3, error=0.8)
     values = LogValues.of([*told, *(replace(log, unit=f"w{log.unit}") for log in weak)])
     units = unit_likelihoods(values, omega, place_of(values))
-    taus, mus = np.array([0.2, 0.5]), np.array([-0.2, 0.0, 0.3])
-    fast = _log_posterior(units, taus, np.tile(mus, (2, 1)), _blurs(units, taus, np.tile(mus, (2, 1))))
+    # Also medians from which a wide spread reaches beyond the grid of the units' own likelihoods.
+    taus, mus = np.array([0.2, 0.5, 1.5]), np.array([-0.2, 0.0, 0.3, 3.0])
+    grids = np.tile(mus, (taus.size, 1))
+    fast = _log_posterior(units, taus, grids, _blurs(units, taus, grids))
     slow = np.array([[_slow_log_posterior(values, omega, t, m) for m in mus] for t in taus])
     assert fast - fast[0, 0] == pytest.approx(slow - slow[0, 0], abs=0.03)
+
+
+def test_a_median_lies_among_units_that_are_told() -> None:
+    """Four of them, each at three to five of its errors: no limit is far from all of them."""
+    logs = [
+        LogValue(unit=f"u{i}", value=None, low=0.0, high=9.0, variance=v, variance_sd=sd, variance_growth=0.1)
+        for i, (v, sd) in enumerate(((4.6, 0.9), (2.3, 0.5), (2.1, 0.8), (1.8, 0.6)))
+    ]
+    found = population(logs)
+    assert not found.bounded
+    assert 1.0 < found.median.low < found.median.high < 2.5
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e3])
