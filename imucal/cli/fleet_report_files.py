@@ -29,13 +29,13 @@ Exit codes: 0 done, 2 usage, 3 the folder is no fleet or can't be read,
 @click.argument("folder", type=click.Path(path_type=Path), metavar="FLEET")
 @shown(
     "--content",
-    type=Number(0, 1, min_open=True, max_open=True),
+    type=Number(0, 1, min_open=True, max_open=True, percent=True),
     default=0.95,
     help="Share of all units that the tolerance bound holds.",
 )
 @shown(
     "--confidence",
-    type=Number(0, 1, min_open=True, max_open=True),
+    type=Number(0, 1, min_open=True, max_open=True, percent=True),
     default=0.95,
     help="How sure that is.",
 )

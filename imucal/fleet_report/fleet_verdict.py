@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imucal.fleet.outliers import FALSE_SHARE, adjusted
+from imucal.fleet_report.shown import loose_text
 from imucal.fleet_report.summary import Fleet, FleetTerm
 
 
@@ -15,7 +16,7 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
     if failed:
         said.append(f"{failed} of {len(fleet.logs)} logs do not count")
     if fleet.loose:
-        said.append(f"{len(fleet.loose)} logs have no unit's label")
+        said.append(loose_text(fleet))
     few = [model.title for model in fleet.models if len(model.units) < 3]
     if few:
         said.append(f"{', '.join(few)}: too few units to tell a spread or a bound")

@@ -53,7 +53,7 @@ def test_report_writes_its_files_and_says_what_matters(folder: Path) -> None:
     assert done.stdout.split() == ["fleet/fleet.json", "fleet/fleet.csv", "fleet/fleet.html"]
     assert done.stderr.endswith(".\n")
     document = json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8"))
-    higher = run("fleet", "report", "fleet", "--no-pictures", "--no-html", "--content", "0.99", cwd=folder)
+    higher = run("fleet", "report", "fleet", "--no-pictures", "--no-html", "--content", "99%", cwd=folder)
     assert higher.stdout.split() == ["fleet/fleet.json", "fleet/fleet.csv"]
     again = json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8"))
     one, other = (each["models"][0]["terms"][0] for each in (document, again))
