@@ -306,6 +306,26 @@ def test_a_unit_of_the_fleet_passes_and_another_does_not(fleet: Fleet) -> None:
         imucal.check_fleet(replace(report, axes=()), fleet)
 
 
+def test_a_term_that_few_units_have_is_not_judged(fleet: Fleet) -> None:
+    """As of a sensor that the other units lack; the terms of all units are judged as before."""
+    (model,) = fleet.models
+
+    def of_two(term: FleetTerm) -> FleetTerm:
+        if term.name != "accel_x":
+            return term
+        logs = tuple(log for log in term.logs if log.unit in {"u01", "u02"})
+        return replace(term, logs=logs, population=imucal.population(logs))
+
+    few = replace(fleet, models=(replace(model, terms=tuple(map(of_two, model.terms))),))
+    rows = imucal.check_fleet(imucal.fleet_as_report(fleet, value="median"), few)
+    assert [(row.where, row.verdict) for row in rows].count(("accel_x", "undecided")) == 3
+    assert {row.verdict for row in rows if row.where != "accel_x"} == {"pass"}
+    said = next(row.text for row in rows if row.where == "accel_x" and row.subject == "N")
+    assert said.endswith(
+        "2 units of the fleet with it, expected 3 at least to say where the next one lies: not judged"
+    )
+
+
 def test_units_of_the_fleet_fail_a_check_rarely() -> None:
     """New units of 60 draws: a false alarm in about 5 % of them, by the membership of one term."""
     from imucal.fleet.membership import membership
