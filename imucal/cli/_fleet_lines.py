@@ -43,7 +43,7 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
     say(f"{number_of_logs(len(plan.tasks))}, {data_size(size)}, about {about} on {by}")
 
 
-def say_plan(plan: "FleetPlan", *, quiet: bool) -> None:
+def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
     """Say what is to be done, what stands twice, and what labels would bring."""
     size = sum(task.size for task in plan.tasks)
     parts = [f"{number_of_logs(len(plan.tasks))} to do, {data_size(size)}"]
@@ -53,7 +53,8 @@ def say_plan(plan: "FleetPlan", *, quiet: bool) -> None:
     say("; ".join(parts), quiet=quiet)
     for path, other in plan.copies.items():
         say(f"  {path}: same content as {other}", quiet=quiet)
-    if not any(entry.labels.get("unit") for entry in plan.entries):
+    # Labels that the store has stay where a run gives none.
+    if not any(entry.labels.get("unit") for entry in plan.entries) and not store.logs()["unit"].count():
         example = "--labels '{model}/{unit}/*.mcap'"
         say(
             f"No log has a label unit: logs stand one by one; say which units they are: {example}",

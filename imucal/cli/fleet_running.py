@@ -170,7 +170,7 @@ def command(
     prepare(store, plan, settings, fresh=fresh)
     for part in store.damaged():
         say(f"{part}: was cut off; its logs are done again", quiet=quiet)
-    say_plan(plan, quiet=quiet)
+    say_plan(plan, store, quiet=quiet)
     with _saying_how_to_go_on(_resume(ctx.obj or [], out)):
         _run(plan, settings, workers=workers, scheduler=scheduler, here=shard is not None, quiet=quiet)
     conclude(ctx, store, plan, out, max_failed=max_failed, quiet=quiet)

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imucal.fitting.noise_fit import Interval
+from imucal.fleet.labelled_logs import NEAREST
 from imucal.fleet.population import UnitValue
+from imucal.fleet.trend import Trend
 from imucal.fleet_report.fleet_tables import by_term
 from imucal.fleet_report.panels import labelled_ticks, sorted_units, span
-from imucal.fleet_report.shown import bound_name, deviation, sheet_unit
+from imucal.fleet_report.shown import bound_name, deviation, per, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.recording import Sensor
 from imucal.report.figure_parts import LABEL_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
@@ -50,7 +51,7 @@ def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
     groups = [terms for terms in by_term(model).values() if terms[0].sensor is sensor]
     columns = max(len(terms) for terms in groups)
     tall = min(_TALLEST, max(1.4, _ROW * len(model.units)))
-    figure = new_figure(4.0 * columns, (tall + 0.95) * len(groups) + 0.6, _DPI)
+    figure = new_figure(4.0 * columns, (tall + 0.95) * len(groups) + 0.9, _DPI)
     axes = figure.subplots(len(groups), columns, squeeze=False)
     for row, terms in zip(axes, groups, strict=True):
         for place, term in zip(row, terms, strict=False):
@@ -59,8 +60,36 @@ def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
             place.set_visible(False)
     title = f"{model.title}, {sensor}: {len(model.units)} units"
     figure.suptitle(title, fontsize=TITLE_SIZE, color=INK)
-    figure.tight_layout(rect=(0, 0, 1, 0.99))
+    _key(figure, columns)
+    figure.tight_layout(rect=(0, 0.3 * (1 + (columns == 1)) / figure.get_figheight(), 1, 0.99))
     return figure
+
+
+def _key(figure: "Figure", columns: int, *, bound: bool = True) -> None:
+    """Say at the bottom what the marks mean."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    marks = {
+        "unit": Line2D([], [], color=DATA.light, linewidth=1, marker="o", markersize=4.5),
+        "upper bound": Line2D([], [], color=DATA.light, linestyle="", marker="<", markerfacecolor="white"),
+        "odd unit": Line2D([], [], color=LEFT_OUT, linestyle="", marker="D", markersize=4.5),
+        "median unit": Line2D([], [], color=MODEL.light, linewidth=1.4),
+        "next unit, 95 %": Patch(facecolor=MODEL.light, alpha=0.13),
+        "tolerance bound": Line2D([], [], color=_BOUND, linewidth=1.5, linestyle="--"),
+    }
+    names = [name for name in marks if bound or name != "tolerance bound"]
+    figure.legend(
+        [marks[name] for name in names],
+        names,
+        loc="lower center",
+        ncols=3 if columns == 1 else len(names),
+        frameon=False,
+        fontsize=SMALL_SIZE,
+        labelcolor=INK,
+        columnspacing=1.2,
+        handletextpad=0.5,
+    )
 
 
 def _draw_units(axes: "Axes", term: FleetTerm) -> None:
@@ -106,7 +135,7 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
     """Return each term of each axis: a row a model, a dot a unit, the median and the next unit's band."""
     keys = list(dict.fromkeys((term.name, term.term) for model in models for term in model.terms))
     rows = math.ceil(len(keys) / 3)
-    figure = new_figure(12, (0.42 * len(models) + 0.95) * rows + 0.4, _DPI)
+    figure = new_figure(12, (0.42 * len(models) + 0.95) * rows + 0.7, _DPI)
     axes = figure.subplots(rows, 3, squeeze=False).ravel()
     for place, (name, key) in zip(axes, keys, strict=False):
         own = [(m, t) for m in models for t in m.terms if (t.name, t.term) == (name, key)]
@@ -122,7 +151,8 @@ def models_figure(models: Sequence[SensorModel]) -> "Figure":
         place.set_ylim(len(own) - 0.4, -0.6)
     for place in axes[len(keys) :]:
         place.set_visible(False)
-    figure.tight_layout()
+    _key(figure, 3, bound=False)
+    figure.tight_layout(rect=(0, 0.3 / figure.get_figheight(), 1, 1))
     return figure
 
 
@@ -172,7 +202,7 @@ def heat_figure(model: SensorModel) -> "Figure":
     figure = new_figure(3.2 + 0.36 * len(model.terms), tall + 1.6, _DPI)
     axes = figure.subplots()
     image = axes.imshow(np.ma.masked_invalid(values), cmap="PuOr_r", vmin=-4, vmax=4, aspect="auto")
-    axes.set_facecolor(GRID)
+    axes.patch.set(facecolor="white", edgecolor=FADED, hatch="////", linewidth=0)
     for i, j in odd:
         light = abs(values[i, j]) > 2
         colour = "white" if light else INK
@@ -185,8 +215,8 @@ def heat_figure(model: SensorModel) -> "Figure":
     bar = figure.colorbar(image, ax=axes, fraction=0.05, pad=0.02)
     bar.set_label("standard deviations of the next unit", fontsize=SMALL_SIZE, color=INK)
     bar.ax.tick_params(labelsize=SMALL_SIZE, colors=INK)
-    title = f"{model.title}: units against the median (grey: only bounded; ! odd)"
-    axes.set_title(title, fontsize=LABEL_SIZE + 1, color=INK, loc="left")
+    title = f"{model.title}: units against the median\nhatched: only bounded; !: odd"
+    axes.set_title(title, fontsize=LABEL_SIZE, color=INK, loc="left")
     figure.tight_layout()
     return figure
 
@@ -194,13 +224,17 @@ def heat_figure(model: SensorModel) -> "Figure":
 def drift_figure(model: SensorModel) -> "Figure":
     """Return the change of each term a °C and a year, with its interval; units that move otherwise in red."""
     terms = [term for term in model.terms if term.trend]
-    figure = new_figure(10, 0.27 * len(terms) + 1.4, _DPI)
-    columns = (("temperature_c", "% a °C"), ("days", "% a year"))
-    for axes, (label, title) in zip(figure.subplots(1, 2, sharey=True), columns, strict=True):
-        for i, term in enumerate(terms):
-            _draw_slopes(axes, term, label, i)
+    trends = [term.trend for term in terms if term.trend]
+    labels = [label for label in NEAREST if any(m.label == label for trend in trends for m in trend.means)]
+    figure = new_figure(max(5.0 * len(labels), 6.0), 0.27 * len(terms) + 1.4, _DPI)
+    for axes, label in zip(
+        figure.subplots(1, len(labels), sharey=True, squeeze=False)[0], labels, strict=True
+    ):
+        name, part = per(label, trends)
+        for i, trend in enumerate(trends):
+            _draw_slopes(axes, trend, label, row=i, size=100 * part)
         axes.axvline(0, color=FADED, linewidth=1)
-        _style(axes, title, "")
+        _style(axes, f"% a {name}", "")
         axes.set_yticks(range(len(terms)), [f"{t.name} {t.term}" for t in terms], fontsize=SMALL_SIZE)
         axes.set_ylim(len(terms) - 0.4, -0.6)
     figure.suptitle(f"{model.title}: temperature and time", fontsize=TITLE_SIZE, color=INK)
@@ -208,17 +242,17 @@ def drift_figure(model: SensorModel) -> "Figure":
     return figure
 
 
-def _draw_slopes(axes: "Axes", term: FleetTerm, label: str, row: int) -> None:
-    """Draw a term's change by one label with its interval, and the units that move otherwise."""
-    trend = term.trend
-    interval = trend and (trend.temperature if label == "temperature_c" else trend.drift)
-    if trend is None or not isinstance(interval, Interval):
-        return
-    axes.plot([100 * interval.low, 100 * interval.high], [row, row], color=DATA.light, linewidth=1.2)
-    axes.plot(100 * interval.value, row, marker="o", markersize=5, color=MODEL.light)
+def _draw_slopes(axes: "Axes", trend: Trend, label: str, *, row: int, size: float) -> None:
+    """Draw a term's change by one label with its interval, and the units that move otherwise.
+
+    `size` is that of a slope of 1 in the picture.
+    """
+    for mean in (mean.slope for mean in trend.means if mean.label == label):
+        axes.plot([size * mean.low, size * mean.high], [row, row], color=DATA.light, linewidth=1.2)
+        axes.plot(size * mean.value, row, marker="o", markersize=5, color=MODEL.light)
     for slope in trend.slopes:
         if slope.odd and slope.label == label:
-            at = 100 * slope.slope.value
+            at = size * slope.slope.value
             axes.plot(at, row, marker="D", markersize=5, color=LEFT_OUT)
             axes.annotate(
                 *(slope.unit, (at, row)),

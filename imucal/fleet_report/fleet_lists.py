@@ -26,8 +26,11 @@ _WORDS = {
     "next unit": "A new unit of the same model lies within this band with a probability of 95 %.",
     "tolerance bound": (
         "The number for the config of every unit. 95/95: with 95 % confidence, 95 of 100 units of this model "
-        "are below it. Few tested units make it large; the price says by how much, and what testing more "
-        "would save. Odd units count in it, as in all numbers."
+        "are below it. Odd units count in it, as in all numbers."
+    ),
+    "price": (
+        "How far the tolerance bound lies above the level that those 95 of 100 units are below: with as many "
+        "units as were tested, and with more. Few units make the bound large; testing more would save that."
     ),
     "odd": (
         "A unit that is not like the others, judged by what the others alone are like. In a fleet without "
@@ -45,9 +48,10 @@ def failures_section(fleet: Fleet) -> Markup:
     blocks = []
     for (kind, reason), logs in fleet.failures.items():
         items = [element("li", *_path(log)) for log in logs]
-        listed = element("ul", *items, class_="paths")
-        if len(items) > _FEW:
-            listed = element("details", element("summary", f"all {len(items)} logs"), listed)
+        listed = element("ul", *items[:_FEW], class_="paths")
+        if more := items[_FEW:]:
+            rest = element("ul", *more, class_="paths")
+            listed = join([listed, element("details", element("summary", f"{len(more)} more"), rest)])
         level = "warning" if kind == "not-noise" else "error"
         title = join([element("b", f"{kind}, {len(logs)} log{'s' * (len(logs) > 1)}: "), reason])
         blocks.append(element("ul", element("li", title, listed), class_=f"findings {level}"))

@@ -14,7 +14,7 @@ from imucal.fleet_report.fleet_tables import (
 )
 from imucal.fleet_report.fleet_verdict import verdict
 from imucal.fleet_report.panels import strip_panel, unit_panel
-from imucal.fleet_report.shown import bound_name, median_text, percent, price_text
+from imucal.fleet_report.shown import bound_name, median_text, p_text, percent, price_text
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS
 from imucal.report.markup import Markup, element, join
@@ -38,7 +38,7 @@ def render_fleet_page(fleet: Fleet) -> str:
     return render_frame(
         Page(
             title=f"{name} – fleet of IMUs",
-            heading=f"Fleet {name}",
+            heading="Fleet" if name == "fleet" else f"Fleet {name}",
             grade=grade,
             sentence=sentence,
             lead=_lead(fleet),
@@ -51,8 +51,8 @@ def render_fleet_page(fleet: Fleet) -> str:
 
 def _lead(fleet: Fleet) -> str:
     parts = [
-        f"{model.title}: {len(model.units)} unit{'s' * (len(model.units) != 1)}, "
-        f"{sum(not log.left_out for log in model.logs)} logs that count at {model.rate_hz:.6g} Hz"
+        f"{f'{model.name}: ' * bool(model.name)}{len(model.units)} unit{'s' * (len(model.units) != 1)}, "
+        f"{sum(not log.left_out for log in model.logs)} logs that count, {model.rate_hz:.6g} Hz"
         for model in fleet.models
     ]
     waiting = fleet.asked - len(fleet.logs)
@@ -68,7 +68,7 @@ def _sections(fleet: Fleet) -> list[Section]:
         note = element("p", "Bold: the number for the config of every unit. ", _few_note(fleet))
         found.append(("config", "The number for the config", join([note, *map(config_table, models)])))
     for i, model in enumerate(models):
-        found.append((f"units-{i}", f"Units of {model.title}", _units(model)))
+        found.append((f"units-{i}", f"Units of {model.name}" if model.name else "Units", _units(model)))
     if len(models) > 1:
         found.append(("models", "Models side by side", _strips(models)))
     if models:
@@ -104,10 +104,13 @@ def _units(model: SensorModel) -> Markup:
         for svg, text in _KEY
     ]
     parts = [element("ul", *key, class_="keyline")]
-    for (sensor, name), terms in by_term(model).items():
+    groups = by_term(model)
+    if all(len(terms) == 1 for terms in groups.values()):
+        # One axis: its terms side by side.
+        return join([*parts, element("div", *map(_figure, model.terms), class_="panels")])
+    for (sensor, name), terms in groups.items():
         title = f"{name} {TERMS[terms[0].symbol].name(terms[0].sensor)}, {sensor}"
-        panels = [_figure(term) for term in terms]
-        parts += [element("h3", title[0].upper() + title[1:]), element("div", *panels, class_="panels")]
+        parts += [element("h3", title), element("div", *map(_figure, terms), class_="panels")]
     return join(parts)
 
 
@@ -119,7 +122,7 @@ def _figure(term: FleetTerm) -> Markup:
         text.append(f", units ±{percent(found.spread.value)}")
     text.append(".")
     if term.odd:
-        text.append(f" Odd: {', '.join(f'{u.unit} (p = {u.p_odd:.2g})' for u in term.odd)}.")
+        text.append(f" Odd: {', '.join(f'{u.unit} ({p_text(u.p_odd or 0.0)})' for u in term.odd)}.")
     if term.price:
         text.append(f" Price of {bound_name(term)}: {price_text(term)}.")
     text += [f" {finding.text}" for finding in found.findings]

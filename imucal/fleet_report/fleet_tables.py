@@ -1,15 +1,19 @@
 """The tables of a fleet's page: the number for the config, units × terms, slopes, logs of one unit."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from imucal.fleet.labelled_logs import NEAREST
 from imucal.fleet.population import UnitValue
 from imucal.fleet.trend import Trend
 from imucal.fleet_report.shown import (
     alone,
+    between,
     bound_name,
     deviation,
     median_text,
+    p_text,
+    per,
     percent,
     price_text,
     slope_text,
@@ -21,8 +25,6 @@ from imucal.recording import Axis
 from imucal.report.markup import Markup, element, join, labelled, row, table
 
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
-#: Label -> what its slope is for.
-_PER = {"temperature_c": "°C", "days": "year"}
 #: Most rows of the table of units: the strangest ones.
 _MOST = 200
 
@@ -36,15 +38,16 @@ def by_term(model: SensorModel) -> dict[tuple[str, str], list[FleetTerm]]:
 
 
 def config_table(model: SensorModel) -> Markup:
-    """Return the number for the config of each term and axis, with median and spreads."""
+    """Return the number for the config of each term and axis that the model has, with median and spreads."""
     body = []
+    shown = [axis for axis in _AXES if any(term.axis == axis for term in model.terms)]
     for (sensor, key), terms in by_term(model).items():
         axes = {term.axis: term for term in terms}
         name = TERMS[terms[0].symbol].name(terms[0].sensor)
         head = element("th", element("b", key), f" {name}", element("small", sensor), scope="row")
-        body.append(row(head, *(element("td", _config_cell(axes.get(axis))) for axis in _AXES)))
+        body.append(row(head, *(element("td", _config_cell(axes.get(axis))) for axis in shown)))
     bound = bound_name(model.terms[0]) if model.terms else "95/95"
-    head = row(element("td"), *(element("th", axis, scope="col") for axis in _AXES))
+    head = row(element("td"), *(element("th", axis, scope="col") for axis in shown))
     return table(
         f"{model.title}: {bound} tolerance bound, median unit, spreads", [head], body, class_="summary config"
     )
@@ -100,7 +103,7 @@ def _band(term: FleetTerm) -> str | Markup:
     low, high = term.population.prediction
     if term.population.bounded:
         return join(["below ", alone(term, high)])
-    return join([alone(term, low), " to ", alone(term, high)])
+    return between(term, low, high)
 
 
 def heat_table(model: SensorModel) -> Markup:
@@ -163,6 +166,8 @@ def slope_table(models: Iterable[SensorModel]) -> Markup:
     refused: dict[str, list[str]] = {}
     several = list(models)
     titles = ("temperature", "drift", "units", "units that move otherwise")
+    trends = [term.trend for model in several for term in model.terms if term.trend]
+    units = {label: per(label, trends) for label in NEAREST}
     for model in several:
         for term in model.terms:
             where = (
@@ -172,13 +177,13 @@ def slope_table(models: Iterable[SensorModel]) -> Markup:
                 refused.setdefault(term.no_trend, []).append(where)
                 continue
             cells = (
-                *(_mean_slope(term.trend, label) for label in _PER),
+                *(_mean_slope(term.trend, label, *units[label]) for label in NEAREST),
                 str(term.trend.units),
-                "; ".join(_moving(term)) or "none",
+                "; ".join(_moving(term.trend, units)) or "none",
             )
             rows.append(row(element("th", where, scope="row"), *labelled(titles, cells)))
     notes = [
-        element("p", f"{', '.join(places) if len(places) < 7 else f'{len(places)} terms'}: {why}.")
+        element("p", f"{', '.join(places) if len(places) < 7 else f'Each of {len(places)} terms'}: {why}.")
         for why, places in refused.items()
     ]
     if not rows:
@@ -188,24 +193,24 @@ def slope_table(models: Iterable[SensorModel]) -> Markup:
     return join([table(caption, head, rows, class_="wide cards"), *notes])
 
 
-def _mean_slope(trend: Trend, label: str) -> str | Markup:
+def _mean_slope(trend: Trend, label: str, unit: str, part: float) -> str | Markup:
     """Return the fleet's slope, bold where it is not chance."""
     mean = next((mean for mean in trend.means if mean.label == label), None)
     if mean is None:
         return "–"
-    text = slope_text(mean.slope, _PER[label])
+    text = slope_text(mean.slope, unit, part)
     return element("b", text) if mean.odd else text
 
 
-def _moving(term: FleetTerm) -> Iterator[str]:
-    for slope in term.trend.slopes if term.trend else ():
+def _moving(trend: Trend, units: Mapping[str, tuple[str, float]]) -> Iterator[str]:
+    for slope in trend.slopes:
         if slope.odd:
-            yield f"{slope.unit} {slope_text(slope.slope, _PER[slope.label])}"
+            yield f"{slope.unit} {slope_text(slope.slope, *units[slope.label])}"
 
 
 def unit_logs_table(model: SensorModel) -> Markup:
     """Return how many units have logs that differ, and which."""
-    titles = ("units with several logs", "logs differ in", "of which")
+    titles = ("units with several logs", "logs differ in", "which")
     body = []
     for term in model.terms:
         differing = [unit for unit in term.unit_logs if unit.differs]
@@ -214,7 +219,7 @@ def unit_logs_table(model: SensorModel) -> Markup:
         said = join(
             element(
                 "li",
-                f"{unit.unit} by {percent(unit.spread)} (p = {unit.p_value:.2g}): ",
+                f"{unit.unit} by {percent(unit.spread)} ({p_text(unit.p_value)}): ",
                 with_limits(term, unit.value, unit.low, unit.high),
             )
             for unit in differing

@@ -23,7 +23,9 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
     grade, text = ("look", "; ".join(said)) if said else ("good", "no unit is odd, and every log counts")
     if chance:
         text += f"; far off in one term of so many, perhaps by chance: {'; '.join(chance)}"
-    return grade, f"{text[0].upper()}{text[1:]}."
+    # A model's name stays as it is.
+    named = any(text.startswith((f"{model.title}:", f"{model.title},")) for model in fleet.models)
+    return grade, f"{text if named else text[0].upper() + text[1:]}."
 
 
 def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:

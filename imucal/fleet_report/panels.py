@@ -125,7 +125,9 @@ def labelled_ticks(low: float, high: float) -> tuple[list[float], list[str], str
     places = round_ticks(low, high)
     power = math.floor(math.log10(min(places)) + 1e-9)
     if -2 <= power <= 3:
-        return places, [tick_label(place) for place in places], ""
+        # Plain numbers: 8000, 10000, and not 8000, 10⁴.
+        plain = max(places) < 1e6
+        return places, [f"{place:.6g}" if plain else tick_label(place) for place in places], ""
     labels = [f"{place / 10.0**power:.4g}" for place in places]
     return places, labels, f"{tick_label(10.0**power)} "
 

@@ -1,19 +1,23 @@
 """Numbers of a fleet as people read them, in data-sheet units and in SI."""
 
 import math
+from collections.abc import Iterable
 
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import UnitValue
+from imucal.fleet.trend import Trend
 from imucal.fleet_report.summary import Fleet, FleetTerm
 from imucal.noise.terms import TERMS
 from imucal.report import numbers
-from imucal.report.markup import Markup, both_units
+from imucal.report.markup import Markup, both_units, element, join
 from imucal.report.numbers import Quantity
 from imucal.report.sheet_units import level_unit
 from imucal.units import DatasheetUnit, pretty
 
 #: Width of a band of 95 %, in standard deviations.
 _BAND_SDS = 2 * 1.96
+#: Less is not told apart.
+_LEAST_P = 1e-4
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -32,7 +36,8 @@ def quantity(term: FleetTerm, value: float | None, low: float, high: float) -> t
 
 def with_limits(term: FleetTerm, value: float | None, low: float, high: float) -> Markup:
     """Return ``0.31 [0.30, 0.32] deg/√h`` in both units."""
-    return both_units(*(numbers.with_interval(each) for each in quantity(term, value, low, high)))
+    texts = (numbers.with_interval(each).rpartition(" ") for each in quantity(term, value, low, high))
+    return both_units(*(join([f"{number} ", unbroken(unit)]) for number, _, unit in texts))
 
 
 def median_text(term: FleetTerm) -> Markup:
@@ -43,7 +48,19 @@ def median_text(term: FleetTerm) -> Markup:
 
 def alone(term: FleetTerm, value: float) -> Markup:
     """Return a number with three digits and its unit, in both units: ``0.342 deg/√h``."""
-    return both_units(*(plain_text(each) for each in quantity(term, value, value, value)))
+    return both_units(*(unbroken(plain_text(each)) for each in quantity(term, value, value, value)))
+
+
+def between(term: FleetTerm, low: float, high: float) -> Markup:
+    """Return ``0.24 to 0.42 deg/√h`` in both units."""
+    pairs = zip(quantity(term, low, low, low), quantity(term, high, high, high), strict=True)
+    texts = [[plain_text(each).rpartition(" ") for each in pair] for pair in pairs]
+    return both_units(*(join([f"{first[0]} to {last[0]} ", unbroken(last[2])]) for first, last in texts))
+
+
+def unbroken(text: str) -> Markup:
+    """Return a text that stays in one line: browsers part a unit such as ``deg/h`` after the stroke."""
+    return element("span", text, class_="keep")
 
 
 def plain_text(one: Quantity) -> str:
@@ -64,11 +81,32 @@ def percent(value: float) -> str:
     )
 
 
-def slope_text(slope: Interval, unit: str) -> str:
-    """Return ``+0.31 [0.25, 0.37] % a °C`` of a change of the logarithm."""
-    places = max(0, 1 - math.floor(math.log10(max(100 * (slope.high - slope.low) / 2, 1e-9))))
-    value, low, high = (f"{100 * x:+.{min(places, 4)}f}" for x in (slope.value, slope.low, slope.high))
-    return f"{value} [{low}, {high}] % a {unit}".replace("-", "\N{MINUS SIGN}")
+def p_text(p: float) -> str:
+    """Return ``p = 0.0046``, or that it is less than what anyone asks for."""
+    return f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
+
+
+def per(label: str, trends: Iterable[Trend]) -> tuple[str, float]:
+    """Return what changes by a label are said of, such as a year, and what part of the slopes' it is.
+
+    A change of the logarithm is a share of the coefficient while it is small. Where one would come to more
+    than 100 % a year, as it may of logs of one week, all are said of a day.
+    """
+    if label == "temperature_c":
+        return "°C", 1.0
+    shown = [slope for trend in trends for slope in (*trend.means, *trend.slopes) if slope.label == label]
+    fast = any(abs(slope.slope.value) > 1 for slope in shown if slope.odd or not slope.unit)
+    return ("day", 1 / 365.25) if fast else ("year", 1.0)
+
+
+def slope_text(slope: Interval, unit: str, part: float) -> str:
+    """Return ``+0.31 [+0.25, +0.37] % a °C`` of a change of the logarithm; unit, part: see `per`."""
+    value, low, high = (100 * part * x for x in (slope.value, slope.low, slope.high))
+    places = min(max(0, 1 - math.floor(math.log10(max((high - low) / 2, 1e-9)))), 4)
+    # No sign before a zero.
+    texts = [f"{x:+.{places}f}" if round(x, places) else f"{0:.{places}f}" for x in (value, low, high)]
+    unit = f"% a {unit}".replace(" ", "\N{NO-BREAK SPACE}")
+    return f"{texts[0]} [{texts[1]}, {texts[2]}] {unit}".replace("-", "\N{MINUS SIGN}")
 
 
 def bound_name(term: FleetTerm) -> str:
@@ -80,9 +118,7 @@ def price_text(term: FleetTerm) -> str:
     """Return what the bound costs, and what more units would buy."""
     if not term.price:
         return ""
-    (now, excess), *more = term.price
-    text = f"{now} units: {excess:.2f} × the level that it bounds"
-    return "; ".join([text, *(f"{units} units: {ratio:.2f} ×" for units, ratio in more)])
+    return ", ".join(f"{ratio:.2f}\N{NO-BREAK SPACE}× with {units}" for units, ratio in term.price) + " units"
 
 
 def deviation(term: FleetTerm, unit: UnitValue) -> float | None:

@@ -84,6 +84,14 @@ def test_more_failures_than_allowed_end_with_4(done: Path) -> None:
     assert ended.stderr.endswith(message)
 
 
+def test_labels_that_the_store_has_are_not_asked_for_again(done: Path) -> None:
+    """A run without labels keeps those of the first; one of a new folder asks for them."""
+    again = run("fleet", "run", "logs", "--shard", "1/1", cwd=done)
+    assert again.stderr.startswith("0 logs to do, 0 kB; 8 done before\nunreadable: 1\n")
+    first = run("fleet", "run", "logs/alpha/u00", "-o", "without", "--shard", "1/1", cwd=done)
+    assert "No log has a label unit: logs stand one by one" in first.stderr
+
+
 def test_a_dry_run_writes_nothing(logs: Path) -> None:
     """And says of every log what would be done with it."""
     ended = run("fleet", "run", "logs", *LABELS, "-o", "other", "--dry-run", cwd=logs)

@@ -158,9 +158,11 @@ def test_the_likelihood_ratio_is_that_of_a_plain_search() -> None:
 
         def drop(log: float, column: int = column) -> float:
             place = np.array([np.exp(log)])
-            return float(sum(r.profile(column, place)[0] - r.objective for r in records))
+            return float(
+                sum(r.profile(np.array([column]), place[None]).objective[0] - r.objective for r in records)
+            )
 
-        peaks = np.array([r.deviation_of(column) for r in records])
+        peaks = np.array([r.deviations(np.array([column]))[0] for r in records])
         if not peaks.any():
             assert test.statistic < 1e-6
             continue

@@ -56,38 +56,61 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
         return ()
     records = [_Record(one, fit) for one in fit.records]
     room = fit.whole.candidate.room_markov
-    every = parameter_columns(fit.whole.structure, room)
+    terms = [
+        (name.partition(".")[0], column)
+        for name, column in parameter_columns(fit.whole.structure, room)
+        if column < MARKOV + room
+    ]
+    columns = np.array([column for _, column in terms])
+    peaks = np.array([record.deviations(columns) for record in records])
+    errors = np.array([record.log_deviations(columns) for record in records])
+    drops = _least(records, columns, peaks) - sum(record.objective for record in records)
     return tuple(
-        _test(fit.problem, records, name, column) for name, column in every if column < MARKOV + room
+        _test(fit.problem, key, *of_term)
+        for (key, _), *of_term in zip(terms, drops.tolist(), peaks.T, errors.T, strict=True)
     )
 
 
-def _test(problem: Problem, records: "list[_Record]", name: str, column: int) -> RecordTest:
+def _test(problem: Problem, key: str, drop: float, peaks: FloatArray, errors: FloatArray) -> RecordTest:
     from scipy.special import chdtrc
 
-    key = name.partition(".")[0]
     symbol = key.rstrip("0123456789")
-    peaks = np.array([record.deviation_of(column) for record in records])
-    free = sum(record.objective for record in records)
-    least, low, high = np.inf, peaks.min(), peaks.max()
-    for _ in range(_ROUNDS if high > low else 1):
-        places = np.linspace(low, high, _PLACES)
-        total = np.sum([record.profile(column, places) for record in records], axis=0)
-        best = int(np.argmin(total))
-        least = min(least, float(total[best]))
-        low, high = places[max(best - 1, 0)], places[min(best + 1, _PLACES - 1)]
     surplus = problem.widening.get(symbol, 1.0) ** 2
-    statistic = max(2 * (least - free) / surplus, 0.0)
-    unit, errors = problem.deviation(symbol), [record.log_deviation(column) for record in records]
+    statistic = max(2 * drop / surplus, 0.0)
     return RecordTest(
         key=key,
         symbol=symbol,
         statistic=statistic,
-        dof=len(records) - 1,
-        p_value=float(chdtrc(len(records) - 1, statistic)),
-        values=unit * peaks,
-        log_deviations=np.sqrt(surplus) * np.array(errors),
+        dof=peaks.size - 1,
+        p_value=float(chdtrc(peaks.size - 1, statistic)),
+        values=problem.deviation(symbol) * peaks,
+        log_deviations=np.sqrt(surplus) * errors,
     )
+
+
+def _least(records: "list[_Record]", columns: IntArray, peaks: FloatArray) -> FloatArray:
+    """Return the least -log L of all records with one deviation of a term, shape (t,) for t columns.
+
+    `peaks` are the deviations in each record by itself, shape (r, t). All terms are searched side by side.
+    """
+    term = np.arange(columns.size)
+    places = np.linspace(peaks.min(axis=0), peaks.max(axis=0), _PLACES, axis=1)
+    profiles = [record.profile(columns, places) for record in records]
+    least = np.full(columns.size, np.inf)
+    for left in reversed(range(_ROUNDS)):
+        total = np.sum([profile.objective for profile in profiles], axis=0).reshape(places.shape)
+        least = np.minimum(least, total.min(axis=1))
+        if left:
+            best = np.argmin(total, axis=1)
+            ends = [np.maximum(best - 1, 0), np.minimum(best + 1, _PLACES - 1)]
+            first, last = (places[term, end] for end in ends)
+            places = np.linspace(first, last, _PLACES, axis=1)
+            rows = [term * _PLACES + end for end in ends]
+            profiles = [
+                record.finer(columns, places, *(profile.theta[row] for row in rows))
+                for record, profile in zip(records, profiles, strict=True)
+            ]
+    return least
 
 
 class _Record:
@@ -104,37 +127,57 @@ class _Record:
         self.low, _ = bounds(ordinates, self.candidate, shortest=self.shortest)
         start = fit.whole.maximum.theta
         raised = [np.where(self.free, np.maximum(start, self.low + more), start) for more in _RAISED]
-        found = self.maximize(np.concatenate([start, *raised]), self.free)
+        found = self.maximize(np.concatenate([start, *raised]), np.tile(self.free, (1 + len(raised), 1)))
         self.maximum: Maximum = found.take(np.array([int(np.argmin(found.objective))]))
         self.objective = float(self.maximum.objective[0])
 
     def maximize(self, starts: FloatArray, free: BoolArray) -> Maximum:
+        """Return the maxima from starts, shape (k, p), in what is free in each of them."""
         rows: IntArray = np.zeros(starts.shape[0], dtype=np.int64)
         return maximize(
             self.ordinates,
             self.candidate.take(rows),
             starts,
-            free=free[rows],
+            free=free,
             shortest=self.shortest,
             tolerance=1e-5,
         )
 
-    def deviation_of(self, column: int) -> float:
-        """Return the deviation of a term, 0 where its variance is at its lower end."""
-        log = float(self.maximum.theta[0, column])
-        return float(np.exp(log / 2)) if log > self.low[column] + 1e-6 else 0.0
+    def deviations(self, columns: IntArray) -> FloatArray:
+        """Return the deviation of each term, shape (t,); 0 where its variance is at its lower end."""
+        logs = self.maximum.theta[0, columns]
+        return np.where(logs > self.low[columns] + 1e-6, np.exp(logs / 2), 0.0)
 
-    def log_deviation(self, column: int) -> float:
-        """Return the standard error of the logarithm of the coefficient."""
-        return 0.5 * float(np.sqrt(covariance(self.maximum.information[0], self.free[0])[column, column]))
+    def log_deviations(self, columns: IntArray) -> FloatArray:
+        """Return the standard error of the logarithm of each coefficient, shape (t,)."""
+        inverse = covariance(self.maximum.information[0], self.free[0])
+        errors: FloatArray = 0.5 * np.sqrt(np.diag(inverse)[columns])
+        return errors
 
-    def profile(self, column: int, places: FloatArray) -> FloatArray:
-        """Return -log L with a term's deviation held at each of `places`, shape of `places`."""
-        starts = np.repeat(self.maximum.theta, places.size, axis=0)
-        starts[:, column] = np.maximum(2 * np.log(np.maximum(places, 1e-300)), self.low[column])
-        free = self.free.copy()
-        free[0, column] = False
+    def profile(self, columns: IntArray, places: FloatArray) -> Maximum:
+        """Return the maxima with the deviation of each term held at its places, shape (t, k)."""
+        start = self.maximum.theta[0]
         # What was at its lower end in the maximum may come in where this term is held low.
-        others = free[0] & (starts[0] < self.low + _RAISED[0])
-        starts[:, others] = (self.low + _RAISED[1])[others]
-        return self.maximize(starts, free).objective
+        start = np.where(self.free[0] & (start < self.low + _RAISED[0]), self.low + _RAISED[1], start)
+        return self._held(columns, places, np.tile(start, (places.size, 1)))
+
+    def finer(self, columns: IntArray, places: FloatArray, first: FloatArray, last: FloatArray) -> Maximum:
+        """Return the maxima as `profile`, from those at the first and the last place of each term, (t, p).
+
+        A search starts on the line between the two, near its end; a term that is at its lower end in one of
+        them starts where it is in the other one.
+        """
+        part = np.linspace(0, 1, places.shape[1])[:, None]
+        first, last = first[:, None], last[:, None]
+        there = np.minimum(first, last) > self.low + _RAISED[0]
+        starts = np.where(there, (1 - part) * first + part * last, np.maximum(first, last))
+        return self._held(columns, places, starts.reshape(places.size, -1))
+
+    def _held(self, columns: IntArray, places: FloatArray, starts: FloatArray) -> Maximum:
+        held = np.repeat(columns, places.shape[1])
+        rows = np.arange(held.size)
+        logs = 2 * np.log(np.maximum(places.ravel(), 1e-300))
+        starts[rows, held] = np.maximum(logs, self.low[held])
+        free = np.tile(self.free, (held.size, 1))
+        free[rows, held] = False
+        return self.maximize(starts, free)

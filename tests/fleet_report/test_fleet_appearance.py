@@ -1,0 +1,165 @@
+"""What a reader of a fleet's page and pictures meets: units, words, ticks, empty columns, print."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lxml import html
+
+import imucal
+from imucal import Fleet
+from imucal.fitting.noise_fit import Interval
+from imucal.fleet.trend import Slope, Trend
+from imucal.fleet_report.fleet_figures import drift_figure, heat_figure, models_figure, units_figure
+from imucal.fleet_report.fleet_page import render_fleet_page
+from imucal.fleet_report.fleet_verdict import verdict
+from imucal.fleet_report.panels import labelled_ticks
+from imucal.fleet_report.shown import p_text, per, price_text, slope_text
+from imucal.fleet_report.summary import FleetLog
+from imucal.recording import Sensor
+from tests.fleet_report.simulated_store import write_store
+from tests.report.browser import Browser
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Fleet:
+    """Return eight units, u07 of which is odd."""
+    place = tmp_path_factory.mktemp("fleets") / "fleet"
+    write_store(place, units=8, weak="", failures=False)
+    return imucal.load_fleet(place, unit_logs=False)
+
+
+@pytest.fixture(scope="module")
+def one_axis(fleet: Fleet) -> Fleet:
+    """Return the same of gyro_z alone, without a model's name."""
+    model = fleet.model()
+    terms = tuple(term for term in model.terms if term.name == "gyro_z")
+    return replace(fleet, models=(replace(model, name="", terms=terms),))
+
+
+@pytest.mark.parametrize(
+    ("p", "text"), [(0.0046, "p = 0.0046"), (1e-4, "p = 0.0001"), (1.4e-7, "p < 0.0001"), (0.0, "p < 0.0001")]
+)
+def test_no_chance_is_zero(p: float, text: str) -> None:
+    """Nor is 1e-58 a probability that anyone believes."""
+    assert p_text(p) == text
+
+
+def _trend(value: float, label: str = "days") -> Trend:
+    slope = Interval(value=value, low=value - 0.5, high=value + 0.5)
+    mean = Slope(unit="", label=label, slope=slope, p_value=1.0, p_odd=1.0, odd=False)
+    return Trend(means=(mean,), slopes=(), units=3)
+
+
+def test_a_change_of_more_than_all_a_year_is_said_of_a_day() -> None:
+    """Of all rows of a table alike; e to the 56 is no 5600 %."""
+    assert per("days", [_trend(0.3), _trend(-0.9)]) == ("year", 1.0)
+    unit, part = per("days", [_trend(0.3), _trend(55.82)])
+    assert unit == "day"
+    slope = Interval(value=55.82, low=53.88, high=57.77)
+    assert (
+        slope_text(slope, unit, part).replace("\N{NO-BREAK SPACE}", " ") == "+15.28 [+14.75, +15.82] % a day"
+    )
+    assert per("temperature_c", [_trend(2.0, "temperature_c")]) == ("°C", 1.0)
+
+
+def test_zero_has_no_sign() -> None:
+    """Nor -0."""
+    slope = Interval(value=-0.0004, low=-0.8, high=0.79)
+    assert slope_text(slope, "year", 1.0).startswith("0 [\N{MINUS SIGN}80, +79] %")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "last"), [(4000.0, 12500.0, "12000"), (400.0, 1.2e4, "10000"), (2e-5, 9e-5, "8")]
+)
+def test_ticks_are_all_of_one_kind(low: float, high: float, last: str) -> None:
+    """Not 8000 beside 10⁴."""
+    places, labels, power = labelled_ticks(low, high)
+    assert labels[-1] == last
+    assert not any("⁰" <= c <= "⁹" or c in "²³×" for label in labels for c in label)
+    factor = {"": 1.0, "10⁻⁵ ": 1e-5}[power]
+    assert [float(label) * factor for label in labels] == pytest.approx(places)
+
+
+def test_the_name_of_a_model_stays_as_it_is(fleet: Fleet) -> None:
+    """A sentence that begins with it does not begin with a capital."""
+    model = fleet.model()
+    both = replace(fleet, models=(replace(model, name="acme-6"), replace(model, name="bolt-9")))
+    assert verdict(fleet)[1].startswith("Odd unit u07 (gyro_z N)")
+    assert verdict(both)[1].startswith("acme-6: odd unit u07 (gyro_z N)")
+
+
+def test_one_axis_fills_the_page(one_axis: Fleet) -> None:
+    """No column of axes that it has not, its terms side by side, no name of a model that has none."""
+    page = html.fromstring(render_fleet_page(one_axis))
+    assert [head.text for head in page.cssselect("table.config thead th")] == ["z"]
+    units = page.get_element_by_id("units-0")
+    assert [len(panels) for panels in units.cssselect(".panels")] == [3]
+    assert units.cssselect("h2")[0].text == "Units"
+    assert page.cssselect(".lead")[0].text_content() == "8 units, 32 logs that count, 200 Hz"
+
+
+def test_bands_and_prices_are_short(fleet: Fleet) -> None:
+    """One unit a band; each number of units once."""
+    term = fleet.model()["gyro_x", "N"]
+    (now, excess), *_ = term.price
+    assert price_text(term).startswith(f"{excess:.2f}\N{NO-BREAK SPACE}× with {now}, ")
+    page = html.fromstring(render_fleet_page(fleet))
+    cells = page.cssselect("#numbers tbody tr")[0].cssselect("td")
+    band = next(cell for cell in cells if cell.get("data-label") == "next unit")
+    assert band.cssselect(".sheet")[0].text_content().count("deg/√h") == 1
+    low, to, high, _ = band.cssselect(".sheet")[0].text_content().split()
+    assert to == "to"
+    assert float(low) < float(high)
+
+
+def test_the_first_failures_stand_in_sight(fleet: Fleet) -> None:
+    """Print has no folded lists."""
+    log = fleet.logs[0]
+    failed = tuple(_failed(log, f"bad{i}.mcap") for i in range(7))
+    page = html.fromstring(render_fleet_page(replace(fleet, logs=fleet.logs + failed)))
+    (block,) = page.cssselect("#failed .findings")
+    folded = [code.text for code in block.cssselect("details code")]
+    assert folded == ["bad5.mcap", "bad6.mcap"]
+    assert len(block.cssselect("code")) == 7
+    assert block.cssselect("summary")[0].text == "2 more"
+
+
+def _failed(log: FleetLog, path: str) -> FleetLog:
+    return replace(log, path=path, status="unreadable", reason="no footer", left_out="no footer")
+
+
+def test_pictures_say_all_inside_their_frames(one_axis: Fleet) -> None:
+    """Titles of narrow ones, too; each has a key; only labels that there are have a plot."""
+    model = one_axis.models[0]
+    heat = heat_figure(model)
+    both = (model, replace(model, name="BOLT-9"))
+    for figure in (heat, units_figure(model, Sensor.GYROSCOPE), models_figure(both)):
+        figure.draw_without_rendering()
+        frame = figure.bbox
+        texts = [*figure.texts, *(text for axes in figure.axes for text in (axes.title, axes._left_title))]  # type: ignore[attr-defined]
+        boxes = [text.get_window_extent() for text in texts if text.get_text()]
+        boxes += [key.get_window_extent() for key in figure.legends]
+        assert all(frame.x0 <= box.x0 and box.x1 <= frame.x1 + 1 and frame.y0 <= box.y0 for box in boxes)
+    assert heat.axes[0].patch.get_hatch()
+    assert [text.get_text() for text in units_figure(model, Sensor.GYROSCOPE).legends[0].texts][-1] == (
+        "tolerance bound"
+    )
+    dated = tuple(replace(term, trend=_trend(3.0)) for term in model.terms)
+    plots = drift_figure(replace(model, terms=dated)).axes
+    assert [axes.get_xlabel() for axes in plots] == ["% a day"]
+    marks = [line.get_xdata()[0] for line in plots[0].lines if line.get_marker() == "o"]  # type: ignore[index]
+    assert np.array(marks, dtype=float) == pytest.approx(300 / 365.25)
+
+
+def test_the_page_in_print(fleet: Fleet, tmp_path: Path) -> None:
+    """Captions are no larger than their pictures' words; no head of a table without its first row."""
+    (tmp_path / "fleet.html").write_text(render_fleet_page(fleet), encoding="utf-8")
+    with Browser() as browser:
+        browser.open((tmp_path / "fleet.html").as_uri())
+        browser.devtools("Emulation.setEmulatedMedia", media="print")
+        style = "return getComputedStyle(document.querySelector('{}')).{}"
+        assert browser.run(style.format("figcaption", "fontSize")) == "10px"
+        assert browser.run(style.format("tbody tr", "breakBefore")) == "avoid"
+        assert browser.run(style.format(".keyline", "breakInside")) == "avoid"
