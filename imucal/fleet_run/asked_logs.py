@@ -85,9 +85,18 @@ def stored_logs(manifest: "pl.DataFrame", labels: LabelPattern | None = None) ->
 
 
 def as_json(reading: Mapping[str, object]) -> dict[str, object]:
-    """Return arguments of `imucal.read` as JSON values, as the key of a result has them, but empty ones."""
+    """Return arguments of `imucal.read` as JSON values, as the key of a result has them.
+
+    What is empty, off, or skips nothing is left out: it is as if it were not said. Any other 0 stays, which
+    reading refuses.
+    """
     texts = {name: _values(name, value) for name, value in reading.items()}
-    return {name: value for name, value in texts.items() if value}
+    return {name: value for name, value in texts.items() if _is_said(name, value)}
+
+
+def _is_said(name: str, value: object) -> bool:
+    nought = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
+    return bool(value) or (nought and name != "skip_s")
 
 
 def _values(name: str, value: object) -> object:

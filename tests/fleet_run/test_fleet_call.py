@@ -13,6 +13,7 @@ import pytest
 import imucal
 from imucal.fleet.store import FleetStore
 from imucal.fleet_report.fleet_page import render_fleet_page
+from imucal.fleet_run.asked_logs import as_json
 from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet
 from tests.fleet_run.faults import OF_THE_RUN
@@ -109,6 +110,26 @@ def test_a_notebook_may_call_it(folder: Path) -> None:
         timeout=120,
     )
     assert (done.stdout, done.stderr) == ("3 3\n", "")
+
+
+def test_a_nought_is_not_taken_for_nothing() -> None:
+    """A take of 0 s was the whole log; what is off or empty is not said."""
+    said = {
+        "take_s": 0.0,
+        "skip_s": 0.0,
+        "rate_hz": 0,
+        "strict": False,
+        "topic": (),
+        "columns": None,
+        "time": "",
+    }
+    assert as_json(said) == {"take_s": 0.0, "rate_hz": 0}
+
+
+def test_a_part_of_no_length_is_no_data(folder: Path) -> None:
+    """As of one log; each of the fleet says so."""
+    done = run("fleet", "run", "logs/beta", "--take", "0", "--shard", "1/1", "-o", "nought", cwd=folder)
+    assert (done.returncode, "1 no-data" in done.stdout) == (4, True), (done.stdout, done.stderr)
 
 
 @pytest.mark.parametrize(
