@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from imucal.fleet_run.running import RunCount
 
+#: Columns of a terminal that has room for a bar, bytes and the time left beside the words.
+_WIDE = 80
+
 
 @contextmanager
 def reading_progress(*, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
@@ -62,13 +65,14 @@ def _bar(text: str, *columns: str, quiet: bool) -> Iterator[Callable[..., None] 
 
     from rich import progress
     from rich.console import Console
+    from rich.table import Column
 
-    own = [getattr(progress, name)() for name in columns]
-    shown = (
-        progress.TextColumn(text),
-        progress.BarColumn(bar_width=20),
-        *own,
-        progress.TimeRemainingColumn(),
-    )
-    with progress.Progress(*shown, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    said = progress.TextColumn(text, table_column=Column(no_wrap=True))
+    if console.width < _WIDE:
+        shown: list[progress.ProgressColumn] = [said, progress.TaskProgressColumn()]
+    else:
+        own = [getattr(progress, name)() for name in columns]
+        shown = [said, progress.BarColumn(bar_width=20), *own, progress.TimeRemainingColumn()]
+    with progress.Progress(*shown, console=console, transient=True) as bar:
         yield partial(bar.update, bar.add_task("", total=None, axis=""))

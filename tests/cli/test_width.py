@@ -1,10 +1,14 @@
 """Tables fit the terminal: 80 columns where the output goes to a file, 40 on a narrow one."""
 
+import io
+import re
 from pathlib import Path
 
 import pytest
 
+from imucal.cli._progress import fleet_progress
 from imucal.cli._terminal import fitted, width
+from imucal.fleet_run.running import RunCount
 from tests.cli.reports import write_report
 from tests.cli.run import SAMPLE_LOGS, run
 
@@ -60,3 +64,28 @@ def test_a_line_breaks_between_words() -> None:
     """Only where it must."""
     assert fitted("one two three", 20, indent=2) == ["one two three"]
     assert fitted("one two three", 8, indent=2) == ["one two", "  three"]
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("columns", "left"), [(40, " 50%"), (80, "1.0/2.0 MB")])
+def test_progress_is_one_line(columns: int, left: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a narrow terminal, too: with the share in place of bar, bytes and time."""
+    terminal = _Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("TERM", "xterm")
+    with fleet_progress(quiet=False) as tell:
+        assert tell is not None
+        tell(RunCount(logs=30, size=2_000_000, done=15, failed=1, running=2, done_size=1_000_000))
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.getvalue())
+    lines = [line.rstrip() for line in re.split("[\r\n]", plain) if line.strip()]
+    last = lines[-1]
+    assert last.startswith("15 of 30 logs, 1 failed, 2 in hand")
+    assert left in last
+    # The bar of the first moment has no words yet.
+    assert all(len(line) <= columns for line in lines)
+    assert len({line for line in lines if "15 of 30" not in line}) <= 1
