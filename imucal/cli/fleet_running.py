@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from imucal.fleet_run.manifest_file import LogEntry
     from imucal.fleet_run.path_labels import LabelPattern
 
-#: Model and level of a fleet that says nothing else.
+#: As `imucal.fleet_run.log_tasks` has them; to load that for a help text would take longer than the text.
 _MODEL, _LEVEL = "N + B + K", 0.95
 
 

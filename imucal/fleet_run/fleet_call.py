@@ -9,7 +9,7 @@ from imucal.fleet_report import Fleet, load_fleet
 from imucal.fleet_run.asked_logs import as_json, asked_logs, stored_logs
 from imucal.fleet_run.dask_cluster import Engine
 from imucal.fleet_run.fleet_plan import FleetPlan, plan_fleet
-from imucal.fleet_run.log_tasks import LEAST_MEMORY, REPORTS, FleetSettings
+from imucal.fleet_run.log_tasks import LEAST_MEMORY, LEVEL, MODEL, REPORTS, FleetSettings
 from imucal.fleet_run.manifest_file import LogEntry
 from imucal.fleet_run.path_labels import LabelPattern
 from imucal.fleet_run.running import RunCount, run_plan
@@ -18,8 +18,6 @@ from imucal.resources import memory_there_is, parse_size, threads
 
 #: The share of the machine's memory that all workers may take, and what is taken where none is known.
 _SHARE, _UNKNOWN = 0.8, 2 << 30
-#: Model and level of a fleet that says nothing else.
-MODEL, LEVEL = "N + B + K", 0.95
 
 
 def run_fleet(

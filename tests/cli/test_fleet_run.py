@@ -11,6 +11,7 @@ from imucal.cli._fleet_lines import print_plan, write_files
 from imucal.errors import WriteError
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import FleetPlan, LogTask
+from imucal.fleet_run.log_tasks import LEVEL, MODEL
 from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet
 
@@ -90,6 +91,13 @@ def test_labels_that_the_store_has_are_not_asked_for_again(done: Path) -> None:
     assert again.stderr.startswith("0 logs to do, 0 kB; 8 done before\nunreadable: 1\n")
     first = run("fleet", "run", "logs/alpha/u00", "-o", "without", "--shard", "1/1", cwd=done)
     assert "No log has a label unit: logs stand one by one" in first.stderr
+
+
+def test_the_help_says_the_defaults_that_hold(tmp_path: Path) -> None:
+    """It has a copy of its own of two of them."""
+    text = " ".join(run("fleet", "run", "--help", cwd=tmp_path).stdout.split())
+    assert f"Terms, for every log. [default: {MODEL}]" in text
+    assert f"Confidence level of every interval. [default: {LEVEL}]" in text
 
 
 def test_a_dry_run_writes_nothing(logs: Path) -> None:
