@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._echo import echo, say
+from imucal.cli._finding_lines import print_findings
 from imucal.cli._terminal import fitted, width
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
@@ -15,6 +16,7 @@ from imucal.units import data_size, duration
 if TYPE_CHECKING:
     import polars as pl
 
+    from imucal.findings import Finding
     from imucal.fleet.store import FleetStore
     from imucal.fleet_report import Fleet
     from imucal.fleet_run import FleetPlan
@@ -25,17 +27,14 @@ _NAMED = 3
 
 def print_plan(plan: "FleetPlan", workers: int) -> None:
     """Print a line for each log: what would be done with it, its labels."""
-    done, again = set(plan.done), set(plan.again)
-    tasks = {task.path for task in plan.tasks}
+    becomes = dict.fromkeys(plan.copies, "copy") | {task.path: "run" for task in plan.tasks}
+    becomes |= dict.fromkeys(plan.again, "again") | dict.fromkeys(plan.done, "done")
     for entry in plan.entries:
-        what = "again" if entry.path in again else "run" if entry.path in tasks else "other"
-        what = "done" if entry.path in done else what
-        labels = " ".join(f"{name}={value}" for name, value in entry.labels.items())
-        copy = f"same content as {plan.copies[entry.path]}" if entry.path in plan.copies else ""
-        if copy and what == "other":
-            what = "copy"
-        if what != "other":
-            echo("\t".join((what, entry.path, labels or copy, copy if labels else "")).rstrip())
+        # What is missing is another shard's.
+        if entry.path in becomes:
+            labels = " ".join(f"{name}={value}" for name, value in entry.labels.items())
+            copy = f"same content as {plan.copies[entry.path]}" if entry.path in plan.copies else ""
+            echo("\t".join((becomes[entry.path], entry.path, *filter(None, (labels, copy)))))
     size = sum(task.size for task in plan.tasks)
     # What logs take differs by more than what rounding to a minute hides.
     seconds = plan.seconds() / workers
@@ -68,12 +67,12 @@ def conclude(
 ) -> None:
     """Print what became of the logs asked for, and end with the exit code of it."""
     counted = {plan.copies.get(path, path) for path in plan.own}
-    logs = store.logs()
-    logs = logs.filter(logs["path"].is_in(sorted(counted)))
+    every = store.logs()
+    logs = every.filter(every["path"].is_in(sorted(counted)))
     print_standing(logs, out)
     failed = failed_logs(logs)
     print_failures(failed, quiet=quiet)
-    if store.logs().filter(status="ok").height and not _waiting(store):
+    if every.filter(status="ok").height and not _waiting(store, every):
         write_files(store, quiet=quiet)
     readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
     if logs.height and not readable:
@@ -86,11 +85,11 @@ def conclude(
         ctx.exit(4)
 
 
-def _waiting(store: "FleetStore") -> int:
+def _waiting(store: "FleetStore", logs: "pl.DataFrame") -> int:
     """Return how many of the logs asked for are not done yet; copies are done with their originals."""
     asked = store.manifest()
     own = asked.filter(asked["copy_of"].is_null())["path"]
-    return len(set(own) - set(store.logs()["path"]))
+    return len(set(own) - set(logs["path"]))
 
 
 def write_files(store: "FleetStore", *, quiet: bool) -> None:
@@ -106,18 +105,20 @@ def write_files(store: "FleetStore", *, quiet: bool) -> None:
         return
     try:
         fleet = load_fleet(store.folder)
-        files = write_fleet(fleet)
+        missing: list[Finding] = []
+        files = write_fleet(fleet, tell=missing.append)
     except ImucalError as error:
         # Said to who asked for quiet, too: results were wanted, and these are not there.
         say(f"the report is missing: {error}")
         return
     echo(str(next((file for file in files if file.suffix == ".html"), files[0])))
+    print_findings([*fleet.findings, *missing], quiet=quiet)
     say_verdict(fleet, quiet=quiet)
 
 
 def say_verdict(fleet: "Fleet", *, quiet: bool) -> None:
     """Print which units are odd; on a terminal broken between words, else in one line for who searches it."""
-    from imucal.fleet_report.fleet_page import verdict
+    from imucal.fleet_report.fleet_verdict import verdict
 
     text = verdict(fleet)[1]
     for line in fitted(text, width(), indent=2) if sys.stderr.isatty() else [text]:

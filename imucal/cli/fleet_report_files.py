@@ -1,13 +1,18 @@
 """``imucal fleet report``: what the units of a fleet are like, as JSON, CSV, page and pictures."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from imucal.cli._echo import echo, say
+from imucal.cli._finding_lines import print_findings
 from imucal.cli._fleet_lines import say_verdict
 from imucal.cli.parameters import quiet_option, shown
 from imucal.cli.parameters.option_types import Number
+
+if TYPE_CHECKING:
+    from imucal.findings import Finding
 
 
 @click.command(
@@ -24,13 +29,13 @@ Exit codes: 0 done, 2 usage, 3 the folder is no fleet or can't be read,
 @click.argument("folder", type=click.Path(path_type=Path), metavar="FLEET")
 @shown(
     "--content",
-    type=Number(0, 1, min_open=True, max_open=True),
+    type=Number(0, 1, min_open=True, max_open=True, percent=True),
     default=0.95,
     help="Share of all units that the tolerance bound holds.",
 )
 @shown(
     "--confidence",
-    type=Number(0, 1, min_open=True, max_open=True),
+    type=Number(0, 1, min_open=True, max_open=True, percent=True),
     default=0.95,
     help="How sure that is.",
 )
@@ -49,8 +54,10 @@ def command(
     from imucal.fleet_report import load_fleet, write_fleet
 
     fleet = load_fleet(folder, content=content, confidence=confidence)
-    for path in write_fleet(fleet, html=html, pictures=pictures):
+    missing: list[Finding] = []
+    for path in write_fleet(fleet, html=html, pictures=pictures, tell=missing.append):
         echo(str(path))
+    print_findings([*fleet.findings, *missing], quiet=quiet)
     say_verdict(fleet, quiet=quiet)
     if fleet.loose:
         say(f"to have them counted, run the fleet with --labels '{fleet.labels}'", quiet=quiet)

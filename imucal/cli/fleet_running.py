@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from imucal.fleet_run.manifest_file import LogEntry
     from imucal.fleet_run.path_labels import LabelPattern
 
-#: Model and level of a fleet that says nothing else.
+#: As `imucal.fleet_run.log_tasks` has them; to load that for a help text would take longer than the text.
 _MODEL, _LEVEL = "N + B + K", 0.95
 
 
@@ -36,15 +36,15 @@ def _entries(
     quiet: bool,
 ) -> tuple["LogEntry", ...]:
     """Return the logs asked for; those of the store's manifest where none is named."""
-    from imucal.fleet_run.asked_logs import asked_logs
-    from imucal.fleet_run.manifest_file import stored_entries
+    from imucal.fleet_run.asked_logs import asked_logs, stored_logs
 
-    if not logs and manifest is None:
-        if not store.exists:
-            msg = "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"
-            raise click.UsageError(msg)
-        return tuple(stored_entries(store.manifest()))
-    asked = asked_logs(logs, listed=sys.stdin if "-" in logs else (), manifest=manifest, labels=labels)
+    if logs or manifest is not None:
+        asked = asked_logs(logs, listed=sys.stdin if "-" in logs else (), manifest=manifest, labels=labels)
+    elif store.exists:
+        asked = stored_logs(store.manifest(), labels)
+    else:
+        msg = "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"
+        raise click.UsageError(msg)
     if asked.unlike and labels is not None:
         say(f"{asked.unlike} of {len(asked.entries)} logs do not fit {labels.pattern}", quiet=quiet)
     return asked.entries

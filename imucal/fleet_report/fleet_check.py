@@ -19,7 +19,7 @@ def check_fleet(
 
     A term fails where a unit of this model is so far off with a probability, adjusted for all terms (Holm
     1979), below `alpha`: a unit of the fleet fails any with that probability. One that the log only bounds,
-    above where units lie, is undecided.
+    above where units lie, is undecided, and so is one that fewer than three units of the fleet have.
 
     Parameters
     ----------
@@ -44,23 +44,30 @@ def check_fleet(
             "say where the next one lies; add units to the fleet"
         )
         raise DataError(msg)
-    tested: list[tuple[FleetTerm, LogValue, float]] = []
+    common: list[tuple[FleetTerm, LogValue]] = []
     for axis in report.axes:
         terms = [term for term in found.terms if term.name == axis.name]
         values = _values(axis.fit, terms) if terms else {}
-        own = [(term, values[term.term]) for term in terms if term.term in values]
-        tested += [(term, value, membership(term.logs, value)) for term, value in own]
-    if not tested:
+        common += [(term, values[term.term]) for term in terms if term.term in values]
+    if not common:
         axes = ", ".join(dict.fromkeys(term.name for term in found.terms))
         msg = (
             f"{report.source.path}: no axis and term in common with {found.title} of {fleet.folder}, which "
             f"has {axes}; check a log of the same sensor"
         )
         raise DataError(msg)
-    adjusted = holm([p for _, _, p in tested])
+    adjusted = iter(holm([membership(term.logs, value) for term, value in common if _band(term)]))
     return tuple(
-        _row(found, term, value, p, alpha) for (term, value, _), p in zip(tested, adjusted, strict=True)
+        _row(found, term, value, band=band, p=next(adjusted), alpha=alpha)
+        if (band := _band(term))
+        else _row_of_few(term, value)
+        for term, value in common
     )
+
+
+def _band(term: FleetTerm) -> tuple[float, float] | None:
+    """Return where the next unit lies; None where too few units have the term to tell."""
+    return term.population.prediction
 
 
 def holm(p_values: list[float]) -> list[float]:
@@ -84,9 +91,30 @@ def _values(fit: NoiseFit, terms: list[FleetTerm]) -> dict[str, LogValue]:
     }
 
 
-def _row(model: SensorModel, term: FleetTerm, value: LogValue, p: float, alpha: float) -> Row:
+def _row_of_few(term: FleetTerm, value: LogValue) -> Row:
+    """Return the row of a term that few units have, such as of a sensor that most of them lack."""
+    unit, units = sheet_unit(term), len(term.population.units)
+    measured = Measured(value=value.value, low=value.low, high=value.high).scaled(unit.factor)
+    text = (
+        f"{term.name}: {term.term} is {measured.text()} {unit.name}; {units} unit{'s' * (units > 1)} of the "
+        f"fleet with it, expected {FEWEST} at least to say where the next one lies: not judged"
+    )
+    return Row(
+        where=term.name, subject=term.term, verdict="undecided", text=text, unit=unit.name, measured=measured
+    )
+
+
+def _row(
+    model: SensorModel,
+    term: FleetTerm,
+    value: LogValue,
+    *,
+    band: tuple[float, float],
+    p: float,
+    alpha: float,
+) -> Row:
     unit = sheet_unit(term)
-    low, high = (limit * unit.factor for limit in term.population.prediction or (0.0, 0.0))
+    low, high = (limit * unit.factor for limit in band)
     measured = Measured(value=value.value, low=value.low, high=value.high).scaled(unit.factor)
     verdict: Verdict = "fail" if p < alpha else "pass"
     if verdict == "pass" and value.value is None and value.high * unit.factor > high:

@@ -7,11 +7,11 @@ raises the number.
 import csv
 import io
 import json
+from collections.abc import Iterator
 from importlib.resources import files
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
-from imucal.fleet.population import UnitValue
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.report.document import plain
 
@@ -75,27 +75,30 @@ def fleet_csv(fleet: Fleet) -> str:
     rows.writerow(_COLUMNS)
     for model in fleet.models:
         for term in model.terms:
-            rows.writerows(_row(model, term, unit) for unit in term.population.units)
+            rows.writerows(_rows(model, term))
     return text.getvalue()
 
 
-def _row(model: SensorModel, term: FleetTerm, unit: UnitValue) -> list[object]:
+def _rows(model: SensorModel, term: FleetTerm) -> Iterator[list[object]]:
+    """Yield the row of each unit."""
     found = term.population
-    tested = {one.unit: one.differs for one in term.unit_logs}
-    prediction = found.prediction or (None, None)
-    return [
-        *(model.name, str(term.sensor), term.axis, term.term, term.unit, unit.unit, unit.logs),
-        *(unit.value, unit.low, unit.high, int(unit.odd), unit.p_odd),
-        int(tested[unit.unit]) if unit.unit in tested else None,
+    tested = {one.unit: int(one.differs) for one in term.unit_logs}
+    shared = [
         None if found.bounded else found.median.value,
         found.spread.value if found.spread else None,
         found.within.value if found.within else None,
-        *prediction,
+        *(found.prediction or (None, None)),
         found.tolerance,
         found.median.low,
         found.median.high,
         int(found.bounded),
     ]
+    for unit in found.units:
+        yield [
+            *(model.name, str(term.sensor), term.axis, term.term, term.unit, unit.unit, unit.logs),
+            *(unit.value, unit.low, unit.high, int(unit.odd), unit.p_odd, tested.get(unit.unit)),
+            *shared,
+        ]
 
 
 def _model(model: SensorModel) -> dict[str, object]:
@@ -118,7 +121,7 @@ def _term(term: FleetTerm) -> dict[str, object]:
         "logs": found.logs,
         "content": found.content,
         "confidence": found.confidence,
-        "median": {**(_interval(found.median) or {}), **({"value": None} if found.bounded else {})},
+        "median": _limits(found.median) | ({"value": None} if found.bounded else {}),
         "bounded": found.bounded,
         "spread": _interval(found.spread),
         "within": _interval(found.within),
@@ -149,7 +152,7 @@ def _term(term: FleetTerm) -> dict[str, object]:
             {
                 "unit": slope.unit,
                 "label": slope.label,
-                **(_interval(slope.slope) or {}),
+                **_limits(slope.slope),
                 "p_odd": slope.p_odd,
                 "odd": slope.odd,
             }
@@ -172,9 +175,11 @@ def _term(term: FleetTerm) -> dict[str, object]:
     }
 
 
-def _interval(interval: Interval | None) -> dict[str, float] | None:
-    if interval is None:
-        return None
+def _interval(interval: Interval | None) -> dict[str, float | None] | None:
+    return None if interval is None else _limits(interval)
+
+
+def _limits(interval: Interval) -> dict[str, float | None]:
     return {"value": interval.value, "low": interval.low, "high": interval.high}
 
 

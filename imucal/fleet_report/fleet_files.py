@@ -1,25 +1,30 @@
 """The files of a fleet's report, in its folder: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from imucal.atomic import replacing
+from imucal.errors import WriteError
+from imucal.findings import Finding
 from imucal.fleet_report.fleet_document import fleet_csv, fleet_json
 from imucal.fleet_report.summary import Fleet
 from imucal.side_work import try_side_work
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 
 def write_fleet(
-    fleet: Fleet, out: str | Path | None = None, *, pictures: bool = True, html: bool = True
+    fleet: Fleet,
+    out: str | Path | None = None,
+    *,
+    pictures: bool = True,
+    html: bool = True,
+    tell: Callable[[Finding], None] | None = None,
 ) -> tuple[Path, ...]:
     """Write what is known of a fleet; return the files, ``fleet.json`` first.
 
-    Each file takes its place whole. A picture or page that can't be drawn is left out, and a finding in
-    ``fleet.json`` says so.
+    Each file takes its place whole. A picture or page that can't be drawn is left out, also in the place of
+    an old one, and a finding in ``fleet.json`` says so.
 
     Parameters
     ----------
@@ -29,6 +34,8 @@ def write_fleet(
         The folder; the fleet's own where none is given.
     pictures, html
         Whether to write PNGs and the page.
+    tell
+        Called with the finding of each picture or page that was left out.
 
     Raises
     ------
@@ -41,25 +48,40 @@ def write_fleet(
         from imucal.fleet_report.fleet_figures import fleet_figures
 
         made |= fleet_figures(fleet)
-    drawn: dict[str, bytes] = {}
+    tell = tell or (lambda _: None)
+    drawn: dict[str, bytes | None] = {}
     for name, make in made.items():
-        data, failed = try_side_work(make, None, what=f"{name} is missing", code="not-drawn")
-        fleet = replace(fleet, findings=fleet.findings + failed)
-        if data is not None:
-            drawn[name] = data
+        fleet, drawn[name] = _drawn(fleet, name, make, tell)
     if html:
         from imucal.fleet_report.fleet_page import render_fleet_page
 
-        told = fleet
-        page, failed = try_side_work(
-            lambda: render_fleet_page(told).encode(), None, what="fleet.html is missing", code="not-drawn"
-        )
-        fleet = replace(fleet, findings=fleet.findings + failed)
-        if page is not None:
-            # Last: where it is newer than the store, all of the report is.
-            drawn["fleet.html"] = page
+        # Last: where it is newer than the store, all of the report is.
+        page = partial(render_fleet_page, fleet)
+        fleet, drawn["fleet.html"] = _drawn(fleet, "fleet.html", lambda: page().encode(), tell)
     drawn = {"fleet.json": fleet_json(fleet).encode(), "fleet.csv": fleet_csv(fleet).encode(), **drawn}
     for name, data in drawn.items():
+        if data is None:
+            _remove(folder / name)
+            continue
         with replacing(folder / name) as scratch:
             scratch.write_bytes(data)
-    return tuple(folder / name for name in drawn)
+    return tuple(folder / name for name, data in drawn.items() if data is not None)
+
+
+def _drawn(
+    fleet: Fleet, name: str, make: Callable[[], bytes], tell: Callable[[Finding], None]
+) -> tuple[Fleet, bytes | None]:
+    """Return a picture or page, and the fleet with a finding where it is None."""
+    data, failed = try_side_work(make, None, what=f"{name} is missing", code="not-drawn")
+    for finding in failed:
+        tell(finding)
+    return replace(fleet, findings=fleet.findings + failed), data
+
+
+def _remove(file: Path) -> None:
+    """Remove an old picture or page: it would be taken for that of the new numbers."""
+    try:
+        file.unlink(missing_ok=True)
+    except OSError as error:
+        msg = f"{file}: can't be removed: {error.strerror or error}; remove it, it is out of date"
+        raise WriteError(msg) from error

@@ -3,6 +3,7 @@
 import shlex
 
 from imucal.fleet.log_value import LogValue
+from imucal.fleet_report.shown import loose_text
 from imucal.fleet_report.summary import Fleet, FleetLog, LooseLog
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
@@ -67,11 +68,11 @@ def _path(log: FleetLog) -> list[str | Markup]:
 def loose_section(fleet: Fleet) -> Markup:
     """Return the logs without a unit one by one, and the labels that would make a population of them."""
     text = (
-        f"{len(fleet.loose)} logs have no unit's label: which of them are of one unit is not known, so that "
+        f"{loose_text(fleet)}: which of them are of one unit is not known, so that "
         "nothing is said of the sensor model. Say where the label stands in the paths, or give a manifest "
         "with the columns path and unit:"
     )
-    command = f"imucal fleet run … -o {shlex.quote(str(fleet.folder))} --labels {shlex.quote(fleet.labels)}"
+    command = f"imucal fleet run -o {shlex.quote(str(fleet.folder))} --labels {shlex.quote(fleet.labels)}"
     shown = fleet.loose[:_MOST]
     columns = list(dict.fromkeys(where for one in shown for where in one.values))
     titles = [f"{axis} {term}" for axis, term in columns]

@@ -1,7 +1,8 @@
 """Pictures of a fleet's units as SVG in the page itself: there without any script, in the page's colours."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from imucal.fleet.population import UnitValue
 from imucal.fleet_report.shown import bound_name, sheet_unit
@@ -43,7 +44,7 @@ def unit_panel(term: FleetTerm, label: str) -> Markup:
     units = sorted_units(term)
     row = min(_ROW, max(_THIN, _TALLEST / len(units)))
     height = len(units) * row
-    x = _scale(*span(term))
+    x = _Scale(*span(term))
     found = term.population
     parts = [*_frame(term, x, height)]
     if found.prediction:
@@ -64,7 +65,7 @@ def unit_panel(term: FleetTerm, label: str) -> Markup:
 def strip_panel(models: Sequence[tuple[SensorModel, FleetTerm]], label: str) -> Markup:
     """Return one term of several models: a row each, a dot a unit, the median and the next unit's band."""
     spans = [span(term) for _, term in models]
-    x = _scale(min(low for low, _ in spans), max(high for _, high in spans))
+    x = _Scale(min(low for low, _ in spans), max(high for _, high in spans))
     row = 46.0
     height = len(models) * row
     parts = [*_frame(models[0][1], x, height)]
@@ -86,28 +87,25 @@ def strip_panel(models: Sequence[tuple[SensorModel, FleetTerm]], label: str) -> 
     return _picture(parts, _TOP + height + _BOTTOM, label)
 
 
-def _scale(low: float, high: float) -> Callable[[float], float]:
-    """Return the place of a value across the picture; a logarithmic scale, cut at its ends."""
-    room = _WIDTH - _LEFT - _RIGHT
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """Place of a value across the picture: logarithmic, cut at its ends."""
 
-    class Scale:
-        limits = low, high
+    low: float
+    high: float
 
-        def __call__(self, value: float) -> float:
-            part = math.log(max(value, low) / low) / math.log(high / low)
-            return round(_LEFT + room * min(part, 1.0), 1)
-
-    return Scale()
+    def __call__(self, value: float) -> float:
+        part = math.log(max(value, self.low) / self.low) / math.log(self.high / self.low)
+        return round(_LEFT + (_WIDTH - _LEFT - _RIGHT) * min(part, 1.0), 1)
 
 
-def _frame(term: FleetTerm, x: Callable[[float], float], height: float) -> list[Markup]:
+def _frame(term: FleetTerm, x: _Scale, height: float) -> list[Markup]:
     """Return the grid, and ticks in data-sheet units and in SI, of which the page shows one."""
     unit = sheet_unit(term)
-    low, high = x.limits  # type: ignore[attr-defined]
     parts = []
     for class_, factor, name in (("sheet", unit.factor, unit.name), ("si", 1.0, term.unit)):
         inside: list[Markup] = []
-        places, labels, power = labelled_ticks(low * factor, high * factor)
+        places, labels, power = labelled_ticks(x.low * factor, x.high * factor)
         free = 0.0
         for place, label in zip(places, labels, strict=True):
             at, half = x(place / factor), _LETTER * len(label) / 2
@@ -148,7 +146,7 @@ def round_ticks(low: float, high: float) -> list[float]:
     return places
 
 
-def _unit(unit: UnitValue, x: Callable[[float], float], y: float, *, named: bool) -> Markup:
+def _unit(unit: UnitValue, x: _Scale, y: float, *, named: bool) -> Markup:
     parts = []
     if named or unit.odd:
         name = _text(

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import UnitValue
 from imucal.fleet.trend import Trend
-from imucal.fleet_report.summary import FleetTerm
+from imucal.fleet_report.summary import Fleet, FleetTerm
 from imucal.noise.terms import TERMS
 from imucal.report import numbers
 from imucal.report.markup import Markup, both_units, element, join
@@ -130,3 +130,9 @@ def deviation(term: FleetTerm, unit: UnitValue) -> float | None:
     if unit.value is None or band is None or term.population.bounded:
         return None
     return math.log(unit.value / term.population.median.value) / (math.log(band[1] / band[0]) / _BAND_SDS)
+
+
+def loose_text(fleet: Fleet) -> str:
+    """Return how many logs stand without a unit."""
+    number = len(fleet.loose)
+    return f"{number} log has no unit's label" if number == 1 else f"{number} logs have no unit's label"

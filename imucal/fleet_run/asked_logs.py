@@ -1,13 +1,17 @@
 """What a person asks for, logs with their labels -> entries of a manifest."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imucal.errors import ManifestError
 from imucal.fleet_run.log_list import find_logs
-from imucal.fleet_run.manifest_file import LogEntry, label_of, read_manifest, shown_and_url
+from imucal.fleet_run.manifest_file import LogEntry, label_of, read_manifest, shown_and_url, stored_entries
 from imucal.fleet_run.path_labels import LabelPattern
+
+if TYPE_CHECKING:
+    import polars as pl
 
 #: Arguments of `imucal.read` that may be several texts.
 _SEVERAL = ("topic", "fields", "message_definition")
@@ -22,7 +26,7 @@ class AskedLogs:
     entries
         Each path once: those of the manifest, then those that were named.
     unlike
-        How many of those that were named the pattern of labels does not fit.
+        How many of those that were named, or stored where none is, the pattern of labels does not fit.
     """
 
     entries: tuple[LogEntry, ...]
@@ -65,10 +69,34 @@ def asked_logs(
     return AskedLogs(entries=tuple(found.values()), unlike=unlike)
 
 
+def stored_logs(manifest: "pl.DataFrame", labels: LabelPattern | None = None) -> AskedLogs:
+    """Return the logs that a store's manifest asks for; labels in their paths go before those that it has.
+
+    Raises
+    ------
+    ManifestError
+        If a label is wrong.
+    """
+    found = [(entry, _labels(entry.path, labels)) for entry in stored_entries(manifest)]
+    return AskedLogs(
+        entries=tuple(replace(entry, labels={**entry.labels, **own}) for entry, own in found),
+        unlike=sum(labels is not None and not own for _, own in found),
+    )
+
+
 def as_json(reading: Mapping[str, object]) -> dict[str, object]:
-    """Return arguments of `imucal.read` as JSON values, as the key of a result has them, but empty ones."""
+    """Return arguments of `imucal.read` as JSON values, as the key of a result has them.
+
+    What is empty, off, or skips nothing is left out: it is as if it were not said. Any other 0 stays, which
+    reading refuses.
+    """
     texts = {name: _values(name, value) for name, value in reading.items()}
-    return {name: value for name, value in texts.items() if value}
+    return {name: value for name, value in texts.items() if _is_said(name, value)}
+
+
+def _is_said(name: str, value: object) -> bool:
+    nought = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
+    return bool(value) or (nought and name != "skip_s")
 
 
 def _values(name: str, value: object) -> object:
@@ -80,6 +108,10 @@ def _values(name: str, value: object) -> object:
 
 def _entry(log: str, pattern: LabelPattern | None) -> LogEntry:
     path, url = shown_and_url(log)
+    return LogEntry(path=path, labels=_labels(path, pattern), url=url)
+
+
+def _labels(path: str, pattern: LabelPattern | None) -> dict[str, str | float]:
     labels = {}
     for name, text in ((pattern.of(path) if pattern else None) or {}).items():
         try:
@@ -87,4 +119,4 @@ def _entry(log: str, pattern: LabelPattern | None) -> LogEntry:
         except ValueError as error:
             msg = f"labels: {path}: {name} is {text!r}, expected {error}"
             raise ManifestError(msg) from error
-    return LogEntry(path=path, labels=labels, url=url)
+    return labels

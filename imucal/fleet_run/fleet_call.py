@@ -6,11 +6,11 @@ from pathlib import Path
 
 from imucal.fleet.store import FleetStore
 from imucal.fleet_report import Fleet, load_fleet
-from imucal.fleet_run.asked_logs import as_json, asked_logs
+from imucal.fleet_run.asked_logs import as_json, asked_logs, stored_logs
 from imucal.fleet_run.dask_cluster import Engine
 from imucal.fleet_run.fleet_plan import FleetPlan, plan_fleet
-from imucal.fleet_run.log_tasks import LEAST_MEMORY, REPORTS, FleetSettings
-from imucal.fleet_run.manifest_file import LogEntry, stored_entries
+from imucal.fleet_run.log_tasks import LEAST_MEMORY, LEVEL, MODEL, REPORTS, FleetSettings
+from imucal.fleet_run.manifest_file import LogEntry
 from imucal.fleet_run.path_labels import LabelPattern
 from imucal.fleet_run.running import RunCount, run_plan
 from imucal.noise import parse_structure, structure_text
@@ -18,8 +18,6 @@ from imucal.resources import memory_there_is, parse_size, threads
 
 #: The share of the machine's memory that all workers may take, and what is taken where none is known.
 _SHARE, _UNKNOWN = 0.8, 2 << 30
-#: Model and level of a fleet that says nothing else.
-MODEL, LEVEL = "N + B + K", 0.95
 
 
 def run_fleet(
@@ -134,14 +132,14 @@ def _entries(
     manifest: str | Path | None,
     labels: str | None,
 ) -> tuple[LogEntry, ...]:
+    pattern = None if labels is None else LabelPattern(labels)
     if logs is None and manifest is None:
-        return tuple(stored_entries(store.manifest()))
+        return stored_logs(store.manifest(), pattern).entries
     names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
     if not names and manifest is None:
         # A pattern that matched nothing, say: it must not become all that the folder has.
         msg = f"logs {logs!r}, expected some; leave them out to go on with those of the folder"
         raise ValueError(msg)
-    pattern = None if labels is None else LabelPattern(labels)
     table = None if manifest is None else Path(manifest)
     return asked_logs(names, manifest=table, labels=pattern).entries
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 from imucal._version import __version__
 
+#: Model and level of a fleet that says nothing else.
+MODEL, LEVEL = "N + B + K", 0.95
 #: Which logs get a report of their own.
 REPORTS = ("none", "failed", "all")
 #: Bytes that the packages take which read and fit a log, and a short log.
@@ -70,8 +72,8 @@ class FleetSettings:
 
     store: str
     folder: str
-    model: str = "N + B + K"
-    level: float = 0.95
+    model: str = MODEL
+    level: float = LEVEL
     memory: int
     timeout: float | None = None
     reports: str = "failed"

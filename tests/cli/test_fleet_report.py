@@ -53,12 +53,28 @@ def test_report_writes_its_files_and_says_what_matters(folder: Path) -> None:
     assert done.stdout.split() == ["fleet/fleet.json", "fleet/fleet.csv", "fleet/fleet.html"]
     assert done.stderr.endswith(".\n")
     document = json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8"))
-    higher = run("fleet", "report", "fleet", "--no-pictures", "--no-html", "--content", "0.99", cwd=folder)
+    higher = run("fleet", "report", "fleet", "--no-pictures", "--no-html", "--content", "99%", cwd=folder)
     assert higher.stdout.split() == ["fleet/fleet.json", "fleet/fleet.csv"]
     again = json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8"))
     one, other = (each["models"][0]["terms"][0] for each in (document, again))
     assert other["tolerance"] > one["tolerance"]
     assert other["median"] == one["median"]
+
+
+def test_report_says_what_is_missing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An old page does not stay in place of the one that can't be drawn."""
+
+    def broken(_: object) -> str:
+        msg = "no ticks"
+        raise ArithmeticError(msg)
+
+    monkeypatch.delenv("IMUCAL_DEBUG", raising=False)
+    monkeypatch.setattr("imucal.fleet_report.fleet_page.render_fleet_page", broken)
+    (folder / "two" / "fleet.html").write_text("of yesterday")
+    done = run("fleet", "report", "two", "--no-pictures", cwd=folder)
+    assert done.stdout.split() == ["two/fleet.json", "two/fleet.csv"]
+    assert "warning [not-drawn]: fleet.html is missing: the calculation failed" in done.stderr
+    assert not (folder / "two" / "fleet.html").exists()
 
 
 def test_report_says_which_labels_to_type(folder: Path) -> None:

@@ -11,6 +11,7 @@ from imucal.cli._fleet_lines import print_plan, write_files
 from imucal.errors import WriteError
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import FleetPlan, LogTask
+from imucal.fleet_run.log_tasks import LEVEL, MODEL
 from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet
 
@@ -92,6 +93,13 @@ def test_labels_that_the_store_has_are_not_asked_for_again(done: Path) -> None:
     assert "No log has a label unit: logs stand one by one" in first.stderr
 
 
+def test_the_help_says_the_defaults_that_hold(tmp_path: Path) -> None:
+    """It has a copy of its own of two of them."""
+    text = " ".join(run("fleet", "run", "--help", cwd=tmp_path).stdout.split())
+    assert f"Terms, for every log. [default: {MODEL}]" in text
+    assert f"Confidence level of every interval. [default: {LEVEL}]" in text
+
+
 def test_a_dry_run_writes_nothing(logs: Path) -> None:
     """And says of every log what would be done with it."""
     ended = run("fleet", "run", "logs", *LABELS, "-o", "other", "--dry-run", cwd=logs)
@@ -126,7 +134,7 @@ def test_a_report_that_cannot_be_written_is_said_to_who_asked_for_quiet(
 ) -> None:
     """The results are there, the report that they were asked for is not."""
 
-    def full(_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         msg = "fleet.json: can't be written"
         raise WriteError(msg)
 

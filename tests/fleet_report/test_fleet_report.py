@@ -23,8 +23,9 @@ from imucal.fleet.store_columns import MANIFEST
 from imucal.fleet_report import unit_tests
 from imucal.fleet_report.fleet_document import fleet_csv, fleet_document, fleet_schema
 from imucal.fleet_report.fleet_figures import drift_figure, heat_figure, models_figure, units_figure
-from imucal.fleet_report.fleet_page import render_fleet_page, verdict
+from imucal.fleet_report.fleet_page import render_fleet_page
 from imucal.fleet_report.fleet_tables import heat_table
+from imucal.fleet_report.fleet_verdict import verdict
 from imucal.fleet_report.loading import labels_to_type
 from imucal.fleet_report.panels import unit_panel
 from imucal.fleet_report.sample_size import NEAR, tolerance_excess
@@ -305,6 +306,26 @@ def test_a_unit_of_the_fleet_passes_and_another_does_not(fleet: Fleet) -> None:
         imucal.check_fleet(replace(report, axes=()), fleet)
 
 
+def test_a_term_that_few_units_have_is_not_judged(fleet: Fleet) -> None:
+    """As of a sensor that the other units lack; the terms of all units are judged as before."""
+    (model,) = fleet.models
+
+    def of_two(term: FleetTerm) -> FleetTerm:
+        if term.name != "accel_x":
+            return term
+        logs = tuple(log for log in term.logs if log.unit in {"u01", "u02"})
+        return replace(term, logs=logs, population=imucal.population(logs))
+
+    few = replace(fleet, models=(replace(model, terms=tuple(map(of_two, model.terms))),))
+    rows = imucal.check_fleet(imucal.fleet_as_report(fleet, value="median"), few)
+    assert [(row.where, row.verdict) for row in rows].count(("accel_x", "undecided")) == 3
+    assert {row.verdict for row in rows if row.where != "accel_x"} == {"pass"}
+    said = next(row.text for row in rows if row.where == "accel_x" and row.subject == "N")
+    assert said.endswith(
+        "2 units of the fleet with it, expected 3 at least to say where the next one lies: not judged"
+    )
+
+
 def test_units_of_the_fleet_fail_a_check_rarely() -> None:
     """New units of 60 draws: a false alarm in about 5 % of them, by the membership of one term."""
     from imucal.fleet.membership import membership
@@ -471,15 +492,20 @@ def test_files_are_written_whole(fleet: Fleet, tmp_path: Path) -> None:
 def test_a_picture_that_fails_costs_nothing_else(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The others are there, and the document says which is missing."""
+    """The others are there, and document and caller are told which is missing; an old one goes."""
 
     def broken(*_: object) -> None:
         raise ArithmeticError
 
     monkeypatch.setattr("imucal.fleet_report.fleet_figures.heat_figure", broken)
     monkeypatch.setattr("imucal.fleet_report.fleet_figures.units_figure", broken)
-    files = [file.name for file in imucal.write_fleet(fleet, tmp_path)]
-    assert files == ["fleet.json", "fleet.csv", "drift.png", "fleet.html"]
+    (tmp_path / "heat.png").write_bytes(b"of yesterday")
+    told: list[str] = []
+    files = imucal.write_fleet(fleet, tmp_path, tell=lambda finding: told.append(finding.text))
+    assert [file.name for file in files] == ["fleet.json", "fleet.csv", "drift.png", "fleet.html"]
+    assert not (tmp_path / "heat.png").exists()
+    missing = ("units-gyro", "units-accel", "heat")
+    assert [text.split(":")[0] for text in told] == [f"{name}.png is missing" for name in missing]
     findings = json.loads((tmp_path / "fleet.json").read_text(encoding="utf-8"))["findings"]
     assert {finding["code"] for finding in findings} == {"not-drawn"}
 

@@ -1,6 +1,8 @@
 """A fleet run by a call: the same store as the command's, from a script without a guard, from a notebook."""
 
+import html
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +12,8 @@ import pytest
 
 import imucal
 from imucal.fleet.store import FleetStore
+from imucal.fleet_report.fleet_page import render_fleet_page
+from imucal.fleet_run.asked_logs import as_json
 from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet
 from tests.fleet_run.faults import OF_THE_RUN
@@ -108,6 +112,26 @@ def test_a_notebook_may_call_it(folder: Path) -> None:
     assert (done.stdout, done.stderr) == ("3 3\n", "")
 
 
+def test_a_nought_is_not_taken_for_nothing() -> None:
+    """A take of 0 s was the whole log; what is off or empty is not said."""
+    said = {
+        "take_s": 0.0,
+        "skip_s": 0.0,
+        "rate_hz": 0,
+        "strict": False,
+        "topic": (),
+        "columns": None,
+        "time": "",
+    }
+    assert as_json(said) == {"take_s": 0.0, "rate_hz": 0}
+
+
+def test_a_part_of_no_length_is_no_data(folder: Path) -> None:
+    """As of one log; each of the fleet says so."""
+    done = run("fleet", "run", "logs/beta", "--take", "0", "--shard", "1/1", "-o", "nought", cwd=folder)
+    assert (done.returncode, "1 no-data" in done.stdout) == (4, True), (done.stdout, done.stderr)
+
+
 @pytest.mark.parametrize(
     ("arguments", "error", "said"),
     [
@@ -186,3 +210,23 @@ def test_a_fresh_run_does_all_of_it_anew(folder: Path, monkeypatch: pytest.Monke
     said = run("fleet", "run", logs, "-o", "anew", "--shard", "1/1", "--fresh", cwd=folder)
     assert (said.returncode, said.stderr.splitlines()[0].split(",")[0]) == (0, "1 log to do"), said.stderr
     assert FleetStore("anew").settings() == {"model": "N + B + K", "level": 0.95}
+
+
+def test_labels_may_be_said_later(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the logs that the folder has, as its page says to type it; labels that they have besides stay."""
+    monkeypatch.chdir(folder)
+    fleet = imucal.run_fleet("logs", "later", labels="{model}/*/*/*.npz", shard=(1, 1))
+    assert len(fleet.loose) == 2
+    page = render_fleet_page(fleet)
+    typed = ("fleet", "run", "-o", "later", "--labels", fleet.labels)
+    assert f"imucal {shlex.join(typed)}" in html.unescape(page)
+    said = run(*typed, "--shard", "1/1", "--max-failed", "50%", cwd=folder)
+    assert said.stderr.startswith("0 logs to do, 0 kB; 3 done before\n")
+    manifest = FleetStore("later").manifest()
+    assert manifest["unit"].null_count() == 0
+    assert sorted(manifest["model"]) == ["alpha", "beta", "gamma"]
+    # And by a call: of which two logs are none of the pattern's, and keep what they have.
+    again = imucal.run_fleet(folder="later", labels="beta/{unit}/*/*.npz", shard=(1, 1))
+    assert not again.loose
+    unlike = run("fleet", "run", "-o", "later", "--labels", "beta/{unit}/*/*.npz", "--dry-run", cwd=folder)
+    assert unlike.stderr.splitlines()[0].endswith(" of 3 logs do not fit beta/{unit}/*/*.npz")
