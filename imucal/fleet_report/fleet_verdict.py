@@ -14,7 +14,7 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
     said, chance = _strange(fleet)
     failed = sum(len(logs) for logs in fleet.failures.values())
     if failed:
-        said.append(f"{failed} of {len(fleet.logs)} logs do not count")
+        said.append(f"{failed} of {len(fleet.logs)} logs do{'es' * (failed == 1)} not count")
     if fleet.loose:
         said.append(loose_text(fleet))
     few = [model.title for model in fleet.models if len(model.units) < 3]

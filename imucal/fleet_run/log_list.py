@@ -39,7 +39,7 @@ def find_logs(names: Iterable[str], listed: Iterable[str] = ()) -> list[str]:
     Raises
     ------
     ReadError
-        If wildcards match nothing, or a folder holds no log.
+        If wildcards match nothing, a folder holds no log, or a name is neither a file nor a log's.
     """
     found: dict[str, None] = {}
     for name in names:
@@ -57,9 +57,14 @@ def _logs_of(name: str) -> list[str]:
         return [name] if plain else expand(name)
     if os.path.isdir(name):  # noqa: PTH112 - a name stays as it was typed
         return _in_folder(name)
-    if not glob.has_magic(name) or os.path.lexists(name):
-        # Whether there is such a file is for its reader to say.
+    if os.path.lexists(name):
         return [name]
+    if not glob.has_magic(name):
+        if name.lower().endswith(_ENDINGS):
+            # A log that is missing is one that can't be read, as any other.
+            return [name]
+        msg = f"{name}: no such file or folder; expected logs, or folders with logs in them"
+        raise ReadError(msg)
     found = glob.glob(name.removesuffix("**"), recursive=True)  # noqa: PTH207 - as it was typed
     matches = sorted(found, key=lambda match: [natural(Path(part)) for part in Path(match).parts])
     suffix = Path(name).suffix

@@ -190,8 +190,13 @@ def test_nothing_readable_ends_with_3(tmp_path: Path) -> None:
         (("x", "--model", "auto+"), 2, "model 'auto+'"),
         (("x", "--model", "auto"), 2, "auto would choose by the log; give the terms, such as 'N + B + K'"),
         (("x", "--max-failed", "5"), 2, "'5' is more than all; did you mean 0.05 or 5%?"),
+        (("nowhere",), 3, "nowhere: no such file or folder; expected logs, or folders with logs in them"),
         (("x/1.csv", "--labels", "{temperature_c}/*.csv"), 2, "temperature_c is 'x', expected a number"),
-        (("x", "-o", "thesis"), 5, "holds thesis.tex but no fleet of imucal's; nothing was changed; choose"),
+        (
+            ("x.csv", "-o", "thesis"),
+            5,
+            "holds thesis.tex but no fleet of imucal's; nothing was changed; choose",
+        ),
     ],
 )
 def test_slips(arguments: tuple[str, ...], code: int, said: str, tmp_path: Path) -> None:

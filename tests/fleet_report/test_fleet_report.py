@@ -80,6 +80,10 @@ def test_logs_that_do_not_count_are_grouped(fleet: Fleet) -> None:
     assert verdict(fleet)[0] == "look"
     assert "u07 (gyro_z N)" in verdict(fleet)[1]
     assert "5 of 101 logs do not count" in verdict(fleet)[1]
+    kept = [log for log in fleet.logs if not log.left_out]
+    left_out = [log for log in fleet.logs if log.left_out]
+    one = replace(fleet, logs=(*kept, *(replace(log, left_out="") for log in left_out[1:]), left_out[0]))
+    assert "1 of 101 logs does not count" in verdict(one)[1]
 
 
 def test_a_copy_of_a_log_is_not_waited_for(tmp_path: Path) -> None:

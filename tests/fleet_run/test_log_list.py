@@ -52,6 +52,11 @@ def test_a_list_has_a_name_a_line() -> None:
     assert find_logs(["-"], ["logs/b\n", "\n", " logs/a/x.csv.gz \n"]) == [*ALL[1:3], ALL[0]]
 
 
+def test_a_missing_log_is_a_log() -> None:
+    """Its reader says that it can't be opened, and the others are done."""
+    assert find_logs(["gone/a.mcap"]) == ["gone/a.mcap"]
+
+
 @pytest.mark.usefixtures("tree")
 def test_a_name_with_brackets_that_exists_is_no_wildcard(tree: Path) -> None:
     """As [1].csv."""
@@ -64,6 +69,7 @@ def test_a_name_with_brackets_that_exists_is_no_wildcard(tree: Path) -> None:
     [
         ("*.bag", r"\*\.bag: no log has such a name; expected files, or folders with logs"),
         ("empty", r"empty: no log in this folder; expected files that end in \.mcap"),
+        ("nowhere", r"nowhere: no such file or folder; expected logs, or folders with logs in them"),
     ],
 )
 def test_nothing_is_an_error(tree: Path, name: str, message: str) -> None:
