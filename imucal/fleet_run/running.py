@@ -87,7 +87,9 @@ def run_plan(
 
     def take() -> list[LogTask] | None:
         batch = alone.popleft() if alone else next(waiting, None)
-        count.running += len(batch or ())
+        if batch is not None:
+            count.running += len(batch)
+            tell(count)
         return batch
 
     def told(at_work: int) -> None:

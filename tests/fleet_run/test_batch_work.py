@@ -1,4 +1,4 @@
-"""The process that does a log: what it is given of its worker's environment, and one that can't start."""
+"""The process that does a log: its environment, one that can't start, and what a run says meanwhile."""
 
 import errno
 import os
@@ -8,8 +8,10 @@ import pytest
 
 from imucal.child_process import ChildProcess
 from imucal.fleet.store import FleetStore
+from imucal.fleet_run import running
 from imucal.fleet_run.batch_work import _child, work_on_batch
-from imucal.fleet_run.log_tasks import FleetSettings, LogTask
+from imucal.fleet_run.fleet_plan import FleetPlan
+from imucal.fleet_run.log_tasks import FleetSettings, LogDone, LogTask
 from imucal.resources import POOLS, THREADS
 
 
@@ -48,3 +50,21 @@ def test_a_process_that_cannot_start_is_the_failure_of_its_log(
         "run again where there is room"
     )
     assert FleetStore(tmp_path / "store").logs()["status"].to_list() == ["crash"]
+
+
+def test_a_run_says_what_it_has_in_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before a batch is done, not only after: a long one looked like nothing at work."""
+    monkeypatch.setattr(running, "OWN_BATCH_S", 0.0)
+    monkeypatch.setattr(
+        running,
+        "work_on_batch",
+        lambda tasks, settings: [
+            LogDone(path=task.path, size=1, status="ok") for task in tasks if settings.model
+        ],
+    )
+    tasks = tuple(LogTask(path=f"{i}.mcap", size=1) for i in range(3))
+    plan = FleetPlan(entries=(), tasks=tasks, done=(), again=(), copies={}, own=())
+    seen: list[tuple[int, int]] = []
+    settings = FleetSettings(store=str(tmp_path), folder=str(tmp_path), memory=4 << 30)
+    running.run_plan(plan, settings, engine=None, tell=lambda count: seen.append((count.done, count.running)))
+    assert seen == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1), (3, 0)]
