@@ -12,6 +12,7 @@ from importlib.resources import files
 
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
+from imucal.fleet_report.fleet_verdict import beyond_chance, verdict
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.report.document import plain
 
@@ -33,15 +34,18 @@ def fleet_schema() -> dict[str, object]:
 
 def fleet_document(fleet: Fleet) -> dict[str, object]:
     """Return a fleet as JSON values."""
+    grade, text = verdict(fleet)
+    sure = beyond_chance(fleet)
     return {
         "schema": SCHEMA,
         "version": fleet.version,
+        "verdict": {"grade": grade, "text": text},
         "logs": {
             "asked": fleet.asked,
             "done": len(fleet.logs),
             "counted": sum(not log.left_out for log in fleet.logs),
         },
-        "models": [_model(model) for model in fleet.models],
+        "models": [_model(model, sure) for model in fleet.models],
         "failures": [
             {"kind": kind, "reason": reason, "logs": [log.path for log in logs]}
             for (kind, reason), logs in fleet.failures.items()
@@ -101,17 +105,17 @@ def _rows(model: SensorModel, term: FleetTerm) -> Iterator[list[object]]:
         ]
 
 
-def _model(model: SensorModel) -> dict[str, object]:
+def _model(model: SensorModel, sure: set[tuple[int, str]]) -> dict[str, object]:
     return {
         "name": model.name,
         "units": list(model.units),
         "logs": sum(not log.left_out for log in model.logs),
         "rate_hz": plain(model.rate_hz),
-        "terms": [_term(term) for term in model.terms],
+        "terms": [_term(term, sure) for term in model.terms],
     }
 
 
-def _term(term: FleetTerm) -> dict[str, object]:
+def _term(term: FleetTerm, sure: set[tuple[int, str]]) -> dict[str, object]:
     found, trend = term.population, term.trend
     return {
         "sensor": str(term.sensor),
@@ -141,6 +145,7 @@ def _term(term: FleetTerm) -> dict[str, object]:
                 "high": unit.high,
                 "p_odd": unit.p_odd,
                 "odd": unit.odd,
+                "odd_overall": unit.odd and (id(term), unit.unit) in sure,
             }
             for unit in found.units
         ],

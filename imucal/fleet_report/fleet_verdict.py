@@ -31,7 +31,7 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
 def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:
     """Return which units of each model are odd or move otherwise, and which may be odd by chance."""
     several = len(fleet.models) > 1
-    sure = _beyond_chance(fleet)
+    sure = beyond_chance(fleet)
     said: list[str] = []
     chance: list[str] = []
     for model in fleet.models:
@@ -46,7 +46,7 @@ def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:
     return said, chance
 
 
-def _beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
+def beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
     """Return the terms, by identity, and units that are odd among all units of all terms together.
 
     Each term has its false alarms, of which a fleet with many terms has some.

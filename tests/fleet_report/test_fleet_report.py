@@ -115,6 +115,40 @@ def test_the_document_is_as_its_schema_says(fleet: Fleet) -> None:
     term = document["models"][0]["terms"][0]  # type: ignore[index]
     assert term["median"]["value"] == fleet.model().terms[0].population.median.value
     assert len(term["units"]) == 24
+    assert document["verdict"] == dict(zip(("grade", "text"), verdict(fleet), strict=True))
+
+
+def test_a_unit_that_is_odd_by_chance_is_not_odd_overall(fleet: Fleet) -> None:
+    """One in 20 terms has a false alarm: of all units and terms together it may be none."""
+    (model,) = fleet.models
+    by_chance = [
+        replace(
+            term,
+            population=replace(
+                term.population,
+                units=tuple(
+                    replace(unit, p_value=2e-3, p_odd=0.048, odd=True) if unit.unit == "u03" else unit
+                    for unit in term.population.units
+                ),
+            ),
+        )
+        if (term.name, term.term) == ("accel_y", "K")
+        else term
+        for term in model.terms
+    ]
+    changed = replace(fleet, models=(replace(model, terms=tuple(by_chance)),))
+    said, chance = verdict(changed)[1].split("perhaps by chance: ")
+    assert "u07 (gyro_z N)" in said
+    assert "u03 (accel_y K)" in chance
+    document = fleet_document(changed)
+    found = {
+        (term["sensor"], term["axis"], term["term"], unit["unit"]): unit["odd_overall"]
+        for term in document["models"][0]["terms"]  # type: ignore[index]
+        for unit in term["units"]
+        if unit["odd"]
+    }
+    assert found["gyroscope", "z", "N", "u07"]
+    assert not found["accelerometer", "y", "K", "u03"]
 
 
 def test_the_table_has_a_row_a_unit_and_term(fleet: Fleet) -> None:
