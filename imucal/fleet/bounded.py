@@ -12,6 +12,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.fleet.log_value import LogValues
+from imucal.fleet.random_effects import variance_between
 from imucal.fleet.squares import Squares
 
 #: A mean square that is not so many deviations above zero, whichever unit is left out, is only bounded.
@@ -62,21 +63,15 @@ def _of_one(units: Squares, confidence: float) -> float:
 
 
 def _of_different(units: Squares, confidence: float) -> float:
-    """Return the bound of the mean of squares that scatter by more than their errors say, else zero.
-
-    Source: DerSimonian & Laird (1986), Controlled Clinical Trials 7, p. 177.
-    """
+    """Return the bound of the mean of squares that scatter by more than their errors say, else zero."""
     from scipy.special import ndtr, ndtri
 
     weight = units.sd**-2.0
     error = units.deviation(max(float(np.average(units.estimate, weights=weight)), 0.0))
-    weight = error**-2.0
-    apart = units.estimate - np.average(units.estimate, weights=weight)
-    beyond = float(np.sum(weight * apart**2)) - (apart.size - 1)
-    if beyond <= 0:
+    between = variance_between(units.estimate, error)
+    if not between:
         return 0.0
-    total = float(np.sum(weight))
-    weight = 1 / (error**2 + beyond / (total - float(np.sum(weight**2)) / total))
+    weight = 1 / (error**2 + between)
     mean = float(np.average(units.estimate, weights=weight))
     error_of_mean = 1 / math.sqrt(float(np.sum(weight)))
     beyond = (1 - confidence) * float(ndtr(mean / error_of_mean))

@@ -1,7 +1,6 @@
 """The estimate of a term in which records differ: the mean over records, with their spread.
 
-DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177, give the spread; Hartung & Knapp (2001),
-Statistics in Medicine 20, 1771, the interval of the mean.
+Hartung & Knapp (2001), Statistics in Medicine 20, 1771, give the interval of the mean.
 """
 
 import math
@@ -17,6 +16,7 @@ from imucal.fitting.noise_fit import Estimate
 from imucal.fitting.spectral.bin_fit import fit_bins
 from imucal.fitting.spectral.record_tests import RecordTest
 from imucal.fitting.spectral.squared_coefficients import SquaredCoefficient, squared_coefficients
+from imucal.fleet.random_effects import variance_between
 
 #: Standard error of a logarithm below which each record tells a term by itself.
 _TOLD = 0.3
@@ -103,9 +103,7 @@ def _mean(
     dof = values.size - 1
     spread = 0.0
     if random:
-        statistic = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
-        scale = float(weight.sum() - np.square(weight).sum() / weight.sum())
-        spread = math.sqrt(max(statistic - dof, 0.0) / scale)
+        spread = math.sqrt(variance_between(values, deviations))
         weight = 1 / (deviations**2 + spread**2)
     mean = float(np.average(values, weights=weight))
     error = math.sqrt(1 / float(weight.sum()))
