@@ -21,7 +21,7 @@ from imucal.readers.tables.columns import (
 )
 from imucal.readers.tables.columns_text import ColumnsError, ColumnSpec, list_columns, parse_columns_text
 from imucal.readers.tables.dialects import Dialect, find_dialect
-from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.line_splits import is_number
 from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, parse_column
 from imucal.readers.tables.proposals import propose_columns
 from imucal.readers.tables.row_tags import rows_of_sensors

@@ -8,7 +8,8 @@ from typing import TypeAlias
 from imucal.errors import ChoiceError
 from imucal.readers.tables.columns_text import ColumnsError, list_columns
 from imucal.readers.tables.dialects import Dialect
-from imucal.readers.tables.layout import Rows, is_number
+from imucal.readers.tables.layout import Rows
+from imucal.readers.tables.line_splits import is_number
 from imucal.readers.tables.names import NamedColumn, Role
 from imucal.recording import AXES, Axis, Sensor
 from imucal.units import parse_sample_unit

@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from imucal.errors import ChoiceError
-from imucal.readers.tables.layout import Rows, is_number
+from imucal.readers.tables.layout import Rows
+from imucal.readers.tables.line_splits import is_number
 from imucal.recording import AXES, Axis, Sensor
 
 #: A number of more letters is rounded in a message.

@@ -18,7 +18,7 @@ import numpy as np
 from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import sensor_of_name
-from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.line_splits import is_number
 from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.text import TextSource, open_text
 from imucal.readers.tables.text_table import EXTERNAL, ExternalTime, plan_of_head, read_head, read_table

@@ -10,7 +10,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.readers.tables.dates import is_text_stamp, is_time_of_day, text_kind
-from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.line_splits import is_number
 from imucal.readers.tables.scales import median_size
 from imucal.units import G0
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from imucal.readers.column_store import GrowingColumn
 from imucal.readers.tables.dates import NO_STAMP, TextKind, parse_texts
-from imucal.readers.tables.layout import BLANKS, Rows, TextLayout, split_line
+from imucal.readers.tables.layout import Rows, TextLayout
+from imucal.readers.tables.line_splits import BLANKS, split_line
 
 #: What the cells of a column are read as: numbers, or one of the texts that tell the time.
 Kind: TypeAlias = Literal["integer", "float"] | TextKind

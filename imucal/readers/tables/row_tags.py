@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from imucal.readers.tables.columns import NamedTable, Triad, columns_text, sensor_of_name
-from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.line_splits import is_number
 from imucal.readers.tables.names import Role
 from imucal.recording import Sensor
 

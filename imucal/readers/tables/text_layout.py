@@ -10,7 +10,8 @@ from imucal.readers.tables.column_plan import works
 from imucal.readers.tables.columns import NamedTable
 from imucal.readers.tables.columns_text import ColumnsError, list_columns
 from imucal.readers.tables.dialects import find_messages, name_columns
-from imucal.readers.tables.layout import TextLayout, find_layout, is_number, rows_of_tag, split_line
+from imucal.readers.tables.layout import TextLayout, find_layout, rows_of_tag
+from imucal.readers.tables.line_splits import is_number, split_line
 from imucal.readers.tables.names import parse_column
 from imucal.readers.tables.proposals import propose_columns
 

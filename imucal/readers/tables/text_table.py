@@ -14,7 +14,8 @@ from imucal.readers.compression import keep_freed_memory
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.dates import text_kind
-from imucal.readers.tables.layout import Rows, TextLayout, rows_of_tag, split_line
+from imucal.readers.tables.layout import Rows, TextLayout, rows_of_tag
+from imucal.readers.tables.line_splits import split_line
 from imucal.readers.tables.row_blocks import BlockReader, Kind, RowCounts, without_start
 from imucal.readers.tables.scales import Work
 from imucal.readers.tables.table_clock import SensorColumns

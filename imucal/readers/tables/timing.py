@@ -10,7 +10,7 @@ from imucal.readers.tables.columns import NamedTable
 from imucal.readers.tables.columns_text import index_of, list_columns
 from imucal.readers.tables.dates import day_first, is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.dialects import Dialect
-from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.line_splits import is_number
 from imucal.readers.tables.names import NamedColumn, Role
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from imucal.findings import Finding
 from imucal.readers.tables.columns import NamedTable, Triad, columns_text, triad_of
-from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.line_splits import is_number
 from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else
 from imucal.recording import AXES, Axis, Sensor
 
