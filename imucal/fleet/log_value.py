@@ -33,7 +33,7 @@ class LogValue:
         Its limits at `level`; `low` is 0 and `high` the upper limit where it is bounded.
     variance
         The estimate of the squared coefficient, which may be negative. It says more than value and limits,
-        which are not looked at where there is one.
+        which are no more than a first guess where there is one.
     variance_sd, variance_growth
         Its standard deviation is ``variance_sd + variance_growth * v`` where the squared coefficient is v.
         They must not follow the estimate, or weights would: high ones would count for less.

@@ -49,7 +49,7 @@ def load_fleet(
     ReadError
         If there is no fleet, or it can't be read.
     DataError
-        If none of its logs was done.
+        If none of its logs was done, or some by a version that did not keep enough.
     """
     store = FleetStore(folder)
     # A copy of another log is counted with it.
@@ -59,6 +59,7 @@ def load_fleet(
         msg = f"{folder}: found {asked} logs and none done, expected some; run the fleet first"
         raise DataError(msg)
     results = store.results()
+    _refuse_old(folder, results)
     groups = _grouped(results, logs)
     tests, findings = unit_tests(store, logs, groups) if unit_logs else ({}, ())
     names = sorted({log.model for log in logs.values() if _counts(log)})
@@ -166,8 +167,26 @@ def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[Term
 def _value(row: Row, unit: str) -> LogValue:
     names = [field.name for field in fields(LogValue) if field.name != "unit"]
     told = {name: row[name] for name in names}
-    # Stores of before had one deviation for all squares.
+    # A term without a square has none that could grow.
     return LogValue(unit=unit, **told | {"variance_growth": told["variance_growth"] or 0.0})
+
+
+def _refuse_old(folder: str | Path, results: "pl.DataFrame") -> None:
+    """Refuse squares whose deviations follow the draws: their mean would be too low, and nothing would show.
+
+    Raises
+    ------
+    DataError
+        If there are any.
+    """
+    old = results.filter(results["variance"].is_not_null() & results["variance_growth"].is_null())
+    if old.height:
+        logs = old["key"].n_unique()
+        msg = (
+            f"{folder}: found {logs} log{'s' * (logs > 1)} done by an earlier version, which did not keep "
+            "how the error of a term grows with it; run the fleet again with --fresh"
+        )
+        raise DataError(msg)
 
 
 def _term(

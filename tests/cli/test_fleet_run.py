@@ -5,6 +5,7 @@ import os
 import shutil
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from imucal.cli._fleet_lines import print_plan, write_files
@@ -64,6 +65,24 @@ def test_the_same_command_again_does_nothing_twice(done: Path) -> None:
         assert again.returncode == 0, again.stderr
         assert again.stderr.startswith("0 logs to do, 0 kB; 8 done before\n")
     assert sorted((done / "fleet" / "logs").iterdir()) == parts
+
+
+def test_a_fleet_of_an_earlier_version_is_refused_until_it_is_run_again(done: Path, tmp_path: Path) -> None:
+    """Its weak terms would come out too low; what the message says to type works."""
+    shutil.copytree(done / "logs", tmp_path / "logs")
+    shutil.copytree(done / "fleet", tmp_path / "fleet")
+    for part in (tmp_path / "fleet" / "results").iterdir():
+        pl.read_parquet(part, glob=False).drop("variance_growth").write_parquet(part)
+    refused = run("fleet", "report", "fleet", cwd=tmp_path)
+    assert refused.returncode == 4
+    said = " ".join(refused.stderr.split())
+    assert "fleet: found 7 logs done by an earlier version, which did not keep how the error" in said
+    assert said.endswith("run the fleet again with --fresh")
+    again = run(
+        "fleet", "run", "-o", "fleet", "--fresh", "--shard", "1/1", "--max-failed", "20%", cwd=tmp_path
+    )
+    assert again.returncode == 0, again.stderr
+    assert run("fleet", "report", "fleet", "--no-pictures", cwd=tmp_path).returncode == 0
 
 
 def test_status_says_it_too(done: Path) -> None:

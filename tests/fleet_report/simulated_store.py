@@ -149,7 +149,15 @@ def _results(  # noqa: PLR0917
 def _hidden(row: dict[str, Any], absent: str) -> dict[str, Any]:
     if (row["sensor"], row["term"]) != ("gyroscope", "K") or row["axis"] not in absent:
         return row
-    return {**row, "value": None, "low": 0.0, "high": 4e-6, "variance": -1e-12, "variance_sd": 8e-12}
+    return {
+        **row,
+        "value": None,
+        "low": 0.0,
+        "high": 4e-6,
+        "variance": -1e-12,
+        "variance_sd": 8e-12,
+        "variance_growth": 0.0,
+    }
 
 
 def _markov(rng: np.random.Generator, key: str, time: float | None) -> dict[str, Any]:
@@ -186,6 +194,7 @@ def _told(
         "high": math.sqrt(max(square, 0.0) + Z * sd),
         "variance": square,
         "variance_sd": sd,
+        "variance_growth": 0.0,
     }
 
 
