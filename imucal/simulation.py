@@ -9,7 +9,7 @@ from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.mapped import blocks
 from imucal.noise import NoiseModel
-from imucal.readers.room import Room
+from imucal.readers.store import Room
 from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source
 
 #: Time of the first simulated sample: 2026-01-01 00:00 UTC, in ns.

@@ -10,7 +10,7 @@ from imucal.cli._topic_reading import TopicReading
 from imucal.cli._topic_table import topic_table, without_repeated_note
 from imucal.findings import Finding
 from imucal.readers import LogContents, TopicContents
-from imucal.readers.tables.text import STANDARD_INPUT
+from imucal.readers.tables.text_source import STANDARD_INPUT
 from imucal.remote import is_url
 from imucal.units import data_size, duration
 

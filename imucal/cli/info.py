@@ -14,7 +14,7 @@ from imucal.cli._topic_reading import read_topics
 from imucal.cli.parameters import reading_options
 from imucal.readers import LogContents, describe, logs_of
 from imucal.readers.read_options import options_of
-from imucal.readers.tables.text import STANDARD_INPUT
+from imucal.readers.tables.text_source import STANDARD_INPUT
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
 

@@ -9,7 +9,7 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Clock
 from imucal.findings import Finding
 from imucal.mapped import blocks
-from imucal.readers.room import Room
+from imucal.readers.store import Room
 from imucal.recording import AXES, Axis, AxisSeries, Recording, Sensor, Source, Temperature
 
 

@@ -74,7 +74,7 @@ class Format:
 FORMATS: tuple[Format, ...] = (
     Format(
         name="MCAP",
-        module="imucal.readers.containers.mcap_file",
+        module="imucal.readers.containers.mcap",
         messages=True,
         magic=(b"\x89MCAP0\r\n",),
         suffixes=(".mcap",),
@@ -109,7 +109,9 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".parquet", ".npz", ".npy", ".mat"),
     ),
     Format(
-        name="text", module="imucal.readers.tables.csv_log", suffixes=(".csv", ".tsv", ".txt", ".log", ".dat")
+        name="text",
+        module="imucal.readers.tables.text_table",
+        suffixes=(".csv", ".tsv", ".txt", ".log", ".dat"),
     ),
 )
 
@@ -163,7 +165,7 @@ def _by_ending(path: Path, head: bytes) -> Format:
 
 def _is_utf16(head: bytes) -> bool:
     """Return whether bytes are text of two bytes a letter without a mark that says so."""
-    from imucal.readers.tables.text_streams import utf16_order
+    from imucal.readers.tables.text_source import utf16_order
 
     return utf16_order(head) is not None
 

@@ -1,4 +1,11 @@
-"""Logs of messages -> Recording: choose topics, decode them, and give each sensor its clock."""
+"""Logs of messages -> Recording: choose topics, decode them, and give each sensor its clock.
+
+The axes and the unit of samples in messages: from the type, as given, or as a table's columns have it.
+
+Where times go back, and which parts of a log must be sorted to put them in order.
+
+Times of decoded messages: in order, one of each element, and the clock that they give.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -6,15 +13,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
+import numpy as np
+
+from imucal.arrays import BoolArray, IntArray
+from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
+from imucal.mapped import blocks
 from imucal.readers.builder import RecordingBuilder
-from imucal.readers.clocks import compare_clocks
-from imucal.readers.column_store import Columns, is_constant
+from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks
 from imucal.readers.containers import Container, Loss
 from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.message_times import HEADER, clock_of, in_time_order, spread_lists
-from imucal.readers.message_units import axes_of, inferred_scales, si_factor
 from imucal.readers.messages import (
     Choice,
     Topic,
@@ -25,14 +34,184 @@ from imucal.readers.messages import (
     read_temperature,
     stream_of,
 )
-from imucal.readers.messages.fields_text import EACH, parse_fields_text
-from imucal.readers.messages.frames import first_frames
 from imucal.readers.messages.leaves import MOST
 from imucal.readers.messages.loader import Stream
-from imucal.readers.messages.tree_messages import TreeDecoder
+from imucal.readers.messages.message_types import EACH, parse_fields_text
+from imucal.readers.messages.topic_streams import first_frames
+from imucal.readers.messages.trees import TreeDecoder, spread_times
 from imucal.readers.read_options import Progress, ReadOptions
-from imucal.readers.room import Room
-from imucal.recording import Recording, Sensor
+from imucal.readers.store import Columns, Room, is_constant
+from imucal.recording import AXES, Axis, Recording, Sensor
+from imucal.units import SAMPLE_UNITS
+
+
+def inferred_scales(
+    work: RecordingBuilder, topic: Topic, columns: Columns, clock: Clock, options: ReadOptions
+) -> dict[Sensor, tuple[float, str]]:
+    """Return what turns samples of fields that a user named into SI: as a table's columns have it.
+
+    Raises
+    ------
+    ChoiceError
+        If a unit is open.
+    """
+    # Few logs of messages need what reads tables, and it takes longer to load than such a log to read.
+    from imucal.readers.tables.columns import Triad
+    from imucal.readers.tables.scales import Unscaled, Work, find_scales
+
+    vectors = {vector.sensor: vector for vector in (topic.imu.vectors if topic.imu else ())}
+    table = Work(path=f"{work.path}: topic {topic.name}", options=options, dialect=None, rate_hz=None)
+    timed = [
+        Unscaled(
+            triad=Triad(
+                sensor=sensor,
+                indices=tuple(range(len(vectors[sensor].axes))),
+                headers=vectors[sensor].axes,
+                unit=vectors[sensor].unit,
+                axes=vectors[sensor].axes,
+            ),
+            axes=list(rows),
+            temperature=None,
+            clock=clock,
+        )
+        for sensor, rows in columns.vectors.items()
+    ]
+    factors = find_scales(table, timed)
+    work.findings += table.findings
+    reasons = dict(table.decisions)
+    return {sensor: (factor, reasons[f"{sensor} unit"]) for sensor, factor in factors.items()}
+
+
+def si_factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float, str]:
+    """Return what turns samples into SI, and why."""
+    unit, scale = options.unit_of(sensor), options.scale_of(sensor)
+    if scale is not None:
+        return scale, f"{scale:g} {sensor.unit} per count, given"
+    if unit is not None:
+        if unit not in SAMPLE_UNITS[sensor]:
+            known = ", ".join(SAMPLE_UNITS[sensor])
+            msg = f"the unit {unit!r} of the {sensor} is not known; expected one of {known}"
+            raise ChoiceError(msg)
+        return SAMPLE_UNITS[sensor][unit], f"{unit}, given"
+    standard = topic.imu is not None and topic.imu.standard
+    how = "from the message type" if standard else "assumed for this message type"
+    return 1.0, f"{sensor.unit}, {how}"
+
+
+def axes_of(topic: Topic, sensor: Sensor) -> tuple[Axis, ...]:
+    """Return the axes of a sensor that the messages hold."""
+    vectors = topic.imu.vectors if topic.imu is not None else ()
+    return next((vector.axes for vector in vectors if vector.sensor is sensor), AXES)
+
+
+def steps_back(times: IntArray) -> int:
+    """Return how many times are earlier than the one before."""
+    return sum(
+        int(np.count_nonzero(times[part.start + 1 : part.stop + 1] < times[part]))
+        for part in blocks(times.size - 1, times)
+    )
+
+
+def unsorted(times: IntArray) -> Iterator[tuple[int, int]]:
+    """Yield the parts (start, stop) that must be sorted, each for itself, so that all times are in order.
+
+    A cut is a place before which nothing is later than anything after it; between two cuts lies a part.
+    """
+    lowest = [int(times[part].min()) for part in blocks(times.size, times)]
+    # The lowest of all times behind each block.
+    behind = [*np.minimum.accumulate(lowest[::-1])[::-1].tolist()[1:], np.iinfo(np.int64).max]
+    begun, highest = 0, np.iinfo(np.int64).min
+    for part, low in zip(blocks(times.size, times), behind, strict=True):
+        block = times[part]
+        before = np.maximum.accumulate(np.concatenate([[highest], block]))
+        after = np.minimum(np.minimum.accumulate(block[::-1])[::-1], low)
+        cuts = np.concatenate([[begun], np.flatnonzero(before[:-1] <= after) + part.start])
+        long = np.flatnonzero(np.diff(cuts) > 1)
+        yield from zip(cuts[long].tolist(), cuts[long + 1].tolist(), strict=True)
+        begun, highest = int(cuts[-1]), before[-1]
+    if times.size - begun > 1:
+        yield begun, times.size
+
+
+#: Name of the time in the messages.
+HEADER = "header stamp"
+
+
+def spread_lists(topic: Topic, columns: Columns, room: Room) -> None:
+    """Give the elements of lists that have no stamps of their own their times."""
+    if topic.imu is None or not topic.imu.lists:
+        return
+    stamps, log = room.copied(columns.stamps), room.copied(columns.log)
+    if topic.imu.stamp is None or EACH not in topic.imu.stamp.sec:
+        spread_times(columns.stamps, (stamps, log))
+    spread_times(columns.log, (log,))
+
+
+def in_time_order(columns: Columns, room: Room) -> list[Finding]:
+    """Sort samples by log time where the file does not hold them in that order, in place.
+
+    Files are joined, channels merged and chunks written by several threads; a recorder's clock that was
+    set back is none of these. So nothing is sorted where it brings the stamps out of order.
+    """
+    late = steps_back(columns.log)
+    if not late:
+        return []
+    orders = [
+        (first, np.argsort(columns.log[first:stop], kind="stable")) for first, stop in unsorted(columns.log)
+    ]
+    sorted_stamps = room.copied(columns.stamps)
+    for first, order in orders:
+        sorted_stamps[first : first + order.size] = columns.stamps[first + order]
+    if steps_back(sorted_stamps) > steps_back(columns.stamps):
+        text = f"The log time goes back {late} times; the stamps do not, so the order of the file is kept."
+    else:
+        for first, order in orders:
+            columns.reorder(first, order)
+        text = f"{late} messages stand in the file before earlier ones; they were put in order of log time."
+    return [Finding(level="info", code="log-out-of-order", text=text)]
+
+
+def clock_of(work: RecordingBuilder, choice: Choice, columns: Columns, options: ReadOptions) -> ClockReading:
+    """Return the clock of a topic's samples: by their stamps, or by the log time where the user wants that.
+
+    Raises
+    ------
+    DataError
+        If no rate can be measured and none is given.
+    """
+    own = choice.topic.imu is not None and choice.topic.imu.stamp is not None
+    by_log = options.time == "log"
+    return clock_from_stamps(
+        columns.log if by_log else columns.stamps,
+        source=LOG_TIME if by_log else (HEADER if own else "stamp"),
+        where=f"{work.path}: topic {choice.topic.name}",
+        log_ns=columns.log,
+        rate_hz=options.rate_hz,
+        repeated=_repeated(columns, work.room),
+        room=work.room,
+    )
+
+
+def _repeated(columns: Columns, room: Room) -> BoolArray | None:
+    """Return the samples recorded twice: same stamp and same six values; None where there are none."""
+    stamps = columns.stamps
+    found = [
+        np.flatnonzero(stamps[part.start + 1 : part.stop + 1] == stamps[part]) + part.start + 1
+        for part in blocks(columns.n - 1, stamps)
+    ]
+    same = np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+    if not same.size or len(columns.vectors) < 2:
+        return None
+    twin = stamps[same] != 0
+    for rows in columns.vectors.values():
+        for row in rows:
+            twin &= row[same] == row[same - 1]
+    if not twin.any():
+        return None
+    repeated = room.made(columns.n, np.bool_, lambda _: False)
+    repeated[same[twin]] = True
+    return repeated
+
 
 #: Opens the files of a log; also returns the name of its format.
 OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], str]]

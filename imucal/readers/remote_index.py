@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from imucal.readers.containers import Container
-from imucal.readers.containers.mcap_file import McapFile
+from imucal.readers.containers.mcap import McapFile
 from imucal.readers.containers.ros1_file import BagFile
 from imucal.readers.containers.ros2_bag import mcap_part, open_parts
 from imucal.readers.containers.rosbag2_folder import METADATA, folder_of
@@ -12,9 +12,8 @@ from imucal.readers.contents import LogContents
 from imucal.readers.files import LogFile
 from imucal.readers.formats import detect_head
 from imucal.readers.message_logs import describe_logs
-from imucal.readers.ranged_file import RangedFile, TooMuchError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.remote_logs import LocalLogs
+from imucal.readers.remote_logs import LocalLogs, RangedFile, TooMuchError
 from imucal.remote import LocalCopy, RemoteLog
 from imucal.remote.failures import ChangedError
 from imucal.remote.log_cache import entry_of

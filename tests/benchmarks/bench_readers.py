@@ -280,7 +280,7 @@ def one(reader: str, path: Path, n: int) -> None:
     import polars as pl
     import zstandard  # noqa: F401
 
-    import imucal.readers.containers.mcap_file
+    import imucal.readers.containers.mcap
     import imucal.readers.containers.ros1_file
     import imucal.readers.containers.ros2_bag
     import imucal.readers.message_logs

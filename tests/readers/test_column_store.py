@@ -7,7 +7,7 @@ import pytest
 from imucal.clock import Clock
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
-from imucal.readers.column_store import Columns, GrowingColumn
+from imucal.readers.store import Columns, GrowingColumn
 from imucal.recording import Sensor
 
 LIMITS = [1 << 30, 800]

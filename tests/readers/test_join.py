@@ -8,7 +8,7 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers import read
-from imucal.readers.join_checks import series_of
+from imucal.readers.split import series_of
 from imucal.recording import Recording
 from tests.cli.run import run
 from tests.readers.logs import Samples, imu_messages, samples, write_bag, write_db3, write_mcap

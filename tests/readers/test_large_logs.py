@@ -13,10 +13,9 @@ import pytest
 
 from imucal.errors import ReadError
 from imucal.readers import describe, read
-from imucal.readers.tables import csv_log, typed_table
-from imucal.readers.tables.mat_size import MOST_GROWTH, unpacks_to_more
-from imucal.readers.tables.npz_members import npz_arrays
-from imucal.readers.tables.text import TextSource, open_text
+from imucal.readers.tables import text_table, typed_table
+from imucal.readers.tables.foreign_files import MOST_GROWTH, npz_arrays, unpacks_to_more
+from imucal.readers.tables.text_source import TextSource, open_text
 from tests.cli.run import run
 from tests.readers.logs import samples
 
@@ -51,7 +50,7 @@ def test_a_text_is_described_by_its_head(
     whole = describe(path)
     assert whole.topics[0].count == 3000
     assert whole.topics[0].rate_hz == pytest.approx(100)
-    monkeypatch.setattr(csv_log, "_SMALL", 300_000)
+    monkeypatch.setattr(text_table, "_SMALL", 300_000)
     part = describe(path)
     assert (part.topics[0].count, part.duration_s) == (None, None)
     assert part.topics[0].rate_hz == pytest.approx(100)
@@ -65,14 +64,14 @@ def test_no_more_of_a_text_is_unpacked(tmp_path: Path, monkeypatch: pytest.Monke
     """Twenty times what is wanted costs no more than a little above it."""
     path = tmp_path / "log.csv.gz"
     path.write_bytes(gzip.compress(table() + b"31.0,0,0,0,0,0,9.8\n" * 1_000_000, compresslevel=1))
-    monkeypatch.setattr(csv_log, "_SMALL", 1_000_000)
+    monkeypatch.setattr(text_table, "_SMALL", 1_000_000)
     taken = []
 
     def watched(path: Path, **options: Any) -> TextSource:  # noqa: ANN401 - those of `open_text`
         taken.append(open_text(path, **options))
         return taken[-1]
 
-    monkeypatch.setattr(csv_log, "open_text", watched)
+    monkeypatch.setattr(text_table, "open_text", watched)
     assert describe(path).topics[0].count is None
     assert 1_000_000 < max(source.passed for source in taken) < 12_000_000
 

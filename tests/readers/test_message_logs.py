@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from imucal.readers.column_store import Columns
 from imucal.readers.containers import Channel, Loss
-from imucal.readers.message_logs import _loss_findings
-from imucal.readers.message_times import _repeated, in_time_order
+from imucal.readers.message_logs import _loss_findings, _repeated, in_time_order
 from imucal.readers.messages import Topic
 from imucal.readers.messages.topics import _said
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.room import Room
+from imucal.readers.store import Columns, Room
 from imucal.recording import Sensor
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER

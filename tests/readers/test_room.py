@@ -12,9 +12,8 @@ from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.mapped import blocks, release
 from imucal.readers.clocks.from_stamps import _filled
-from imucal.readers.column_store import copy_to, is_constant
-from imucal.readers.out_of_order import steps_back, unsorted
-from imucal.readers.room import Room, Spill, count, equal, extremes
+from imucal.readers.message_logs import steps_back, unsorted
+from imucal.readers.store import Room, Spill, copy_to, count, equal, extremes, is_constant
 from imucal.readers.tables.stamps import DAY, date_stamps, pair_stamps, rolled, to_ns, unwrapped, week_stamps
 
 RNG = np.random.default_rng(2026)
@@ -76,7 +75,7 @@ def test_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("imucal.readers.room.os.posix_fallocate", full)
+    monkeypatch.setattr("imucal.readers.store.os.posix_fallocate", full)
     with pytest.raises(ReadError, match=r"no room for 8\.0 GB of samples: No space left on device"):
         Room(0).empty(10**9, np.float64)
 

@@ -17,7 +17,7 @@ import scipy.io
 
 from imucal.errors import ImucalError
 from imucal.readers import describe, read
-from imucal.readers.ulog.ulog_content import ulog_content
+from imucal.readers.ulog import ulog_content
 from tests.readers.containers.test_mutations import CHANGES
 from tests.readers.ulog.test_ulog import two_sensors
 

@@ -11,7 +11,7 @@ import imucal
 from imucal.log_files import write_log
 from imucal.readers import describe
 from imucal.readers.files import DamagedError
-from imucal.readers.ranged_file import RangedFile, TooMuchError
+from imucal.readers.remote_logs import RangedFile, TooMuchError
 from imucal.remote import fetched, identify
 from tests.cli.run import SAMPLE_LOGS
 from tests.remote.web_server import WebServer

@@ -1,6 +1,12 @@
 """Stamps -> clock: the rate, the gaps, and what was seen."""
 
-from imucal.readers.clocks.clock_notes import compare_clocks, gap_notes, part_between
-from imucal.readers.clocks.from_stamps import LOG_TIME, ClockReading, clock_from_stamps
+from imucal.readers.clocks.from_stamps import (
+    LOG_TIME,
+    ClockReading,
+    clock_from_stamps,
+    compare_clocks,
+    gap_notes,
+    part_between,
+)
 
 __all__ = ["LOG_TIME", "ClockReading", "clock_from_stamps", "compare_clocks", "gap_notes", "part_between"]

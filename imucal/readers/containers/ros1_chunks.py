@@ -10,8 +10,7 @@ import numpy as np
 from imucal.arrays import IntArray
 from imucal.readers.compression import decompress, decompress_prefix
 from imucal.readers.containers import ros1_records as records
-from imucal.readers.containers.alike import Alike, Guard
-from imucal.readers.containers.container import Batch, Loss, gather
+from imucal.readers.containers.container import Alike, Batch, Guard, Loss, gather
 from imucal.readers.containers.ros1_records import Record, number, record
 from imucal.readers.files import DamagedError, LogFile, Scratch
 

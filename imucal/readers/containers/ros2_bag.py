@@ -9,9 +9,9 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import unpack_file
 from imucal.readers.containers.container import Batch, Channel, Container, Task
-from imucal.readers.containers.mcap_file import McapFile
+from imucal.readers.containers.mcap import McapFile
 from imucal.readers.containers.rosbag2_folder import Folder, open_folder
-from imucal.readers.containers.sqlite_file import SqliteFile, batch_of_blobs
+from imucal.readers.containers.sqlite import SqliteFile, batch_of_blobs
 from imucal.readers.files import DamagedError, Scratch
 from imucal.readers.read_options import Progress
 

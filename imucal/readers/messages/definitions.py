@@ -1,9 +1,19 @@
-"""Message definitions: `.msg` text -> the flat list of fields, in the order of their bytes."""
+"""Message definitions: `.msg` text -> the flat list of fields, in the order of their bytes.
+
+Definitions of message types in the user's own `.msg` files, as packages hold them, or in their folders.
+
+The definition of a channel's message type: the log's own, one that is given, or the standard one.
+"""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, NamedTuple, TypeAlias
+
+from imucal.errors import ReadError
+from imucal.readers.containers import Channel
+from imucal.readers.read_options import ReadOptions
 
 #: What a field is: one number, a fixed array, a string, a sequence of numbers, or anything else.
 Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
@@ -319,3 +329,103 @@ def _line(raw: str) -> Line | None:
     if match[6].startswith("="):
         return None
     return Line(*match.group(1, 2, 3, 4, 5))
+
+
+#: A folder with more files is none of message definitions.
+_DEFINITION_FILES_MANY = 20_000
+
+
+def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
+    """Return the definitions in files and folders: ``package/Name`` -> text.
+
+    The name is that of the file; the package that of the folder above ``msg/``, and empty elsewhere.
+
+    Raises
+    ------
+    ReadError
+        If a file can't be read, or there is none in a folder.
+    """
+    found = {}
+    for path in paths:
+        files = sorted(path.rglob("*.msg"))[:_DEFINITION_FILES_MANY] if path.is_dir() else [path]
+        if not files:
+            msg = f"{path}: no .msg files in this folder; expected the definitions of message types"
+            raise ReadError(msg)
+        for file in files:
+            try:
+                text = file.read_text(encoding="utf-8-sig")
+            except (OSError, UnicodeDecodeError) as error:
+                msg = f"{file}: can't be read: {error}; expected a message definition"
+                raise ReadError(msg) from error
+            folder = file.resolve().parent
+            package = folder.parent.name if folder.name == "msg" else ""
+            found[f"{package}/{_stem(file)}"] = text
+    return found
+
+
+def _stem(file: Path) -> str:
+    """Return the name of the type that a file defines; packages and versions may stand in its name."""
+    return re.split(r"[/.]|__", file.name.removesuffix(".msg"))[-1]
+
+
+def definition_of(kind: str, given: dict[str, str]) -> str | None:
+    """Return the given definition of a type; None where none of that name is given.
+
+    One of its package goes first; one of another package is none, one of no package is.
+    """
+    name = plain_type(kind)
+    return given.get(name, given.get("/" + name.rpartition("/")[2]))
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelDefinition:
+    """The definition of a channel's type, and whether it is `assumed` from the type's name.
+
+    `more` are definitions of other types; None where the log's own definition is whole.
+    """
+
+    text: str
+    assumed: bool
+    more: dict[str, str] | None = None
+
+    def fields(self, channel: Channel) -> tuple[Field, ...]:
+        """Return the flat fields; a DefinitionError where they can't be told."""
+        return flatten(channel.type, self.text, ros1=channel.encoding == "ros1", more=self.more)
+
+
+def definition_of_channel(channel: Channel, options: ReadOptions) -> ChannelDefinition:
+    """Return the definition of a channel's type: the log's own, one that is given, or the standard one.
+
+    Raises
+    ------
+    DefinitionError
+        If the type has no definition, or one that can't be read.
+    """
+    standard = built_in(channel.type, ros1=channel.encoding == "ros1")
+    if channel.definition and channel.definition_kind in {"ros2msg", "ros1msg"}:
+        own = ChannelDefinition(channel.definition, assumed=False)
+        try:
+            own.fields(channel)
+        except DefinitionError:
+            # A damaged definition of a well-known type loses nothing: messages must have its size.
+            if standard is None:
+                raise
+            return ChannelDefinition(standard, assumed=True)
+        return own
+    given = read_definitions(options.message_definitions)
+    text = definition_of(channel.type, given)
+    if text is not None:
+        return ChannelDefinition(text, assumed=True, more=given)
+    if standard is None:
+        kind = f" but of kind {channel.definition_kind!r}" if channel.definition_kind else ""
+        others = ", ".join(sorted(name.strip("/") for name in given)[:8])
+        names = f", those that are given are of {others}" if given else ""
+        last = plain_type(channel.type).rpartition("/")[2]
+        msg = f"the log holds no definition of {channel.type}{kind}{names}; give its .msg file, {last}.msg"
+        raise DefinitionError(msg)
+    return ChannelDefinition(standard, assumed=True)
+
+
+def is_given(channel: Channel, options: ReadOptions) -> bool:
+    """Return whether the user gives the definition of a channel's type."""
+    return definition_of(channel.type, read_definitions(options.message_definitions)) is not None

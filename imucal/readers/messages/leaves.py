@@ -11,8 +11,7 @@ from itertools import product
 from typing import Any
 
 from imucal.errors import ChoiceError
-from imucal.readers.messages.fields_text import EACH, FieldsText, Named
-from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
+from imucal.readers.messages.message_types import EACH, FieldsText, ImuFields, Named, Stamp, Vector
 from imucal.recording import AXES, Axis, Sensor
 from imucal.units import TIME_UNITS_NS, parse_sample_unit, parse_time_unit
 

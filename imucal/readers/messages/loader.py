@@ -10,13 +10,13 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from imucal.readers.column_store import Columns
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.containers import Batch, Container, Loss, Task
 from imucal.readers.files import DamagedError, Scratch
-from imucal.readers.messages.list_messages import ListDecoder
 from imucal.readers.messages.message_types import ImuFields
+from imucal.readers.messages.trees import ListDecoder
 from imucal.readers.read_options import Progress
+from imucal.readers.store import Columns
 from imucal.resources import threads as allowed_threads
 
 #: More threads gain nothing: the interpreter's lock is held in between.

@@ -7,7 +7,7 @@ from typing import Any
 from imucal.readers.containers import Channel
 from imucal.readers.messages.definitions import DefinitionError, Field
 from imucal.readers.messages.leaves import Leaf
-from imucal.readers.messages.tree_messages import Parse
+from imucal.readers.messages.trees import Parse
 
 #: A message that nests deeper than this refers to itself.
 _DEEP = 8

@@ -6,7 +6,7 @@ from typing import Any
 
 from imucal.readers.messages.definitions import DefinitionError, Definitions, plain_type
 from imucal.readers.messages.leaves import Leaf
-from imucal.readers.messages.tree_messages import Parse
+from imucal.readers.messages.trees import Parse
 
 #: A type that nests deeper than this is not shown further, nor one of more lines than this.
 _DEEP, _MANY = 8, 4000

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from imucal.readers.tables.layout import TextLayout, rows_of_tag
-from imucal.readers.tables.line_splits import BLANKS, is_number, split_line
+from imucal.readers.tables.layout import BLANKS, TextLayout, is_number, rows_of_tag, split_line
 from imucal.recording import Sensor
 
 

@@ -1,12 +1,271 @@
-"""How a text table is laid out: delimiter, header, units, preamble, where the data start."""
+"""How a text table is laid out: delimiter, header, units, preamble, where the data start.
 
+Lines of a text table cut into cells: by which delimiter, with which decimal point, and which are rows.
+
+The header of a text table: names of its columns, in one row or two, and a row of their units.
+"""
+
+import csv
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import TypeAlias
 
-from imucal.readers.tables.line_splits import LineSplit, line_splits, split_line, without_ends
-from imucal.readers.tables.table_header import find_header, fitted_names
+from imucal.readers.tables.dates import is_time_of_day, text_kind
+from imucal.units import is_unit
+
+#: The delimiter that stands for runs of blanks and tabs.
+BLANKS = " "
+
+_DELIMITERS = (",", ";", "\t", "|", BLANKS)
+
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
+_COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+_DOT_NUMBER = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?")
+
+#: Lines of the head that are looked at.
+_LINES = 400
+#: Cells beyond this many don't make a delimiter more likely.
+_WIDE = 50
+
+#: A delimiter that fewer lines have is none.
+_FEW_LINES = 2
+#: A table of one or two columns has rows of numbers in more than this share of its lines.
+_MOSTLY = 0.6
+#: And at least so many of them: a few numbers are no log.
+_ENOUGH = 10
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number with a decimal point."""
+    return _NUMBER.fullmatch(cell) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class LineSplit:
+    """The head of a table cut by one delimiter: rows by line, which of them fit, and where they start."""
+
+    delimiter: str
+    decimal: str
+    rows: list[list[str]]
+    width: int
+    start: int
+    fitting: tuple[int, ...]
+    #: Whether a semicolon that parts no cells ends each line, as in matrices of MATLAB.
+    ended: bool = False
+
+    @property
+    def score(self) -> int:
+        """How many cells of rows it gives."""
+        return len(self.fitting) * min(self.width, _WIDE)
+
+
+def line_splits(lines: Sequence[str]) -> list[LineSplit]:
+    """Return the ways of cutting a table's first lines that give rows of numbers, the likeliest first."""
+    lines = list(lines[:_LINES])
+    only = _named_delimiter(lines)
+    splits = _splits(lines, (only,)) if only else []
+    return splits or _splits(lines, _DELIMITERS) or _splits(lines, _DELIMITERS, narrow=True)
+
+
+def _named_delimiter(lines: Sequence[str]) -> str | None:
+    """Return the delimiter of a line ``sep=;``, which spreadsheets write and read."""
+    for line in lines[:2]:
+        if line.strip().lower().startswith("sep="):
+            value = line.strip("\ufeff\r\n ")[4:].strip('"')
+            value = "\t" if value in {"\\t", "\t", ""} else value[:1]
+            return value if value in _DELIMITERS else None
+    return None
+
+
+def split_line(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one line, without blanks around them."""
+    if delimiter == BLANKS:
+        return line.split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    try:
+        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        cells = line.split(delimiter)
+    return [cell.strip() for cell in cells]
+
+
+def _splits(lines: Sequence[str], delimiters: Sequence[str], *, narrow: bool = False) -> list[LineSplit]:
+    """Return the ways of cutting the lines that give rows of numbers, the likeliest first."""
+    splits = [split for delimiter in delimiters if (split := _split(lines, delimiter, narrow=narrow))]
+    return sorted(splits, key=lambda split: -split.score)
+
+
+def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> LineSplit | None:
+    if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
+        return None
+    ended = delimiter != ";" and _have_ends(lines)
+    if ended:
+        lines = [line.rstrip("; \t") for line in lines]
+    rows = _cells(lines, delimiter)
+    # Where commas part the cells, one within a cell stood in quotes.
+    decimal = _decimal(rows)
+    width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
+    if not fitting:
+        return None
+    if width == 1:
+        # A name with blanks is one name: "gz (deg/s)".
+        rows = [[" ".join(row)] if row else [] for row in rows]
+    start = _start(fitting, len(lines))
+    return LineSplit(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start), ended)
+
+
+def _cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
+    """Return the cells of each line; none of an empty one."""
+    return [split_line(line, delimiter) if line.strip() else [] for line in lines]
+
+
+def _have_ends(lines: Sequence[str]) -> bool:
+    """Return whether most lines end with a semicolon."""
+    return sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
+
+
+def without_ends(block: bytes) -> bytes:
+    """Return a block without the semicolons that end its lines."""
+    return re.sub(rb"[; \t]+$", b"", block, flags=re.MULTILINE)
+
+
+def _fitting(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, list[int]]:
+    """Return the width of the table in some lines, and which of them are its rows."""
+    filled = [len(row) - row.count("") for row in rows]
+    numbers = [_numbers(row, decimal) for row in rows]
+    likely = {i for i, count in enumerate(numbers) if count >= max(3, 0.4 * filled[i])}
+    if not likely:
+        return 0, []
+    widths = Counter(len(rows[i]) for i in likely)
+    width = max(widths, key=lambda cells: (widths[cells] * min(cells, _WIDE), cells))
+    # A table of several topics has rows with a few cells filled.
+    sparse = {i for i, count in enumerate(numbers) if 0 < count == filled[i]}
+    return width, sorted(i for i in likely | sparse if len(rows[i]) == width)
+
+
+def _narrow(rows: Sequence[Sequence[str]], decimal: str) -> tuple[int, list[int]]:
+    """Return the width, one or two, of a log of one axis, and which lines are its rows: most of them."""
+    filled = [i for i, row in enumerate(rows) if row]
+    likely = [i for i in filled if len(rows[i]) <= 2 and _numbers(rows[i], decimal) == len(rows[i])]
+    width = max((len(rows[i]) for i in likely), default=0)
+    fitting = [i for i in likely if len(rows[i]) == width]
+    enough = len(fitting) >= _ENOUGH and len(fitting) > _MOSTLY * len(filled)
+    return (width, fitting) if enough else (0, [])
+
+
+def _start(fitting: Sequence[int], lines: int) -> int:
+    """Return the first line from which most lines are rows: a number row in a preamble is not it."""
+    chosen = set(fitting)
+    for first in fitting:
+        window = range(first, min(first + 8, lines))
+        if sum(line in chosen for line in window) >= 0.6 * len(window):
+            return first
+    return fitting[0]
+
+
+def _decimal(rows: Sequence[Sequence[str]]) -> str:
+    commas = sum(bool(_COMMA_NUMBER.fullmatch(cell)) for row in rows for cell in row)
+    points = sum(bool(_DOT_NUMBER.fullmatch(cell)) for row in rows for cell in row)
+    return "," if commas > points else "."
+
+
+def _numbers(row: Sequence[str], decimal: str) -> int:
+    plain = sum(1 for cell in row if _NUMBER.fullmatch(cell))
+    return plain + (sum(1 for cell in row if _COMMA_NUMBER.fullmatch(cell)) if decimal == "," else 0)
+
+
+#: Names of a header's second row, and what stands in brackets beside them.
+_AXES = frozenset(("", "w", "x", "y", "z"))
+_UNIT_PART = re.compile(r"[\[(][^\])]*[\])]")
+#: A date that stands behind this many columns is none of a row's time.
+_STAMP_FIRST = 6
+
+
+def find_header(split: LineSplit) -> tuple[int | None, list[str], list[str | None]]:
+    """Return the header's line, its names and the units of a row of units."""
+    units: list[str | None] = []
+    for line in range(split.start - 1, -1, -1):
+        row = split.rows[line]
+        row = row[1:] if row and row[0] in {"#", "%", "//"} else row
+        # The cells of a date, a time and AM or PM may have one name.
+        fewest = -max(1, _stamp_cells(split)[1] - 1)
+        if not fewest <= len(row) - split.width <= 1 or len(row) < min(2, split.width):
+            continue
+        if not units and _is_row_of_units(row):
+            units = [unit if is_unit(unit) else None for unit in (cell.strip("[]()") for cell in row)]
+        elif any(re.search(r"[^\W\d_]", cell) for cell in row):
+            above = split.rows[line - 1] if line else []
+            return line, _two_rows(above, row), units
+    return None, [], units
+
+
+def _is_row_of_units(row: Sequence[str]) -> bool:
+    units = sum(is_unit(cell.strip("[]()")) for cell in row)
+    # One alone may be a name: t is a time and a tesla.
+    return units >= max(0.3 * len(row), min(2, len(row))) and not _is_axes(row)
+
+
+def _is_axes(row: Sequence[str]) -> bool:
+    """Return whether a row names axes, perhaps with their units, and only the unit of a time beside them."""
+    cells = [_UNIT_PART.sub("", cell).strip("\"' ").lower() for cell in row]
+    return {"x", "y", "z"} <= set(cells) and all(cell in _AXES or is_unit(cell) for cell in cells)
+
+
+def _two_rows(above: Sequence[str], row: list[str]) -> list[str]:
+    """Join a header of two lines: groups above, x, y, z below."""
+    if not _is_axes(row) or not 2 <= len(above) <= len(row) + 1 or not any(above):
+        return _labelled(row)
+    group, names = "", []
+    for name, axis in zip_longest(above[: len(row)], row, fillvalue=""):
+        group = name or group
+        names.append(f"{group} {axis}".strip())
+    return names
+
+
+def _labelled(row: list[str]) -> list[str]:
+    """Give repeated names x, y, z the name of the column before them, as rosbag_to_csv means it."""
+    if Counter(cell.lower() for cell in row)["x"] < 2:
+        return row
+    label, names = "", []
+    for cell in row:
+        if cell.lower() in {"x", "y", "z", "w"}:
+            names.append(f"{label} {cell}".strip())
+        else:
+            label = cell
+            names.append(cell)
+    return names
+
+
+def _stamp_cells(split: LineSplit) -> tuple[int, int]:
+    """Return where the cells of one time start, and their number: blanks cut a date from its time."""
+    columns = [[split.rows[i][at] for i in split.fitting] for at in range(min(split.width, _STAMP_FIRST))]
+    kinds = [text_kind(cells) for cells in columns]
+    for at in range(len(kinds) - 1):
+        if split.delimiter == BLANKS and kinds[at] == "date" and all(map(is_time_of_day, columns[at + 1])):
+            return at, 3 if kinds[at + 2 : at + 3] == ["half"] else 2
+    return 0, 1
+
+
+def fitted_names(headers: list[str], split: LineSplit) -> tuple[list[str], int | None]:
+    """Return as many names as cells, and the number of names where they don't fit."""
+    if not headers or len(headers) == split.width:
+        return headers, None
+    at, cells = _stamp_cells(split)
+    named = cells - (split.width - len(headers))
+    if 0 < named < cells:
+        names = [*(["date"] if named == 1 else []), *headers[at : at + named], "am/pm"][:cells]
+        return [*headers[:at], *names, *headers[at + named :]], None
+    if len(headers) == split.width + 1 and not headers[-1]:
+        return headers[:-1], None
+    last_empty = all(not split.rows[i][-1] for i in split.fitting)
+    if len(headers) == split.width - 1 and last_empty:
+        return [*headers, ""], None
+    return [], len(headers)
+
 
 #: Rows of a sensor: the index of a column, -1 for any, and the text its cells must hold; None for all rows.
 Rows: TypeAlias = tuple[int, str] | None

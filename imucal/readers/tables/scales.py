@@ -15,7 +15,7 @@ from imucal.clock import Clock
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.room import Room
+from imucal.readers.store import Room
 from imucal.readers.tables.columns import Triad
 from imucal.readers.tables.dialects import Dialect
 from imucal.recording import Sensor

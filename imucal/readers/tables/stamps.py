@@ -1,15 +1,27 @@
-"""Time in a table: joins of columns, counters that wrap, units that the steps show -> ns."""
+"""Time in a table: joins of columns, counters that wrap, units that the steps show -> ns.
+
+Which columns of a table are the time of a sensor, and what their counts are.
+"""
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
+from imucal.errors import ChoiceError
 from imucal.mapped import blocks
-from imucal.readers.room import Room, extremes
-from imucal.units import TIME_UNITS_NS
+from imucal.readers.store import Room, extremes
+from imucal.readers.tables.columns import NamedTable, index_of, list_columns
+from imucal.readers.tables.dates import day_first, is_text_stamp, is_time_of_day, text_kind
+from imucal.readers.tables.dialects import Dialect
+from imucal.readers.tables.layout import is_number
+from imucal.readers.tables.names import NamedColumn, Role
+from imucal.recording import Sensor
+from imucal.units import TIME_UNITS_NS, parse_time_unit
 
 _SECOND = 10**9
 DAY = 86_400 * _SECOND
@@ -184,3 +196,278 @@ def typical_step(values: Numbers) -> float:
     if forward.size < 0.5 * steps.size:
         return float((head[-1] - head[0]) / steps.size)
     return float(np.median(steps)) if np.median(steps) > 0 else float(np.median(forward))
+
+
+TimeKind: TypeAlias = Literal["stamp", "pair", "week", "date", "text", "counter"]
+
+#: Words that say which sensor stamped the sample.
+_OWNERS = {Sensor.GYROSCOPE: ("gyr", "angular"), Sensor.ACCELEROMETER: ("acc",)}
+_OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
+
+_SECONDS = frozenset(("sec", "secs", "second", "seconds", "s"))
+_NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds", "nanos", "ns"))
+
+#: Words of the columns of a date, in order; nanoseconds need not be there.
+_DATE_PARTS = (
+    frozenset(("year", "yyyy")),
+    frozenset(("month",)),
+    frozenset(("day",)),
+    frozenset(("hour", "hours")),
+    frozenset(("minute", "minutes", "min")),
+    frozenset(("second", "seconds", "sec")),
+    frozenset(("nano", "nanos", "nanosecond", "nanoseconds", "nsec", "ns")),
+)
+_DATE_NEEDED = 6
+
+#: Word of a name -> how much it is to be preferred; the largest counts.
+_PREFERENCE = {
+    **dict.fromkeys(("stamp", "timestamp", "realtime"), 75),
+    **dict.fromkeys(("time", "chiptime"), 65),
+    **dict.fromkeys(("t", "ts", "ustime", "mstime"), 62),
+    **dict.fromkeys(("uptime", "elapsed"), 55),
+    **dict.fromkeys(("tick", "ticks"), 50),
+    "tow": 45,
+}
+#: Preference of a time whose name has none of these words.
+_UNKNOWN = 40
+
+#: Word of a name -> what it adds: times taken by the computer that logged are a worse choice.
+_BONUS = {
+    **dict.fromkeys(("log", "logging", "host", "receive", "received", "recv"), -40),
+    "rosbag": -30,
+    "gps": -10,
+    "utc": -5,
+    "startup": -5,
+    "header": 15,
+    "hw": 12,
+    "device": 8,
+    "sensor": 8,
+    "fine": 5,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeChoice:
+    """The time of a sensor's samples: the columns it is in, by index, and the name that the log gives it.
+
+    ``pair`` is seconds and nanoseconds; ``week`` GPS week and time of week; ``date`` year, month, day,
+    hour, minute, second and perhaps nanosecond; ``text`` dates or times of day, in one column or in one of
+    dates, one of times and perhaps one of AM and PM; ``counter`` a count of samples. `ns` per count is None
+    where the data must tell; `ns_source` says in words where it is from. Dates with the year last begin with
+    the month, or `by_day`; where the cells leave it `open_date`, the month is taken.
+    """
+
+    kind: TimeKind
+    indices: tuple[int, ...]
+    name: str
+    ns: int | None = None
+    ns_source: str = ""
+    by_day: bool = False
+    open_date: bool = False
+
+
+def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
+    """Return the times that a table offers for a sensor's samples, best first.
+
+    Stamps come before counters; columns that are empty, or stand still over the first rows, come
+    after those that go on.
+    """
+    found = [*_pairs(table), *_weeks(table), *_timing_dates(table), *_dates_and_times(table, sensor)]
+    taken = {index for _, choice in found for index in choice.indices}
+    for column in table.columns:
+        if column.role is Role.TIME and column.index not in taken:
+            choice = _single(table, column)
+            if choice is not None:
+                found.append((_score(column, table.cells(column.index), sensor), choice))
+    found.sort(key=lambda entry: -entry[0])
+    return [choice for score, choice in found if score > 0] + _counters(table)
+
+
+def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
+    """Return the time in one column, in two of seconds and nanoseconds, or in a date and a time of day.
+
+    A ChoiceError if it is none.
+    """
+    columns = [table.columns[index] for index in indices]
+    if len(columns) > 1 and text_kind(table.cells(indices[0])) == "date":
+        return _texts(table, *columns)
+    if len(columns) == 2:
+        return _pair(*columns)
+    if len(columns) > 2:
+        problem = f"columns {', '.join(map(str, indices))} are no date, time of day, and AM or PM"
+        raise table.ask(problem)
+    (column,) = columns
+    choice = _single(table, column)
+    if choice is None:
+        found = next((cell for cell in table.cells(column.index) if cell), "nothing")
+        problem = f"column {column.index} ({column.header}) is no time: it holds {found!r}"
+        raise table.ask(problem)
+    if column.role is Role.COUNTER:
+        return _joined("counter", column)
+    return choice
+
+
+def _joined(kind: TimeKind, *columns: NamedColumn, ns: int | None = None, source: str = "") -> TimeChoice:
+    """Return the time that some columns give together."""
+    name = "+".join(column.header or str(column.index) for column in columns)
+    indices = tuple(column.index for column in columns)
+    return TimeChoice(kind=kind, indices=indices, name=name, ns=ns, ns_source=source)
+
+
+def _pair(second: NamedColumn, fraction: NamedColumn) -> TimeChoice:
+    return _joined("pair", second, fraction, ns=1, source="seconds + nanoseconds")
+
+
+def named_time(table: NamedTable, name: str) -> TimeChoice:
+    """Return the time in the column a user named; a ChoiceError if there is none, or it is no time."""
+    try:
+        indices = [index_of(part, table.headers, table.path, name) for part in name.split("+")]
+    except ChoiceError as error:
+        found = list_columns(table.headers)
+        msg = f"{table.path}: there is no time column {name!r}; found columns: {found}"
+        raise ChoiceError(msg) from error
+    return time_of_columns(table, indices)
+
+
+def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
+    filled = [cell.strip("\"'") for cell in table.cells(column.index) if cell]
+    if not filled:
+        return None
+    if sum(map(is_number, filled)) < 0.5 * len(filled):
+        if sum(map(is_text_stamp, filled)) < 0.5 * len(filled):
+            return None
+        return _texts(table, column)
+    ns, source = _unit(column, table.dialect)
+    return _joined("stamp", column, ns=ns, source=source)
+
+
+def _unit(column: NamedColumn, dialect: Dialect | None) -> tuple[int | None, str]:
+    plain = column.header.strip("\"'").lstrip("#%").strip().lower()
+    if dialect is not None:
+        for name, ns in dialect.time_ns:
+            if name == plain:
+                return ns, f"as {dialect.name} counts it"
+    unit = parse_time_unit(column.unit) if column.unit else None
+    if unit is None:
+        unit = next((u for word in column.words if (u := _word_unit(word))), None)
+    if unit is not None:
+        return TIME_UNITS_NS[unit], "from the column header"
+    return None, ""
+
+
+def _word_unit(word: str) -> str | None:
+    if len(word) > 4 and word.endswith("time"):
+        return parse_time_unit(word.removesuffix("time"))
+    return parse_time_unit(word) if len(word) > 1 else None
+
+
+def _score(column: NamedColumn, cells: Sequence[str], sensor: Sensor) -> float:
+    """Return how much a time is to be preferred: by its words, its owner, its unit and its cells."""
+    words = column.words
+    owner = _owner_score(words, sensor)
+    if owner is None:
+        return -1.0
+    preferences = [_PREFERENCE.get(word.rstrip("0123456789"), _UNKNOWN) for word in words]
+    score = max(preferences, default=_UNKNOWN) + owner + (2 if column.unit else 0)
+    score += sum(_BONUS.get(word, 0) for word in words)
+    filled = [cell for cell in cells if cell]
+    if not filled:
+        return score
+    score += _cells_score(filled)
+    return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
+
+
+def _owner_score(words: Sequence[str], sensor: Sensor) -> int | None:
+    """Return what the sensor that a name names adds; None where the time is another sensor's."""
+    named = [owner for owner, starts in _OWNERS.items() if any(word.startswith(starts) for word in words)]
+    if named:
+        return 30 if sensor in named else None
+    return -35 if any(word.startswith(_OTHER_OWNERS) for word in words) else 0
+
+
+def _cells_score(filled: Sequence[str]) -> int:
+    """Return what cells add: dates are worse than numbers, ns since 1970 better."""
+    score = 0 if is_number(filled[0].strip("\"'")) else -30
+    digits = [cell.lstrip("+-") for cell in filled]
+    return score + (10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0)
+
+
+def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
+    """Return seconds with nanoseconds, both whole numbers, of names that differ in nothing else."""
+    seconds: dict[tuple[str, ...], NamedColumn] = {}
+    fractions: dict[tuple[str, ...], NamedColumn] = {}
+    for column in table.columns:
+        counts = _counts(table.cells(column.index)) if column.role is Role.TIME else []
+        if not counts:
+            continue
+        spelled = {*column.words, (column.unit or "").lower()}
+        stem = tuple(word for word in column.words if word not in _SECONDS | _NANOSECONDS)
+        if _NANOSECONDS & spelled and max(counts) < 10**9:
+            fractions.setdefault(stem, column)
+        elif _SECONDS & spelled:
+            seconds.setdefault(stem, column)
+    # Nanoseconds that stand still are the last choice.
+    return [
+        (92.0 if len(set(table.cells(fraction.index))) > 1 else 4.0, _pair(seconds[stem], fraction))
+        for stem, fraction in fractions.items()
+        if stem in seconds
+    ]
+
+
+def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
+    week = next((c for c in table.columns if "week" in c.words and c.axis is None), None)
+    tow = next((c for c in table.columns if "tow" in c.words and c.role is Role.TIME), None)
+    if week is None or tow is None:
+        return []
+    ns = TIME_UNITS_NS.get(parse_time_unit(tow.unit) or "") if tow.unit else None
+    source = "from the column header" if ns else ""
+    return [(60.0, _joined("week", week, tow, ns=ns, source=source))]
+
+
+def _timing_dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
+    """Return the time that columns of year, month, day, hour, minute and second give together."""
+    parts: list[NamedColumn] = []
+    for names in _DATE_PARTS:
+        column = next((c for c in table.columns if names.intersection(c.words) and c not in parts), None)
+        if column is None or not all(map(is_number, filter(None, table.cells(column.index)))):
+            break
+        parts.append(column)
+    if len(parts) < _DATE_NEEDED:
+        return []
+    return [(58.0, _joined("date", *parts, ns=1, source="date and time"))]
+
+
+def _dates_and_times(table: NamedTable, sensor: Sensor) -> list[tuple[float, TimeChoice]]:
+    """Return the times that a column of dates and one of times of day beside it give together."""
+    found = []
+    for date, time in pairwise(table.columns):
+        cells = list(filter(None, table.cells(time.index)))
+        if text_kind(table.cells(date.index)) != "date" or not cells or not all(map(is_time_of_day, cells)):
+            continue
+        parts = [date, time]
+        after = table.columns[time.index + 1 : time.index + 2]
+        parts += [column for column in after if text_kind(table.cells(column.index)) == "half"]
+        found.append((_score(time, cells, sensor), _texts(table, *parts)))
+    return found
+
+
+def _texts(table: NamedTable, *columns: NamedColumn) -> TimeChoice:
+    """Return the time that texts give: one of dates with times, or of dates, times and AM or PM."""
+    order = day_first(table.cells(columns[0].index))
+    choice = _joined("text", *columns, ns=1, source="text")
+    return replace(choice, by_day=bool(order), open_date=order is None)
+
+
+def _counters(table: NamedTable) -> list[TimeChoice]:
+    found = []
+    for column in table.columns:
+        counts = _counts(table.cells(column.index)) if column.role is Role.COUNTER else []
+        if len(counts) > 1 and sum(b > a for a, b in pairwise(counts)) > 0.5 * len(counts):
+            found.append(_joined("counter", column))
+    return found
+
+
+def _counts(cells: Sequence[str]) -> list[int]:
+    """Return cells as whole numbers, the empty ones left out; nothing where one is none."""
+    filled = [cell for cell in cells if cell]
+    return [int(cell) for cell in filled] if all(map(str.isdecimal, filled)) else []

@@ -1,10 +1,14 @@
-"""Columns of numbers -> Recording: units, stamps, clocks, temperature, and how each was decided."""
+"""Columns of numbers -> Recording: units, stamps, clocks, temperature, and how each was decided.
+
+The clock of a table's samples: from its time columns, or from a counter and a rate.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -12,14 +16,331 @@ from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
+from imucal.mapped import blocks
 from imucal.readers.builder import RecordingBuilder
+from imucal.readers.clocks import ClockReading, clock_from_stamps
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.room import count
+from imucal.readers.store import Room, count, extremes
+from imucal.readers.tables.dates import HALF_DAY
+from imucal.readers.tables.plan import SensorPlan
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
-from imucal.readers.tables.stamps import Numbers
-from imucal.readers.tables.table_clock import SensorColumns, table_clock
-from imucal.recording import Recording
+from imucal.readers.tables.stamps import (
+    DAY,
+    Numbers,
+    TimeChoice,
+    date_stamps,
+    infer_time_unit,
+    pair_stamps,
+    rates_by_unit,
+    rolled,
+    to_ns,
+    typical_step,
+    unwrapped,
+    week_stamps,
+)
+from imucal.recording import Recording, Sensor
+from imucal.units import TIME_UNITS_NS
+
+#: A unit is that of a time where it gives the rate that the user gave, within this share.
+_AS_GIVEN = 0.1
+
+#: A rate that no sensor exceeds, in Hz, and a time that 64 bits can hold, in ns: about 30 years.
+_FASTEST, _LONGEST_NS = 1e6, 1e18
+
+#: Share of repeated rows up to which they are samples sent twice; beyond, the sensor is slower than the log.
+_SENT_TWICE = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SensorColumns:
+    """The columns of one sensor, as read, shape (n,) each.
+
+    The axes are in the unit of the log; `time` and `log_time` are the columns of the plan's times, empty
+    where there are none. Of a `sparse` sensor the rows without any value belong to other sensors.
+    """
+
+    plan: SensorPlan
+    axes: Sequence[FloatArray]
+    time: Sequence[Numbers] = ()
+    log_time: Sequence[Numbers] = ()
+    temperature: FloatArray | None = None
+    sparse: bool = False
+
+    def rows(self, chosen: BoolArray | IntArray, room: Room) -> "SensorColumns":
+        """Return some rows of the columns: those where `chosen` is true, or at the places that it names."""
+
+        def some(column: Any) -> Any:  # noqa: ANN401 - of integers or of floats
+            if chosen.dtype == np.bool_:
+                return room.chosen(column, cast("BoolArray", chosen))
+            return room.taken(column, cast("IntArray", chosen))
+
+        return replace(
+            self,
+            axes=[some(axis) for axis in self.axes],
+            time=[some(column) for column in self.time],
+            log_time=[some(column) for column in self.log_time],
+            temperature=some(self.temperature) if self.temperature is not None else None,
+        )
+
+
+def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
+    """Return the clock of a sensor's samples from the columns of its times, or from a counter and a rate.
+
+    Raises
+    ------
+    ChoiceError
+        If the unit of the time is open, or there is neither time nor rate.
+    DataError
+        If no rate can be measured.
+    """
+    plan, sensor = columns.plan, columns.plan.triad.sensor
+    if plan.time is None or (plan.time.kind == "counter" and work.options.time_unit is None):
+        return _counted_clock(work, columns)
+    if not _tells_time(work, plan.time, columns):
+        return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
+    source = f"column {plan.time.name}"
+    stamps = _stamps(work, plan.time, columns.time, sensor)
+    log = columns.log_time
+    log_ns = _stamps(work, plan.log_time, log, sensor) if plan.log_time and log else None
+    # A device's clock may start at zero, which is a stamp like any other.
+    low, high = extremes(stamps)
+    shift = 1_000_000_000 if low == 0 and stamps[0] == 0 and high and log_ns is None else 0
+    if shift:
+        since = stamps
+        stamps = work.room.made(since.size, np.int64, lambda part: since[part] + shift, since)
+    reading = clock_from_stamps(
+        stamps,
+        source=source,
+        where=work.path,
+        log_ns=log_ns,
+        rate_hz=work.options.rate_hz,
+        repeated=_sent_twice(work, stamps, columns),
+        room=work.room,
+    )
+    if shift and reading.clock.start_ns is not None:
+        reading = replace(reading, clock=replace(reading.clock, start_ns=reading.clock.start_ns - shift))
+    work.decide("time", f"{source}, {_time_words(plan.time)}")
+    _compare_rates(work, reading.clock.rate_hz)
+    return reading
+
+
+def _sent_twice(work: Work, stamps: IntArray, columns: SensorColumns) -> BoolArray | None:
+    """Return which samples are the one before, sent again; None where there are none."""
+    rows = blocks(stamps.size - 1, stamps)
+    if not any(bool((stamps[part.start + 1 : part.stop + 1] == stamps[part]).any()) for part in rows):
+        return None
+    sources: tuple[Numbers, ...] = (stamps, *columns.axes)
+    same = work.room.made(stamps.size, np.bool_, lambda part: _repeats(sources, part), *sources)
+    share = count(same) / same.size
+    if share <= _SENT_TWICE:
+        return same if share else None
+    sensor = columns.plan.triad.sensor
+    text = (
+        f"{share:.0%} of the rows of the {sensor} repeat the stamp and the values of the row before: "
+        "the log was written faster than the sensor was read."
+    )
+    advice = "Log each sample once: held samples falsify the curve at short averaging times."
+    work.findings.append(
+        Finding(level="warning", code="held-samples", axis=sensor.short, text=text, advice=advice)
+    )
+    return None
+
+
+def _repeats(columns: Sequence[Numbers], part: slice) -> BoolArray:
+    """Return which rows of a block have the values of the row before in all columns; the first has none."""
+    same = np.ones(part.stop - part.start, dtype=np.bool_)
+    first = max(part.start, 1)
+    same[: first - part.start] = False
+    for column in columns:
+        same[first - part.start :] &= column[first : part.stop] == column[first - 1 : part.stop - 1]
+    return same
+
+
+def _time_words(time: TimeChoice) -> str:
+    text = "date and time" + (", read as month, day, year" if time.open_date else "")
+    return {
+        "pair": "seconds + nanoseconds",
+        "week": "GPS week and time of week",
+        "text": text,
+    }.get(time.kind, "stamps")
+
+
+def _compare_rates(work: Work, measured: float) -> None:
+    stated = work.rate_hz
+    if stated is not None and work.options.rate_hz is None and abs(measured / stated - 1) > 0.02:
+        text = f"The log states {stated:g} Hz, its stamps give {measured:.6g} Hz; the stamps are used."
+        advice = "Give the sampling rate if the stamps are wrong."
+        finding = Finding(level="warning", code="rate-differs", text=text, advice=advice)
+        if finding not in work.findings:
+            work.findings.append(finding)
+
+
+def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor) -> IntArray:
+    """Return the stamps of a time in ns."""
+    room = work.room
+    if time.kind == "text":
+        return _of_texts(cast("Sequence[IntArray]", columns), room)
+    if time.kind == "pair":
+        return pair_stamps(columns[0], columns[1], room)
+    if time.kind == "date":
+        return date_stamps(columns, room)
+    if time.kind == "week":
+        return week_stamps(columns[0], columns[1], _ns_per_count(work, time, columns[1], sensor), room)
+    values = columns[0]
+    if values.dtype.kind == "i":
+        values, wraps = unwrapped(cast("IntArray", values), room)
+        if wraps:
+            text = (
+                f"Column {time.name} started again {wraps} times at the end of its range; "
+                "it was put in order."
+            )
+            work.findings.append(Finding(level="info", code="wrapped", text=text))
+    return to_ns(values, _ns_per_count(work, time, values, sensor), room)
+
+
+def _of_texts(columns: Sequence[IntArray], room: Room) -> IntArray:
+    """Return the stamps of texts: dates with times, or dates, times of day and perhaps AM and PM."""
+    if len(columns) == 1:
+        return rolled(columns[0], DAY, room)
+
+    def of(part: slice) -> IntArray:
+        date, time, *half = (column[part] for column in columns)
+        return np.asarray(date + (time % HALF_DAY + half[0] if half else time), dtype=np.int64)
+
+    return room.made(columns[0].size, np.int64, of, *columns)
+
+
+def _tells_time(work: Work, time: TimeChoice, columns: SensorColumns) -> bool:
+    """Return whether a time gives stamps: a count that has the given rate in no unit doesn't.
+
+    A given unit makes stamps of any count; a ChoiceError where the time can have none.
+    """
+    given = work.options.time_unit
+    if given is not None and given not in TIME_UNITS_NS:
+        known = ", ".join(TIME_UNITS_NS)
+        msg = f"{work.path}: {given!r} is no time unit; expected one of {known}"
+        raise ChoiceError(msg)
+    if given is not None and time.kind not in {"stamp", "week", "counter"}:
+        msg = (
+            f"{work.path}: the time unit {given} is given, but the {columns.plan.triad.sensor} has the time "
+            f"{time.name}, {_time_words(time)}; expected no unit, or another time column"
+        )
+        raise ChoiceError(msg)
+    rate = work.options.rate_hz
+    if given is not None or time.kind != "stamp" or time.ns is not None or rate is None:
+        return True
+    values = columns.time[0]
+    if infer_time_unit(values)[0] or _unit_of_rate(values, rate) or _counts_samples(values):
+        return True
+    text = (
+        f"Column {time.name} goes on by {typical_step(values):g} a row, which is {rate:g} Hz in no unit; "
+        "it was left out, so that gaps are not seen."
+    )
+    work.findings.append(Finding(level="warning", code="time-unused", text=text))
+    return False
+
+
+def _unit_of_rate(values: Numbers, rate_hz: float) -> str | None:
+    """Return the unit in which times have a given rate."""
+    rates = rates_by_unit(values)
+    return next((unit for unit, rate in rates.items() if abs(rate / rate_hz - 1) <= _AS_GIVEN), None)
+
+
+def _counts_samples(values: Numbers) -> bool:
+    return values.dtype.kind == "i" and typical_step(values) == 1
+
+
+def _ns_per_count(work: Work, time: TimeChoice, values: Numbers, sensor: Sensor) -> int:
+    """Return ns per count: as given, as the log says, as the given rate has it, or as steps show."""
+    given, rate = work.options.time_unit, work.options.rate_hz
+    if given is not None:
+        work.decide("time unit", f"{given} for {time.name}, as given")
+        return TIME_UNITS_NS[given]
+    if time.ns is not None:
+        count = next((name for name, ns in TIME_UNITS_NS.items() if ns == time.ns), f"{time.ns} ns")
+        work.decide("time unit", f"{count} for {time.name}, {time.ns_source}")
+        return time.ns
+    unit = _unit_of_rate(values, rate) if rate is not None else None
+    if unit is not None:
+        work.decide("time unit", f"{unit} for {time.name}, as the given rate has it")
+        return TIME_UNITS_NS[unit]
+    unit, fits = infer_time_unit(values)
+    if unit is not None:
+        work.decide("time unit", f"{unit} for {time.name}, inferred from its size and its steps")
+        return TIME_UNITS_NS[unit]
+    if rate is not None and _counts_samples(values):
+        work.decide("time unit", f"{time.name} counts samples at the given rate")
+        return max(1, round(1e9 / rate))
+    raise _open_unit(work.path, time, values, fits, sensor)
+
+
+def _open_unit(
+    path: str, time: TimeChoice, values: Numbers, fits: Sequence[str], sensor: Sensor
+) -> ChoiceError:
+    """Return the error of a time whose unit is open; each thing that it says to do works on this log."""
+    found = (
+        f"{path}: column {time.name!r}, the time of the {sensor}, has no unit, and goes on by "
+        f"{typical_step(values):g} a row"
+    )
+    low, high = extremes(values)
+    span = float(high - low)
+    rates = {
+        unit: rate
+        for unit, rate in rates_by_unit(values).items()
+        if rate <= _FASTEST and span * TIME_UNITS_NS[unit] < _LONGEST_NS
+    }
+    if not rates:
+        return ChoiceError(f"{found}, which is no rate in any unit; name another time column")
+    # The rates of IMUs, or those that are nearest.
+    likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
+    shown = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
+    name = time.name.strip().strip("\"'")
+    in_header = f", name it in the header, such as {name}_{likely[0]}," if not name.isdigit() else ","
+    return ChoiceError(f"{found}, which is {shown}; give the time unit{in_header} or give the sampling rate")
+
+
+def _counted_clock(work: Work, columns: SensorColumns) -> ClockReading:
+    """Return the clock of samples that have no stamps: by their counter and a rate, or by a rate alone."""
+    plan, time = columns.plan, columns.time
+    rate, source = work.options.rate_hz, "given rate"
+    if rate is None:
+        rate, source = work.rate_hz, "rate that the log states"
+    if rate is None:
+        what = f"only a counter ({plan.time.name})" if plan.time else "no time column"
+        msg = (
+            f"{work.path}: {what} and no sampling rate for the {plan.triad.sensor}; "
+            "expected stamps or a rate; give the sampling rate"
+        )
+        raise ChoiceError(msg)
+    work.decide("time", f"{rate:g} Hz, the {source}")
+    if plan.time is not None and time and time[0].dtype.kind == "i":
+        counts, _ = unwrapped(cast("IntArray", time[0]), work.room)
+        single = sum(
+            int(np.count_nonzero(np.diff(counts[part.start : part.stop + 1]) == 1))
+            for part in blocks(counts.size - 1, counts)
+        )
+        if counts.size > 1 and single >= 0.9 * (counts.size - 1):
+            first, tau = int(counts[0]), 1e9 / rate
+            reading = clock_from_stamps(
+                work.room.made(
+                    counts.size,
+                    np.int64,
+                    lambda part: 1_000_000_000 + np.round((counts[part] - first) * tau).astype(np.int64),
+                    counts,
+                ),
+                source=f"counter {plan.time.name} at the {source}",
+                rate_hz=rate,
+                room=work.room,
+            )
+            return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
+        text = (
+            f"Counter {plan.time.name} counts more than the samples, so it can't show gaps; "
+            "the rate alone is used."
+        )
+        work.findings.append(Finding(level="info", code="counter-unused", text=text))
+    return ClockReading(clock=Clock.even(columns.axes[0].size, rate, source=source), order=None, findings=())
+
 
 #: Time and rows of a sensor -> its clock and the samples to keep: two sensors of one table share them.
 _Clocks: TypeAlias = dict[tuple[Any, ...], tuple[Clock, IntArray | None]]

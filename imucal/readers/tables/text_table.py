@@ -1,30 +1,375 @@
-"""One text table: layout, columns, rows -> Recording."""
+"""One text table: layout, columns, rows -> Recording.
+
+The layout of a text log, or the error that proposes which columns are which.
+
+Rows of a text table -> columns of numbers: polars for each block, a tolerant parser where it fails.
+
+Sets of text files that are one recording: a gyroscope's and an accelerometer's, perhaps with their times.
+
+Phones' apps write them as a zip or a folder (phyphox, Sensor Logger); simulators as files side by side.
+
+Delimited text: CSV, TSV, blanks; plain or compressed; a file, standard input, or an app's set of files.
+
+The head gives the layout, the names of the columns give the sensors, and blocks of rows go through
+polars into columns. In doubt nothing is guessed: the error shows the columns and a text to choose them.
+"""
 
 import io
 import re
+import zipfile
+import zlib
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path, PurePath
+from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias, TypeVar, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray
-from imucal.errors import DataError, ReadError
+from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import keep_freed_memory
+from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.column_plan import SensorPlan, TablePlan, make_plan
-from imucal.readers.tables.dates import text_kind
-from imucal.readers.tables.layout import Rows, TextLayout, rows_of_tag
-from imucal.readers.tables.line_splits import split_line
-from imucal.readers.tables.row_blocks import BlockReader, Kind, RowCounts, without_start
+from imucal.readers.store import GrowingColumn
+from imucal.readers.tables.columns import ColumnsError, NamedTable, list_columns, sensor_of_name
+from imucal.readers.tables.dates import NO_STAMP, TextKind, parse_texts, text_kind
+from imucal.readers.tables.dialects import find_messages, name_columns
+from imucal.readers.tables.layout import (
+    BLANKS,
+    Rows,
+    TextLayout,
+    find_layout,
+    is_number,
+    rows_of_tag,
+    split_line,
+)
+from imucal.readers.tables.names import Role, parse_column
+from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose_columns, works
 from imucal.readers.tables.scales import Work
-from imucal.readers.tables.table_clock import SensorColumns
-from imucal.readers.tables.tabular import assemble
-from imucal.readers.tables.text import TextSource
-from imucal.readers.tables.text_layout import lay_out
-from imucal.readers.tables.timing import TimeChoice
-from imucal.recording import Recording
+from imucal.readers.tables.stamps import TimeChoice
+from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, refuse_topics
+from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
+from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.resources import column_limit
+from imucal.units import TIME_UNITS_NS, parse_time_unit
+
+#: A tag that marks the rows of an inertial sensor.
+_INERTIAL = re.compile(
+    r"\$?(imu|gyr|acc|raw_?imu|scaled_?imu|inertial|sensor_combined|ins)\w*", re.IGNORECASE
+)
+
+
+def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout:
+    """Find the layout of a text: messages of a known dialect, or a table.
+
+    A ReadError where it holds no rows of numbers, a ChoiceError where its header doesn't fit them.
+    """
+    messages = find_messages(lines)
+    if messages is not None:
+        return messages
+    layout = find_layout(lines)
+    if layout is None:
+        first = next((line.strip() for line in lines if line.strip()), "")
+        msg = (
+            f"{path}: no rows of numbers, the first line is {first[:80]!r}; "
+            "expected a table with a row per sample"
+        )
+        raise ReadError(msg)
+    layout = name_columns(layout)
+    if options.columns is not None or layout.headers:
+        return layout
+    problem = f"no header names the {layout.width} columns, and an order is not guessed"
+    if layout.mismatch is not None:
+        problem = (
+            f"the header has {layout.mismatch} names and the rows {layout.width} cells, so no name "
+            "belongs to a column"
+        )
+    found = list_columns([""] * layout.width, layout.cells)
+    raise ColumnsError(path, problem, found, _propose(path, lines, layout, options))
+
+
+def _propose(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> str:
+    """Return a columns text that works on a table without names; empty where there is none."""
+    tags = _inertial_tags(lines, layout.delimiter)
+    suffix = f"@{tags[0]}" if tags else ""
+    if tags:
+        layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tags[0]))) or layout
+    gyro, accel = _first(tags, "gyr"), _first(tags, "acc")
+    numeric = [index for index in range(layout.width) if all(map(is_number, layout.cells(index)))]
+    texts = []
+    if gyro and accel and len(numeric) == 4:
+        axes = f"{numeric[1]}:{numeric[1] + 3}"
+        texts.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
+    texts.append(propose_columns(layout.cells, layout.width, suffix=suffix))
+    columns = tuple(parse_column("", index) for index in range(layout.width))
+    table = NamedTable(path=path, columns=columns, cells=layout.cells, dialect=None)
+    return next((text for text in texts if text and works(table, options, text)), "")
+
+
+def _first(tags: Sequence[str], start: str) -> str | None:
+    return next((tag for tag in tags if tag.lower().startswith(start)), None)
+
+
+def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
+    """Return the texts of cells that name an inertial sensor, the most frequent first."""
+    cells = (cell.strip("\"'") for line in lines for cell in split_line(line, delimiter)[:3])
+    return [tag for tag, _ in Counter(filter(_INERTIAL.fullmatch, cells)).most_common()]
+
+
+#: What the cells of a column are read as: numbers, or one of the texts that tell the time.
+Kind: TypeAlias = Literal["integer", "float"] | TextKind
+_TEXTS: tuple[Kind, ...] = get_args(TextKind)
+
+_Number = TypeVar("_Number", int, float)
+
+_QUOTED = re.compile(rb'"[^"\n]*"')
+
+_COMMENTS = ("#", "%", "//", ";")
+
+
+@dataclass(slots=True)
+class RowCounts:
+    """How many rows were read, how many are none of the table, and the first of those."""
+
+    good: int = 0
+    bad: int = 0
+    first_bad: str = ""
+
+
+@dataclass(slots=True, kw_only=True)
+class BlockReader:
+    """Reads the wanted columns of a text table, block by block.
+
+    `kinds` says by index what the cells of each wanted column are. A row that lacks a cell of a `needed`
+    column is bad. `limit` is the bytes of a column to hold in memory, `expected` the rows to make room for.
+    Dates with the year last begin with the month, or `by_day`.
+    """
+
+    layout: TextLayout
+    kinds: dict[int, Kind]
+    needed: frozenset[int]
+    rows: Rows = None
+    limit: int = 1 << 62
+    expected: int = 0
+    by_day: bool = False
+    counts: RowCounts = field(default_factory=RowCounts)
+    columns: dict[int, GrowingColumn] = field(init=False)
+    _pattern: re.Pattern[bytes] | None = field(init=False)
+    _wanted: list[int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.columns = {
+            index: GrowingColumn(
+                np.float64 if kind == "float" else np.int64, limit=self.limit, expected=self.expected
+            )
+            for index, kind in self.kinds.items()
+        }
+        self._wanted = sorted(self.kinds)
+        self._pattern = _row_pattern(self.rows, self.layout.delimiter)
+
+    def add(self, block: bytes) -> None:
+        """Read a block of whole lines."""
+        if self.layout.prepare is not None:
+            block = self.layout.prepare(block)
+        if self._pattern is not None:
+            block = b"\n".join(self._pattern.findall(block)) + b"\n"
+        plain = self._plain(block)
+        if not plain or plain.isspace():
+            return
+        values = self._by_polars(plain)
+        if values is None:
+            # Blank lines are looked for only now: the search costs as much as the parsing.
+            plain = re.sub(rb"\n{2,}", b"\n", plain).lstrip(b"\n")
+            values = self._by_polars(plain, last_try=True)
+        if values is None:
+            values = self._by_hand(plain)
+        rows = len(values[self._wanted[0]])
+        self.counts.good += rows
+        for index, column in self.columns.items():
+            column.append(values[index])
+
+    def _plain(self, block: bytes) -> bytes:
+        """Return a block that the parser takes: one delimiter, decimal points, no blank lines."""
+        if self.layout.delimiter == BLANKS:
+            block = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", block)
+            block = re.sub(rb"[ \t]+", b",", block)
+        elif b" " in block:
+            mark = self.layout.delimiter.encode()
+            block = block.replace(mark + b" ", mark)
+            # A blank within a cell stays: without it two numbers would become one.
+            if b" " in block:
+                block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
+        if self.layout.decimal == ",":
+            block = self._with_points(block)
+        return block
+
+    def _with_points(self, block: bytes) -> bytes:
+        """Return a block with decimal points for commas; for those in quotes where commas part the cells."""
+        if self.layout.delimiter == ",":
+            return _QUOTED.sub(lambda match: match[0].replace(b",", b"."), block)
+        return block.replace(b",", b".")
+
+    @property
+    def _separator(self) -> str:
+        return "," if self.layout.delimiter == BLANKS else self.layout.delimiter
+
+    def _by_polars(self, block: bytes, *, last_try: bool = False) -> dict[int, NDArray[Any]] | None:
+        """Return the wanted columns of a block; None where it holds something that is no row.
+
+        Rows that lack a cell are such before the last try: they may be blank lines.
+        """
+        table = self._parsed(block)
+        if table is None:
+            return None
+        values = {index: self._values(table[str(index)], self.kinds[index]) for index in self._wanted}
+        empty = self._lacking(table, values)
+        if empty.any():
+            if not last_try:
+                return None
+            self._note_bad(int(empty.sum()), lambda: block.split(b"\n")[int(np.flatnonzero(empty)[0])])
+            values = {index: array[~empty] for index, array in values.items()}
+        return values
+
+    def _parsed(self, block: bytes) -> Any:  # noqa: ANN401 - polars is imported late
+        """Return a block as polars' table of the columns that are looked at; None where it can't be one."""
+        import polars as pl
+
+        types: dict[Kind | None, Any] = {"integer": pl.Int64, "float": pl.Float64}
+        kinds = [self.kinds.get(index) for index in range(self.layout.width)]
+        schema = {str(index): types.get(kind, pl.String) for index, kind in enumerate(kinds)}
+        looked_at = sorted(self.needed | frozenset(self._wanted))
+        try:
+            table = pl.read_csv(
+                block,
+                has_header=False,
+                separator=self._separator,
+                quote_char='"' if self.layout.quoted else None,
+                schema=schema,
+                columns=looked_at if len(looked_at) < self.layout.width else None,
+            )
+        except (pl.exceptions.PolarsError, UnicodeDecodeError):
+            return None
+        # A quotation mark that stands open may swallow lines.
+        if self.layout.quoted and table.height != block.count(b"\n") + (not block.endswith(b"\n")):
+            return None
+        return table
+
+    def _values(self, series: Any, kind: Kind) -> NDArray[Any]:  # noqa: ANN401 - polars is imported late
+        if kind in _TEXTS:
+            return self._times(series.fill_null("").to_list(), kind)
+        if kind == "integer" and series.null_count():
+            series = series.fill_null(0)
+        return np.asarray(series.to_numpy())
+
+    def _lacking(self, table: Any, values: dict[int, NDArray[Any]]) -> NDArray[np.bool_]:  # noqa: ANN401
+        """Return which rows lack a cell that each must have, or a time that can be read."""
+        lacking = np.zeros(table.height, dtype=np.bool_)
+        for index in self.needed or self._wanted:
+            series = table[str(index)]
+            if series.null_count():
+                lacking |= series.is_null().to_numpy()
+        for index in self._wanted:
+            if self.kinds[index] in _TEXTS:
+                lacking |= values[index] == NO_STAMP
+        return lacking
+
+    def _by_hand(self, block: bytes) -> dict[int, NDArray[Any]]:
+        """Return the wanted columns of the good rows of a block, row by row."""
+        lines = block.decode("utf-8", "replace").split("\n")
+        header = self._separator.join(self.layout.headers).replace(" ", "")
+        found: dict[int, list[Any]] = {index: [] for index in self._wanted}
+        for line in lines:
+            text = line.strip("\r\n")
+            if not text.strip() or text.startswith(_COMMENTS) or text.replace(" ", "") == header:
+                continue
+            row = self._row(split_line(text, self._separator))
+            if row is None:
+                self._note_bad(1, lambda text=text: text.encode())  # type: ignore[misc]
+                continue
+            for index, value in zip(self._wanted, row, strict=True):
+                found[index].append(value)
+        return {index: self._array(index, values) for index, values in found.items()}
+
+    def _row(self, cells: Sequence[str]) -> list[int | float | str] | None:
+        """Return the wanted cells of a row as numbers; None for a bad row."""
+        if len(cells) > self.layout.width or len(cells) <= max(self.needed, default=0):
+            return None
+        if any(not cells[index] for index in self.needed):
+            return None
+        row: list[int | float | str] = []
+        for index in self._wanted:
+            cell = cells[index] if index < len(cells) else ""
+            value = _number(cell, self.kinds[index])
+            if value is None:
+                return None
+            row.append(value)
+        return row
+
+    def _array(self, index: int, values: list[Any]) -> NDArray[Any]:
+        kind = self.kinds[index]
+        if kind in _TEXTS:
+            return self._times(values, kind)
+        if kind == "integer" and all(isinstance(value, int) for value in values):
+            return np.array(values, dtype=np.int64)
+        return np.array(values, dtype=np.float64)
+
+    def _times(self, cells: Sequence[str], kind: Kind) -> NDArray[Any]:
+        return parse_texts(cells, cast("TextKind", kind), by_day=self.by_day)
+
+    def _note_bad(self, count: int, line: Callable[[], bytes]) -> None:
+        if not self.counts.bad:
+            self.counts.first_bad = line().decode("utf-8", "replace")[:120]
+        self.counts.bad += count
+
+
+def _number(cell: str, kind: Kind) -> int | float | str | None:
+    """Return a cell's value; an empty cell of floats is NaN; None where it has none."""
+    if kind in _TEXTS:
+        return cell
+    if "_" in cell:
+        return None
+    if kind == "float" and not cell:
+        return float("nan")
+    if kind == "integer" and (value := _converted(int, cell)) is not None:
+        return value if -(2**63) <= value < 2**63 else None
+    return _converted(float, cell)
+
+
+def _converted(number: Callable[[str], _Number], cell: str) -> _Number | None:
+    try:
+        return number(cell)
+    except ValueError:
+        return None
+
+
+def _row_pattern(rows: Rows, delimiter: str) -> re.Pattern[bytes] | None:
+    """Return the pattern of the lines whose cell holds a text."""
+    if rows is None:
+        return None
+    index, text = rows
+    blanks = delimiter == BLANKS
+    mark = rb"[ \t]" if blanks else re.escape(delimiter.encode())
+    start = rb"[ \t]*" if blanks else b""
+    cell = rb"[^\n \t]*[ \t]+" if blanks else rb"[^\n" + mark + rb"]*" + mark
+    before = rb"(?:" + cell + (rb")*?" if index < 0 else rb"){" + str(index).encode() + rb"}")
+    tag = rb'[ \t]*"?' + re.escape(text.encode()) + rb'"?[ \t]*'
+    return re.compile(rb"(?m)^" + start + before + tag + rb"(?:" + mark + rb"[^\n]*)?$")
+
+
+def without_start(blocks: Iterable[bytes], lines: int) -> Iterable[bytes]:
+    """Yield blocks without the first lines."""
+    for block in blocks:
+        start = 0
+        while lines and (end := block.find(b"\n", start)) >= 0:
+            start, lines = end + 1, lines - 1
+        if not lines:
+            yield block[start:] if start else block
+
 
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
 
@@ -260,3 +605,315 @@ def _columns(
         temperature=values.get(temperature) if temperature is not None else None,
         sparse=not set(sensor.triad.indices) <= reader.needed,
     )
+
+
+_ZIP = b"PK\x03\x04"
+
+_SUFFIXES = (".csv", ".tsv", ".txt")
+
+#: Names of files that are no raw sensor: an app's own estimates, other sensors, notes.
+_LEFT_OUT = re.compile(
+    r"linear|gravity|orientation|meta|annotation|magnet|baro|location|heart|pedo|step|light"
+)
+
+
+class _Member(NamedTuple):
+    """A file of a set: its name and how to open it."""
+
+    name: str
+    open: Callable[[], TextSource]
+
+
+def is_set(path: Path) -> bool:
+    """Return whether a path is a zip, or a folder, of text tables."""
+    if path.is_dir():
+        return any(entry.suffix.lower() in _SUFFIXES for entry in path.iterdir())
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_ZIP)) == _ZIP
+    except OSError:
+        return False
+
+
+def unpacked_size(path: Path) -> int:
+    """Return how many bytes the tables of a zip, or of a folder, hold unpacked, as they state it.
+
+    Raises
+    ------
+    ReadError
+        If the zip can't be read.
+    """
+    if path.is_dir():
+        return sum(entry.stat().st_size for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return sum(info.file_size for info in archive.infolist() if _is_table(info.filename))
+    except (zipfile.BadZipFile, OSError, ValueError, RuntimeError) as error:
+        msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
+        raise ReadError(msg) from error
+
+
+def read_set(path: Path, options: ReadOptions, *, heads: bool = False) -> Recording:
+    """Read the gyroscope and the accelerometer of a zip or a folder; of `heads` only the first lines.
+
+    Raises
+    ------
+    ChoiceError
+        If it is not clear which files hold them.
+    ReadError
+        If a file can't be read.
+    """
+    if path.is_dir():
+        entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
+        members = [_Member(entry.name, partial(open_text, entry)) for entry in entries]
+        return _read_members(str(path), members, options, heads=heads)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            infos = [info for info in archive.infolist() if _is_table(info.filename)]
+            members = [_Member(info.filename, partial(_open_member, path, archive, info)) for info in infos]
+            return _read_members(str(path), members, options, heads=heads)
+    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
+        msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
+        raise ReadError(msg) from error
+
+
+def _is_table(name: str) -> bool:
+    return name.lower().endswith(_SUFFIXES) and not name.startswith("__MACOSX")
+
+
+def _open_member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> TextSource:
+    raw = cast("BinaryIO", archive.open(info))
+    return TextSource(f"{path}:{info.filename}", raw, size=None, progress=None)
+
+
+def _read_members(path: str, members: Sequence[_Member], options: ReadOptions, *, heads: bool) -> Recording:
+    chosen = members
+    if len(members) != 1:
+        both = [_choose(path, members, sensor) for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER)]
+        chosen = [member for member in both if member is not None]
+    if not chosen:
+        msg = (
+            f"{path}: no file is named as a gyroscope or an accelerometer; "
+            f"found {_names(members) or 'no text files'}; name the file to read"
+        )
+        raise ChoiceError(msg)
+    parts = []
+    for member in chosen:
+        name = PurePath(member.name).name
+        with member.open() as source:
+            lines = source.head
+            parts.append(
+                read_head(source.name, lines, options, name)
+                if heads
+                else read_table(source, options, name=name)
+            )
+    return _merged(parts, [member.name for member in chosen], path)
+
+
+def _names(members: Sequence[_Member]) -> str:
+    return ", ".join(member.name for member in members)
+
+
+def _choose(path: str, members: Sequence[_Member], sensor: Sensor) -> _Member | None:
+    """Return the file of a sensor by its name; raw before corrected, with gravity before without."""
+    stems = [(PurePath(member.name).stem.lower(), member) for member in members]
+    found = [
+        (stem, member)
+        for stem, member in stems
+        if sensor_of_name(stem) is sensor and not _LEFT_OUT.search(stem)
+    ]
+    if len(found) <= 1:
+        return found[0][1] if found else None
+    for preferred in _PREFERRED[sensor]:
+        exact = [member for stem, member in found if stem == preferred]
+        if len(exact) == 1:
+            return exact[0]
+    msg = (
+        f"{path}: several files hold a {sensor} ({_names([member for _, member in found])}) "
+        f"of {_names(members)}; unpack it and name the files to read"
+    )
+    raise ChoiceError(msg)
+
+
+#: Names of files in the order in which they are taken.
+_PREFERRED = {
+    Sensor.GYROSCOPE: ("gyroscope", "raw data", "gyroscopeuncalibrated"),
+    # Sensor Logger: Accelerometer.csv is without gravity, TotalAcceleration.csv is what the sensor measured.
+    Sensor.ACCELEROMETER: ("totalacceleration", "accelerometer", "accelerometeruncalibrated"),
+}
+
+
+def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
+    """Read files that hold one sensor each, perhaps with a file of times; None where they are no such files.
+
+    Raises
+    ------
+    ReadError
+        If one of them can't be read.
+    """
+    times = [path for path in paths if _is_time_file(path)]
+    tables = [path for path in paths if path not in times]
+    sensors = [_sensors_of(path, options) for path in tables]
+    one_each = all(len(found) == 1 for found in sensors) and len(set(sensors)) == len(tables)
+    if len(times) > 1 or not tables or not one_each:
+        return None
+    stamps = _read_times(times[0]) if times else None
+    parts = []
+    for path in tables:
+        with open_text(path, progress=options.progress) as source:
+            parts.append(read_table(source, options, stamps=stamps))
+    return _merged(parts, [path.name for path in tables], ", ".join(map(str, paths)))
+
+
+def _sensors_of(path: Path, options: ReadOptions) -> tuple[Sensor, ...]:
+    try:
+        with open_text(path) as source:
+            _, plan = plan_of_head(source, options, path.name)
+    except ImucalError:
+        return ()
+    return tuple(sensor.triad.sensor for sensor in plan.sensors)
+
+
+def _merged(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
+    """Return the sensors of several recordings as one; each keeps its own clock."""
+    source = replace(parts[0].source, path=path)
+    if len(parts) == 1:
+        return replace(parts[0], source=source)
+    _refuse_other_times(path, names, parts)
+    topics = chain.from_iterable(part.source.topics for part in parts)
+    decisions = chain([("files", ", ".join(names))], *(part.source.decisions for part in parts))
+    findings = chain.from_iterable(part.findings for part in parts)
+    return replace(
+        parts[0],
+        source=replace(source, topics=tuple(topics), decisions=tuple(dict.fromkeys(decisions))),
+        series=_all_series(parts),
+        temperature=next((part.temperature for part in parts if part.temperature is not None), None),
+        findings=tuple(dict.fromkeys(findings)),
+    )
+
+
+def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
+    """Refuse files whose stamps share no time: a gyroscope and an accelerometer of different days."""
+    clocks = [part.series[0].clock for part in parts]
+    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
+    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
+        msg = (
+            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
+            "read one file at a time"
+        )
+        raise ChoiceError(msg)
+
+
+def _all_series(parts: Sequence[Recording]) -> tuple[AxisSeries, ...]:
+    """Return the axes of all parts, the gyroscope's first; clocks that are equal become one."""
+    every = chain.from_iterable(part.series for part in parts)
+    series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
+    if all(one.clock == series[0].clock for one in series):
+        series = [replace(one, clock=series[0].clock) for one in series]
+    return tuple(series)
+
+
+def _is_time_file(path: Path) -> bool:
+    """Return whether a file is one column of times with a header."""
+    try:
+        with open_text(path) as source:
+            lines = [line.strip() for line in source.head if line.strip()]
+    except ImucalError:
+        return False
+    if len(lines) < 3 or parse_column(lines[0], 0).role is not Role.TIME:
+        return False
+    return all(is_number(line) for line in lines[1:])
+
+
+def _read_times(path: Path) -> ExternalTime:
+    with open_text(path) as source:
+        text = b"".join(source.blocks()).split()
+        column = parse_column(next(line for line in source.head if line.strip()), 0)
+    values = [float(cell) for cell in text if is_number(cell.decode("utf-8", "replace"))]
+    unit = parse_time_unit(column.unit) if column.unit else None
+    choice = TimeChoice(
+        kind="stamp",
+        indices=(EXTERNAL,),
+        name=column.header,
+        ns=TIME_UNITS_NS[unit] if unit else None,
+        ns_source=f"from the header of {path.name}" if unit else "",
+    )
+    return ExternalTime(path=str(path), choice=choice, values=np.array(values, dtype=np.float64))
+
+
+#: Texts up to this size, unpacked, are read to be described: they take less than half a second.
+_SMALL = 64 << 20
+
+
+def read(path: Path, options: ReadOptions) -> Recording:
+    """Read a text table, or the zip or folder of tables that a phone's app writes.
+
+    Raises
+    ------
+    ChoiceError
+        If files, columns, units or time are not clear.
+    ReadError
+        If it can't be opened, or is no table.
+    DataError
+        If it holds no samples.
+    """
+    refuse_topics(path, options, "a table of text")
+    if is_set(path):
+        return read_set(path, options)
+    with open_text(path, progress=options.progress) as source:
+        recording = read_table(source, options)
+        return replace(recording, source=replace(recording.source, files=source.files()))
+
+
+def describe(path: Path, options: ReadOptions) -> LogContents:
+    """Return the table a text holds: its columns, units, rate and what it gives.
+
+    A table whose columns are not clear is described too; why it can't be read is its note.
+
+    Raises
+    ------
+    ReadError
+        If it can't be opened, or is no table.
+    """
+    if is_set(path):
+        compression, unpacked = "zip" if path.is_file() else "none", unpacked_size(path)
+        whole = unpacked <= _SMALL
+        contents = _described(path, None, compression, partial(read_set, path, options, heads=not whole))
+        return replace(contents if whole else _of_a_part(contents), unpacked_bytes=unpacked)
+    size = path.stat().st_size if str(path) != STANDARD_INPUT and path.is_file() else None
+    with open_text(path) as source:
+        compression, lines = source.compression, source.head
+    if size is not None and size <= _SMALL:
+        try:
+            return _described(path, size, compression, partial(_read_short, path, options))
+        except LongerError:
+            # A few bytes may unpack to very many.
+            pass
+    contents = _described(path, size, compression, partial(read_head, str(path), lines, options, path.name))
+    return replace(_of_a_part(contents), unpacked_bytes=max(size or 0, _SMALL + 1))
+
+
+def _of_a_part(contents: LogContents) -> LogContents:
+    """Return what the head tells: rate and columns, but not how many rows there are."""
+    topics = tuple(replace(topic, count=None, duration_s=None) for topic in contents.topics)
+    return replace(contents, topics=topics, duration_s=None)
+
+
+def _read_short(path: Path, options: ReadOptions) -> Recording:
+    with open_text(path, progress=options.progress, most=_SMALL) as source:
+        return read_table(source, options)
+
+
+def _described(
+    path: Path, size: int | None, compression: str, reading: Callable[[], Recording]
+) -> LogContents:
+    try:
+        recording = reading()
+    except (ChoiceError, DataError) as error:
+        note = str(error).removeprefix(f"{path}: ")
+        topic = TopicContents(name=path.name, type="table", note=note)
+        return LogContents(
+            path=str(path), format="csv", size_bytes=size, topics=(topic,), compression=compression
+        )
+    layout = dict(recording.source.decisions).get("layout", "table").partition(",")[0]
+    return contents_of(recording, path, size=size, layout=layout, compression=compression)

@@ -11,14 +11,14 @@ from imucal.readers.clocks.from_stamps import _believable, _filled, _segments
 from imucal.readers.clocks.placing import (
     NO_BREAKS,
     Breaks,
+    Period,
     _extreme,
     _lowest_after,
     find_breaks,
     fit_period,
     step_statistics,
 )
-from imucal.readers.clocks.rate import Period
-from imucal.readers.room import Room
+from imucal.readers.store import Room
 
 TAU = 1000
 EVEN = np.arange(200, dtype=np.int64) * TAU

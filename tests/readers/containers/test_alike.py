@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucal.readers.containers import Alike
-from imucal.readers.containers.alike import Guard
+from imucal.readers.containers.container import Guard
 
 
 def by_hand(records: list[bytes], guards: list[Guard]) -> list[bool]:

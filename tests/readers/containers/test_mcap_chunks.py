@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.mcap_chunks import ChunkTask, LooseTask, index_count, unpack, walk_records
+from imucal.readers.containers.mcap import ChunkTask, LooseTask, index_count, unpack, walk_records
 from imucal.readers.containers.mcap_records import ChunkIndex
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import pytest
 
 from imucal.errors import ReadError
-from imucal.readers.containers import mcap_file
-from imucal.readers.containers.mcap_file import McapFile
+from imucal.readers.containers import mcap
+from imucal.readers.containers.mcap import McapFile
 from imucal.readers.containers.mcap_records import MAGIC
 from imucal.readers.files import LogFile, Scratch
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record, schema, text
@@ -202,10 +202,10 @@ def test_a_compression_that_is_not_known_is_named(held: Held) -> None:
 
 def test_a_summary_of_gigabytes_is_damage(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is not read; one of the longest size is."""
-    assert mcap_file._MAX_SUMMARY == 2**31
+    assert mcap._MAX_SUMMARY == 2**31
     size = len(SUMMARY) + 37
     for most, believed in ((size, True), (size - 1, False)):
-        monkeypatch.setattr(mcap_file, "_MAX_SUMMARY", most)
+        monkeypatch.setattr(mcap, "_MAX_SUMMARY", most)
         with opened(held) as file:
             assert (file.findings == []) == believed
 

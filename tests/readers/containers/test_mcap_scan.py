@@ -6,9 +6,9 @@ from collections.abc import Callable
 import pytest
 
 from imucal.errors import ReadError
-from imucal.readers.containers import mcap_scan
+from imucal.readers.containers import mcap
+from imucal.readers.containers.mcap import Bookkeeping, scan
 from imucal.readers.containers.mcap_records import MAGIC
-from imucal.readers.containers.mcap_scan import Bookkeeping, scan
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record, schema
 
@@ -101,7 +101,7 @@ def test_messages_are_loaded_in_parts(held: Held, monkeypatch: pytest.MonkeyPatc
         (first, [first, 33]),
         (first - 1, [33, 31, 33]),
     ):
-        monkeypatch.setattr(mcap_scan, "_PART", most)
+        monkeypatch.setattr(mcap, "_PART", most)
         parts = scanned(held, MESSAGES).loose
         assert [part.size for part in parts] == sizes
         assert parts[0].starts[7][0] == parts[-1].starts[7][-1] - (64 if len(sizes) == 1 else 0) == 0
@@ -208,7 +208,7 @@ def test_a_definition_of_megabytes_is_damage(held: Held, monkeypatch: pytest.Mon
     """It is not read; one of the longest size is."""
     size = len(channel(9)) - 9
     for most, known in ((size, {7, 8, 9}), (size - 1, set[int]())):
-        monkeypatch.setattr(mcap_scan, "_MAX_DEFINITION", most)
+        monkeypatch.setattr(mcap, "_MAX_DEFINITION", most)
         file = held(*HEAD[:2], channel(7), channel(8), channel(9))
         if known:
             assert set(scan(file, DamagedError("?")).channels) == known
@@ -216,13 +216,13 @@ def test_a_definition_of_megabytes_is_damage(held: Held, monkeypatch: pytest.Mon
             with pytest.raises(ReadError, match="no whole record was found"):
                 scan(file, DamagedError("?"))
     monkeypatch.undo()
-    assert mcap_scan._MAX_DEFINITION == 16 * 2**20
+    assert mcap._MAX_DEFINITION == 16 * 2**20
 
 
 @pytest.mark.parametrize("window", [16, 200, 1 << 20])
 def test_the_window_changes_nothing(window: int, held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
     """Records begin and end in and beyond it."""
-    monkeypatch.setattr(mcap_scan, "_WINDOW", window)
+    monkeypatch.setattr(mcap, "_WINDOW", window)
     book = scanned(held, chunk(MESSAGES), index(7, (10, 0), (30, 64)), MESSAGES, channel(9), FOOTER)
     assert set(book.channels) == {7, 8, 9}
     assert book.counts == {7: 4, 8: 1}

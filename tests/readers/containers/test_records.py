@@ -11,7 +11,7 @@ from imucal.readers.containers import mcap_records, ros1_records
 from imucal.readers.containers.container import Batch, gather
 from imucal.readers.containers.ros2_bag import open_files
 from imucal.readers.containers.rosbag2_folder import natural, open_folder, parse_metadata
-from imucal.readers.containers.sqlite_rows import _integers, varint
+from imucal.readers.containers.sqlite import _integers, varint
 from imucal.readers.files import DamagedError
 from tests.readers.logs import imu_messages, samples, write_db3
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucal.readers.containers import sqlite_file
+from imucal.readers.containers import sqlite
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.sqlite_file import SqliteFile, SqliteTask, batch_of_blobs
+from imucal.readers.containers.sqlite import SqliteFile, SqliteTask, batch_of_blobs
 from imucal.readers.files import DamagedError, Scratch
 
 TABLES = (
@@ -89,11 +89,11 @@ def test_counts_that_are_known_are_not_counted_again(tmp_path: Path) -> None:
     assert counts({"/t1": 70, "/t2": 0}) == [70, 0]
     assert counts({"/t1": 70}) == [5, 5]
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(sqlite_file, "_COUNTED", 10)
+        patched.setattr(sqlite, "_COUNTED", 10)
         assert counts(None) == [5, 5]
-        patched.setattr(sqlite_file, "_COUNTED", 9)
+        patched.setattr(sqlite, "_COUNTED", 9)
         assert counts(None) == [None, None]
-    assert sqlite_file._COUNTED == 2_000_000
+    assert sqlite._COUNTED == 2_000_000
     with closing(SqliteFile(path, {"/t1": 70, "/t2": 0})) as file:
         assert list(file.tasks(frozenset({2}))) == []
     path.unlink()
@@ -137,7 +137,7 @@ def test_a_write_ahead_log_is_left_to_sqlite(tmp_path: Path) -> None:
 
 def test_ranges_hold_every_row_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of so many, its size a part of the file's. Ids far apart make longer ranges, not more."""
-    monkeypatch.setattr(sqlite_file, "_RANGE", 4)
+    monkeypatch.setattr(sqlite, "_RANGE", 4)
     with closing(SqliteFile(database(tmp_path))) as file:
         assert [rows for rows, _ in file._ranges()] == [(1, 4), (5, 8), (9, 10)]
         assert {size for _, size in file._ranges()} == {file.size // 2}
@@ -155,7 +155,7 @@ def test_ranges_hold_every_row_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_a_range_has_room_for_each_of_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever their topic; they come in the order of their ids, however many are fetched at once."""
-    monkeypatch.setattr(sqlite_file, "_FETCH", 2)
+    monkeypatch.setattr(sqlite, "_FETCH", 2)
     with closing(sqlite3.connect(database(tmp_path))) as base:
         task = SqliteTask(base, [1, 2], (3, 9), 77)
         assert (task.counts, task.size) == ({1: 7, 2: 7}, 77)

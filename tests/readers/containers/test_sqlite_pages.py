@@ -11,18 +11,19 @@ import numpy.testing as npt
 import pytest
 
 from imucal.findings import Finding
-from imucal.readers.containers import sqlite_pages
+from imucal.readers.containers import sqlite
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.sqlite_connect import _connect_alone
-from imucal.readers.containers.sqlite_pages import (
+from imucal.readers.containers.sqlite import (
     Leaves,
     PageTask,
+    _connect_alone,
+    _integers,
     _with,
     find_leaves,
     page_size,
+    parse_rows,
     scan_leaves,
 )
-from imucal.readers.containers.sqlite_rows import _integers, parse_rows
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
 Held = Callable[..., LogFile]
@@ -127,14 +128,14 @@ def test_pages_are_numbered_by_four_bytes(held: Held) -> None:
     """A file of terabytes has so many."""
     numbers = [0x01020304, 0x05060708, 0x7FFFFFFF]
     page = interior([(numbers[0], 5), (numbers[1], 9)], numbers[2])
-    pages, rows = sqlite_pages._children(pages_of(held, page), 2, PAGE, 99)
+    pages, rows = sqlite._children(pages_of(held, page), 2, PAGE, 99)
     assert (pages.tolist(), rows.tolist()) == (numbers, [5, 9, 99])
 
 
 @pytest.mark.parametrize("group", [2, 3, 512])
 def test_groups_bound_their_rows(group: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the largest row of their last page, from the first row on; in sum there are no more."""
-    monkeypatch.setattr(sqlite_pages, "_GROUP", group)
+    monkeypatch.setattr(sqlite, "_GROUP", group)
     leaves = Leaves(pages=np.arange(2, 7), last_ids=np.array([10, 20, 30, 40, 55]), first_id=4)
     groups = [(pages.tolist(), most) for pages, most in leaves.groups()]
     expected = {2: [([2, 3], 17), ([4, 5], 20), ([6], 15)], 3: [([2, 3, 4], 27), ([5, 6], 25)]}
@@ -147,7 +148,7 @@ def test_groups_bound_their_rows(group: int, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize("group", [1, 2, 512])
 def test_all_leaves_are_looked_for(group: int, held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
     """By their first byte, among whole pages; a page of 512 bytes holds 32 messages at most."""
-    monkeypatch.setattr(sqlite_pages, "_GROUP", group)
+    monkeypatch.setattr(sqlite, "_GROUP", group)
     file = pages_of(held, leaf(3), interior([], 2), leaf(300), leaf(5)[:-1])
     groups = scan_leaves(file)
     assert [page for pages, _ in groups for page in pages.tolist()] == [2, 4]

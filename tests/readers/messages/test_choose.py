@@ -8,9 +8,8 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers.containers import Channel
-from imucal.readers.messages.choice import choose
 from imucal.readers.messages.message_types import ImuFields, Vector
-from imucal.readers.messages.topics import Topic
+from imucal.readers.messages.topics import Topic, choose
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 

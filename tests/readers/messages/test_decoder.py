@@ -8,12 +8,12 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.readers.column_store import Columns
 from imucal.readers.containers import Batch
 from imucal.readers.files import DamagedError
-from imucal.readers.messages.decoder import BinaryDecoder, Shape
 from imucal.readers.messages.definitions import Field, flatten
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
+from imucal.readers.messages.plain import BinaryDecoder, Shape
+from imucal.readers.store import Columns
 from imucal.recording import Sensor
 
 GYRO = Sensor.GYROSCOPE

@@ -7,7 +7,7 @@ import pytest
 
 from imucal.errors import ChoiceError, ReadError
 from imucal.readers import describe, read
-from imucal.readers.messages.definition_files import definition_of, read_definitions
+from imucal.readers.messages.definitions import definition_of, read_definitions
 from tests.readers.logs import Message, header, samples, store, write_mcap
 from tests.readers.messages.test_messages import check
 

@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from imucal.readers.containers import Channel
-from imucal.readers.containers.mcap_file import open_files
-from imucal.readers.messages import topic_temperature
-from imucal.readers.messages.choice import table
-from imucal.readers.messages.sensor_liveness import live_sensors
-from imucal.readers.messages.topic_temperature import read_temperature
-from imucal.readers.messages.topics import Topic, find_topics
-from imucal.readers.messages.tree_messages import _steps, _vector, stamp_of
+from imucal.readers.containers.mcap import open_files
+from imucal.readers.messages import topic_streams
+from imucal.readers.messages.topic_streams import live_sensors, read_temperature
+from imucal.readers.messages.topics import Topic, find_topics, table
+from imucal.readers.messages.trees import _steps, _vector, stamp_of
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 from tests.readers.logs import CONTAINERS, samples
@@ -143,8 +141,8 @@ def test_the_one_temperature_beside_an_imu_is_read(
         seen.append(topic.name)
 
     none = SimpleNamespace(columns=SimpleNamespace(temperature=None, n=0))
-    monkeypatch.setattr(topic_temperature, "_temperature_stream", stream)
-    monkeypatch.setattr(topic_temperature, "decode", lambda *_: [none])
+    monkeypatch.setattr(topic_streams, "_temperature_stream", stream)
+    monkeypatch.setattr(topic_streams, "decode", lambda *_: [none])
     found = [
         Topic(
             name=name,

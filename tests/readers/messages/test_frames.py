@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from imucal.readers import read
-from imucal.readers.messages.frames import _frame
+from imucal.readers.messages.topic_streams import _frame
 from tests.readers.logs import CONTAINERS, imu_messages, samples, write_mcap
 
 

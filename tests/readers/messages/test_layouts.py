@@ -8,9 +8,8 @@ import pytest
 
 from imucal.readers import read
 from imucal.readers.messages.definitions import DefinitionError, Field, flatten
-from imucal.readers.messages.fields import adjacent
 from imucal.readers.messages.message_types import Vector
-from imucal.readers.messages.walker import Place
+from imucal.readers.messages.plain import Place, adjacent
 from imucal.recording import Sensor
 from tests.readers.logs import TOPIC, Message, samples, store, write_mcap
 

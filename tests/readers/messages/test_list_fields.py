@@ -13,9 +13,9 @@ import pytest
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ChoiceError
 from imucal.readers import read
-from imucal.readers.messages.fields_text import Named, parse_fields_text
 from imucal.readers.messages.leaves import _axis_of
-from imucal.readers.messages.list_messages import spread_times
+from imucal.readers.messages.message_types import Named, parse_fields_text
+from imucal.readers.messages.trees import spread_times
 from imucal.recording import Recording, Sensor
 from tests.cli.run import run
 from tests.readers.logs import TOPIC, Message, header, samples, store, write_bag, write_db3, write_mcap

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imucal.readers.column_store import Columns
 from imucal.readers.containers import Batch, Loss
 from imucal.readers.files import DamagedError, Scratch
 from imucal.readers.messages import loader
 from imucal.readers.messages.loader import Decoding, Stream, _merged, decode
 from imucal.readers.messages.message_types import ImuFields, Vector
+from imucal.readers.store import Columns
 from imucal.recording import Sensor
 
 GYRO = Sensor.GYROSCOPE

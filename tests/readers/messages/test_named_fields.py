@@ -14,8 +14,8 @@ from imucal.errors import ChoiceError, ImucalError
 from imucal.readers import describe, read
 from imucal.readers.containers import Channel
 from imucal.readers.messages import protobuf_messages
-from imucal.readers.messages.fields_text import parse_fields_text
 from imucal.readers.messages.leaves import Leaf, Leaves
+from imucal.readers.messages.message_types import parse_fields_text
 from imucal.recording import Recording
 from imucal.units import G0
 from tests.readers.logs import TOPIC, Message, header, samples, store, write_bag, write_db3, write_mcap

@@ -7,10 +7,15 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.columns import NamedTable, find_bare_triads, find_temperature, find_triads
-from imucal.readers.tables.columns_text import parse_columns_text
-from imucal.readers.tables.csv_log import read
+from imucal.readers.tables.columns import (
+    NamedTable,
+    find_bare_triads,
+    find_temperature,
+    find_triads,
+    parse_columns_text,
+)
 from imucal.readers.tables.names import Role, parse_column
+from imucal.readers.tables.text_table import read
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, parse_sample_unit, parse_time_unit
 from tests.readers.tables.texts import N, cells, lines, seconds, truth, two_ardupilots, xyz

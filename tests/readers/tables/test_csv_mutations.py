@@ -10,8 +10,8 @@ import pytest
 
 from imucal.errors import ImucalError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables import text
-from imucal.readers.tables.csv_log import read
+from imucal.readers.tables import text_source
+from imucal.readers.tables.text_table import read
 from tests.readers.tables.texts import STYLES, Style, write
 
 #: Cases: each changes each of these layouts by each kind of damage with each of some seeds.
@@ -63,9 +63,9 @@ def drop(data: bytes, rng: np.random.Generator) -> bytes:
 
 def strange_values(values: set[float], data: bytes) -> set[float]:
     """Return the values that are neither a cell of a text nor stand in its longer digits."""
-    text = data.decode("latin-1")
-    strange = values - _numbers(re.split(r"[,;\t\s*\"$|]+", text))
-    return strange - _numbers(_NUMBER.findall(text)) if strange else strange
+    text_source = data.decode("latin-1")
+    strange = values - _numbers(re.split(r"[,;\t\s*\"$|]+", text_source))
+    return strange - _numbers(_NUMBER.findall(text_source)) if strange else strange
 
 
 def _numbers(cells: list[str]) -> set[float]:
@@ -97,8 +97,8 @@ def test_damaged_text(
 ) -> None:
     """Every damaged log is read or refused with a message; every sample stands in the damaged text."""
     style, data = logs[name]
-    monkeypatch.setattr(text, "_HEAD", 4096)
-    monkeypatch.setattr(text, "_BLOCK", 16_384)
+    monkeypatch.setattr(text_source, "_HEAD", 4096)
+    monkeypatch.setattr(text_source, "_BLOCK", 16_384)
     path = tmp_path / style.file
     # SI units are given so that a sample is a number of the text.
     options = ReadOptions(

@@ -9,7 +9,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.csv_log import describe, read
+from imucal.readers.tables.text_table import describe, read
 from imucal.recording import Recording, Sensor
 from tests.readers.tables.texts import STYLES, N, Style, truth, write
 

@@ -17,8 +17,8 @@ import zstandard
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables import csv_log, text
-from imucal.readers.tables.csv_log import read
+from imucal.readers.tables import text_source, text_table
+from imucal.readers.tables.text_table import read
 from imucal.recording import Recording
 from tests.readers.tables.texts import N, euroc, lines, seconds, truth, xyz
 
@@ -129,8 +129,8 @@ def test_line_ends(end: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("size", [1 << 10, 4321, 1 << 16])
 def test_blocks_join_without_a_seam(size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where blocks end does not show."""
-    monkeypatch.setattr(text, "_HEAD", 600)
-    monkeypatch.setattr(text, "_BLOCK", size)
+    monkeypatch.setattr(text_source, "_HEAD", 600)
+    monkeypatch.setattr(text_source, "_BLOCK", size)
     for content in (plain(), plain().replace("\n", "\r\n"), plain().replace("\n", "\n\n")):
         recording = read(store(tmp_path, content), ReadOptions())
         npt.assert_array_equal(table(recording), expected())
@@ -353,9 +353,9 @@ def test_large_files_are_described_by_their_head(
     pack: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Columns, units and rate stand in the first rows; the count does not."""
-    monkeypatch.setattr(csv_log, "_SMALL", 1000)
-    monkeypatch.setattr(text, "_HEAD", 4096)
-    contents = csv_log.describe(store(tmp_path, pack(plain().encode())), ReadOptions())
+    monkeypatch.setattr(text_table, "_SMALL", 1000)
+    monkeypatch.setattr(text_source, "_HEAD", 4096)
+    contents = text_table.describe(store(tmp_path, pack(plain().encode())), ReadOptions())
     (topic,) = contents.topics
     assert topic.rate_hz == pytest.approx(100)
     assert (topic.count, topic.duration_s, len(topic.sensors)) == (None, None, 2)
@@ -365,13 +365,13 @@ def test_large_files_are_described_by_their_head(
 def test_a_table_that_is_not_clear_is_described_with_the_reason(tmp_path: Path) -> None:
     """What can't be read yet still has columns; what is no table is an error."""
     content = lines("time (s),x,y,z", seconds(truth()), *xyz(truth().gyro))
-    (topic,) = csv_log.describe(store(tmp_path, content), ReadOptions()).topics
+    (topic,) = text_table.describe(store(tmp_path, content), ReadOptions()).topics
     assert topic.sensors == ()
     assert topic.note.startswith(
         "x, y and z are there (x, y, z), but not of which sensor; found columns: 0 time (s)"
     )
     with pytest.raises(ReadError, match="no rows of numbers"):
-        csv_log.describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
+        text_table.describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
 
 
 def test_topics_are_refused(tmp_path: Path) -> None:
@@ -388,8 +388,8 @@ def test_topics_are_refused(tmp_path: Path) -> None:
 def test_damage_within_a_compressed_file_ends_it(compress: Callable[[bytes], bytes], tmp_path: Path) -> None:
     """Each package has errors of its own: what was unpacked before is read, or nothing was."""
     path = tmp_path / "log.csv"
-    text = "t,gyro_x,gyro_y,gyro_z\n" + "".join(f"{i / 100},0.{i:05},0.2,0.3\n" for i in range(20_000))
-    data = bytearray(compress(text.encode()))
+    text_source = "t,gyro_x,gyro_y,gyro_z\n" + "".join(f"{i / 100},0.{i:05},0.2,0.3\n" for i in range(20_000))
+    data = bytearray(compress(text_source.encode()))
     for place in range(len(data) // 2, len(data) - 20, 97):
         data[place] ^= 0x55
     path.write_bytes(data)

@@ -8,10 +8,10 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.room import Room
-from imucal.readers.tables.csv_log import read
+from imucal.readers.store import Room
 from imucal.readers.tables.dates import parse_texts
 from imucal.readers.tables.stamps import infer_time_unit, to_ns, unwrapped
+from imucal.readers.tables.text_table import read
 from imucal.recording import Recording
 from tests.readers.tables.texts import EPOCH, N, lines, rostopic, truth, xyz
 

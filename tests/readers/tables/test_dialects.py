@@ -12,12 +12,10 @@ import pytest
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import dialects
-from imucal.readers.tables.csv_log import read
 from imucal.readers.tables.dialects import DIALECTS, Dialect, find_dialect
 from imucal.readers.tables.names import Role, parse_column
-from imucal.readers.tables.text import open_text
-from imucal.readers.tables.text_layout import lay_out
-from imucal.readers.tables.text_table import plan_of_head
+from imucal.readers.tables.text_source import open_text
+from imucal.readers.tables.text_table import lay_out, plan_of_head, read
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS
 from tests.readers.tables.texts import STYLES, Style, Truth, lines, stamps, truth, write, xyz

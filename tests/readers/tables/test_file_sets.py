@@ -8,7 +8,7 @@ import pytest
 
 from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.readers.tables.file_sets import _is_time_file, _merged, _read_times
+from imucal.readers.tables.text_table import _is_time_file, _merged, _read_times
 from imucal.recording import AxisSeries, Recording, Sensor, Source, Temperature
 
 

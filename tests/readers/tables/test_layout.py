@@ -2,13 +2,15 @@
 
 import pytest
 
-from imucal.readers.tables.layout import TextLayout, find_layout, rows_of_tag
-from imucal.readers.tables.line_splits import (
+from imucal.readers.tables.layout import (
     BLANKS,
+    TextLayout,
     _decimal,
     _fitting,
     _named_delimiter,
     _start,
+    find_layout,
+    rows_of_tag,
     split_line,
 )
 

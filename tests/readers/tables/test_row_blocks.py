@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from imucal.readers.tables.layout import TextLayout
-from imucal.readers.tables.line_splits import BLANKS
-from imucal.readers.tables.row_blocks import BlockReader, Kind, _number, _row_pattern, without_start
+from imucal.readers.tables.layout import BLANKS, TextLayout
+from imucal.readers.tables.text_table import BlockReader, Kind, _number, _row_pattern, without_start
 
 
 def reader(**changes: object) -> BlockReader:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.readers.room import Room
+from imucal.readers.store import Room
 from imucal.readers.tables.dates import NO_STAMP, parse_texts
 from imucal.readers.tables.stamps import (
     DAY,

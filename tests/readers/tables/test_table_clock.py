@@ -8,12 +8,11 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.column_plan import SensorPlan
 from imucal.readers.tables.columns import Triad
+from imucal.readers.tables.plan import SensorPlan
 from imucal.readers.tables.scales import Work
-from imucal.readers.tables.stamps import Numbers
-from imucal.readers.tables.table_clock import SensorColumns, _compare_rates, _sent_twice, table_clock
-from imucal.readers.tables.timing import TimeChoice
+from imucal.readers.tables.stamps import Numbers, TimeChoice
+from imucal.readers.tables.tabular import SensorColumns, _compare_rates, _sent_twice, table_clock
 from imucal.recording import Sensor
 
 GYRO = Triad(sensor=Sensor.GYROSCOPE, indices=(1, 2, 3), headers=("gx", "gy", "gz"))

@@ -12,7 +12,7 @@ from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
 from imucal.readers.tables.foreign_files import _flatten
-from imucal.readers.tables.table_files import TypedColumn, _of_array, _of_arrays, _plain, open_table
+from imucal.readers.tables.typed_table import TypedColumn, _of_array, _of_arrays, _plain, open_table
 
 
 def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an array

@@ -7,8 +7,9 @@ import pytest
 
 from imucal.errors import ChoiceError, ReadError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.proposals import _gravity, _nearest, _proposal, _time_column
-from imucal.readers.tables.text_layout import _inertial_tags, lay_out
+from imucal.readers.tables.plan import _gravity, _nearest, _time_column
+from imucal.readers.tables.plan import _proposals_proposal as _proposal
+from imucal.readers.tables.text_table import _inertial_tags, lay_out
 from imucal.units import G0
 
 

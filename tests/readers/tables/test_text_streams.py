@@ -7,8 +7,14 @@ from pathlib import Path
 import pytest
 
 from imucal.errors import ReadError
-from imucal.readers.tables.text import TextSource, open_text
-from imucal.readers.tables.text_streams import compression_of, find_encoding, read_fully, unpacked
+from imucal.readers.tables.text_source import (
+    TextSource,
+    compression_of,
+    find_encoding,
+    open_text,
+    read_fully,
+    unpacked,
+)
 
 
 def utf16(zeros: int, at: int) -> bytes:

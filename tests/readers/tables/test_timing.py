@@ -8,7 +8,7 @@ from imucal.errors import ChoiceError
 from imucal.readers.tables.columns import NamedTable
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.names import parse_column
-from imucal.readers.tables.timing import TimeChoice, _score, choose_times, named_time, time_of_columns
+from imucal.readers.tables.stamps import TimeChoice, _score, choose_times, named_time, time_of_columns
 from imucal.recording import Sensor
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER

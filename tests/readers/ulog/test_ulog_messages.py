@@ -12,9 +12,16 @@ from numpy.typing import ArrayLike
 from imucal.arrays import IntArray
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.ulog.ulog_content import UlogContent
-from imucal.readers.ulog.ulog_log import _choose, _listed, _log_findings, _refuse_options, _scales
-from imucal.readers.ulog.ulog_messages import Instance, samples_of
+from imucal.readers.ulog import (
+    Instance,
+    UlogContent,
+    _choose,
+    _listed,
+    _log_findings,
+    _refuse_options,
+    _scales,
+    samples_of,
+)
 from imucal.recording import Sensor
 
 LOG = Path("flight.ulg")

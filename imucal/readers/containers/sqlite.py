@@ -1,0 +1,686 @@
+"""A ROS 2 bag's SQLite file opened: its topics, and its messages in ranges of rows.
+
+Connections to a SQLite file that is only read: with its write-ahead log, without, or its start.
+
+Rows of the `messages` table from leaf pages of SQLite, all at once.
+
+Source: https://www.sqlite.org/fileformat2.html, sections 1.6 (b-tree pages) and 2.1 (records).
+
+The `messages` table of a ROS 2 bag, read from the pages of the SQLite file.
+
+Half the time of SQLite's own rows, in several threads, and what is left of a cut file can be read. What
+does not fit (overflow pages, a write-ahead log) is left to SQLite.
+Source: https://www.sqlite.org/fileformat2.html, sections 1.6 (b-tree pages) and 2.1 (records).
+"""
+
+import os
+import sqlite3
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import IntArray
+from imucal.errors import ReadError
+from imucal.findings import Finding
+from imucal.readers.containers.container import Batch, Channel, Loss, Task, gather
+from imucal.readers.files import DamagedError, LogFile, Scratch
+
+#: A bag's topics and definitions are written first: they lie in the first pages, in bytes.
+_START = 1 << 22
+#: Longest file that a cut database is made up to, in bytes; it is sparse.
+_LONGEST = 1 << 40
+
+
+def connect(path: Path, findings: list[Finding]) -> sqlite3.Connection:
+    """Open a database for reading; its write-ahead log is read too where it lies beside it."""
+    uri = "file:" + quote(os.fsencode(path.absolute()))
+    base = _open(uri + "?mode=ro")
+    try:
+        _look(base)
+    except sqlite3.OperationalError:
+        base.close()
+        return _connect_alone(uri, path, findings)
+    except sqlite3.Error:
+        base.close()
+        raise
+    return base
+
+
+def connect_to_start(file: LogFile) -> sqlite3.Connection:
+    """Return a database in memory with the tables that the first pages of a cut file hold.
+
+    SQLite refuses a file that is shorter than its first page says. So the start is copied to a sparse
+    file of the right length, and the small tables are taken from there.
+    """
+    head = file.read(0, min(_START, file.size))
+    pages, size = int.from_bytes(head[28:32], "big"), int.from_bytes(head[16:18], "big")
+    size = 65536 if size == 1 else size
+    result = sqlite3.connect(":memory:", check_same_thread=False)
+    try:
+        with tempfile.TemporaryDirectory(prefix="imucal-") as folder:
+            copy = Path(folder) / "start.db3"
+            with copy.open("wb") as target:
+                target.write(head)
+                target.truncate(max(min(pages * size, _LONGEST), len(head)))
+            source = _open("file:" + quote(os.fsencode(copy)) + "?mode=ro&immutable=1")
+            try:
+                _copy_tables(source, result)
+            finally:
+                source.close()
+    except BaseException:
+        result.close()
+        raise
+    return result
+
+
+def _copy_tables(source: sqlite3.Connection, target: sqlite3.Connection) -> None:
+    """Copy topics and definitions."""
+    columns = "id, name, type, serialization_format"
+    rows = source.execute(f"select {columns} from topics").fetchall()  # noqa: S608 - our own constant
+    target.execute(f"create table topics({columns})")
+    target.executemany("insert into topics values (?, ?, ?, ?)", rows)
+    columns = "topic_type, encoding, encoded_message_definition"
+    target.execute(f"create table message_definitions({columns})")
+    try:
+        rows = source.execute(f"select {columns} from message_definitions").fetchall()  # noqa: S608
+    except sqlite3.DatabaseError:
+        return
+    target.executemany("insert into message_definitions values (?, ?, ?)", rows)
+
+
+def _open(uri: str) -> sqlite3.Connection:
+    return sqlite3.connect(uri, uri=True, check_same_thread=False)
+
+
+def _look(base: sqlite3.Connection) -> None:
+    base.execute("select count(*) from sqlite_master").fetchone()
+
+
+def _connect_alone(uri: str, path: Path, findings: list[Finding]) -> sqlite3.Connection:
+    """Open a database where no file may be made beside it: without its write-ahead log."""
+    base = _open(uri + "?mode=ro&immutable=1")
+    try:
+        _look(base)
+    except sqlite3.Error:
+        base.close()
+        raise
+    wal = path.with_name(path.name + "-wal")
+    if wal.exists() and wal.stat().st_size:
+        text = f"{wal.name} can't be read here, so messages that are only in it are left out."
+        advice = "Copy the bag to a folder that can be written to."
+        findings.append(Finding(level="warning", code="wal-ignored", text=text, advice=advice))
+    return base
+
+
+#: Type of a page that holds rows of a table.
+LEAF = 0x0D
+#: Bytes of a column by its serial type, up to 9; blobs and texts have 12 and more.
+_SIZES = np.array([0, 1, 2, 3, 4, 6, 8, 8, 0, 0, 0, 0], dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rows:
+    """Rows of `messages`.
+
+    Attributes
+    ----------
+    topics, times, starts, sizes
+        Topic, time in ns, and where the data lie, of each row that a page holds whole, shape (n,).
+    long_ids, long_topics
+        Row and topic of those that reach over several pages.
+    damaged
+        Number of rows that can't be parsed.
+    """
+
+    topics: IntArray
+    times: IntArray
+    starts: IntArray
+    sizes: IntArray
+    long_ids: IntArray
+    long_topics: IntArray
+    damaged: int
+
+
+def parse_rows(buffer: memoryview, page: int, usable: int) -> Rows:
+    """Parse the cells of leaf pages: payload size, row, then a record of id, topic, time and data."""
+    data = np.frombuffer(buffer, dtype=np.uint8)
+    cells, ends, wrong = _cells(data, page)
+    size, at = varint(data, cells)
+    ids, record = varint(data, at)
+    head, at = varint(data, record)
+    kinds = []
+    for _ in range(4):
+        kind, at = varint(data, at)
+        kinds.append(kind)
+    identity, topic, time, blob = kinds
+    known = (at == record + head) & (identity <= 6) & (topic <= 9) & (time <= 9) & (blob >= 12)
+    known &= (blob & 1 == 0) & (blob >> 1 <= size + 6) & (size >= head) & (cells < ends - 8)
+    columns = [record + head]
+    for kind in (identity, topic, time):
+        columns.append(columns[-1] + _SIZES.take(kind, mode="clip"))
+    sizes = (blob - 12) >> 1
+    known &= columns[3] + sizes == record + size
+    long = known & (size > usable - 35)
+    whole = np.flatnonzero(known & ~long & (record + size <= ends))
+    apart = np.flatnonzero(long & (columns[2] <= ends))
+    return Rows(
+        topics=_integers(data, columns[1][whole], topic[whole]),
+        times=_integers(data, columns[2][whole], time[whole]),
+        starts=columns[3][whole],
+        sizes=sizes[whole],
+        long_ids=ids[apart],
+        long_topics=_integers(data, columns[1][apart], topic[apart]),
+        damaged=cells.size - whole.size - apart.size + wrong,
+    )
+
+
+def _cells(data: NDArray[np.uint8], page: int) -> tuple[IntArray, IntArray, int]:
+    """Return where the cells of leaf pages start, where the page of each ends, and pages that are none."""
+    pages = data.reshape(-1, page)
+    counts = (pages[:, 3].astype(np.int64) << 8) | pages[:, 4]
+    wrong = (pages[:, 0] != LEAF) | (counts > (page - 8) // 2)
+    counts[wrong] = 0
+    firsts = np.arange(counts.size, dtype=np.int64) * page
+    total = int(counts.sum())
+    within = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts)
+    base = np.repeat(firsts, counts)
+    words = base + 8 + 2 * within
+    within_page = (data[words].astype(np.int64) << 8) | data[words + 1]
+    return base + within_page, base + page, int(np.count_nonzero(wrong))
+
+
+def varint(data: NDArray[np.uint8], at: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the big-endian variable-length integers at `at`, and where each ends."""
+    byte = data.take(at, mode="clip")
+    value = (byte & 0x7F).astype(np.int64)
+    end = at + 1
+    more = np.flatnonzero(byte > 0x7F)
+    for step in range(1, 9):
+        if not more.size:
+            break
+        byte = data.take(at[more] + step, mode="clip")
+        whole = step == 8
+        value[more] = (value[more] << (8 if whole else 7)) | (byte if whole else byte & 0x7F)
+        end[more] += 1
+        if whole:
+            break
+        more = more[byte > 0x7F]
+    return value, end
+
+
+def _integers(data: NDArray[np.uint8], at: IntArray, kinds: IntArray) -> IntArray:
+    """Return integer columns of the given serial types, shape (n,)."""
+    result = np.zeros(at.size, dtype=np.int64)
+    same = bool((kinds == kinds[:1]).all())
+    # There are ten types: a count of each is quicker than a search. Negative ones are damage.
+    for kind in (kinds[:1] if same else np.flatnonzero(np.bincount(np.maximum(kinds, 0)))).tolist():
+        chosen = slice(None) if same else kinds == kind
+        if kind == 9:
+            result[chosen] = 1
+        elif 1 <= kind <= 6:
+            size = int(_SIZES[kind])
+            words = gather(data.data, at[chosen], size)
+            if size in {1, 2, 4, 8}:
+                result[chosen] = words.view(f">i{size}")
+                continue
+            raw = words.view(np.uint8).reshape(-1, size)
+            value = raw[:, 0].astype(np.int8).astype(np.int64)
+            for column in range(1, size):
+                value = (value << 8) | raw[:, column]
+            result[chosen] = value
+    return result
+
+
+_INTERIOR = 0x05
+#: Leaf pages of one task: about 2 MB of the usual 4 kB pages.
+_GROUP = 512
+#: A b-tree deeper than this is damage.
+_DEEP = 20
+#: Smallest message with its head: what one page can hold is bounded by it, in bytes.
+_SMALLEST = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Leaves:
+    """Leaf pages of a table, in the order of its rows.
+
+    Attributes
+    ----------
+    pages
+        Their numbers, from 1, shape (p,).
+    last_ids
+        The largest row that each may hold, shape (p,).
+    first_id
+        The smallest row of the first.
+    """
+
+    pages: IntArray
+    last_ids: IntArray
+    first_id: int
+
+    def groups(self) -> Iterator[tuple[IntArray, int]]:
+        """Yield pages that one task reads, and the rows they hold at most."""
+        before = self.first_id - 1
+        for start in range(0, self.pages.size, _GROUP):
+            part = self.pages[start : start + _GROUP]
+            last = int(self.last_ids[min(start + _GROUP, self.pages.size) - 1])
+            yield part, max(last - before, 0)
+            before = last
+
+
+def page_size(file: LogFile) -> tuple[int, int]:
+    """Return the size of a page, and how much of it holds data, in bytes."""
+    head = file.read(0, 100)
+    size = int.from_bytes(head[16:18], "big")
+    size = 65536 if size == 1 else size
+    if size < 512 or size & (size - 1):
+        msg = "the page size is damaged"
+        raise DamagedError(msg)
+    return size, size - head[20]
+
+
+def find_leaves(file: LogFile, root: int, first_id: int, last_id: int) -> Leaves:
+    """Return the leaf pages of the table whose root page is `root`.
+
+    Raises
+    ------
+    DamagedError
+        If an interior page is damaged or missing.
+    """
+    size, _ = page_size(file)
+    pages, ids = [np.array([root], dtype=np.int64)], [np.array([last_id], dtype=np.int64)]
+    for _ in range(_DEEP):
+        level, bounds = pages[-1], ids[-1]
+        kinds = _kind(file, int(level[0]), size)
+        if kinds == LEAF:
+            return Leaves(pages=level, last_ids=bounds, first_id=first_id)
+        children = [_children(file, page, size, bound) for page, bound in zip(level, bounds, strict=True)]
+        pages.append(np.concatenate([child for child, _ in children]))
+        ids.append(np.concatenate([bound for _, bound in children]))
+        if pages[-1].size * size > file.size:
+            break
+    msg = "the tree of pages is damaged"
+    raise DamagedError(msg)
+
+
+def scan_leaves(file: LogFile) -> list[tuple[IntArray, int]]:
+    """Return groups of all whole leaf pages of a file, and the cells they hold at most.
+
+    Pages of other tables are among them: their rows do not look like messages.
+    """
+    size, _ = page_size(file)
+    groups = []
+    count = file.size // size
+    for first in range(0, count, _GROUP):
+        part = min(_GROUP, count - first)
+        data = np.frombuffer(file.read(first * size, part * size), dtype=np.uint8).reshape(part, size)
+        chosen = np.flatnonzero(data[:, 0] == LEAF)
+        if chosen.size:
+            cells = (data[chosen, 3].astype(np.int64) << 8) | data[chosen, 4]
+            most = int(np.minimum(cells, size // _SMALLEST).sum())
+            groups.append((chosen + first + 1, most))
+    return groups
+
+
+#: Fetches the rows of some topics that no page holds whole: (rows) -> (topic, time in ns, data).
+Fetch: TypeAlias = Callable[[list[int]], list[tuple[int, int, bytes]]]
+
+
+class PageTask:
+    """A group of leaf pages to load.
+
+    Parameters
+    ----------
+    most
+        Rows they hold at most.
+    fetch
+        Asks SQLite for rows that reach over several pages; None where the file is cut, and rows that can't
+        be parsed belong to other tables.
+    """
+
+    def __init__(
+        self, file: LogFile, pages: IntArray, keys: Sequence[int], most: int, fetch: Fetch | None
+    ) -> None:
+        self._file = file
+        self._pages = pages
+        self._fetch = fetch
+        self._page, self._usable = page_size(file)
+        self.size = pages.size * self._page
+        self.counts = dict.fromkeys(keys, min(most, self.size // _SMALLEST))
+
+    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
+        """Yield the messages of each wanted topic; see `Task`."""
+        buffer = self._read(scratch)
+        rows = parse_rows(buffer, self._page, self._usable)
+        loss = None
+        if rows.damaged and self._fetch is not None:
+            text = "rows of the database are damaged"
+            loss = Loss(code="damaged", text=text, messages=rows.damaged)
+        long = self._long_rows(rows)
+        for key in self.counts:
+            chosen = np.flatnonzero(rows.topics == key)
+            batch = Batch.of(buffer, rows.starts[chosen], rows.sizes[chosen], rows.times[chosen])
+            batch = replace(batch, loss=loss)
+            more = [(time, data) for topic, time, data in long if topic == key]
+            loss = None
+            yield key, _with(batch, more) if more else batch
+
+    def _long_rows(self, rows: Rows) -> list[tuple[int, int, bytes]]:
+        wanted = rows.long_ids[np.isin(rows.long_topics, list(self.counts))]
+        return self._fetch(wanted.tolist()) if self._fetch is not None and wanted.size else []
+
+    def _read(self, scratch: Scratch) -> memoryview:
+        """Read the pages side by side into a buffer: in one go where they are neighbours."""
+        buffer = scratch.buffer(self.size)
+        steps = np.flatnonzero(np.diff(self._pages) != 1) + 1
+        edges = [0, *steps.tolist(), self._pages.size]
+        for first, last in pairwise(edges):
+            position = (int(self._pages[first]) - 1) * self._page
+            self._file.into(position, buffer[first * self._page : last * self._page])
+        return buffer
+
+
+def _with(batch: Batch, more: list[tuple[int, bytes]]) -> Batch:
+    """Return a batch with further messages, in order of time."""
+    sizes = np.broadcast_to(batch.sizes, batch.starts.shape)
+    joined = bytes(batch.buffer) + b"".join(data for _, data in more)
+    lengths = np.array([len(data) for _, data in more], dtype=np.int64)
+    starts = np.concatenate([batch.starts, len(batch.buffer) + np.cumsum(lengths) - lengths])
+    times = np.concatenate([batch.log_ns, np.array([time for time, _ in more], dtype=np.int64)])
+    order = np.argsort(times, kind="stable")
+    return Batch(
+        buffer=joined,
+        starts=starts[order],
+        header=0,
+        sizes=np.concatenate([sizes, lengths])[order],
+        log_ns=times[order],
+        loss=batch.loss,
+    )
+
+
+def _kind(file: LogFile, page: int, size: int) -> int:
+    if page < 1:
+        msg = "a page number is damaged"
+        raise DamagedError(msg)
+    return file.read((page - 1) * size + (100 if page == 1 else 0), 1)[0]
+
+
+def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray, IntArray]:
+    """Return the children of an interior page, and the largest row of each."""
+    if page <= 1:
+        msg = "a page number is damaged"
+        raise DamagedError(msg)
+    data = np.frombuffer(file.read((page - 1) * size, size), dtype=np.uint8)
+    count = int(data[3]) << 8 | int(data[4])
+    if data[0] != _INTERIOR or 12 + 2 * count > size:
+        msg = "an interior page is damaged"
+        raise DamagedError(msg)
+    words = data[12 : 12 + 2 * count].astype(np.int64).reshape(-1, 2)
+    cells = (words[:, 0] << 8) | words[:, 1]
+    if count and int(cells.max()) > size - 5:
+        msg = "an interior page is damaged"
+        raise DamagedError(msg)
+    pages = gather(data.data, np.append(cells, 8), 4).view(">u4").astype(np.int64)
+    keys, _ = varint(data, cells + 4)
+    return pages, np.append(keys, bound)
+
+
+#: Rows of one task.
+_RANGE = 1 << 14
+#: Columns of `messages`, in the order that the pages are read in.
+_COLUMNS = ["id", "topic_id", "timestamp", "data"]
+#: Rows fetched at once; more is slower.
+_FETCH = 1024
+#: Rows up to which messages are counted one by one when the bag doesn't say how many there are.
+_COUNTED = 2_000_000
+
+
+class SqliteFile:
+    """A container of the messages of a `.db3` file.
+
+    Parameters
+    ----------
+    counts
+        Topic -> messages, where the bag's metadata tells.
+    """
+
+    format = "rosbag2-sqlite3"
+    compression = "none"
+    parallel = True
+
+    def __init__(self, path: Path, counts: Mapping[str, int] | None = None) -> None:
+        self.path = path
+        self._file = LogFile(path)
+        self.size = self._file.size
+        self.findings: list[Finding] = []
+        self._base: sqlite3.Connection | None = None
+        self._lock = threading.Lock()
+        self._cut = False
+        try:
+            self._open(counts)
+        except (sqlite3.Error, OverflowError, TypeError, ValueError, DamagedError) as error:
+            self.close()
+            msg = (
+                f"{path}: the SQLite database can't be read: {error}; expected a ROS 2 bag, "
+                "try to recover it with `sqlite3 FILE .recover`"
+            )
+            raise ReadError(msg) from error
+
+    def _open(self, counts: Mapping[str, int] | None) -> None:
+        try:
+            self._base = connect(self.path, self.findings)
+            self.first_id, self.last_id = self._ids()
+            self.start_ns, self.end_ns = self._span()
+            self.channels = self._channels(counts)
+        except sqlite3.DatabaseError as error:
+            if self._base is not None:
+                self._base.close()
+            self._cut = True
+            self._base = connect_to_start(self._file)
+            self.first_id, self.last_id = 1, 0
+            self.start_ns = self.end_ns = None
+            self.channels = self._channels({})
+            text = f"SQLite can't read the database ({error}); its pages were scanned for whole messages."
+            code = "truncated" if self._is_cut() else "damaged"
+            self.findings.append(Finding(level="warning", code=code, text=text))
+
+    def _is_cut(self) -> bool:
+        """Say whether the file has fewer pages than its first one says."""
+        head = self._file.read(0, 100)
+        return int.from_bytes(head[28:32], "big") * page_size(self._file)[0] > self.size
+
+    def close(self) -> None:
+        """Close the database."""
+        self._file.close()
+        if self._base is not None:
+            self._base.close()
+
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield groups of pages; ranges of rows where only SQLite can read them."""
+        known = {channel.key for channel in self.channels if channel.count != 0}
+        wanted = sorted(keys & known)
+        if not wanted or (not self._cut and self.last_id < self.first_id):
+            return
+        if not self._cut and self._needs_sqlite():
+            for rows, size in self._ranges():
+                yield cast("Task", SqliteTask(self._database, wanted, rows, size))
+            return
+        groups, fetch = self._pages()
+        for pages, most in groups:
+            yield cast("Task", PageTask(self._file, pages, wanted, most, fetch))
+
+    @property
+    def _database(self) -> sqlite3.Connection:
+        if self._base is None:
+            msg = f"{self.path}: the database is closed"
+            raise ValueError(msg)
+        return self._base
+
+    def _needs_sqlite(self) -> bool:
+        """Say whether the pages of the file alone don't hold the messages, or hold them in another order."""
+        wal = self.path.with_name(self.path.name + "-wal")
+        columns = [row[1] for row in self._database.execute("pragma table_info(messages)")]
+        needs = (wal.exists() and wal.stat().st_size > 0) or columns != _COLUMNS
+        # SQLite takes a lock that several threads would wait for.
+        self.parallel = not needs
+        return needs
+
+    def _pages(self) -> tuple[list[tuple[IntArray, int]], Fetch | None]:
+        """Return the leaf pages of the messages, by their tree, or all there are where it is damaged."""
+        try:
+            if not self._cut:
+                return list(self._leaves().groups()), self._fetch
+        except DamagedError as error:
+            text = f"The database is damaged: {error}; its pages were scanned for whole messages."
+            self.findings.append(Finding(level="warning", code=error.code, text=text))
+        return scan_leaves(self._file), None
+
+    def _leaves(self) -> Leaves:
+        query = "select rootpage from sqlite_master where type = 'table' and name = 'messages'"
+        root = int(self._database.execute(query).fetchone()[0])
+        leaves = find_leaves(self._file, root, self.first_id, self.last_id)
+        if int(leaves.pages.max()) * page_size(self._file)[0] > self.size:
+            msg = "pages beyond the end of the file are missing"
+            raise DamagedError(msg, code="truncated")
+        return leaves
+
+    def _fetch(self, rows: list[int]) -> list[tuple[int, int, bytes]]:
+        """Return rows that reach over several pages."""
+        query = "select topic_id, timestamp, data from messages where id = ?"
+        found = []
+        with self._lock:
+            for row in rows:
+                try:
+                    values = self._database.execute(query, (row,)).fetchone()
+                except (sqlite3.Error, OverflowError) as error:
+                    msg = f"the SQLite database is damaged: {error}"
+                    raise DamagedError(msg) from error
+                if values is not None and isinstance(values[2], bytes):
+                    found.append((int(values[0]), int(values[1]), values[2]))
+        return found
+
+    def _ranges(self) -> list[tuple[tuple[int, int], int]]:
+        """Return ranges of rows, and the bytes of each."""
+        rows = self.last_id - self.first_id + 1
+        # Rows have a few bytes at least: ids that are further apart are damaged, or sparse.
+        step = _RANGE if rows <= self.size // 32 else rows // max(self.size // (32 * _RANGE), 1) + 1
+        size = max(self.size // max(rows // step, 1), 1)
+        firsts = range(self.first_id, self.last_id + 1, step)
+        return [((first, min(first + step - 1, self.last_id)), size) for first in firsts]
+
+    def sample(self) -> bytes:
+        """Return the start of the first message's payload, which tells whether it is compressed."""
+        try:
+            row = self._database.execute("select substr(data, 1, 4) from messages limit 1").fetchone()
+        except sqlite3.Error:
+            return b""
+        return bytes(row[0]) if row and isinstance(row[0], bytes) else b""
+
+    def _ids(self) -> tuple[int, int]:
+        first, last = self._ends("id")
+        return (int(first), int(last)) if first is not None and last is not None else (1, 0)
+
+    def _span(self) -> tuple[int | None, int | None]:
+        return self._ends("timestamp")
+
+    def _ends(self, column: str) -> tuple[int | None, int | None]:
+        """Return the smallest and the largest value of an indexed column of the messages."""
+        # Two statements: each takes one step in the index, together they would scan the table.
+        queries = (f"select {end}({column}) from messages" for end in ("min", "max"))  # noqa: S608 - our own
+        first, last = (self._database.execute(query).fetchone()[0] for query in queries)
+        return first, last
+
+    def _channels(self, counts: Mapping[str, int] | None) -> list[Channel]:
+        definitions = self._definitions()
+        query = "select id, name, type, serialization_format from topics"
+        rows = self._database.execute(query).fetchall()
+        # A damaged page gives rows of other types.
+        topics = [row for row in rows if [type(value) for value in row] == [int, str, str, str]]
+        by_key = self._count(counts, topics)
+        return [
+            Channel(
+                key=key,
+                topic=name,
+                type=kind,
+                encoding=encoding,
+                definition=definitions.get(kind, ("", ""))[1],
+                definition_kind=definitions.get(kind, ("", ""))[0],
+                count=by_key.get(key) if by_key is not None else None,
+                first_ns=self.start_ns,
+                last_ns=self.end_ns,
+            )
+            for key, name, kind, encoding in topics
+        ]
+
+    def _count(self, counts: Mapping[str, int] | None, topics: list[Any]) -> dict[int, int] | None:
+        """Return messages of each topic; None where only reading all would tell."""
+        if self._cut:
+            return None
+        if counts is not None and all(name in counts for _, name, _, _ in topics):
+            return {key: counts[name] for key, name, _, _ in topics}
+        rows = self.last_id - self.first_id + 1
+        if len(topics) == 1:
+            return {topics[0][0]: max(rows, 0)}
+        if rows > _COUNTED:
+            return None
+        found = dict(
+            self._database.execute("select topic_id, count(*) from messages group by topic_id").fetchall()
+        )
+        return {key: found.get(key, 0) for key, _, _, _ in topics}
+
+    def _definitions(self) -> dict[str, tuple[str, str]]:
+        """Return type -> kind and text of its definition; bags older than ROS 2 Iron hold none."""
+        query = "select topic_type, encoding, encoded_message_definition from message_definitions"
+        try:
+            rows = self._database.execute(query).fetchall()
+            return {row[0]: row[1:] for row in rows if all(isinstance(value, str) for value in row)}
+        except sqlite3.OperationalError:
+            return {}
+
+
+class SqliteTask:
+    """A range of rows to load."""
+
+    def __init__(self, base: sqlite3.Connection, keys: list[int], rows: tuple[int, int], size: int) -> None:
+        self._base = base
+        self._rows = rows
+        self.size = size
+        self.counts = dict.fromkeys(keys, rows[1] - rows[0] + 1)
+
+    def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
+        """Yield the messages of each wanted topic; see `Task`."""
+        del scratch
+        for key in self.counts:
+            try:
+                yield key, self._fetch(key)
+            except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+                msg = f"the SQLite database is damaged: {error}"
+                raise DamagedError(msg) from error
+
+    def _fetch(self, key: int) -> Batch:
+        # No `order by`: it would go through the index of times instead of the table.
+        query = "select timestamp, data from messages where id between ? and ? and topic_id = ?"
+        cursor = self._base.execute(query, (*self._rows, key))
+        times: list[int] = []
+        blobs: list[bytes] = []
+        while rows := cursor.fetchmany(_FETCH):
+            flat = list(chain.from_iterable(rows))
+            times += flat[0::2]
+            blobs += flat[1::2]
+        return batch_of_blobs(blobs, times)
+
+
+def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:
+    """Return messages that lie apart as one batch."""
+    sizes = np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
+    starts = np.cumsum(sizes)
+    starts -= sizes
+    return Batch.of(b"".join(blobs), starts, sizes, np.array(times, dtype=np.int64))

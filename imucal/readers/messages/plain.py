@@ -1,0 +1,586 @@
+"""Where the fields of many messages lie, found for all of them at once from the message definition.
+
+A position is kept as one integer while all strings and sequences so far have the same length in every
+message, and as an int64 vector otherwise; there is no loop over messages.
+
+Layouts: ROS 1 (no alignment); CDR and XCDR2 (numbers aligned to their size, at most 8 or 4 bytes, from
+the end of the four bytes of encapsulation). Source: OMG DDS-XTypes 1.3, 7.4.
+
+Fields of messages -> columns: one gather a vector, whatever the layout.
+
+The fast way: a channel whose messages all repeat the shape of the first one.
+
+Every record is compared with the first one (its head, its encapsulation, the lengths of its strings), so
+nothing is taken on trust; what differs goes to the walk.
+
+Messages -> numbers in columns: the fast way for messages of one shape, the walk for the others.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucal.arrays import IntArray
+from imucal.readers.containers import Alike, Batch, Bytes, Loss, gather
+from imucal.readers.files import DamagedError
+from imucal.readers.messages.definitions import Field
+from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
+from imucal.readers.store import Columns
+from imucal.recording import Sensor
+
+#: From the start of the payload: the same for all messages, or one for each.
+Position: TypeAlias = int | IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where a wanted field lies, from the start of the payload, and its NumPy type with byte order."""
+
+    at: Position
+    dtype: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """How numbers are laid out.
+
+    Attributes
+    ----------
+    order
+        ``<`` or ``>``.
+    align
+        Largest alignment in bytes; 1 for ROS 1.
+    """
+
+    order: str = "<"
+    align: int = 8
+
+
+@dataclass(slots=True, eq=False)
+class Found:
+    """What a walk gives: places of wanted fields, the length words passed, and where it stopped."""
+
+    places: dict[str, Place] = field(default_factory=dict)
+    lengths: list[tuple[Position, NDArray[np.int64] | int]] = field(default_factory=list)
+    end: Position = 0
+
+
+#: One element of an array.
+_ELEMENT = re.compile(r"(.+)\[(\d+)\]")
+
+
+class Walker:
+    """Walks the fields of a message type up to the last wanted one.
+
+    A wanted path is that of a field, or of one element of an array or a sequence of numbers: ``gyro[0]``.
+    """
+
+    def __init__(self, fields: Sequence[Field], wanted: Sequence[str]) -> None:
+        self.wanted = frozenset(wanted)
+        self.elements: dict[str, dict[int, str]] = {}
+        for path in self.wanted - {entry.path for entry in fields}:
+            if match := _ELEMENT.fullmatch(path):
+                self.elements.setdefault(match[1], {})[int(match[2])] = path
+        needed = self.wanted | set(self.elements)
+        last = max(i for i, entry in enumerate(fields) if entry.path in needed)
+        self.fields = fields[: last + 1]
+
+    def walk(self, buffer: Bytes, starts: IntArray, layout: Layout) -> Found:
+        """Find the wanted fields of messages whose payloads start at `starts`, shape (n,).
+
+        Raises
+        ------
+        DamagedError
+            If a length reaches beyond the buffer.
+        """
+        found = Found()
+        at: Position = 0
+        for entry in self.fields:
+            if entry.kind in {"number", "array"}:
+                at = _align(at, entry.size, layout)
+                if entry.path in self.wanted:
+                    found.places[entry.path] = Place(at, layout.order + entry.code)
+                self._note_elements(entry, at, layout, found)
+                at = at + entry.size * entry.count
+            else:
+                at = self._skip(buffer, starts, at, entry, layout, found)
+        found.end = at
+        return found
+
+    def _note_elements(self, entry: Field, at: Position, layout: Layout, found: Found) -> None:
+        """Note the places of the wanted elements of an array that starts at `at`."""
+        for index, path in self.elements.get(entry.path, {}).items():
+            found.places[path] = Place(at + index * entry.size, layout.order + entry.code)
+
+    def _skip(  # noqa: PLR0917 - all that a step of the walk knows
+        self, buffer: Bytes, starts: IntArray, at: Position, entry: Field, layout: Layout, found: Found
+    ) -> Position:
+        """Return the position after a string or a sequence."""
+        at = _align(at, 4, layout)
+        words = gather(buffer, starts + at, 4).view(layout.order + "u4").astype(np.int64)
+        first = int(words[0])
+        length: IntArray | int = first if bool((words == first).all()) else words
+        if int(np.max(length)) * max(entry.size * entry.count, 1) > len(buffer):
+            msg = f"{entry.path} claims {int(np.max(length))} elements, more than its chunk holds"
+            raise DamagedError(msg)
+        found.lengths.append((at, length))
+        at = at + 4
+        if entry.path in self.elements:
+            last = max(self.elements[entry.path])
+            if int(np.min(length)) <= last:
+                msg = f"{entry.path} has {int(np.min(length))} elements in a message, and no [{last}]"
+                raise DamagedError(msg)
+            self._note_elements(entry, _align(at, entry.size, layout), layout, found)
+        if entry.kind == "string":
+            return at + length
+        size = entry.size * entry.count
+        if isinstance(length, int):
+            return _align(at, entry.size, layout) + length * size if length else at
+        return np.where(length > 0, _align(at, entry.size, layout) + length * size, at)
+
+
+def _align(at: Position, size: int, layout: Layout) -> Position:
+    """Round a position up to the alignment of a number of `size` bytes."""
+    step = min(size, layout.align)
+    return at if step <= 1 else (at + (step - 1)) & -step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Messages:
+    """Messages in a buffer: where each starts, shape (n,), and the place of each wanted field in it."""
+
+    buffer: Bytes
+    starts: IntArray
+    places: dict[str, Place]
+
+    def write(self, imu: ImuFields, columns: Columns, to: slice | IntArray) -> None:
+        """Gather the wanted fields and write them to the columns."""
+        columns.stamps[to] = 0 if imu.stamp is None else self._stamps(imu.stamp)
+        for vector in imu.vectors:
+            self.write_vector(vector, columns, to)
+        self.write_temperature(imu, columns, to)
+
+    def write_vector(self, vector: Vector, columns: Columns, to: slice | IntArray) -> None:
+        """Gather x, y and z at once where they lie side by side, and turn increments into rates."""
+        rows = columns.vectors[vector.sensor]
+        if adjacent(self.places, vector):
+            first = self.places[vector.paths[0]]
+            size = np.dtype(first.dtype).itemsize
+            values = gather(self.buffer, self.starts + first.at, 3 * size)
+            rows[:, to] = values.view(first.dtype).reshape(-1, 3).T
+        else:
+            for row, path in zip(rows, vector.paths, strict=True):
+                row[to] = self._field(path)
+        if vector.divisor:
+            seconds = self._field(vector.divisor).astype(np.float64) * 1e-6
+            seconds[seconds == 0] = np.nan
+            rows[:, to] /= seconds
+
+    def write_temperature(self, imu: ImuFields, columns: Columns, to: slice | IntArray) -> None:
+        """Write the temperature, where there is one."""
+        if imu.temperature and columns.temperature is not None:
+            columns.temperature[to] = self._field(imu.temperature)
+
+    def _stamps(self, stamp: Stamp) -> IntArray:
+        """Return stamps in ns, shape (n,)."""
+        sec = self.places[stamp.sec]
+        if not stamp.nanosec:
+            return _scaled(self._field(stamp.sec), stamp.scale)
+        nanosec = self.places[stamp.nanosec]
+        if _apart(sec.at, nanosec.at, 4):
+            both = gather(self.buffer, self.starts + sec.at, 8)
+            seconds = np.ndarray(both.shape, sec.dtype, buffer=both, strides=(8,))
+            rest = np.ndarray(both.shape, nanosec.dtype, buffer=both, offset=4, strides=(8,))
+        else:
+            seconds, rest = self._field(stamp.sec), self._field(stamp.nanosec)
+        result = seconds.astype(np.int64)
+        result *= 1_000_000_000
+        result += rest
+        return result
+
+    def _field(self, path: str) -> NDArray[np.float64]:
+        """Return one field of every message, shape (n,)."""
+        place = self.places[path]
+        dtype = np.dtype(place.dtype)
+        values: NDArray[np.float64] = gather(self.buffer, self.starts + place.at, dtype.itemsize).view(dtype)
+        return values
+
+
+def _scaled(counts: NDArray[np.float64], scale: int) -> IntArray:
+    """Return counts of `scale` ns as ns; floats are split first, so that nothing is lost."""
+    if counts.dtype.kind != "f":
+        return counts.astype(np.int64) * np.int64(scale)
+    good = np.isfinite(counts) & (np.abs(counts) < float((1 << 62) // scale))
+    whole = np.where(good, np.floor(counts), 0.0)
+    rest = np.where(good, counts, 0.0) - whole
+    return whole.astype(np.int64) * scale + np.round(rest * scale).astype(np.int64)
+
+
+def adjacent(places: dict[str, Place], vector: Vector) -> bool:
+    """Say whether the numbers of a vector lie side by side in every message."""
+    if len(vector.axes) < 3:
+        return False
+    if len(vector.paths) == 1:
+        return True
+    x, y, z = (places[path] for path in vector.paths)
+    size = np.dtype(x.dtype).itemsize
+    return x.dtype == y.dtype == z.dtype and _apart(x.at, y.at, size) and _apart(y.at, z.at, size)
+
+
+def _apart(first: Position, second: Position, size: int) -> bool:
+    """Say whether `second` lies `size` bytes after `first` in every message."""
+    return bool(np.all(np.asarray(second) - np.asarray(first) == size))
+
+
+#: A position from the start of a record, and the bytes that every record has there.
+_Guard = tuple[int, bytes]
+#: A position and a width, and the sensor, the position in them and the type of each vector there.
+_Span = tuple[int, int, tuple[tuple[Sensor, int, str], ...]]
+#: Longest head of a message that is gathered at once, in bytes.
+_HEAD = 256
+#: Widest span gathered at once: up to about here bytes in between cost less than another gather.
+_WIDEST = 128
+_SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Template:
+    """The shape of the messages of a channel; positions count from the start of a record.
+
+    Attributes
+    ----------
+    guards
+        Those of the batch it was learnt from.
+    alike
+        The guards, the encapsulation and the lengths of strings, which every record must repeat.
+    head
+        Bytes at the start of a record that hold them and the stamp; whole words where there is room.
+    end
+        Bytes of a record.
+    places
+        Path -> position and type of every wanted field.
+    imu
+        What to take.
+    spans
+        Vectors that are three plain numbers side by side, those close to each other in one span of bytes:
+        its position and width, and sensor, position in the span and type of each vector.
+    others
+        The other vectors.
+    """
+
+    guards: tuple[_Guard, ...]
+    alike: Alike
+    head: int
+    end: int
+    places: dict[str, Place]
+    imu: ImuFields
+    spans: tuple[_Span, ...]
+    others: tuple[Vector, ...]
+
+    def fits(self, batch: Batch) -> bool:
+        """Say whether the records of a batch are those that it was learnt from, by their head and size."""
+        same_size = isinstance(batch.sizes, int) and batch.header + batch.sizes == self.end
+        return same_size and batch.guards == self.guards
+
+    def decode(self, batch: Batch, columns: Columns, first: int) -> bool:
+        """Write the samples of a batch to the columns; False if a record has another shape."""
+        starts = batch.starts
+        # As unsigned numbers, negative ones lie beyond any buffer.
+        if int(starts.view(np.uint64).max()) + self.end > len(batch.buffer):
+            return False
+        head = _gather(batch.buffer, starts, 0, self.head)
+        part = slice(first, first + batch.n)
+        columns.log[part] = batch.log_ns if batch.log_at is None else _cells(head, batch.log_at, "<i8")
+        stamp, stamps = self.imu.stamp, columns.stamps[part]
+        if stamp is None:
+            stamps[:] = 0
+        else:
+            sec = self.places[stamp.sec]
+            # A cast, then a product in place: all at once goes through a buffer and takes twice as long.
+            stamps[:] = _cells(head, _fixed(sec.at), sec.dtype)
+            stamps *= _SECOND if stamp.nanosec else stamp.scale
+            if stamp.nanosec:
+                rest = self.places[stamp.nanosec]
+                stamps += _cells(head, _fixed(rest.at), rest.dtype).astype(np.int64)
+        # Last, since it writes to the heads; what was written to the columns counts only if it is true.
+        if not self.alike.all(head):
+            return False
+        for at, width, vectors in self.spans:
+            values = _gather(batch.buffer, starts, at, width)
+            for sensor, place, dtype in vectors:
+                for axis, row in enumerate(columns.vectors[sensor]):
+                    row[part] = _cells(values, place + axis * int(dtype[-1]), dtype)
+        messages = Messages(batch.buffer, starts, self.places)
+        for vector in self.others:
+            messages.write_vector(vector, columns, part)
+        messages.write_temperature(self.imu, columns, part)
+        return True
+
+
+def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuFields) -> Template | None:
+    """Return the template of a batch, from a walk of its first message.
+
+    Parameters
+    ----------
+    found
+        What the walk found, from the end of the encapsulation on.
+    code
+        The first bytes of the encapsulation, or none for ROS 1.
+
+    Returns
+    -------
+    template
+        None where the messages can't be taken at once.
+    """
+    if not isinstance(batch.sizes, int):
+        return None
+    skip, end = batch.header + (4 if code else 0), batch.header + batch.sizes
+    places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
+    alike = _alike(batch, found, layout, code, skip)
+    head = _head(batch, alike, places, imu)
+    if head > min(_HEAD, end) or skip + _fixed(found.end) > end:
+        return None
+    if imu.stamp is not None and places[imu.stamp.sec].dtype[1] == "f":
+        return None
+    plain = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
+    return Template(
+        guards=batch.guards,
+        alike=Alike(alike, head),
+        head=head,
+        end=end,
+        places=places,
+        imu=imu,
+        spans=_spans([(vector.sensor, places[vector.paths[0]]) for vector in plain]),
+        others=tuple(vector for vector in imu.vectors if vector not in plain),
+    )
+
+
+def _spans(vectors: list[tuple[Sensor, Place]]) -> tuple[_Span, ...]:
+    """Return the spans of bytes in which vectors lie, each given with the place of its first number."""
+    spans: list[_Span] = []
+    for sensor, place in sorted(vectors, key=lambda vector: _fixed(vector[1].at)):
+        at, size = _fixed(place.at), 3 * int(place.dtype[-1])
+        first, _, inside = spans[-1] if spans else (0, 0, ())
+        if inside and at + size - first <= _WIDEST:
+            spans[-1] = (first, at + size - first, (*inside, (sensor, at - first, place.dtype)))
+        else:
+            spans.append((at, size, ((sensor, 0, place.dtype),)))
+    return tuple(spans)
+
+
+def _alike(batch: Batch, found: Found, layout: Layout, code: bytes, skip: int) -> tuple[_Guard, ...]:
+    """Return what every record must repeat: its head, the encapsulation and the lengths of strings."""
+    u4 = np.dtype(layout.order + "u4")
+    lengths = [
+        (skip + _fixed(at), np.array(_fixed(length), dtype=u4).tobytes()) for at, length in found.lengths
+    ]
+    encapsulation = [(batch.header, code)] if code else []
+    return (*batch.guards, *encapsulation, *lengths)
+
+
+def _head(batch: Batch, alike: Sequence[_Guard], places: dict[str, Place], imu: ImuFields) -> int:
+    """Return how many bytes at the start of a record hold what is alike, and the stamps."""
+    ends = [at + len(value) for at, value in alike]
+    if imu.stamp is not None:
+        times = [places[path] for path in (imu.stamp.sec, imu.stamp.nanosec) if path]
+        ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
+    head = max([*ends, (batch.log_at or 0) + 8])
+    whole = -(-head // 8) * 8
+    return whole if whole <= batch.header + batch.sizes else head
+
+
+def _gather(buffer: Bytes, starts: IntArray, at: int, width: int) -> NDArray[np.void]:
+    """Copy `width` bytes from ``starts + at``, whose bounds were checked; see `walker.gather`."""
+    count = len(buffer) - at - width + 1
+    view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, offset=at, strides=(1,))
+    return view[starts]
+
+
+def _cells(rows: NDArray[np.void], at: int, dtype: str) -> NDArray[Any]:
+    """Return the number that stands `at` so many bytes in each row; copies nothing."""
+    return np.ndarray(rows.shape, dtype, buffer=rows, offset=at, strides=rows.strides)
+
+
+def _fixed(at: Position) -> int:
+    """Return the position that a walk of one message gives."""
+    return int(np.asarray(at).reshape(-1)[0])
+
+
+#: Encapsulation, as a big-endian number -> layout. Source: OMG DDS-XTypes 1.3, table 60; DDSI-RTPS 10.2.
+_ENCAPSULATIONS = {
+    0x0000: Layout(order=">", align=8),
+    0x0001: Layout(order="<", align=8),
+    0x0006: Layout(order=">", align=4),
+    0x0007: Layout(order="<", align=4),
+}
+_ROS1 = Layout(order="<", align=1)
+_CDR = _ENCAPSULATIONS[0x0001]
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """The fields of a message type, and which of them to take."""
+
+    fields: tuple[Field, ...]
+    imu: ImuFields
+
+
+def reachable(imu: ImuFields, fields: Sequence[Field]) -> ImuFields | None:
+    """Return the fields that a user asked for as the walk takes them; None where it can't reach them all.
+
+    It can reach numbers, and elements of arrays and of sequences of numbers, that stand before any list of
+    structures that hold texts. The three elements of an array of three are taken at once.
+    """
+    known = {entry.path: entry for entry in fields}
+    if imu.lists:
+        return None
+    for path in imu.wanted:
+        owner = known.get(path.rpartition("[")[0]) if path.endswith("]") else None
+        whole = known.get(path)
+        inside = owner is not None and (
+            (owner.kind == "sequence" and owner.count == 1)
+            or (owner.kind == "array" and int(path.rpartition("[")[2].rstrip("]")) < owner.count)
+        )
+        if not inside and (whole is None or whole.kind != "number"):
+            return None
+    return imu
+
+
+class BinaryDecoder:
+    """Decodes the ROS 1 or CDR messages of one channel.
+
+    Parameters
+    ----------
+    shapes
+        Definitions to try on the first messages: the log's own, and the standard one of its type. The
+        first whose size fits is taken; where none fits, the first.
+    exact
+        Whether messages must have exactly the size of their definition, which is then only assumed.
+    """
+
+    def __init__(self, shapes: Sequence[Shape], *, ros1: bool, exact: bool = False) -> None:
+        self.ros1 = ros1
+        self.notes: list[Loss] = []
+        self._shapes = tuple(shapes)
+        self._exact = exact
+        self._settled = False
+        self._use(self._shapes[0])
+
+    def _use(self, shape: Shape) -> None:
+        self.imu = shape.imu
+        self.walker = Walker(shape.fields, shape.imu.wanted)
+        self._whole = Walker(shape.fields, [shape.fields[-1].path]) if self._exact else None
+        self._template: Template | None = None
+
+    def settle(self, batch: Batch) -> None:
+        """Choose the definition by the size of the first messages; called once, before all others.
+
+        A damaged definition shifts every field: its messages then have another size.
+        """
+        if self._settled:
+            return
+        self._settled = True
+        few = batch.checked()
+        few = few.part(np.arange(min(few.n, 16)))
+        if few.n and len(self._shapes) > 1 and not self._fits(self._shapes[0], few):
+            for shape in self._shapes[1:]:
+                if self._fits(shape, few):
+                    self._use(shape)
+                    text = "the definition in the log does not fit its messages; the standard one was used"
+                    self.notes.append(Loss(code="definition", text=text))
+
+    def _fits(self, shape: Shape, batch: Batch) -> bool:
+        """Say whether messages have the size of a definition; CDR may be padded to four bytes."""
+        if shape.fields[-1].kind == "other":
+            return True
+        body, layout = batch.payload(), _ROS1
+        try:
+            if not self.ros1:
+                codes = gather(batch.buffer, body, 2).view(">u2")
+                layout, body = _ENCAPSULATIONS.get(int(codes[0]), _CDR), body + 4
+            end = Walker(shape.fields, [shape.fields[-1].path]).walk(batch.buffer, body, layout).end
+        except DamagedError:
+            return False
+        spare = batch.sizes - np.int64(0 if self.ros1 else 4) - end
+        return bool(np.all((spare >= 0) & (spare < (2 if self.ros1 else 4))))
+
+    def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
+        """Decode records that all repeat the shape of the first one seen; False if they don't."""
+        template = self._template
+        if template is None or not template.fits(batch):
+            try:
+                template = self._template = self._learn(batch) if batch.n else None
+            except DamagedError:
+                return False
+        return template is not None and template.decode(batch, columns, first)
+
+    def slow(self, batch: Batch, columns: Columns, first: int) -> None:
+        """Decode a checked batch whose messages may all differ.
+
+        Raises
+        ------
+        DamagedError
+            If a message is shorter than its type, or is laid out in an unknown way.
+        """
+        if self.ros1:
+            self._walk(batch, batch.payload(), _ROS1, columns, slice(first, first + batch.n))
+        elif batch.n:
+            self._by_encapsulation(batch, columns, first)
+
+    def _learn(self, batch: Batch) -> Template | None:
+        """Learn the shape of the first record; None where its messages can't be taken at once."""
+        if self._whole is not None:
+            return None
+        body, layout, code = batch.starts[:1] + batch.header, _ROS1, b""
+        if not self.ros1:
+            code = bytes(gather(batch.buffer, body, 2))
+            known = _ENCAPSULATIONS.get(int.from_bytes(code, "big"))
+            if known is None:
+                return None
+            layout, body = known, body + 4
+        return learn(batch, self.walker.walk(batch.buffer, body, layout), layout, code, self.imu)
+
+    # The walk
+
+    def _by_encapsulation(self, batch: Batch, columns: Columns, first: int) -> None:
+        """Walk the messages of each encapsulation on their own."""
+        if int(np.min(batch.sizes)) < 4:
+            msg = "a message is too short for CDR"
+            raise DamagedError(msg)
+        payload = batch.payload()
+        codes = gather(batch.buffer, payload, 2).view(">u2")
+        kinds = codes[:1] if (codes == codes[0]).all() else np.unique(codes)
+        for kind in kinds.tolist():
+            layout = _ENCAPSULATIONS.get(kind)
+            if layout is None:
+                msg = f"encapsulation 0x{kind:04x} is not supported; expected plain CDR or XCDR2"
+                raise DamagedError(msg, code="encapsulation")
+            if kinds.size == 1:
+                self._walk(batch, payload + 4, layout, columns, slice(first, first + batch.n))
+            else:
+                chosen = np.flatnonzero(codes == kind)
+                self._walk(batch.part(chosen), payload[chosen] + 4, layout, columns, chosen + first)
+
+    def _walk(
+        self, batch: Batch, body: IntArray, layout: Layout, columns: Columns, to: slice | IntArray
+    ) -> None:
+        found = self.walker.walk(batch.buffer, body, layout)
+        self._check_size(batch, body, layout, found)
+        columns.log[to] = batch.log_ns
+        Messages(batch.buffer, body, found.places).write(self.imu, columns, to)
+
+    def _check_size(self, batch: Batch, body: IntArray, layout: Layout, found: Found) -> None:
+        """Refuse messages that end before the last wanted field; bytes after it are not looked at."""
+        skipped = 0 if self.ros1 else 4
+        if bool(np.any(found.end > batch.sizes - np.int64(skipped))):
+            msg = "a message is shorter than its type"
+            raise DamagedError(msg)
+        if self._whole is not None:
+            end = self._whole.walk(batch.buffer, body, layout).end
+            if bool(np.any(np.abs(end + skipped - batch.sizes) > 3)):
+                msg = "messages do not have the size of the built-in definition of their type"
+                raise DamagedError(msg, code="definition")
