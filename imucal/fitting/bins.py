@@ -1,8 +1,21 @@
-"""Bins: what the likelihood of one axis needs, so that it can be evaluated again without the samples."""
+"""Bins: what the likelihood of one axis needs, so that it can be evaluated again without the samples.
 
+Bins in a few kilobytes, for a store of thousands of logs: what rounding takes is far below chance.
+
+A bin's power is a chi-squared variable, so that its logarithm need be known to a small share of its own
+deviation only, and a product with a regressor to a small share of the square root of both squares. Rounded
+so, all of it is integers, of which many high bytes are alike: they compress. Regressors are taken out first,
+by a reference that is kept exactly: else the rounding of a strong trend would be larger than the noise.
+"""
+
+import struct
+import zlib
 from dataclasses import dataclass
 
+import numpy as np
+
 from imucal.arrays import FloatArray, IntArray, read_only
+from imucal.errors import DataError
 
 #: Number of the layout of `Bins`; one that an old reader would misunderstand raises it.
 BINS_VERSION = 1
@@ -72,3 +85,216 @@ class Bins:
             raise ValueError(msg)
         for name in ("n", "first", *shapes):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+#: Number of this form, its first byte.
+PACKED_VERSION = 1
+#: Steps in one deviation of a bin's logarithm; in a correlation of the data with the ramp; in one with or of
+#: several regressors, which may be nearly alike, and in the logarithm of a regressor's square.
+_DEVIATION, _CORRELATION, _EXACT = 2.0**21, 2.0**15, 2.0**26
+#: Rounds of weighted least squares for the reference, and the bins that a weight is the mean of.
+_ROUNDS, _SMOOTH = 4, 9
+#: Versions of this form and of `Bins`; blocks, regressors, bins, bytes of names; scale, tau0, widening.
+_HEAD = struct.Struct("<BBHHIIddd")
+
+
+def pack(bins: Bins) -> bytes:
+    """Return bins as bytes: 3.3 kB for 10⁵ samples.
+
+    Each product with or of other regressors than the ramp adds as much. What `imucal.pool` makes of them
+    differs by less than 1e-6 of a value.
+    """
+    reference = _reference(bins)
+    rest = bins.power - 2 * reference @ bins.cross + np.einsum("i,ijb,j->b", reference, bins.gram, reference)
+    rest = np.maximum(rest, 1e-12 * bins.power)
+    left = bins.cross - np.einsum("ijb,j->ib", bins.gram, reference)
+    count = _counts(bins.n, bins.start, bins.first)
+    fine = _DEVIATION * np.sqrt(count / 2)
+    columns = [
+        _bytes_of(np.diff(bins.first, n=2, prepend=(0, 0))),
+        _logarithms(bins.size / count, fine),
+        _logarithms(rest / count, fine),
+    ]
+    for i, law in enumerate(_laws(bins.names, bins.n, bins.start, bins.first, count)):
+        columns.append(_logarithms(bins.gram[i, i] / law, _EXACT, rise=True))
+        columns += [
+            _correlations(bins.gram[i, j], bins.gram[i, i] * bins.gram[j, j], _EXACT) for j in range(i)
+        ]
+        columns.append(_correlations(left[i], rest * bins.gram[i, i], _fine(bins.names)))
+    names = "\n".join(bins.names).encode()
+    head = _HEAD.pack(
+        *(PACKED_VERSION, bins.version, bins.n.size, len(bins.names), count.size, len(names)),
+        *(bins.scale, bins.tau0, bins.widening),
+    )
+    exact = [bins.n.astype("<i8").tobytes(), bins.start.astype("<i8").tobytes(), reference.tobytes()]
+    return head + zlib.compress(b"".join([names, *exact, *columns]), 9)
+
+
+def unpack(data: bytes) -> Bins:
+    """Return the bins of `pack`.
+
+    Raises
+    ------
+    DataError
+        If the bytes are of another version, or damaged.
+    """
+    if data[:2] != bytes([PACKED_VERSION, BINS_VERSION]):
+        found = ".".join(map(str, data[:2])) or "no bytes"
+        msg = (
+            f"packed bins: found version {found}, expected {PACKED_VERSION}.{BINS_VERSION}; fit the log again"
+        )
+        raise DataError(msg)
+    try:
+        return _unpacked(data)
+    except (struct.error, zlib.error, ValueError, IndexError) as error:
+        msg = f"packed bins: found damaged bytes ({error}), expected those of a fit; fit the log again"
+        raise DataError(msg) from error
+
+
+def _unpacked(data: bytes) -> Bins:
+    _, version, blocks, regressors, total, letters, scale, tau0, widening = _HEAD.unpack_from(data)
+    rest_of = _Reader(zlib.decompress(data[_HEAD.size :]))
+    names = tuple(rest_of.take(letters).decode().split("\n"))
+    n, start = (np.frombuffer(rest_of.take(8 * blocks), "<i8").astype(np.int64) for _ in range(2))
+    reference = np.frombuffer(rest_of.take(8 * regressors), "<f8")
+    first = np.cumsum(np.cumsum(rest_of.integers(total)))
+    count = _counts(n, start, first)
+    fine = _DEVIATION * np.sqrt(count / 2)
+    size = count * rest_of.logarithms(total, fine)
+    power = count * rest_of.logarithms(total, fine)
+    gram = np.zeros((regressors, regressors, total))
+    cross = np.zeros((regressors, total))
+    for i, law in enumerate(_laws(names, n, start, first, count)):
+        gram[i, i] = law * rest_of.logarithms(total, _EXACT, rise=True)
+        for j in range(i):
+            gram[i, j] = gram[j, i] = rest_of.correlations(gram[i, i] * gram[j, j], _EXACT)
+        cross[i] = rest_of.correlations(power * gram[i, i], _fine(names))
+    power = power + 2 * reference @ cross + np.einsum("i,ijb,j->b", reference, gram, reference)
+    cross = cross + np.einsum("ijb,j->ib", gram, reference)
+    return Bins(
+        n=n,
+        start=start,
+        first=first,
+        size=size,
+        power=power,
+        names=names,
+        cross=cross,
+        gram=gram,
+        scale=scale,
+        tau0=tau0,
+        widening=widening,
+        version=version,
+    )
+
+
+def _counts(n: IntArray, start: IntArray, first: IntArray) -> FloatArray:
+    """Return how many ordinates each bin spans, shape (b,)."""
+    ends = np.append(first[1:], 0)
+    ends[np.append(start[1:], first.size) - 1] = n
+    result: FloatArray = (ends - first).astype(np.float64)
+    return result
+
+
+def _reference(bins: Bins) -> FloatArray:
+    """Return coefficients of the regressors that take most of them out, shape (r,)."""
+    beta = np.zeros(len(bins.names))
+    used, smooth = bins.size > 0, np.ones(_SMOOTH)
+    for _ in range(_ROUNDS):
+        rest = bins.power - 2 * beta @ bins.cross + np.einsum("i,ijb,j->b", beta, bins.gram, beta)
+        near = np.convolve(np.maximum(rest, 0.0), smooth, "same"), np.convolve(bins.size, smooth, "same")
+        weight = np.where(used, near[1], 0.0) / np.maximum(near[0], 1e-300)
+        square, product = bins.gram @ weight, bins.cross @ weight
+        root = np.sqrt(np.maximum(np.diag(square), 1e-300))
+        beta = np.linalg.lstsq(square / np.outer(root, root), product / root, rcond=1e-10)[0] / root
+    return beta
+
+
+def _fine(names: tuple[str, ...]) -> float:
+    return _CORRELATION if len(names) == 1 else _EXACT
+
+
+def _laws(
+    names: tuple[str, ...], n: IntArray, start: IntArray, first: IntArray, count: FloatArray
+) -> FloatArray:
+    """Return what the regressors' squares are nearly a multiple of, shape (r, b): known for the ramp."""
+    laws = np.ones((len(names), first.size))
+    if names[0] == "R":
+        length = np.repeat(n, np.diff(start, append=first.size)).astype(np.float64)
+        law = _ramp(length, first, count)
+        laws[0] = np.where(law > 0, law, 1.0)
+    return laws
+
+
+def _ramp(n: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
+    """Return the sums of the squared ordinates cos²/sin⁴ (πk/2n), of odd k, of a ramp in n samples.
+
+    Of many ordinates the integral with the first correction of the midpoint rule.
+    """
+    last = first + count - 1
+    low, high = (np.pi * edge / (2 * n) for edge in (first - first % 2, last + last % 2))
+    step = np.pi / n
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = [(np.cos(x) / np.sin(x)) ** 3 / 3 + step**2 / 24 * _slope(x) for x in (low, high)]
+        single = np.cos(np.pi * first / (2 * n)) ** 2 / np.sin(np.pi * first / (2 * n)) ** 4
+        return np.where(count == 1, np.where(first % 2 == 1, single, 0.0), (ends[0] - ends[1]) / step)
+
+
+def _slope(x: FloatArray) -> FloatArray:
+    """Return the derivative of cos²x / sin⁴x."""
+    result: FloatArray = -2 * np.cos(x) / np.sin(x) ** 3 - 4 * np.cos(x) ** 3 / np.sin(x) ** 5
+    return result
+
+
+def _bytes_of(codes: IntArray) -> bytes:
+    """Return integers as planes of bytes, the low ones first, behind the number of planes."""
+    folded = (codes << 1) ^ (codes >> 63)
+    planes = (int(folded.max(initial=0)).bit_length() + 7) // 8
+    return bytes([planes]) + folded.astype("<u8").view(np.uint8).reshape(-1, 8)[:, :planes].T.tobytes()
+
+
+def _logarithms(values: FloatArray, steps: FloatArray | float, *, rise: bool = False) -> bytes:
+    """Return logarithms in `steps`, or how they rise; and which values are above zero at all."""
+    told = values > 0
+    codes = np.rint(np.log(np.where(told, values, 1.0)) * steps).astype(np.int64)[told]
+    return np.packbits(told).tobytes() + _bytes_of(np.diff(codes, prepend=0) if rise else codes)
+
+
+def _correlations(products: FloatArray, squares: FloatArray, steps: float) -> bytes:
+    """Return products over the roots of both squares, in `steps`."""
+    root = np.sqrt(squares)
+    part = np.divide(products, root, out=np.zeros_like(root), where=root > 0)
+    return _bytes_of(np.rint(np.clip(part, -1, 1) * steps).astype(np.int64))
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Takes columns from bytes, in the order in which they were written."""
+
+    data: bytes
+    place: int = 0
+
+    def take(self, size: int) -> bytes:
+        self.place += size
+        if self.place > len(self.data):
+            msg = "too few"
+            raise ValueError(msg)
+        return self.data[self.place - size : self.place]
+
+    def integers(self, size: int) -> IntArray:
+        planes = self.take(1)[0]
+        codes = np.zeros((size, 8), dtype=np.uint8)
+        codes[:, :planes] = np.frombuffer(self.take(planes * size), np.uint8).reshape(planes, size).T
+        folded = codes.reshape(-1).view("<u8")
+        result: IntArray = (folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64)
+        return result
+
+    def logarithms(self, size: int, steps: FloatArray | float, *, rise: bool = False) -> FloatArray:
+        told = np.unpackbits(np.frombuffer(self.take((size + 7) // 8), np.uint8), count=size).astype(bool)
+        codes = self.integers(int(np.count_nonzero(told)))
+        values = np.zeros(size)
+        values[told] = np.exp((np.cumsum(codes) if rise else codes) / np.broadcast_to(steps, size)[told])
+        return values
+
+    def correlations(self, squares: FloatArray, steps: float) -> FloatArray:
+        result: FloatArray = self.integers(squares.size) / steps * np.sqrt(squares)
+        return result

@@ -16,7 +16,7 @@ from imucal.errors import DataError
 from imucal.fitting.moments import fit_gmwm
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.settings import FitSettings
-from imucal.fitting.spectral.regressors import regressor_samples
+from imucal.fitting.spectral.ordinates import regressor_samples
 from imucal.recording import AxisSeries
 
 #: A point is left out of which less than this share is noise, or which has less than this share of the noise.

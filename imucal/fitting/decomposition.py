@@ -6,10 +6,9 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, read_only
 from imucal.errors import DataError
-from imucal.fitting.latent_states import BIAS, LatentStates
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.robust import find_spikes
-from imucal.fitting.smoother import Progress, Smoothed, smooth
+from imucal.fitting.state_space import BIAS, LatentStates, Progress, Smoothed, smooth
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 

@@ -13,9 +13,7 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import Estimate
-from imucal.fitting.spectral.bin_fit import fit_bins
-from imucal.fitting.spectral.record_tests import RecordTest
-from imucal.fitting.spectral.squared_coefficients import SquaredCoefficient, squared_coefficients
+from imucal.fitting.spectral.given_model import RecordTest, SquaredCoefficient, fit_bins, squared_coefficients
 from imucal.fleet.random_effects import variance_between
 
 #: Standard error of a logarithm below which each record tells a term by itself.

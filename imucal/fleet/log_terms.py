@@ -3,8 +3,7 @@
 import math
 
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.fitting.spectral.bin_fit import fit_bins
-from imucal.fitting.spectral.squared_coefficients import squared_coefficients
+from imucal.fitting.spectral.given_model import fit_bins, squared_coefficients
 from imucal.fleet.log_value import LogValue
 from imucal.fleet.poolable import bins_of, structure_of
 

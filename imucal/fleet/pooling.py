@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
-from imucal.fitting.spectral.bin_fit import fit_bins
 from imucal.fitting.spectral.estimates import MISFIT
-from imucal.fitting.spectral.record_tests import record_tests
+from imucal.fitting.spectral.given_model import fit_bins, record_tests
 from imucal.fleet.differing_records import means_over_records
 from imucal.fleet.poolable import bins_of, refuse_different, structure_of
 from imucal.noise.model import NoiseModel, structure_text

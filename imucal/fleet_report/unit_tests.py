@@ -5,7 +5,7 @@ from typing import TypeAlias
 
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.packed_bins import unpack
+from imucal.fitting.bins import unpack
 from imucal.fleet.pooling import PooledFit, pool_bins
 from imucal.fleet.store import FleetStore
 from imucal.fleet_report.summary import FleetLog, UnitLogs

@@ -99,7 +99,7 @@ def _identify(
 def _characterised(
     task: LogTask, settings: FleetSettings, log: dict[str, object], logs: LocalLogs
 ) -> LogRows:
-    from imucal.fitting.packed_bins import pack
+    from imucal.fitting.bins import pack
     from imucal.fleet import log_values
     from imucal.noise.terms import TERMS
     from imucal.pipeline import Settings, characterize

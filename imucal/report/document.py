@@ -12,8 +12,7 @@ from pathlib import PurePath
 import numpy as np
 
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
-from imucal.fitting.segments import Segments, TermHomogeneity, Trace
+from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit, Segments, TermHomogeneity, Trace
 from imucal.noise.terms import TERMS
 from imucal.recording import ReadRange, Sensor, Source
 from imucal.report import numbers

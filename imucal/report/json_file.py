@@ -11,8 +11,18 @@ from imucal.allan.dct import Spectrum
 from imucal.clock import Gap
 from imucal.errors import ReadError
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import Candidate, Estimate, Goodness, Interval, Line, NoiseFit, Response
-from imucal.fitting.segments import Segments, TermHomogeneity, Trace
+from imucal.fitting.noise_fit import (
+    Candidate,
+    Estimate,
+    Goodness,
+    Interval,
+    Line,
+    NoiseFit,
+    Response,
+    Segments,
+    TermHomogeneity,
+    Trace,
+)
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Axis, LogFileInfo, ReadRange, Sensor, Source

@@ -11,7 +11,7 @@ from itertools import count
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fitting.segments import Segments, Trace
+from imucal.fitting.noise_fit import Segments, Trace
 from imucal.report import numbers
 from imucal.report.figure import axis_title
 from imucal.report.markup import Markup, element, join

@@ -17,12 +17,9 @@ import numpy as np
 
 import imucal
 from imucal.allan.dct import dct_bins, dct_ordinates
-from imucal.fitting.spectral.blocks import Block
-from imucal.fitting.spectral.disturbances import find_disturbances
-from imucal.fitting.spectral.telegraph import find_telegraph
-from imucal.fitting.spectral.transform import bin_blocks
-from imucal.fitting.spectral.two_level_filter import Mixtures, _filtered, _states
-from imucal.fitting.spectral.whitened import Whitened
+from imucal.fitting.spectral.blocks import Block, bin_blocks
+from imucal.fitting.spectral.disturbances import Whitened, find_disturbances
+from imucal.fitting.spectral.telegraph import Mixtures, _filtered, _states, find_telegraph
 from imucal.noise.term import PowerLawTerm
 from imucal.recording import AxisSeries
 from tests.benchmarks.disturbances import CLEAN, CONSUMER, N_SHORT, QUIET, RATE, Array, noise, telegraph

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.fitting.spectral.bin_fit import fit_bins
-from imucal.fitting.spectral.record_tests import record_tests
+from imucal.fitting.spectral.given_model import fit_bins, record_tests
 from imucal.fleet.outliers import FALSE_SHARE, adjusted
 from tests.fleet.records import bins_from, simulated
 

@@ -8,12 +8,11 @@ from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.spectral import fit_mle
-from imucal.fitting.spectral.absent_terms import estimate_or_bound, with_absent
-from imucal.fitting.spectral.blocks import Block
+from imucal.fitting.spectral.blocks import Block, bin_blocks
+from imucal.fitting.spectral.bounds import estimate_or_bound, with_absent
 from imucal.fitting.spectral.estimates import Problem
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.selection import choose
-from imucal.fitting.spectral.transform import bin_blocks
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.recording import AxisSeries
 

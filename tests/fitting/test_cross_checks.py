@@ -14,7 +14,7 @@ from imucal.fitting import fit as fit_samples
 from imucal.fitting.cross_checks import _distance, second_opinion
 from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.moments import fit_gmwm
-from imucal.fitting.moments.av_search import Weight
+from imucal.fitting.moments.search import Weight
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.spectral import fit_mle
 from imucal.noise.model import NoiseModel

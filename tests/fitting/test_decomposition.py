@@ -9,8 +9,8 @@ import pytest
 
 from imucal import DataError, Decomposition, NoiseModel, decompose, fit
 from imucal.arrays import BoolArray, FloatArray
-from imucal.fitting import smoother
-from imucal.fitting.latent_states import LatentStates
+from imucal.fitting import state_space
+from imucal.fitting.state_space import LatentStates
 from imucal.recording import AxisSeries
 
 N = 300
@@ -91,13 +91,13 @@ def test_it_is_one_dense_conditioning(
     text: str, kind: str, length: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Means and standard errors of every part, over many blocks and two, with samples missing anywhere."""
-    monkeypatch.setattr(smoother, "_WHOLE", length)
-    monkeypatch.setattr(smoother, "_HOLED", length)
+    monkeypatch.setattr(state_space, "_WHOLE", length)
+    monkeypatch.setattr(state_space, "_HOLED", length)
     rng = np.random.default_rng(41)
     model = NoiseModel.parse(text)
     samples, seen = model.simulate(N, rate_hz=1.0, rng=rng), _missing(kind, rng)
     states = LatentStates.of(model, rate_hz=1.0, n=N)
-    found, expected = smoother.smooth(states, samples, seen), dense(states, samples, seen)
+    found, expected = state_space.smooth(states, samples, seen), dense(states, samples, seen)
     assert set(found.mean) == set(expected)
     for key, (mean, error) in expected.items():
         npt.assert_allclose(found.mean[key], mean, atol=1e-8)

@@ -6,6 +6,7 @@ import pytest
 from scipy.stats import bartlett, chi2
 
 from imucal.fitting.homogeneity import (
+    VarianceChange,
     bartlett_correction,
     cochran_q,
     homogeneity,
@@ -13,9 +14,7 @@ from imucal.fitting.homogeneity import (
     widened,
     widened_covariance,
 )
-from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.fitting.segments import CHANCE, Segments, TermHomogeneity
-from imucal.fitting.variance_changes import VarianceChange
+from imucal.fitting.noise_fit import CHANCE, Estimate, Interval, Segments, TermHomogeneity
 
 
 def spans(count: int) -> np.ndarray:

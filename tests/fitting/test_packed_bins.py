@@ -9,9 +9,8 @@ import pytest
 
 import imucal
 from imucal import DataError, NoiseFit
-from imucal.fitting.bins import Bins
-from imucal.fitting.packed_bins import _ramp, pack, unpack
-from imucal.fitting.spectral.bin_fit import fit_bins
+from imucal.fitting.bins import Bins, _ramp, pack, unpack
+from imucal.fitting.spectral.given_model import fit_bins
 from imucal.recording import AxisSeries
 from tests.fleet.records import RATE, bins_from, fit_of, simulated
 from tests.fleet.test_pooling import one_record

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imucal.fitting.variance_changes import find_variance_change
+from imucal.fitting.homogeneity import find_variance_change
 from imucal.recording import AxisSeries
 
 RATE_HZ = 100.0

@@ -9,9 +9,7 @@ import imucal
 from imucal import NoiseFit
 from imucal.arrays import FloatArray
 from imucal.fitting.bins import Bins
-from imucal.fitting.spectral.blocks import make_blocks
-from imucal.fitting.spectral.stored_ordinates import bins_of
-from imucal.fitting.spectral.transform import bin_blocks
+from imucal.fitting.spectral.blocks import bin_blocks, bins_of, make_blocks
 from imucal.recording import AxisSeries
 
 RATE = 100.0

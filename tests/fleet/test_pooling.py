@@ -11,11 +11,8 @@ import imucal
 from imucal import DataError, NoiseFit, PooledFit
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Response
-from imucal.fitting.spectral.bin_fit import BinFit, fit_bins
-from imucal.fitting.spectral.blocks import make_blocks
-from imucal.fitting.spectral.record_tests import _Record, record_tests
-from imucal.fitting.spectral.stored_ordinates import ordinates_of
-from imucal.fitting.spectral.transform import bin_blocks
+from imucal.fitting.spectral.blocks import bin_blocks, make_blocks, ordinates_of
+from imucal.fitting.spectral.given_model import BinFit, _Record, fit_bins, record_tests
 from imucal.fleet.log_value import LogValues
 from imucal.recording import AxisSeries, Sensor
 from tests.fleet.records import RATE, bins_from, fit_of, quick_fit, simulated

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from imucal.fitting.packed_bins import pack
+from imucal.fitting.bins import pack
 from imucal.fleet.store import FleetStore
 from imucal.fleet.store_columns import MANIFEST
 from tests.fleet.records import bins_from, simulated

@@ -12,7 +12,7 @@ import pytest
 from imucal.checking.gate import measure
 from imucal.comparison import compare
 from imucal.fitting.homogeneity import homogeneity, widened
-from imucal.fitting.segments import Segments, Trace
+from imucal.fitting.noise_fit import Segments, Trace
 from imucal.report.document import to_document
 from imucal.report.html_page import render_page
 from imucal.report.json_file import dumps, from_document, schema

@@ -7,7 +7,7 @@ form, in steps: of a fit of everything at once first, then of the model itself u
 times hang together; its minimum is found all the same, and its intervals know the covariance.
 
 Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-based estimation for
-composite stochastic processes", JASA 108, 1021; the full covariance: `imucal.fitting.moments.av_covariance`.
+composite stochastic processes", JASA 108, 1021; the full covariance: `imucal.fitting.moments.points`.
 """
 
 from dataclasses import replace
@@ -18,10 +18,19 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.moments.av_intervals import curve_estimates, goodness, model_of
-from imucal.fitting.moments.av_points import AvarPoints, avar_points
-from imucal.fitting.moments.av_search import Solution, Weight
-from imucal.fitting.moments.av_select import MISFIT, CurveFit, ModelSearch, best_band, ranked
+from imucal.fitting.moments.points import AvarPoints, avar_points
+from imucal.fitting.moments.search import (
+    MISFIT,
+    CurveFit,
+    ModelSearch,
+    Solution,
+    Weight,
+    best_band,
+    curve_estimates,
+    goodness,
+    model_of,
+    ranked,
+)
 from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text

@@ -1,20 +1,235 @@
-"""AxisSeries -> blocks of ordinates: long gaps part the blocks, short ones are completed."""
+"""AxisSeries -> blocks of ordinates: long gaps part the blocks, short ones are completed.
 
-from collections.abc import Callable
+Scattered missing samples: what the observed ones say about the squared ordinates.
+
+Expectation-maximisation without a model: given a smooth spectrum S, the missing samples given the
+observed ones are normal, with precision the missing block of C' diag(1/S) C (C the DCT). Their mean
+is found by conjugate gradients, their covariance by a draw, and
+
+    E[X_k² | observed] = (mean X_k)² + var X_k
+
+replaces X_k². The share of the variance in it is information that the gaps took.
+
+Source: Dempster, Laird & Rubin (1977), JRSS B 39; draws: Papandreou & Yuille (2010), NIPS 23;
+lost information: Louis (1982), JRSS B 44.
+
+Blocks -> Ordinates: sums of squares in bins, and of products with the regressors.
+
+Ordinates -> the bins that a result keeps, and back: exactly, for one record or for several.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from imucal.allan.dct import DctBins, dct_bins, fast_length, own_ordinates, ramp_ordinates
-from imucal.arrays import BoolArray, FloatArray
+from imucal.allan.four_step import dct2, idct2
+from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
+from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.lines import find_lines, with_sines, without_strong_lines
-from imucal.fitting.spectral.missing import complete
-from imucal.fitting.spectral.regressors import regressor_ordinates
+from imucal.fitting.spectral.ordinates import LAWS, Ordinates, regressor_ordinates
 from imucal.recording import AxisSeries
+
+_ROUNDS = 3
+_STEPS = 40
+_CLOSE = 1e-3
+#: More missing samples, or so many more sines than samples, take longer than transforms do.
+_FEW, _DIRECT = 1000, 30
+#: The random draws are the same for the same length, so that a fit can be repeated.
+_SEED = 20_24
+
+
+def complete(
+    samples: FloatArray, seen: BoolArray, bins: DctBins
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return expected ordinates, the variance of each, what the gaps took, and a draw of what they miss.
+
+    Parameters
+    ----------
+    samples
+        Shape (n,), the values at missing places are ignored; overwritten.
+    seen
+        Which samples were observed, shape (n,).
+
+    Returns
+    -------
+    ordinates, variance
+        Shapes (n-1,).
+    loss
+        Share of each bin's information that the gaps took, shape (b,), from 0 to 1.
+    drawn
+        The missing samples in order, their expectation and an error drawn with it, shape (g,).
+    """
+    n = samples.size
+    gaps = np.flatnonzero(~seen)
+    samples[gaps] = _between(samples, gaps)
+    mean = float(samples.mean())
+    samples -= mean
+    groups = _groups(bins)
+    pairs = _Pairs.of(gaps, n, groups)
+    # Ordinates 0 … n-1; long arrays are written over, or let go as soon as they are not needed.
+    mean_of, error_of = dct2(samples), np.broadcast_to(0.0, n)
+    for _ in range(_ROUNDS):
+        spectrum = _means(mean_of[1:], error_of[1:], groups)
+        del error_of
+        # The transform of the samples is there already, and that of the draw is the draw.
+        right = idct2(_weighed(mean_of, 1 / spectrum, groups))[gaps]
+        del mean_of
+        draw = np.empty(n)
+        np.random.default_rng(_SEED).standard_normal(out=draw[1:])
+        drawn = idct2(_weighed(draw, 1 / np.sqrt(spectrum), groups))[gaps]
+        del draw
+        apply = _precision(gaps, pairs, 1 / spectrum, groups, n)
+        unit = _upper_median(spectrum, groups, n)
+        samples[gaps] -= _conjugate(apply, right, unit)
+        error = _conjugate(apply, drawn, unit)
+        error_of = dct2(_padded(error, gaps, n))
+        np.square(error_of, out=error_of)
+        mean_of = dct2(samples)
+    ordinates, variance = mean_of[1:], error_of[1:]
+    count = np.diff(groups, append=n - 1)
+    share = np.add.reduceat(variance, groups) / (_means(ordinates, variance, groups) * count)
+    loss = share[np.searchsorted(groups, bins.first - 1, side="right") - 1]
+    return ordinates, variance, np.clip(loss, 0.0, 0.99), mean + samples[gaps] + error
+
+
+def _between(samples: FloatArray, gaps: IntArray) -> FloatArray:
+    """Return what straight lines over each gap give at its places, shape (g,); at an end the neighbour."""
+    begins = np.diff(gaps, prepend=-2) > 1
+    gap = np.cumsum(begins) - 1
+    before, after = gaps[begins] - 1, gaps[np.append(begins[1:], True)[: gaps.size]] + 1
+    left = samples[np.where(before < 0, after, before)]
+    right = samples[np.where(after >= samples.size, before, after)]
+    fraction = (gaps - before[gap]) / (after - before)[gap]
+    return np.asarray(left[gap] + fraction * (right - left)[gap])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Distances between missing samples: `lag`, shape (l,), and which of them |i-j| and i+j+1 are, (g, g)."""
+
+    lag: IntArray
+    apart: IntArray
+    beyond: IntArray
+
+    @classmethod
+    def of(cls, gaps: IntArray, n: int, groups: IntArray) -> "_Pairs | None":
+        """Return the distances; None where they are so many that transforms are quicker."""
+        if gaps.size > _FEW:
+            return None
+        apart, beyond = np.abs(gaps[:, np.newaxis] - gaps), gaps[:, np.newaxis] + gaps + 1
+        lag, which = np.unique(np.stack([apart, beyond]), return_inverse=True)
+        if lag.size * groups.size > _DIRECT * n:
+            return None
+        which = which.reshape(2, *apart.shape)
+        return cls(lag, which[0], which[1])
+
+
+def _precision(
+    gaps: IntArray, pairs: _Pairs | None, weight: FloatArray, groups: IntArray, n: int
+) -> Callable[[FloatArray], FloatArray]:
+    """Return what multiplies by the missing block of C' diag(w) C, w the weight of each group.
+
+    Its element i, j is r(i-j) + r(i+j+1) with r(l) = sum over k of w_k cos(pi k l / n) / n.
+    """
+    if pairs is not None:
+        of_lag = _cosine_sums(pairs.lag, weight, groups, n)
+        matrix = of_lag[pairs.apart] + of_lag[pairs.beyond]
+        return lambda values: np.asarray(matrix @ values)
+
+    def by_transforms(values: FloatArray) -> FloatArray:
+        result: FloatArray = idct2(_weighed(dct2(_padded(values, gaps, n)), weight, groups))[gaps]
+        return result
+
+    return by_transforms
+
+
+def _cosine_sums(lag: IntArray, weight: FloatArray, groups: IntArray, n: int) -> FloatArray:
+    """Return the sum over k = 1 … n-1 of w_k cos(pi k l / n) / n at each lag, shape (l,).
+
+    Of equal weights from a to before b it is w (sin((b - 1/2) t) - sin((a - 1/2) t)) / (2 sin(t/2)).
+    """
+    edge = np.append(groups, n - 1) + 0.5
+    fall = -np.diff(weight, prepend=0.0, append=0.0)
+    sums = np.full(lag.size, float(weight @ np.diff(edge)))
+    # Lags 0 and 2n are the same, and have no sine.
+    for at in np.flatnonzero(lag % (2 * n)).tolist():
+        angle = np.pi * int(lag[at]) / n
+        sums[at] = float(fall @ np.sin(edge * angle)) / (2 * np.sin(angle / 2))
+    return sums / n
+
+
+def _padded(values: FloatArray, gaps: IntArray, n: int) -> FloatArray:
+    """Return values at missing places and 0 elsewhere, shape (n,)."""
+    padded = np.zeros(n)
+    padded[gaps] = values
+    return padded
+
+
+def _weighed(ordinates: FloatArray, weight: FloatArray, groups: IntArray) -> FloatArray:
+    """Multiply ordinates 0 … n-1 in place by the weight of their group, that of 0 being 0; return them."""
+    ordinates[0] = 0.0
+    for (start, stop), factor in zip(_spans(ordinates.size - 1, groups), weight.tolist(), strict=True):
+        ordinates[start + 1 : stop + 1] *= factor
+    return ordinates
+
+
+def _means(ordinates: FloatArray, variance: FloatArray, groups: IntArray) -> FloatArray:
+    """Return the mean of square and variance in each group, more than 0, shape of `groups`."""
+    means = [
+        float(np.mean(np.square(ordinates[start:stop]) + variance[start:stop]))
+        for start, stop in _spans(ordinates.size, groups)
+    ]
+    return np.maximum(means, 1e-300)
+
+
+def _upper_median(spectrum: FloatArray, groups: IntArray, n: int) -> float:
+    """Return the median over the upper half of the ordinates."""
+    half = (n - 1) // 2
+    ends = np.maximum(np.append(groups, n - 1), half)
+    return float(np.median(np.repeat(spectrum, np.diff(ends))))
+
+
+def _spans(n: int, groups: IntArray) -> list[tuple[int, int]]:
+    """Return the first and the last index of each group, the last beyond it."""
+    return list(pairwise([*groups.tolist(), n]))
+
+
+def _groups(bins: DctBins) -> IntArray:
+    """Return the first index of each group of neighbouring bins of 16 ordinates or more."""
+    starts = bins.first - 1
+    chosen = [0]
+    for start in starts[1:].tolist():
+        if start - chosen[-1] >= 16 and bins.n - 1 - start >= 16:
+            chosen.append(start)
+    return np.array(chosen, dtype=np.int64)
+
+
+def _conjugate(apply: Callable[[FloatArray], FloatArray], right: FloatArray, unit: float) -> FloatArray:
+    """Solve ``apply(x) = right`` by conjugate gradients, to a small part of the samples' noise."""
+    x = np.zeros(right.size)
+    rest = right.copy()
+    direction = rest.copy()
+    size = rest @ rest
+    goal = _CLOSE**2 * max(float(size), right.size / unit)
+    for _ in range(_STEPS):
+        if size <= goal:
+            break
+        image = apply(direction)
+        step = size / (direction @ image)
+        x += step * direction
+        rest -= step * image
+        previous, size = size, rest @ rest
+        direction = rest + size / previous * direction
+    return x
+
 
 #: Bends of a straight line, as a part of its steps: rounding, not noise.
 _STRAIGHT = 1e-9
@@ -294,3 +509,130 @@ def _gap_findings(series: AxisSeries, runs: list[_Stretch], lost: int) -> tuple[
             text=f"The fit allows for gaps: {'; '.join(parts)}.",
         ),
     )
+
+
+#: Square of the relative rounding error of a transform.
+_ROUNDING = 1e-28
+
+
+def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
+    """Return the binned ordinates of all blocks; the regressors `names` are common to them."""
+    parts = [_bin(block, names) for block in blocks]
+    joined: dict[str, Any] = {key: np.concatenate([part[key] for part in parts], axis=-1) for key in parts[0]}
+    return Ordinates(scale=scale, names=names, **joined)
+
+
+def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
+    """Return the arrays of one block's `Ordinates`, by their names."""
+    bins = block.bins
+    vectors = [block.regressor_parts(name) for name in names]
+    size, power = np.empty((2, bins.size))
+    cross = np.empty((len(names), bins.size))
+    gram = np.empty((len(names), len(names), bins.size))
+    whole = 0.0
+    for here, seen, starts in bins.parts():
+        kept = None if block.kept is None else block.kept[seen]
+
+        def total(values: FloatArray, kept: BoolArray | None = kept, starts: IntArray = starts) -> FloatArray:
+            summed: FloatArray = np.add.reduceat(values if kept is None else values * kept, starts)
+            return summed
+
+        own = block.ordinates[seen]
+        square = own * own
+        whole += float(square.sum())
+        size[here] = bins.count[here] if kept is None else total(np.ones(own.size))
+        power[here] = total(square if block.variance is None else square + block.variance[seen])
+        columns = [part_of(seen) for part_of in vectors]
+        for i, v in enumerate(columns):
+            cross[i, here] = total(own * v)
+            for j, w in enumerate(columns[: i + 1]):
+                gram[i, j, here] = gram[j, i, here] = total(v * w)
+    # The transform's own rounding: no bin of exactly no power, not even of a straight line.
+    power += _ROUNDING * whole / block.ordinates.size * size
+    if block.loss is not None:
+        keep = 1 - block.loss
+        size, power, cross, gram = size * keep, power * keep, cross * keep, gram * keep
+    return {
+        "size": size,
+        "power": power,
+        "lam": LAWS[0].psd(bins.omega),
+        "length": np.full(bins.size, float(bins.n)),
+        "sign": np.where(bins.count == 1, np.where(bins.first % 2 == 0, 1.0, -1.0), 0.0),
+        "basis": _basis(bins),
+        "cross": cross,
+        "gram": gram,
+    }
+
+
+@lru_cache(maxsize=16)
+def _basis(bins: DctBins) -> FloatArray:
+    """Return the expected squares; segments, and axes of the same length, have the very same bins."""
+    return read_only(np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in LAWS]))
+
+
+def bins_of(whole: Ordinates, blocks: SeriesBlocks, *, tau0: float, widening: float) -> Bins:
+    """Return what is kept of the ordinates of a whole spectrum, which are those of `blocks`."""
+    every = [block.bins for block in blocks.blocks]
+    return Bins(
+        n=np.array([bins.n for bins in every], dtype=np.int64),
+        start=np.cumsum([0, *(bins.size for bins in every[:-1])]),
+        first=np.concatenate([bins.first for bins in every]),
+        size=whole.size,
+        power=whole.power,
+        names=whole.names,
+        cross=whole.cross,
+        gram=whole.gram,
+        scale=blocks.scale,
+        tau0=tau0,
+        widening=widening,
+    )
+
+
+def ordinates_of(bins: Bins) -> Ordinates:
+    """Return the ordinates that `bins` were made of, bit for bit."""
+    lam, length, sign, basis = [], [], [], []
+    for n, first in zip(bins.n.tolist(), np.split(bins.first, bins.start[1:]), strict=True):
+        count = np.diff(first, append=n)
+        # As `imucal.allan.dct.dct_bins` has it, so that no digit differs.
+        lam.append(LAWS[0].psd(np.pi * (first + (count - 1) / 2) / n))
+        length.append(np.full(first.size, float(n)))
+        sign.append(np.where(count == 1, np.where(first % 2 == 0, 1.0, -1.0), 0.0))
+        basis.append(np.array([law.dct_spectrum(n, first, count) for law in LAWS]))
+    return Ordinates(
+        scale=bins.scale,
+        size=bins.size,
+        power=bins.power,
+        lam=np.concatenate(lam),
+        length=np.concatenate(length),
+        sign=np.concatenate(sign),
+        basis=np.concatenate(basis, axis=1),
+        names=bins.names,
+        cross=bins.cross,
+        gram=bins.gram,
+    )
+
+
+def joined(records: Sequence[Ordinates]) -> Ordinates:
+    """Return the ordinates of several records as those of one: their likelihoods multiply.
+
+    The ramp is common to them, and in the scale of the first; what else was taken out of a record is a
+    regressor of its own, ``2:step@1000`` for the third record's, because a step is one record's alone.
+    """
+    scale = records[0].scale
+    names = ("R", *(f"{i}:{name}" for i, one in enumerate(records) for name in one.names[1:]))
+    total = sum(one.size.size for one in records)
+    cross, gram = np.zeros((len(names), total)), np.zeros((len(names), len(names), total))
+    start, first = 0, 1
+    for one in records:
+        bins, own = slice(start, start + one.size.size), len(one.names) - 1
+        rows = np.array([0, *range(first, first + own)])
+        cross[rows, bins] = one.cross * (one.scale / scale)
+        gram[rows[:, None], rows, bins] = one.gram
+        start, first = bins.stop, first + own
+    whole = replace(records[0], names=names, cross=cross, gram=gram)
+    power = np.concatenate([one.power * (one.scale / scale) ** 2 for one in records])
+    same: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) for one in records], axis=-1)
+        for name in ("size", "lam", "length", "sign", "basis")
+    }
+    return replace(whole, power=power, **same)

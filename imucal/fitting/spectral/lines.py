@@ -13,7 +13,7 @@ import numpy as np
 from imucal.allan.dct import DctBins
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.regressors import cycle_ordinates
+from imucal.fitting.spectral.ordinates import cycle_ordinates
 
 #: Chance that a record without lines has one found.
 _CHANCE = 0.01

@@ -9,7 +9,7 @@ from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate
 from imucal.fitting.settings import CRITERIA
-from imucal.fitting.spectral.filter_response import Band
+from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
 from imucal.fitting.spectral.scoring import Maximum, Race, maximize

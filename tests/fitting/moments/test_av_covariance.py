@@ -8,8 +8,8 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.moments import av_covariance as module
-from imucal.fitting.moments.av_covariance import Process, avar_covariance, sum_variance
+from imucal.fitting.moments import points as module
+from imucal.fitting.moments.points import Process, avar_covariance, sum_variance
 from imucal.noise.model import NoiseModel
 from imucal.powerlaw import PowerLaw
 from tests.fitting.moments.curves import octave_curve

@@ -5,9 +5,8 @@ import numpy.testing as npt
 import pytest
 
 from imucal.allan import allan_curve
-from imucal.fitting.moments.av_points import avar_points
-from imucal.fitting.moments.av_search import Weight
-from imucal.fitting.moments.av_select import ModelSearch, _described
+from imucal.fitting.moments.points import avar_points
+from imucal.fitting.moments.search import ModelSearch, Weight, _described
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries

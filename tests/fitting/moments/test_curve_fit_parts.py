@@ -10,14 +10,20 @@ import pytest
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
-from imucal.fitting.moments import av_select, fit_slope
-from imucal.fitting.moments.av_intervals import goodness, limits
-from imucal.fitting.moments.av_points import AvarPoints, _excess_kurtosis, avar_points, columns
-from imucal.fitting.moments.av_search import Solution, Weight, time_grid
-from imucal.fitting.moments.av_select import _described, _least_cost, _screen
+from imucal.fitting.moments import fit_slope, search
 from imucal.fitting.moments.gmwm import _eta3_widths, _findings, _with_edf
-from imucal.fitting.moments.slope import _beside
-from imucal.fitting.moments.slope_lines import LogCurve, Reading, _floor, _line, read_term
+from imucal.fitting.moments.points import AvarPoints, _excess_kurtosis, avar_points, columns
+from imucal.fitting.moments.search import (
+    Solution,
+    Weight,
+    _described,
+    _least_cost,
+    _screen,
+    goodness,
+    limits,
+    time_grid,
+)
+from imucal.fitting.moments.slope import LogCurve, Reading, _beside, _floor, _line, read_term
 from imucal.fitting.noise_fit import Goodness
 from imucal.recording import AxisSeries
 from tests.fitting.moments.curves import simulated_curve
@@ -278,9 +284,9 @@ def test_distances_are_those_of_the_ranking_that_is_left(monkeypatch: pytest.Mon
     ]
     weight = Weight.of_deviations(np.ones(5))
     misfits = {"N": 9.0, "NB": 3.0, "NK": 2.9, "NBK": 0.0}
-    monkeypatch.setattr(av_select, "_converged", lambda _, solution, own: (solution, own, np.eye(5)))
+    monkeypatch.setattr(search, "_converged", lambda _, solution, own: (solution, own, np.eye(5)))
     monkeypatch.setattr(
-        av_select,
+        search,
         "goodness",
         lambda _, solution, __: Goodness(statistic=misfits[solution.laws], p_value=0.5, chi2_per_bin=1.0),
     )

@@ -11,9 +11,9 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.fitting import FitSettings
-from imucal.fitting.moments.av_points import avar_points, columns
-from imucal.fitting.moments.av_search import Weight, minimise
 from imucal.fitting.moments.gmwm import _eta3_widths, fit_gmwm
+from imucal.fitting.moments.points import avar_points, columns
+from imucal.fitting.moments.search import Weight, minimise
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries

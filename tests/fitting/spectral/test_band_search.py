@@ -7,16 +7,18 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral import band, filter_response
+from imucal.fitting.spectral import band
+from imucal.fitting.spectral import band as filter_response
 from imucal.fitting.spectral.band import (
+    Order,
     _BandSearch,
     _deviation_of_white,
     _enough,
     _simplest,
     _Trial,
     find_band,
+    start_response,
 )
-from imucal.fitting.spectral.filter_response import Order, start_response
 from imucal.fitting.spectral.likelihood import evaluate
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
 from imucal.fitting.spectral.scoring import Maximum

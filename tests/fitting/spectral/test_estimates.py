@@ -10,6 +10,7 @@ from scipy.stats import norm, t
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Estimate, Goodness
 from imucal.fitting.spectral import estimates
+from imucal.fitting.spectral.estimates import RAMP as RAMP_COLUMN
 from imucal.fitting.spectral.estimates import (
     Fitted,
     Problem,
@@ -18,7 +19,6 @@ from imucal.fitting.spectral.estimates import (
     misfits_of,
     model_of,
 )
-from imucal.fitting.spectral.intervals import RAMP as RAMP_COLUMN
 from imucal.fitting.spectral.scoring import Maximum
 from imucal.fitting.spectral.structures import candidates_of
 from tests.fitting.fits import ordinates_of, simulated

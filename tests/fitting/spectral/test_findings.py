@@ -9,8 +9,8 @@ import pytest
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Goodness, Line, Response
+from imucal.fitting.spectral.band import Band, Order, filter_finding, response_of
 from imucal.fitting.spectral.estimates import Fitted
-from imucal.fitting.spectral.filter_response import Band, Order, filter_finding, response_of
 from imucal.fitting.spectral.mle import (
     _line_findings,
     _misfit_findings,

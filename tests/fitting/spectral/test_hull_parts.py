@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from imucal.fitting.noise_fit import Estimate, Interval
-from imucal.fitting.spectral import hull
+from imucal.fitting.spectral import bounds
 from imucal.fitting.spectral.estimates import Fitted, Problem
 from imucal.fitting.spectral.selection import RankedModels
 from imucal.fitting.spectral.structures import Structure
@@ -53,18 +53,18 @@ def _estimate(key: str, low: float, value: float, high: float, time: Interval | 
 )
 def test_a_model_has_less_to_say_the_farther_it_is(distance: float, level: float) -> None:
     """Two standard errors up to 6 from the best; one halfway to 9, two thirds of one at 8, none at 9."""
-    assert hull._with_say(PROBLEM, distance).level == pytest.approx(level, abs=1e-4)
+    assert bounds._with_say(PROBLEM, distance).level == pytest.approx(level, abs=1e-4)
 
 
 def _completions(monkeypatch: pytest.MonkeyPatch, choice: RankedModels) -> list[tuple[float, str]]:
     """Return the distance of each completion, and its terms in the order in which they came."""
     monkeypatch.setattr(
-        hull, "fitted_model", lambda made, index: SimpleNamespace(structure=made.structures[index])
+        bounds, "fitted_model", lambda made, index: SimpleNamespace(structure=made.structures[index])
     )
     monkeypatch.setattr(
-        hull, "add_term", lambda _, model, symbol: SimpleNamespace(structure=(*model.structure, symbol))
+        bounds, "add_term", lambda _, model, symbol: SimpleNamespace(structure=(*model.structure, symbol))
     )
-    found = hull._completed(PROBLEM, choice)
+    found = bounds._completed(PROBLEM, choice)
     return [(distance, " ".join(model.structure)) for distance, model in found]
 
 
@@ -106,7 +106,7 @@ def test_a_term_that_another_may_replace_is_named(
     structures: list[Structure], fit: list[float], named: dict[str, tuple[str, ...]]
 ) -> None:
     """Every model within 4 of the best likelihood has one of the two, and neither is in all of them."""
-    found = hull._alternatives(_ranked(structures, [0.0] * len(fit), fit))
+    found = bounds._alternatives(_ranked(structures, [0.0] * len(fit), fit))
     assert {symbol: others for symbol, others in found.items() if others} == named
 
 
@@ -117,16 +117,16 @@ def test_an_interval_reaches_from_the_lowest_limit_to_the_highest() -> None:
         _estimate("GM", 1.0, 1.5, 2.0, Interval(value=9.0, low=7.0, high=11.0)),
         _estimate("GM", 2.5, 2.6, 2.7, Interval(value=13.0, low=9.0, high=14.0)),
     ]
-    found = hull._hull(own, others)
+    found = bounds._hull(own, others)
     assert (found.low, found.value, found.high) == (1.0, 3.0, 3.0)
     assert found.correlation_time == Interval(value=10.0, low=7.0, high=14.0)
-    assert hull._hull(own, []) is own
+    assert bounds._hull(own, []) is own
 
 
 def test_a_term_that_one_model_does_not_show_is_bounded() -> None:
     """By the highest limit of all, though the chosen model shows it."""
     own = _estimate("B", 2.0, 3.0, 4.0)
-    found = hull._hull(own, [own, Estimate.bounded("B", "B", 5.0)])
+    found = bounds._hull(own, [own, Estimate.bounded("B", "B", 5.0)])
     assert found == Estimate.bounded("B", "B", 5.0)
 
 
@@ -134,15 +134,15 @@ def test_a_term_that_one_model_does_not_show_is_bounded() -> None:
 def test_a_limit_that_is_printed_as_zero_is_zero(low: float, *, shown: bool) -> None:
     """Less than a fiftieth of the upper one: ``34 [0, 77]`` would say that K is there and that it is not."""
     own = _estimate("K", low, 2.0, 4.0)
-    assert (hull._hull(own, [own]).value is not None) == shown
+    assert (bounds._hull(own, [own]).value is not None) == shown
 
 
 def test_terms_other_than_n_b_and_k_are_compared_among_equals() -> None:
     """GM1 of two is another thing than GM of one; N is N in every model."""
     n, one, first, second = (_estimate(key, 1.0, 2.0, 3.0) for key in ("N", "GM", "GM1", "GM2"))
     models = [{"N": n, "GM": one}, {"N": n, "GM1": first, "GM2": second}, {"N": n}]
-    assert hull._span("N", {"N": n, "GM": one}, models) == [n, n, n]
-    assert hull._span("GM", {"N": n, "GM": one}, models) == [one]
+    assert bounds._span("N", {"N": n, "GM": one}, models) == [n, n, n]
+    assert bounds._span("GM", {"N": n, "GM": one}, models) == [one]
 
 
 @pytest.mark.parametrize(("shown", "added"), [({"N", "B"}, "B"), ({"B", "K"}, "BK")])
@@ -157,11 +157,11 @@ def test_the_drawn_model_gains_what_is_shown_and_keeps_what_it_lost(
     def estimates_of(_: Problem, model: Fitted) -> tuple[Estimate, ...]:
         return tuple(_estimate(symbol, 1.0, 2.0, 3.0) for symbol in model.structure)
 
-    monkeypatch.setattr(hull, "add_term", add)
-    monkeypatch.setattr(hull, "estimate", estimates_of)
+    monkeypatch.setattr(bounds, "add_term", add)
+    monkeypatch.setattr(bounds, "estimate", estimates_of)
     fitted = cast("Fitted", SimpleNamespace(structure=("N", "GM")))
     own = (_estimate("N", 4.0, 5.0, 6.0), _estimate("GM", 1.0, 2.0, 3.0), Estimate.bounded("GM2", "GM", 5.0))
-    richer, estimates = hull._richer(PROBLEM, fitted, shown, own)
+    richer, estimates = bounds._richer(PROBLEM, fitted, shown, own)
     assert richer.structure == ("N", "GM", *added)
     found = {estimate.key: estimate.value for estimate in estimates}
     assert found == {"N": 2.0, "GM": 2.0, "GM2": None, **dict.fromkeys(added, 2.0)}

@@ -6,8 +6,8 @@ import pytest
 from scipy.fft import dct
 
 from imucal.allan.dct import dct_bins
-from imucal.fitting.spectral import missing
-from imucal.fitting.spectral.missing import _conjugate, _groups, _Pairs, _precision, complete
+from imucal.fitting.spectral import blocks
+from imucal.fitting.spectral.blocks import _conjugate, _groups, _Pairs, _precision, complete
 
 
 def test_conjugate_gradients_solve_the_system() -> None:
@@ -52,7 +52,7 @@ def test_the_precision_of_missing_samples_is_its_definition(
     direct: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The missing block of C' diag(w) C, by sums of cosines as by transforms; also at both ends."""
-    monkeypatch.setattr(missing, "_DIRECT", direct)
+    monkeypatch.setattr(blocks, "_DIRECT", direct)
     n, gaps = 400, np.array([0, 1, 57, 58, 59, 200, 399])
     groups = _groups(dct_bins(n))
     weight = np.random.default_rng(1310).uniform(0.1, 5.0, groups.size)
@@ -75,7 +75,7 @@ def test_few_and_many_missing_samples_are_completed_alike(monkeypatch: pytest.Mo
         seen[part] = False
     found = []
     for direct in (0.0, 1e9):
-        monkeypatch.setattr(missing, "_DIRECT", direct)
+        monkeypatch.setattr(blocks, "_DIRECT", direct)
         found.append(complete(samples.copy(), seen, dct_bins(5000)))
     for one, other in zip(*found, strict=True):
         npt.assert_allclose(one, other, atol=1e-12 * np.abs(other).max())

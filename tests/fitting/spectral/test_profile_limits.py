@@ -8,8 +8,8 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import BoolArray, FloatArray
-from imucal.fitting.spectral import intervals
-from imucal.fitting.spectral.intervals import RAMP, _ProfileSearch, profile_limits, quantile
+from imucal.fitting.spectral import estimates
+from imucal.fitting.spectral.estimates import RAMP, _ProfileSearch, profile_limits, quantile
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum, bounds
@@ -59,7 +59,7 @@ def known(monkeypatch: pytest.MonkeyPatch, deviation: float) -> list[BoolArray]:
         objective = PEAK + sum(0.5 * (part / deviation) ** 2 for part in away)
         return replace(maximum(), theta=theta, objective=np.asarray(objective))
 
-    monkeypatch.setattr(intervals, "maximize", drop)
+    monkeypatch.setattr(estimates, "maximize", drop)
     return seen
 
 

@@ -5,10 +5,9 @@ import pytest
 from scipy import optimize
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral.bin_fit import BinFit, fit_bins
+from imucal.fitting.spectral.given_model import BinFit, fit_bins, record_tests
 from imucal.fitting.spectral.likelihood import evaluate
 from imucal.fitting.spectral.ordinates import MARKOV
-from imucal.fitting.spectral.record_tests import record_tests
 from imucal.fitting.spectral.scoring import bounds
 from imucal.fitting.spectral.structures import parameter_columns
 from tests.fleet.records import bins_from, simulated

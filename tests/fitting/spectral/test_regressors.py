@@ -6,8 +6,12 @@ import pytest
 from imucal.allan.dct import dct_bins, dct_ordinates, ramp_ordinates
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.blocks import Block
-from imucal.fitting.spectral.ordinates import exponential_ordinates
-from imucal.fitting.spectral.regressors import lagged, regressor_ordinates, regressor_samples
+from imucal.fitting.spectral.ordinates import (
+    exponential_ordinates,
+    lagged,
+    regressor_ordinates,
+    regressor_samples,
+)
 from tests.fitting.fits import fitted, simulated
 
 N = 40_000

@@ -10,13 +10,15 @@ from imucal.clock import Clock
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import mle
 from imucal.fitting.spectral.blocks import make_blocks
-from imucal.fitting.spectral.regressors import regressor_samples
-from imucal.fitting.spectral.segment_ordinates import (
+from imucal.fitting.spectral.ordinates import regressor_samples
+from imucal.fitting.spectral.segments import (
+    Parts,
     SegmentOrdinates,
+    fit_scales,
     number_of_segments,
+    scales_at,
     segment_ordinates,
 )
-from imucal.fitting.spectral.segment_scales import Parts, fit_scales, scales_at
 from imucal.recording import AxisSeries, Sensor
 from tests.fitting.fits import simulated
 

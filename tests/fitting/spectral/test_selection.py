@@ -8,7 +8,7 @@ import pytest
 
 from imucal.fitting import CRITERIA, fit
 from imucal.fitting.spectral import selection
-from imucal.fitting.spectral.filter_response import Band
+from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.scoring import Maximum, maximize
 from imucal.fitting.spectral.selection import (
     RankedModels,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral.two_level_filter import _LEAST, Mixtures, _filtered, log_likelihoods
+from imucal.fitting.spectral.telegraph import _LEAST, Mixtures, _filtered, log_likelihoods
 from imucal.noise.bank import gauss_markov_bank
 
 N = 10

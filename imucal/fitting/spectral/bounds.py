@@ -1,13 +1,24 @@
-"""From the chosen candidate to estimates: terms that may be zero have a bound instead of a value."""
+"""From the chosen candidate to estimates: terms that may be zero have a bound instead of a value.
 
-from collections.abc import Iterable
+Intervals that hold though the model was chosen: over every model near the best, completed.
+
+An interval that takes the chosen structure for granted does not cover: a weak term is dropped by the
+choice, and its neighbour takes its power with a narrow interval. So each model whose criterion is near
+the best is completed with the terms that every fit reports, at zero where the data want them there, and
+a term's interval reaches from its lowest limit in any of them to its highest. What a model has to say
+gets less with its distance from the best.
+
+Leeb & Pötscher (2005), Econometric Theory 21, p. 21, "Model selection and inference: facts and fiction",
+show why a remedy is needed; how well this one covers is measured by `tests/benchmarks/coverage_auto.py`.
+"""
+
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from imucal.fitting.noise_fit import Estimate
-from imucal.fitting.spectral.estimates import Fitted, Problem, estimate
-from imucal.fitting.spectral.intervals import quantile
+from imucal.fitting.noise_fit import Estimate, Interval
+from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, quantile
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import LAWS, MARKOV
 from imucal.fitting.spectral.scoring import bounds, maximize
@@ -155,3 +166,123 @@ def upper_bound(problem: Problem, fitted: Fitted, symbol: str) -> Estimate:
     value = float(fitted.maximum.theta[0, COLUMN[symbol]])
     high = value + problem.widening.get(symbol, 1.0) * (float(highs[0]) - value)
     return Estimate.bounded(symbol, symbol, problem.deviation(symbol) * float(np.exp(high / 2)))
+
+
+#: A model has its full say up to the first distance in the criterion from the best, none from the second on.
+_FULL_SAY, _NO_SAY = 6.0, 9.0
+#: Models whose likelihoods, at two a parameter, are within this tell their terms apart no more.
+_ALIKE = 4.0
+#: A lower limit of less than this part of the upper one is none.
+_NOUGHT = 0.02
+#: Most models that are looked at.
+_MOST = 16
+
+
+def hull_estimates(
+    problem: Problem, choice: RankedModels, fitted: Fitted, own: tuple[Estimate, ...]
+) -> tuple[Fitted, tuple[Estimate, ...], tuple[Estimate, ...]]:
+    """Return the model to draw, its own estimates, and those whose intervals hold for every near model.
+
+    A term whose interval reaches down to zero is bounded, also where the chosen model has it. Where N, B
+    or K is shown that the chosen model lacks, the model is drawn with it: a parameter costs the choice
+    more than data need to show it, and terms that are printed should add up to the line.
+    """
+    completed = list(_completed(problem, choice))
+    models = [
+        {e.key: e for e in estimate(_with_say(problem, distance), model)} for distance, model in completed
+    ]
+    shown = {key for key in ALWAYS if not any(_may_be_zero(model[key]) for model in models)}
+    if shown - set(fitted.structure):
+        fitted, own = _richer(problem, fitted, shown, own)
+    values = {key: models[0][key] for key in ALWAYS} | {e.key: e for e in own}
+    others = _alternatives(choice)
+    found = (_hull(value, _span(key, values, models)) for key, value in values.items())
+    return fitted, own, ordered(replace(e, alternatives=others.get(e.symbol, ())) for e in found)
+
+
+def _richer(
+    problem: Problem, fitted: Fitted, shown: set[str], own: tuple[Estimate, ...]
+) -> tuple[Fitted, tuple[Estimate, ...]]:
+    """Return the chosen model, less what was dropped, with the terms that are shown; and its estimates."""
+    for symbol in ALWAYS:
+        if symbol in shown and symbol not in fitted.structure:
+            fitted = add_term(problem, fitted, symbol)
+    return fitted, ordered(({e.key: e for e in own} | {e.key: e for e in estimate(problem, fitted)}).values())
+
+
+def _span(key: str, values: dict[str, Estimate], models: list[dict[str, Estimate]]) -> list[Estimate]:
+    """Return what each model says of a term; of others than N, B and K, each model that has the same ones."""
+    if key in ALWAYS:
+        return [model[key] for model in models]
+    others = values.keys() - set(ALWAYS)
+    return [model[key] for model in models if model.keys() - set(ALWAYS) == others]
+
+
+def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
+    """Return for each term those that may stand in its place: one of the two is there, but not told which.
+
+    Every model of about the best likelihood has one of them, and neither is in all of these models. Here
+    a parameter has the price of Akaike's criterion: what tells two things apart is the record, and not
+    that one of them is simpler to write down.
+    """
+    fit = 2 * (choice.maximum.objective + choice.candidates.parameters)
+    near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _ALIKE)]
+
+    def replaces(one: str, other: str) -> bool:
+        without_one, without_other = ([s for s in near if symbol not in s] for symbol in (one, other))
+        return bool(without_one and without_other) and all(one in s or other in s for s in near)
+
+    return {one: tuple(other for other in TERMS if replaces(one, other)) for one in TERMS}
+
+
+def _hull(own: Estimate, span: list[Estimate]) -> Estimate:
+    """Return an estimate with the limits of all models; itself where no near model has its term."""
+    if not span:
+        return own
+    high = max(e.high for e in span)
+    if own.value is None or any(map(_may_be_zero, span)):
+        return Estimate.bounded(own.key, own.symbol, high)
+    return replace(
+        own,
+        low=min(own.value, *(e.low for e in span)),
+        high=max(own.value, high),
+        correlation_time=_time_hull(own, span),
+    )
+
+
+def _may_be_zero(found: Estimate) -> bool:
+    """Whether an interval reaches down to zero, or to what is printed as zero beside its upper limit."""
+    return found.low <= _NOUGHT * found.high
+
+
+def _time_hull(own: Estimate, span: list[Estimate]) -> Interval | None:
+    time = own.correlation_time
+    if time is None:
+        return None
+    times = [e.correlation_time for e in span if e.correlation_time]
+    return replace(
+        time, low=min([time.low, *(t.low for t in times)]), high=max([time.high, *(t.high for t in times)])
+    )
+
+
+def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, Fitted]]:
+    """Yield the distinct completions of the near models and their distances, that of the best first."""
+    distances = choice.criterion - choice.criterion[0]
+    seen = set()
+    for index in np.flatnonzero(distances < _NO_SAY)[:_MOST].tolist():
+        model = fitted_model(choice, index)
+        missing = [symbol for symbol in ALWAYS if symbol not in model.structure]
+        structure = in_order((*model.structure, *missing))
+        if structure not in seen:
+            seen.add(structure)
+            for symbol in missing:
+                model = add_term(problem, model, symbol)
+            yield float(distances[index]), model
+
+
+def _with_say(problem: Problem, distance: float) -> Problem:
+    """Return the problem at the level that a model at that distance deserves."""
+    from scipy.special import ndtr
+
+    say = min((_NO_SAY - distance) / (_NO_SAY - _FULL_SAY), 1.0)
+    return replace(problem, level=float(2 * ndtr(say * quantile(problem.level)) - 1))

@@ -1,0 +1,485 @@
+"""The fit of a given model from stored bins, of one record or of several as one.
+
+Whether records of one sensor have the same coefficients: the likelihood ratio of one against one each.
+
+A term is tested with the other terms free in each record, so that a change of one is not blamed on
+another; correlation times and the output filter are as in the joint fit.
+
+Source: Wilks (1938), Annals of Mathematical Statistics 9, 60.
+
+The variance of each term, also below zero: what a weak term's likelihood is nearly normal in.
+
+A fit keeps variances positive, and so an absent term is never zero on average. The spectrum is linear in
+the variances: with weights that do not follow the low ordinates, weighted least squares have no bias. The
+weights are those of a spectrum that holds each weak term at one standard deviation.
+
+The deviation of an estimate grows with the coefficient. It is given as a law, not at the estimate: who
+weights many logs by deviations at their own estimates prefers those that drew low. Of a term told by two to
+four deviations, such a mean was half to one deviation of a log too low, however many the logs.
+
+Source: McCullagh & Nelder (1989), Generalized Linear Models, 2nd ed., section 2.5 (the weights of gamma
+errors with identity link).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.fitting.bins import Bins
+from imucal.fitting.homogeneity import widened
+from imucal.fitting.noise_fit import Estimate, Goodness
+from imucal.fitting.spectral.band import Band, find_band
+from imucal.fitting.spectral.blocks import joined, ordinates_of
+from imucal.fitting.spectral.bounds import add_term, estimate_or_bound, fitted_model, numbered, with_absent
+from imucal.fitting.spectral.estimates import Fitted, Problem, misfits_of, model_of
+from imucal.fitting.spectral.likelihood import derivatives
+from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
+from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximize, misfit
+from imucal.fitting.spectral.selection import choose
+from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, parameter_columns, richest
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import ALWAYS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BinFit:
+    """A model fitted to bins.
+
+    Attributes
+    ----------
+    records
+        The ordinates of each record, up to the end of the band, in the scale of the first.
+    problem
+        What is fitted, all records as one.
+    band
+        The part of the spectrum, and the response of the output filter in it.
+    whole
+        The fit of the given terms and of N, B and K, at zero where the data want them there.
+    model, estimates
+        What a fit reports: those whose interval holds 0 are bounded, and not in the model.
+    goodness
+        How well the model describes all records.
+    misfits
+        Symbol -> by what factor a misfit makes its limits wider; empty where the model fits.
+    """
+
+    records: tuple[Ordinates, ...]
+    problem: Problem
+    band: Band
+    whole: Fitted
+    model: NoiseModel
+    estimates: tuple[Estimate, ...]
+    goodness: Goodness
+    misfits: dict[str, float]
+
+
+def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm: int = 2) -> BinFit:
+    """Return the fit of a structure to one or several records: as `fit_mle` from there on."""
+    parts = [ordinates_of(one) for one in bins]
+    every = joined(parts) if len(parts) > 1 else parts[0]
+    common = every.names[1:]
+    band = _band(every, parts, structure, max_gm)
+    seen = every.below(band.fraction)
+    problem = Problem(
+        ordinates=seen,
+        level=level,
+        shortest=SHORTEST_GIVEN,
+        common=common,
+        unit=every.scale,
+        tau0=bins[0].tau0,
+        widening={"N": _widening(bins)},
+    )
+    choice = choose(seen, [structure], criterion="bic", band=band, common=common, shortest=SHORTEST_GIVEN)
+    fitted, own = estimate_or_bound(problem, choice)
+    whole = fitted_model(choice, 0)
+    for symbol in ALWAYS:
+        if symbol not in whole.structure:
+            whole = add_term(problem, whole, symbol)
+    found = misfit(seen, fitted.candidate, fitted.maximum.theta)
+    estimates, _ = numbered(with_absent(problem, fitted, own), ())
+    owner = np.repeat(np.arange(len(parts)), [one.size.size for one in parts])
+    edges = [every.take(owner == i).below(band.fraction) for i in range(len(parts))]
+    misfits = misfits_of(problem, fitted, found)
+    return BinFit(
+        records=tuple(edges),
+        problem=problem,
+        band=band,
+        whole=whole,
+        model=model_of(problem, fitted, own),
+        estimates=widened(estimates, None, misfits),
+        goodness=found,
+        misfits=misfits,
+    )
+
+
+def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, max_gm: int) -> Band:
+    """Return the band and response of all records; flat where most records by themselves are.
+
+    Records whose coefficients differ fit no one model; together they may look like a filter's doing.
+    """
+
+    def find(whole: Ordinates) -> Band:
+        rich, common = richest(structure, max_gm), whole.names[1:]
+        return find_band(whole, rich, shortest=SHORTEST, common=common, given=structure)
+
+    band = find(every)
+    if len(parts) > 1 and not _flat(band):
+        own = [find(part) for part in parts]
+        flat = [alone for alone in own if _flat(alone)]
+        if 2 * len(flat) > len(own):
+            return flat[0]
+    return band
+
+
+def _flat(band: Band) -> bool:
+    return band.poles == 0 and band.fraction == 1.0
+
+
+def _widening(bins: Sequence[Bins]) -> float:
+    """Return the factor of all records: half the excess kurtosis plus one, weighted by their ordinates."""
+    weight = np.array([one.size.sum() for one in bins])
+    return float(np.sqrt(np.average([one.widening**2 for one in bins], weights=weight)))
+
+
+#: Deviations at which the profile is looked at, from the smallest record's to the largest's; and how often
+#: the range is narrowed to the best and its neighbours.
+_PLACES, _ROUNDS = 9, 3
+#: Where a record's fit starts besides at the joint one: terms so far above invisible, in log variance.
+_RAISED = (8.0, 16.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordTest:
+    """The test of one term over r records.
+
+    Attributes
+    ----------
+    key, symbol
+        Of the term.
+    statistic, dof, p_value
+        Twice the drop of the log-likelihood with one coefficient for all records; chi-squared with
+        r - 1 degrees of freedom where there is one; the probability of so much by chance.
+    values
+        The coefficient of each record, in SI, shape (r,); 0 where its data want none.
+    log_deviations
+        Standard error of the logarithm of each, shape (r,); inf where it is not told.
+    """
+
+    key: str
+    symbol: str
+    statistic: float
+    dof: int
+    p_value: float
+    values: FloatArray
+    log_deviations: FloatArray
+
+
+def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
+    """Return the test of each term of a joint fit but the ramp; none for a single record."""
+    if len(fit.records) < 2:
+        return ()
+    records = [_Record(one, fit) for one in fit.records]
+    room = fit.whole.candidate.room_markov
+    terms = [
+        (name.partition(".")[0], column)
+        for name, column in parameter_columns(fit.whole.structure, room)
+        if column < MARKOV + room
+    ]
+    columns = np.array([column for _, column in terms])
+    peaks = np.array([record.deviations(columns) for record in records])
+    errors = np.array([record.log_deviations(columns) for record in records])
+    drops = _least(records, columns, peaks) - sum(record.objective for record in records)
+    return tuple(
+        _test(fit.problem, key, *of_term)
+        for (key, _), *of_term in zip(terms, drops.tolist(), peaks.T, errors.T, strict=True)
+    )
+
+
+def _test(problem: Problem, key: str, drop: float, peaks: FloatArray, errors: FloatArray) -> RecordTest:
+    from scipy.special import chdtrc
+
+    symbol = key.rstrip("0123456789")
+    surplus = problem.widening.get(symbol, 1.0) ** 2
+    statistic = max(2 * drop / surplus, 0.0)
+    return RecordTest(
+        key=key,
+        symbol=symbol,
+        statistic=statistic,
+        dof=peaks.size - 1,
+        p_value=float(chdtrc(peaks.size - 1, statistic)),
+        values=problem.deviation(symbol) * peaks,
+        log_deviations=np.sqrt(surplus) * errors,
+    )
+
+
+def _least(records: "list[_Record]", columns: IntArray, peaks: FloatArray) -> FloatArray:
+    """Return the least -log L of all records with one deviation of a term, shape (t,) for t columns.
+
+    `peaks` are the deviations in each record by itself, shape (r, t). All terms are searched side by side.
+    """
+    term = np.arange(columns.size)
+    places = np.linspace(peaks.min(axis=0), peaks.max(axis=0), _PLACES, axis=1)
+    profiles = [record.profile(columns, places) for record in records]
+    least = np.full(columns.size, np.inf)
+    for left in reversed(range(_ROUNDS)):
+        total = np.sum([profile.objective for profile in profiles], axis=0).reshape(places.shape)
+        least = np.minimum(least, total.min(axis=1))
+        if left:
+            best = np.argmin(total, axis=1)
+            ends = [np.maximum(best - 1, 0), np.minimum(best + 1, _PLACES - 1)]
+            first, last = (places[term, end] for end in ends)
+            places = np.linspace(first, last, _PLACES, axis=1)
+            rows = [term * _PLACES + end for end in ends]
+            profiles = [
+                record.finer(columns, places, *(profile.theta[row] for row in rows))
+                for record, profile in zip(records, profiles, strict=True)
+            ]
+    return least
+
+
+class _Record:
+    """One record: its own maximum in the variances, and profiles about it."""
+
+    def __init__(self, ordinates: Ordinates, fit: BinFit) -> None:
+        self.ordinates, self.shortest = ordinates, fit.problem.shortest
+        # What was taken out of another record is nothing in this one.
+        own = np.einsum("iib->i", ordinates.gram) > 0
+        joint = fit.whole.candidate
+        self.candidate = replace(joint, regressors=joint.regressors & own)
+        variances = np.arange(self.candidate.width) < MARKOV + self.candidate.room_markov
+        self.free = self.candidate.free & variances
+        self.low, _ = bounds(ordinates, self.candidate, shortest=self.shortest)
+        start = fit.whole.maximum.theta
+        raised = [np.where(self.free, np.maximum(start, self.low + more), start) for more in _RAISED]
+        found = self.maximize(np.concatenate([start, *raised]), np.tile(self.free, (1 + len(raised), 1)))
+        self.maximum: Maximum = found.take(np.array([int(np.argmin(found.objective))]))
+        self.objective = float(self.maximum.objective[0])
+
+    def maximize(self, starts: FloatArray, free: BoolArray) -> Maximum:
+        """Return the maxima from starts, shape (k, p), in what is free in each of them."""
+        rows: IntArray = np.zeros(starts.shape[0], dtype=np.int64)
+        return maximize(
+            self.ordinates,
+            self.candidate.take(rows),
+            starts,
+            free=free,
+            shortest=self.shortest,
+            tolerance=1e-5,
+        )
+
+    def deviations(self, columns: IntArray) -> FloatArray:
+        """Return the deviation of each term, shape (t,); 0 where its variance is at its lower end."""
+        logs = self.maximum.theta[0, columns]
+        return np.where(logs > self.low[columns] + 1e-6, np.exp(logs / 2), 0.0)
+
+    def log_deviations(self, columns: IntArray) -> FloatArray:
+        """Return the standard error of the logarithm of each coefficient, shape (t,)."""
+        inverse = covariance(self.maximum.information[0], self.free[0])
+        errors: FloatArray = 0.5 * np.sqrt(np.diag(inverse)[columns])
+        return errors
+
+    def profile(self, columns: IntArray, places: FloatArray) -> Maximum:
+        """Return the maxima with the deviation of each term held at its places, shape (t, k)."""
+        start = self.maximum.theta[0]
+        # What was at its lower end in the maximum may come in where this term is held low.
+        start = np.where(self.free[0] & (start < self.low + _RAISED[0]), self.low + _RAISED[1], start)
+        return self._held(columns, places, np.tile(start, (places.size, 1)))
+
+    def finer(self, columns: IntArray, places: FloatArray, first: FloatArray, last: FloatArray) -> Maximum:
+        """Return the maxima as `profile`, from those at the first and the last place of each term, (t, p).
+
+        A search starts on the line between the two, near its end; a term that is at its lower end in one of
+        them starts where it is in the other one.
+        """
+        part = np.linspace(0, 1, places.shape[1])[:, None]
+        first, last = first[:, None], last[:, None]
+        there = np.minimum(first, last) > self.low + _RAISED[0]
+        starts = np.where(there, (1 - part) * first + part * last, np.maximum(first, last))
+        return self._held(columns, places, starts.reshape(places.size, -1))
+
+    def _held(self, columns: IntArray, places: FloatArray, starts: FloatArray) -> Maximum:
+        held = np.repeat(columns, places.shape[1])
+        rows = np.arange(held.size)
+        logs = 2 * np.log(np.maximum(places.ravel(), 1e-300))
+        starts[rows, held] = np.maximum(logs, self.low[held])
+        free = np.tile(self.free, (held.size, 1))
+        free[rows, held] = False
+        return self.maximize(starts, free)
+
+
+_SQUARED_COEFFICIENTS_ROUNDS = 100
+#: The search is at rest when a step gains less log-likelihood.
+_REST = 1e-9
+#: What is beyond so many deviations of an estimate is sure, and in the weights.
+_SURE = 2.0
+#: A law is taken at zero and at the estimate, or at so many deviations.
+_FAR = 4.0
+#: Beside the term that a law is of, a weak one is so many of its deviations at least.
+_FLOOR = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SquaredCoefficient:
+    """The estimate of a squared coefficient in SI², which may be negative, and its law.
+
+    Attributes
+    ----------
+    value
+        The estimate.
+    deviation
+        Its standard deviation where the coefficient is zero.
+    growth
+        By how much that grows with the square: it is ``deviation + growth * square``.
+    """
+
+    value: float
+    deviation: float
+    growth: float
+
+
+def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
+    """Return the squared coefficient of each term of a fit but the ramp, by its key.
+
+    Correlation times and the output filter's response stay where the fit has them; the deviations allow
+    for their errors. They are wider, as the fit's limits are, for an excess kurtosis and for a misfit.
+    """
+    problem, fitted = found.problem, found.whole
+    ordinates, candidate = problem.ordinates, fitted.candidate
+    room = candidate.room_markov
+    columns = [
+        (name, column) for name, column in parameter_columns(fitted.structure, room) if column < MARKOV + room
+    ]
+    places = [column for _, column in columns]
+    unit = fitted.maximum.theta.copy()
+    unit[:, : MARKOV + room] = 0.0
+    slopes = derivatives(ordinates, candidate, unit)
+    power = _rest(ordinates, fitted.maximum.beta[0])
+    start = np.exp(fitted.maximum.theta[0, places])
+    peak = _search(slopes[places], ordinates.size, power, start)
+    reference = _reference(slopes[places], ordinates.size, peak)
+    spectrum = reference @ slopes[places]
+    weight = 0.5 * ordinates.size / spectrum**2
+    variance = _solve(slopes[places], weight, weight * power / ordinates.size)
+    beside = _nuisance(slopes, fitted, dict(zip(places, reference.tolist(), strict=True)), spectrum)
+    laws = _laws(np.concatenate([slopes[places], beside]), ordinates.size, spectrum, variance)
+    result = {}
+    for (name, _), value, (deviation, growth) in zip(columns, variance.tolist(), laws, strict=True):
+        key = name.partition(".")[0]
+        symbol = key.rstrip("0123456789")
+        scale = problem.deviation(symbol) ** 2
+        wider = problem.widening.get(symbol, 1.0) * found.misfits.get(symbol, 1.0)
+        result[key] = SquaredCoefficient(
+            value=scale * value, deviation=scale * wider * deviation, growth=wider * growth
+        )
+    return result
+
+
+def _rest(ordinates: Ordinates, beta: FloatArray) -> FloatArray:
+    """Return the squares that the regressors leave in each bin, shape (b,)."""
+    drift: FloatArray = -2 * beta @ ordinates.cross + np.einsum("i,ijb,j->b", beta, ordinates.gram, beta)
+    return np.maximum(ordinates.power + drift, 1e-9 * ordinates.power)
+
+
+def _search(shapes: FloatArray, size: FloatArray, power: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return the variances, shape (t,), of the shapes, shape (t, b), where the likelihood is greatest."""
+
+    def objective(spectrum: FloatArray) -> float:
+        if spectrum.min() <= 0:
+            return np.inf
+        return 0.5 * float(np.sum(size * np.log(spectrum) + power / spectrum))
+
+    spectrum = variance @ shapes
+    now = objective(spectrum)
+    for _ in range(_SQUARED_COEFFICIENTS_ROUNDS):
+        weight = 0.5 * size / spectrum**2
+        step = _solve(shapes, weight, (0.5 * (power - size * spectrum) / spectrum**2))
+        stride = 1.0
+        while stride > 1e-6 and not (then := objective((variance + stride * step) @ shapes)) < now:
+            stride /= 2
+        if stride <= 1e-6:
+            break
+        variance = variance + stride * step
+        spectrum, gain, now = variance @ shapes, now - then, then
+        if gain < _REST:
+            break
+    return variance
+
+
+def _reference(shapes: FloatArray, size: FloatArray, peak: FloatArray) -> FloatArray:
+    """Return the variances, shape (t,), of which weights are made: a weak one is its own deviation."""
+    reference = np.maximum(peak, _deviations(shapes, size, np.maximum(peak, 0.0) @ shapes))
+    for _ in range(_SQUARED_COEFFICIENTS_ROUNDS):
+        deviation = _deviations(shapes, size, reference @ shapes)
+        wanted = np.maximum(deviation, peak - _SURE * deviation)
+        if np.allclose(wanted, reference, rtol=1e-6):
+            break
+        reference = np.sqrt(reference * wanted)
+    return reference
+
+
+def _solve(shapes: FloatArray, weight: FloatArray, residual: FloatArray) -> FloatArray:
+    information = np.einsum("ib,b,jb->ij", shapes, weight, shapes)
+    root = np.sqrt(np.diag(information))
+    score = shapes @ residual / root
+    step: FloatArray = np.linalg.lstsq(information / np.outer(root, root), score, rcond=1e-12)[0] / root
+    return step
+
+
+def _nuisance(
+    slopes: FloatArray, fitted: Fitted, variance: dict[int, float], spectrum: FloatArray
+) -> FloatArray:
+    """Return the derivatives of the spectrum in correlation times and response, shape (j, b)."""
+    candidate = fitted.candidate
+    room, markov = candidate.room_markov, fitted.structure.count("GM")
+    times = [variance[MARKOV + i] * slopes[MARKOV + room + i] for i in range(markov)]
+    first = MARKOV + 2 * room
+    whole = slopes[: MARKOV + room].sum(axis=0)
+    response = [slopes[first + i] / whole * spectrum for i in range(int(candidate.poles[0]))]
+    return np.array([*times, *response]).reshape(-1, spectrum.size)
+
+
+def _laws(
+    slopes: FloatArray, size: FloatArray, spectrum: FloatArray, variance: FloatArray
+) -> list[tuple[float, float]]:
+    """Return deviation at zero and growth of each of the estimates `variance`, shape (t,).
+
+    `slopes`, shape (t + j, b), has the other parameters after them. The weights are those of `spectrum`; the
+    spectrum itself has one term at a place to choose, and the others where they are most likely then. So the
+    law does not follow the estimate, with which those of the others move.
+    """
+    count = variance.size
+    weight = 0.5 * size / spectrum**2
+    gain = _inverse(np.einsum("ib,b,jb->ij", slopes, weight, slopes))[:count] @ (slopes * weight)
+    own = (gain * (2 * spectrum**2 / size)) @ gain.T
+    deviation = np.sqrt(np.diag(own))
+    laws = []
+    for term in range(count):
+
+        def at(square: float, term: int = term) -> float:
+            others = variance + own[:, term] / own[term, term] * (square - variance[term])
+            held = np.maximum(others, _FLOOR * deviation)
+            held[term] = square
+            return math.sqrt(float(np.sum((gain[term] * (held @ slopes[:count])) ** 2 * 2 / size)))
+
+        absent = at(0.0)
+        present = max(float(variance[term]), _FAR * absent)
+        laws.append((absent, max(at(present) - absent, 0.0) / present))
+    return laws
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    root = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse: FloatArray = np.linalg.pinv(
+        information / np.outer(root, root), rcond=1e-12, hermitian=True
+    ) / np.outer(root, root)
+    return inverse
+
+
+def _deviations(slopes: FloatArray, size: FloatArray, spectrum: FloatArray) -> FloatArray:
+    """Return standard deviations from the expected information, shape of the slopes' rows."""
+    information = np.einsum("ib,b,jb->ij", slopes, 0.5 * size / spectrum**2, slopes)
+    deviations: FloatArray = np.sqrt(np.maximum(np.diag(_inverse(information)), 0.0))
+    return deviations

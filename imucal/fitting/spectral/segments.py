@@ -1,0 +1,515 @@
+"""The fitted model in each segment of a record: which of its terms are the same in all of them.
+
+A term is tested with white noise free to vary beside it, so that a change of the white noise is not
+blamed on the term; white noise itself with all slower terms free in one. Everything else, correlation
+times and the output filter too, is as in the whole record.
+
+A record cut into segments of equal time: each segment's own ordinates, lines and gaps as in the whole.
+
+Nothing is looked for again: the scale, the lines that are left out, the drift, and what the gaps miss
+are those of the record's blocks.
+
+Likelihood of spectra in segments of which two parts may be stronger or weaker than in the whole.
+
+The parts have known shapes and unknown scales: one that is tested, and one that is free beside it in
+each segment. Fisher scoring is then a 2 x 2 system a segment, and with the tested scale in common one
+more unknown. Twice the drop of the likelihood from free to common is the test of homogeneity, the
+chi-squared counterpart of Bartlett's test of equal variances.
+
+Source: Bartlett (1937), Proc. R. Soc. A 160, 268.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.allan.dct import dct_bins, dct_ordinates, fast_length
+from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.fitting.homogeneity import bartlett_correction, cochran_q, homogeneity
+from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
+from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
+from imucal.fitting.spectral.bounds import COLUMN
+from imucal.fitting.spectral.estimates import Fitted, Problem, quantile
+from imucal.fitting.spectral.likelihood import contributions
+from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
+from imucal.fitting.spectral.scoring import bounds
+from imucal.fitting.spectral.structures import candidates_of, parameter_columns
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import ALWAYS, in_order
+from imucal.recording import AxisSeries
+
+#: Fewest samples of a segment, and of a part of it between two long gaps.
+_FEWEST, _FEWEST_IN_PART = 2048, 64
+#: Fewest segments that show how a term changes.
+_LEAST = 3
+#: The bins of a segment: its spectrum is known roughly, and the model's mean over a bin exactly.
+_SINGLES, _PER_OCTAVE = 16, 12
+#: Fewest ordinates that are left out on each side of a line.
+_REACH = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SegmentOrdinates:
+    """The ordinates of each segment.
+
+    Attributes
+    ----------
+    ordinates
+        Those of all segments, one after the other; no regressors.
+    first
+        Place of each segment's first bin, shape (s,).
+    start_s, end_s
+        When each segment begins and ends, shape (s,), in s from the first sample.
+    """
+
+    ordinates: Ordinates
+    first: IntArray
+    start_s: FloatArray
+    end_s: FloatArray
+
+
+def number_of_segments(samples: int, wanted: int) -> int:
+    """Return how many segments a record is cut into: fewer where it is short, 0 for none."""
+    count = min(wanted, samples // _FEWEST)
+    return count if count >= min(_LEAST, wanted) > 1 else 0
+
+
+def segment_ordinates(
+    series: AxisSeries,
+    blocks: tuple[Block, ...],
+    *,
+    drift: Mapping[str, float],
+    scale: float,
+    wanted: int,
+    fraction: float,
+) -> SegmentOrdinates | None:
+    """Return the ordinates of each segment, or None where the record is too short for any.
+
+    A segment of which the gaps leave too little is left out.
+
+    Parameters
+    ----------
+    series
+        Finite samples.
+    blocks
+        Their blocks.
+    drift
+        Name of a regressor -> its coefficient in scaled units: what is taken out.
+    scale
+        U per scaled unit.
+    wanted
+        Most segments.
+    fraction
+        Upper end of the band, as a fraction of Nyquist.
+    """
+    count = number_of_segments(series.n, wanted)
+    if not count:
+        return None
+    clock = series.clock
+    edges = np.linspace(0, clock.grid_size, count + 1).round().astype(np.int64)
+    parts: list[Ordinates] = []
+    kept: list[int] = []
+    for number, (start, stop) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)):
+        pieces = []
+        for block in blocks:
+            low, high = max(start, block.offset), min(stop, block.offset + block.bins.n)
+            piece = _piece(series, block, drift=drift, scale=scale, place=low, size=high - low)
+            pieces += [piece] if piece else []
+        if sum(piece.bins.n for piece in pieces) >= _FEWEST // 2:
+            parts.append(bin_blocks(pieces, scale, ()).below(fraction))
+            kept.append(number)
+    if len(kept) < 2:
+        return None
+    sizes = [part.size.size for part in parts]
+    return SegmentOrdinates(
+        ordinates=_joined(parts),
+        first=np.cumsum([0, *sizes[:-1]]),
+        start_s=np.asarray(edges[kept] * series.tau0, dtype=np.float64),
+        end_s=np.asarray(edges[np.array(kept) + 1] * series.tau0, dtype=np.float64),
+    )
+
+
+def _joined(parts: list[Ordinates]) -> Ordinates:
+    binned = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in binned
+    }
+    return replace(parts[0], **arrays)
+
+
+def _piece(
+    series: AxisSeries,
+    block: Block,
+    *,
+    drift: Mapping[str, float],
+    scale: float,
+    place: int,
+    size: int,
+) -> Block | None:
+    """Return the part of a block from a place of the grid on; None where little of it was measured."""
+    size = fast_length(max(size, 0))
+    clock = series.clock
+    first, stop = clock.index_from(place), clock.index_from(place + size)
+    if stop - first < max(_FEWEST_IN_PART, size // 2):
+        return None
+    seen = slice(first, stop)
+    samples = series.samples[seen] / scale
+    missing = size - samples.size
+    if missing and block.drawn is not None:
+        before = place - block.offset - (first - clock.index_from(block.offset))
+        own = clock.slice(first, stop)
+        at = own.grid() + (own.segments[0].offset - clock.segments[0].offset - place)
+        samples = _between(samples, at, block.drawn[before : before + missing])
+    for name, coefficient in drift.items():
+        samples -= coefficient * _regressor(name, block, place, size)
+    bins = dct_bins(size, singles=_SINGLES, per_octave=_PER_OCTAVE)
+    return Block(
+        offset=place,
+        bins=bins,
+        ordinates=dct_ordinates(samples),
+        kept=_kept(block, size),
+        loss=_loss(block, bins.omega, missing / size) if missing else None,
+    )
+
+
+def _regressor(name: str, block: Block, place: int, size: int) -> FloatArray:
+    """Return a regressor at places of the grid; what lags, from the beginning of the block on."""
+    first = place - block.offset
+    stop = first + size
+    start = 0 if name.startswith("temperature") else first
+    places = block.offset + np.arange(start, stop, dtype=np.float64)
+    temperature = None if block.temperature is None else block.temperature[start:stop]
+    return regressor_samples(name, places, temperature)[first - start :]
+
+
+def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray:
+    """Return samples at their places with those that were drawn between them."""
+    filled = np.empty(samples.size + drawn.size)
+    gaps = np.ones(filled.size, dtype=bool)
+    gaps[at] = False
+    filled[at], filled[gaps] = samples, drawn
+    return filled
+
+
+def _kept(block: Block, size: int) -> BoolArray | None:
+    """Return which ordinates of a part to use: those that are no line of the block; None for all.
+
+    A line's tail falls off with the distance in ordinates, which are wider apart in a part: so many
+    times that its reach there is the root of so many times that of the block.
+    """
+    if block.kept is None:
+        return None
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], block.kept, [True]]).astype(np.int8)))
+    shrink = size / block.bins.n
+    # Ordinates count from 1.
+    middle = ((edges[::2] + edges[1::2]) / 2 + 0.5) * shrink
+    reach = np.maximum((edges[1::2] - edges[::2]) / 2 * np.sqrt(shrink), _REACH)
+    steps = np.zeros(size, dtype=np.int64)
+    np.add.at(steps, np.clip(np.floor(middle - reach).astype(np.int64) - 1, 0, size - 1), 1)
+    np.add.at(steps, np.clip(np.ceil(middle + reach).astype(np.int64), 0, size - 1), -1)
+    kept: BoolArray = np.cumsum(steps)[: size - 1] == 0
+    return kept
+
+
+def _loss(block: Block, omega: FloatArray, missing: float) -> FloatArray:
+    """Return the share of information lost: the block's at the same frequency, as the gaps are spread."""
+    bins = block.bins
+    share = missing * bins.n / block.drawn.size if block.drawn is not None else 0.0
+    whole = np.zeros(bins.size) if block.loss is None else block.loss
+    return np.clip(share * np.interp(omega, bins.omega, whole), 0.0, 0.99)
+
+
+#: Logs of the scales stay above this: what is lower is invisible.
+_SEGMENT_SCALES_LEAST = -18.0
+#: Longest step of a log, and most steps.
+_STEP, _STEPS = 1.5, 60
+#: Gain of the log-likelihood that ends the search.
+_CLOSE = 1e-4
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scales:
+    """Where the likelihood is greatest.
+
+    Attributes
+    ----------
+    tested, beside
+        Logs of the scales of both parts in each segment, shape (s,).
+    objective
+        -log L of all segments, less a constant.
+    matrix
+        Expected information of both logs: of `tested`, of both, of `beside`; shape (3, s).
+    """
+
+    tested: FloatArray
+    beside: FloatArray
+    objective: float
+    matrix: FloatArray
+
+    @property
+    def information(self) -> FloatArray:
+        """Information on `tested` with `beside` unknown, shape (s,)."""
+        tested, both, beside = self.matrix
+        own: FloatArray = tested - both**2 / (beside + _TINY)
+        return own
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Parts:
+    """The spectra of one test: what is held, what is tested, what varies beside it, shape (b,) each."""
+
+    held: FloatArray
+    tested: FloatArray
+    beside: FloatArray
+    size: FloatArray
+    power: FloatArray
+    first: IntArray
+
+    def total(self, values: FloatArray) -> FloatArray:
+        """Return the sum over each segment's bins, shape (s,)."""
+        summed: FloatArray = np.add.reduceat(values, self.first)
+        return summed
+
+    def spread(self, values: FloatArray) -> FloatArray:
+        """Return a segment's value at each of its bins, shape (b,)."""
+        return np.repeat(values, np.diff(self.first, append=self.size.size))
+
+
+def fit_scales(parts: Parts, *, common: bool) -> Scales:
+    """Maximise the likelihood, the tested part the same in all segments where `common`."""
+    count = parts.first.size
+    theta = np.zeros((2, count))
+    objective, gradient, matrix = _evaluate(parts, theta)
+    shrink = np.ones(count)
+    for _ in range(_STEPS):
+        step = _step(gradient, matrix, common=common)
+        trial = np.maximum(theta + shrink * step, _SEGMENT_SCALES_LEAST)
+        found, slope, information = _evaluate(parts, trial)
+        gain = objective - found
+        if common:
+            gain = np.full(count, gain.sum() / count)
+        better = gain >= -_TINY * np.abs(objective)
+        theta = np.where(better, trial, theta)
+        objective = np.where(better, found, objective)
+        gradient = np.where(better, slope, gradient)
+        matrix = np.where(better, information, matrix)
+        shrink = np.where(better, np.minimum(2 * shrink, 1.0), shrink / 4)
+        if np.all(np.where(better, gain < _CLOSE, shrink < 1e-4)):
+            break
+    return Scales(tested=theta[0], beside=theta[1], objective=float(objective.sum()), matrix=matrix)
+
+
+def scales_at(parts: Parts, tested: FloatArray, beside: FloatArray) -> Scales:
+    """Return the likelihood at given logs of the scales, shape (s,) each."""
+    objective, _, matrix = _evaluate(parts, np.array([tested, beside]))
+    return Scales(tested=tested, beside=beside, objective=float(objective.sum()), matrix=matrix)
+
+
+def _evaluate(parts: Parts, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return -log L (s,), its gradient (2, s) and the information's three entries (3, s)."""
+    tested, beside = (parts.spread(np.exp(row)) for row in theta)
+    tested, beside = tested * parts.tested, beside * parts.beside
+    spectrum = parts.held + tested + beside
+    ratio = parts.power / spectrum
+    objective = 0.5 * parts.total(parts.size * np.log(spectrum) + ratio)
+    tested, beside = tested / spectrum, beside / spectrum
+    rest = 0.5 * (parts.size - ratio)
+    gradient = np.array([parts.total(tested * rest), parts.total(beside * rest)])
+    weight = 0.5 * parts.size
+    pairs = ((tested, tested), (tested, beside), (beside, beside))
+    return objective, gradient, np.array([parts.total(weight * a * b) for a, b in pairs])
+
+
+def _step(gradient: FloatArray, matrix: FloatArray, *, common: bool) -> FloatArray:
+    """Return the scoring step of both logs in each segment, shape (2, s)."""
+    tested, both, beside = matrix[0] * (1 + 1e-9) + _TINY, matrix[1], matrix[2] * (1 + 1e-9) + _TINY
+    left = gradient[0] - both / beside * gradient[1]
+    rest = np.maximum(tested - both**2 / beside, _TINY)
+    first = -left / rest
+    if common:
+        first = np.full(first.size, -left.sum() / rest.sum())
+    first = np.clip(first, -_STEP, _STEP)
+    second = np.clip(-(gradient[1] + both * first) / beside, -_STEP, _STEP)
+    return np.array([first, second])
+
+
+#: A term that the fit lacks is looked for from this share of the spectrum on, where its share is largest.
+_SHARE = 0.1
+#: Standard error of a log below which a segment tells a term by itself.
+_SURE = 0.1
+#: Longest averaging time of the floor, as a part of a segment.
+_PART = 0.25
+
+
+def fit_segments(
+    series: AxisSeries,
+    blocks: SeriesBlocks,
+    problem: Problem,
+    fitted: Fitted,
+    *,
+    model: NoiseModel,
+    curve: AllanCurve,
+    wanted: int,
+    fraction: float,
+) -> Segments | None:
+    """Return what the segments of a record say of its fit; None where it is too short for any.
+
+    Parameters
+    ----------
+    series
+        Finite samples.
+    blocks
+        Their blocks.
+    problem, fitted
+        What was fitted, and the model that is shown.
+    model
+        The same in SI.
+    curve
+        Of the series: its minimum is the averaging time of the floor.
+    wanted
+        Most segments.
+    fraction
+        Upper end of the band, as a fraction of Nyquist.
+    """
+    names, beta = problem.ordinates.names, fitted.maximum.beta[0].tolist()
+    found = segment_ordinates(
+        series,
+        blocks.blocks,
+        drift={name: value for name, value in zip(names, beta, strict=True) if value},
+        scale=blocks.scale,
+        wanted=wanted,
+        fraction=fraction,
+    )
+    if found is None:
+        return None
+    tests = _Tests(problem, fitted, found)
+    white, floor, tau = tests.traces(model, curve, series)
+    return Segments(
+        start_s=found.start_s,
+        end_s=found.end_s,
+        white=white,
+        floor=floor,
+        floor_tau_s=tau,
+        terms=tests.terms(),
+    )
+
+
+class _Tests:
+    """The tests of one fit's terms; spectra have a row for each variance parameter."""
+
+    def __init__(self, problem: Problem, fitted: Fitted, segments: SegmentOrdinates) -> None:
+        self.problem, self.segments = problem, segments
+        missing = [symbol for symbol in ALWAYS if symbol not in fitted.structure]
+        self.structure = in_order((*fitted.structure, *missing))
+        self.absent = [COLUMN[symbol] for symbol in missing]
+        old = fitted.candidate
+        candidate = candidates_of(
+            [self.structure],
+            (),
+            poles=int(old.poles[0]),
+            zeros=int(old.zeros[0]),
+            room_markov=old.room_markov,
+        )
+        theta = fitted.maximum.theta.copy()
+        theta[:, self.absent] = bounds(problem.ordinates, candidate, shortest=problem.shortest)[0][
+            self.absent
+        ]
+        self.spectra = contributions(segments.ordinates, candidate, theta)
+        self.whole = np.delete(self.spectra, self.absent, axis=0).sum(axis=0)
+        for column in self.absent:
+            self.spectra[column] *= _SHARE / np.max(self.spectra[column] / self.whole)
+        self.columns = dict(parameter_columns(self.structure, old.room_markov))
+        self.spans = np.stack([segments.start_s, segments.end_s], axis=1)
+
+    def terms(self) -> tuple[TermHomogeneity, ...]:
+        """Return the test of each term but the ramp, by rising slope."""
+        names = [name for name in self.columns if not name.endswith(".T")]
+        return tuple(self.test(name) for name in names)
+
+    def test(self, name: str) -> TermHomogeneity:
+        """Return the test of one term: Cochran's Q where each segment tells it, else the likelihood ratio."""
+        parts, surplus = self.parts(self.columns[name]), self.surplus(name)
+        free, common = (fit_scales(parts, common=held) for held in (False, True))
+        # The variance of the log of a deviation is a quarter of that of its square's.
+        logs, weight = free.tested / 2, 4 * free.information / surplus
+        if weight.min() > _SURE**-2:
+            statistic = cochran_q(logs, weight)
+        else:
+            weight = 4 * common.information / surplus
+            statistic = 2 * (common.objective - free.objective) / surplus
+            statistic /= bartlett_correction(common.information)
+        return homogeneity(name.partition(".")[0], statistic, logs, weight, self.spans)
+
+    def surplus(self, name: str) -> float:
+        """Return by what factor the variance of a log is larger than the likelihood's: heavy tails."""
+        return self.problem.widening.get(name, 1.0) ** 2
+
+    def parts(self, column: int) -> Parts:
+        """Return what is tested, and what is free beside it."""
+        white = COLUMN["N"]
+        rows = [c for c in range(white + 1, len(self.spectra)) if c not in self.absent]
+        if column != white:
+            rows = [white] if white not in self.absent else []
+        tested, beside = self.spectra[column], self.spectra[rows].sum(axis=0)
+        held = self.whole - beside - (0.0 if column in self.absent else tested)
+        ordinates = self.segments.ordinates
+        return Parts(
+            held=np.maximum(held, 0.0),
+            tested=tested,
+            beside=beside,
+            size=ordinates.size,
+            power=ordinates.power,
+            first=self.segments.first,
+        )
+
+    def traces(
+        self, model: NoiseModel, curve: AllanCurve, series: AxisSeries
+    ) -> tuple[Trace | None, Trace | None, float]:
+        """Return N and the floor of each segment, and the floor's averaging time."""
+        length = float(np.min(self.segments.end_s - self.segments.start_s))
+        tau = min(curve.minimum[1], _PART * length)
+        m = np.array([max(tau / series.tau0, 1.0)])
+        shares = {
+            symbol: float(
+                NoiseModel(terms=tuple(t for t in model.terms if t.symbol == symbol)).avar(
+                    m, rate_hz=series.rate_hz
+                )[0]
+            )
+            for symbol in {term.symbol for term in model.terms} - {"R"}
+        }
+        white = next((term for term in model.terms if term.symbol == "N"), None)
+        slow = sum(share for symbol, share in shares.items() if symbol not in {"Q", "N"})
+        if white is None:
+            return None, None, np.nan
+        parts = self.parts(COLUMN["N"])
+        free = fit_scales(parts, common=False)
+        sure = scales_at(parts, np.zeros(self.spans.shape[0]), np.zeros(self.spans.shape[0]))
+        z = quantile(self.problem.level)
+        surplus = self.surplus("N")
+        n = _trace(abs(white.values[0]), free.tested, z * np.sqrt(surplus / sure.information))
+        if not slow:
+            return n, None, np.nan
+        fast, rest = shares["N"] * np.exp(free.tested), slow * np.exp(free.beside)
+        total = fast + rest + shares.get("Q", 0.0)
+        error = np.sqrt(_variance(sure, fast / total, rest / total, surplus))
+        return n, _trace(1.0, np.log(total), z * error), tau
+
+
+def _variance(sure: Scales, fast: FloatArray, slow: FloatArray, surplus: float) -> FloatArray:
+    """Return the variance of the log of a sum of both parts that have these shares of it, shape (s,)."""
+    tested, both, beside = sure.matrix
+    determinant = tested * beside - both**2
+    variance: FloatArray = (
+        surplus * fast**2 * beside - 2 * fast * slow * both + slow**2 * tested
+    ) / determinant
+    return variance
+
+
+def _trace(unit: float, logs: FloatArray, reach: FloatArray) -> Trace:
+    """Return `unit` times the root of squares whose logs are known to within `reach`."""
+    value, low, high = (unit * np.exp(x / 2) for x in (logs, logs - reach, logs + reach))
+    return Trace(value=value, low=low, high=high)
