@@ -135,7 +135,7 @@ def failed_logs(logs: "pl.DataFrame") -> "pl.DataFrame":
 
 def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
     """Print how many logs ended how, and what they took."""
-    from imucal.fleet.store_columns import STATUSES
+    from imucal.fleet.store import STATUSES
 
     verdicts = {grade: count(logs, "ok", grade) for grade in GRADES}
     failed = {status: n for status in STATUSES if status != "ok" and (n := count(logs, status))}

@@ -53,7 +53,7 @@ def command(*, folder: Path, as_json: bool, quiet: bool) -> None:
 def _document(
     logs: "pl.DataFrame", manifest: "pl.DataFrame", left: list[str], damaged: list[Path]
 ) -> dict[str, object]:
-    from imucal.fleet.store_columns import STATUSES
+    from imucal.fleet.store import STATUSES
 
     copies = manifest.drop_nulls("copy_of").select("path", "copy_of").iter_rows()
     return {

@@ -3,9 +3,9 @@
 from imucal.checking.verdict import Measured, Row, Verdict
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.fleet.log_terms import log_values
-from imucal.fleet.log_value import LogValue
-from imucal.fleet.membership import FEWEST, membership
+from imucal.fleet.pooling import log_values
+from imucal.fleet.population import FEWEST, membership
+from imucal.fleet.values import LogValue
 from imucal.fleet_report.shown import sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.noise.terms import TERMS

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imucal.fleet.labelled_logs import NEAREST
 from imucal.fleet.population import UnitValue
-from imucal.fleet.trend import Trend
+from imucal.fleet.trend import NEAREST, Trend
 from imucal.fleet_report.fleet_tables import by_term
 from imucal.fleet_report.panels import labelled_ticks, sorted_units, span
 from imucal.fleet_report.shown import bound_name, deviation, per, sheet_unit

@@ -2,7 +2,7 @@
 
 import shlex
 
-from imucal.fleet.log_value import LogValue
+from imucal.fleet.values import LogValue
 from imucal.fleet_report.shown import loose_text
 from imucal.fleet_report.summary import Fleet, FleetLog, LooseLog
 from imucal.noise.terms import TERMS

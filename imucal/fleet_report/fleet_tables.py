@@ -3,9 +3,8 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from imucal.fleet.labelled_logs import NEAREST
 from imucal.fleet.population import UnitValue
-from imucal.fleet.trend import Trend
+from imucal.fleet.trend import NEAREST, Trend
 from imucal.fleet_report.shown import (
     alone,
     between,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imucal.fleet.outliers import FALSE_SHARE, adjusted
+from imucal.fleet.population import FALSE_SHARE, adjusted
 from imucal.fleet_report.shown import loose_text
 from imucal.fleet_report.summary import Fleet, FleetTerm
 

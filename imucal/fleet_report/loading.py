@@ -10,11 +10,10 @@ import numpy as np
 
 from imucal._version import __version__
 from imucal.errors import DataError
-from imucal.fleet.log_value import LogValue
-from imucal.fleet.outliers import FALSE_SHARE, adjusted
-from imucal.fleet.population import population
+from imucal.fleet.population import FALSE_SHARE, adjusted, population
 from imucal.fleet.store import FleetStore
 from imucal.fleet.trend import Trend, adjust, trend
+from imucal.fleet.values import LogValue
 from imucal.fleet_report.sample_size import prices
 from imucal.fleet_report.summary import Fleet, FleetLog, FleetTerm, LooseLog, SensorModel, UnitLogs
 from imucal.fleet_report.unit_tests import TermKey, unit_tests

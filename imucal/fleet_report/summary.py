@@ -7,9 +7,9 @@ from pathlib import Path
 
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
-from imucal.fleet.log_value import LogValue
 from imucal.fleet.population import Population, UnitValue
 from imucal.fleet.trend import Trend
+from imucal.fleet.values import LogValue
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
 

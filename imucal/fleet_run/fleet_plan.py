@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import polars as pl
 
 from imucal.errors import ReadError
-from imucal.fleet.store import FleetStore
-from imucal.fleet.store_columns import MANIFEST
+from imucal.fleet.store import MANIFEST, FleetStore
 from imucal.fleet_run.log_identity import Stamp
 from imucal.fleet_run.log_places import content_at, edge_at, stamps_of
 from imucal.fleet_run.log_tasks import FleetSettings, LogTask

@@ -33,7 +33,7 @@ _OF_VALUE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogRows:
-    """What is committed of a log: rows with the columns of `imucal.fleet.store_columns`."""
+    """What is committed of a log: rows with the columns of `imucal.fleet.store`."""
 
     log: dict[str, object]
     results: list[dict[str, object]] = field(default_factory=list)

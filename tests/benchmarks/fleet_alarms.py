@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.fitting.spectral.given_model import fit_bins, record_tests
-from imucal.fleet.outliers import FALSE_SHARE, adjusted
+from imucal.fleet.population import FALSE_SHARE, adjusted
 from tests.fleet.records import bins_from, simulated
 
 #: Relative spread of N, B and K between units.

@@ -13,7 +13,7 @@ from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.blocks import bin_blocks, make_blocks, ordinates_of
 from imucal.fitting.spectral.given_model import BinFit, _Record, fit_bins, record_tests
-from imucal.fleet.log_value import LogValues
+from imucal.fleet.values import LogValues
 from imucal.recording import AxisSeries, Sensor
 from tests.fleet.records import RATE, bins_from, fit_of, quick_fit, simulated
 

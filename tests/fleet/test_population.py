@@ -9,12 +9,19 @@ from scipy import integrate, stats
 from scipy.special import ndtr, ndtri
 
 from imucal.fleet import LogValue, population
-from imucal.fleet.bounded import only_bounded, rms_bound, share_bound
-from imucal.fleet.log_value import LogValues
-from imucal.fleet.outliers import adjusted, leave_one_out
-from imucal.fleet.posterior import _blurs, _log_posterior, posterior_of
-from imucal.fleet.squares import Squares
-from imucal.fleet.unit_likelihood import place_of, unit_likelihoods
+from imucal.fleet.population import (
+    _blurs,
+    _log_posterior,
+    adjusted,
+    leave_one_out,
+    only_bounded,
+    place_of,
+    posterior_of,
+    rms_bound,
+    share_bound,
+    unit_likelihoods,
+)
+from imucal.fleet.values import LogValues, Squares
 from tests.fleet.simulated import strong_fleet, weak_fleet
 
 

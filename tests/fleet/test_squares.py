@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from imucal.arrays import FloatArray
-from imucal.fleet.squares import Squares
+from imucal.fleet.values import Squares
 
 GRID = np.linspace(0.0, 6.0, 61)
 

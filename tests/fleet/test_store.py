@@ -9,8 +9,7 @@ import polars as pl
 import pytest
 
 from imucal.errors import ReadError, WriteError
-from imucal.fleet.store import FleetStore
-from imucal.fleet.store_columns import LOGS, MANIFEST
+from imucal.fleet.store import LOGS, MANIFEST, FleetStore
 
 
 def manifest(*rows: dict[str, Any]) -> pl.DataFrame:

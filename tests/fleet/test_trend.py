@@ -8,9 +8,7 @@ import pytest
 
 from imucal.errors import DataError
 from imucal.fleet import LogValue, trend
-from imucal.fleet.labelled_logs import LabelledLogs, labelled_logs
-from imucal.fleet.slope_posterior import slope_posterior
-from imucal.fleet.trend import adjust
+from imucal.fleet.trend import LabelledLogs, adjust, labelled_logs, slope_posterior
 from tests.benchmarks.fleet_trends import make_fleet, said
 
 

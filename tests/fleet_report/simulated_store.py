@@ -9,8 +9,7 @@ import numpy as np
 import polars as pl
 
 from imucal.fitting.bins import pack
-from imucal.fleet.store import FleetStore
-from imucal.fleet.store_columns import MANIFEST
+from imucal.fleet.store import MANIFEST, FleetStore
 from tests.fleet.records import bins_from, simulated
 
 Z = 1.959963984540054

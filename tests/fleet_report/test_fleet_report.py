@@ -18,8 +18,7 @@ from scipy import stats
 import imucal
 from imucal import DataError, Fleet, ReadError
 from imucal.errors import ChoiceError
-from imucal.fleet.store import FleetStore
-from imucal.fleet.store_columns import MANIFEST
+from imucal.fleet.store import MANIFEST, FleetStore
 from imucal.fleet_report import unit_tests
 from imucal.fleet_report.fleet_document import fleet_csv, fleet_document, fleet_schema
 from imucal.fleet_report.fleet_figures import drift_figure, heat_figure, models_figure, units_figure
@@ -366,7 +365,7 @@ def test_a_term_that_few_units_have_is_not_judged(fleet: Fleet) -> None:
 
 def test_units_of_the_fleet_fail_a_check_rarely() -> None:
     """New units of 60 draws: a false alarm in about 5 % of them, by the membership of one term."""
-    from imucal.fleet.membership import membership
+    from imucal.fleet.population import membership
     from tests.fleet.simulated import strong_fleet
 
     rng = np.random.default_rng(4601)
@@ -617,7 +616,7 @@ def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
 
 def test_logs_of_units_are_judged_over_all_units_and_terms(tmp_path: Path) -> None:
     """Six units without a difference but for the last: what is rare in one of many tests is not named."""
-    from imucal.fleet.outliers import adjusted
+    from imucal.fleet.population import adjusted
 
     write_store(tmp_path, units=6, temperatures=(25.0, 25.0), special=False, failures=False, weak="", bins=6)
     fleet = imucal.load_fleet(tmp_path)

@@ -2,6 +2,14 @@
 
 The estimate of a variance is nearly a scaled chi-square on top of a known background, as the power of a few
 bins is: normal about a weak term, its deviation in proportion to a strong one.
+
+Estimates of squared coefficients whose deviation grows with the square.
+
+The power of a few bins is a chi-square of it on top of a background, scaled; an estimate of a squared
+coefficient, from weights that do not follow it, is nearly so. It is normal about a weak coefficient, and its
+deviation in proportion to a strong one.
+
+Mixtures of normal laws: numbers that are normal at each point of a posterior's grid.
 """
 
 import math
@@ -11,7 +19,88 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
-from imucal.fleet.squares import Squares
+
+#: A deviation that grows by less is constant.
+_NO_GROWTH = 1e-4
+#: A square that is small beside a deviation, relative to it.
+_SMALL = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Squares:
+    """Estimates, which may be negative, of squared coefficients; shape (n,) each.
+
+    Attributes
+    ----------
+    estimate
+        Of the square.
+    sd, growth
+        The standard deviation of an estimate is ``sd + growth * square``.
+    """
+
+    estimate: FloatArray
+    sd: FloatArray
+    growth: FloatArray
+
+    def deviation(self, square: float) -> FloatArray:
+        """Return the standard deviation of each, were its squared coefficient `square`."""
+        result: FloatArray = self.sd + self.growth * square
+        return result
+
+    def log_likelihood(self, square: FloatArray) -> FloatArray:
+        """Return the log-likelihood of squared coefficients, shape (n, squares), against the most likely."""
+        estimate, sd, growth = self._columns()
+        likely = np.maximum(estimate, 0.0)
+
+        def height(square: FloatArray) -> FloatArray:
+            apart = (estimate - square) / (sd + growth * square)
+            grows = np.maximum(growth, _NO_GROWTH)
+            chi_square = (np.log1p(grows * square / sd) + grows * apart) / grows**2
+            return np.where(growth < _NO_GROWTH, 0.5 * apart**2, chi_square)
+
+        result: FloatArray = height(likely) - height(square)
+        return result
+
+    def below(self, square: FloatArray) -> FloatArray:
+        """Return the chance of an estimate below each, were the squares those, shape (n, squares).
+
+        Wilson & Hilferty (1931), Proc. National Academy of Sciences 17, p. 684: the cube root of a
+        chi-square is nearly normal. An estimate may lie below what its background alone would be, since
+        the other terms are not known: far down it is normal.
+        """
+        from scipy.special import ndtr
+
+        estimate, sd, growth = self._columns()
+        apart = (estimate - square) / (sd + growth * square)
+        grows = np.maximum(growth, _NO_GROWTH)
+        root = (np.cbrt(1 + grows * apart) - 1) * 3 / grows + grows / 3
+        root = np.where(apart < 0, np.maximum(root, apart), root)
+        result: FloatArray = ndtr(np.where(growth < _NO_GROWTH, apart, root))
+        return result
+
+    def mean_by(self, group: IntArray, at: float) -> "Squares":
+        """Return the mean of each group, shape (groups,), with weights that are best at a square `at`."""
+        weight = self.deviation(at) ** -2.0
+        share = weight / np.bincount(group, weight)[group]
+
+        def error(square: float) -> FloatArray:
+            own: FloatArray = (share * self.deviation(square)) ** 2
+            return np.sqrt(np.bincount(group, own))
+
+        mean: FloatArray = np.bincount(group, share * self.estimate).astype(np.float64)
+        sd = error(0.0)
+        # The deviation of a mean is nearly linear too; any small square tells how it begins.
+        far = at or _SMALL * float(sd.min())
+        return Squares(mean, sd, (error(far) - sd) / far)
+
+    def take(self, which: Sequence[int] | IntArray) -> "Squares":
+        """Return some of them."""
+        rows = np.asarray(which)
+        return Squares(self.estimate[rows], self.sd[rows], self.growth[rows])
+
+    def _columns(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self.estimate[:, None], self.sd[:, None], self.growth[:, None]
+
 
 #: Logarithms above this are as large as they need to be; keeps their exponentials finite.
 _LARGEST = 50.0
@@ -213,3 +302,62 @@ def _logarithms(variance: FloatArray, deviation: FloatArray) -> tuple[FloatArray
 
 def _column(values: Iterable[float | None]) -> FloatArray:
     return np.array([math.nan if value is None else value for value in values], dtype=np.float64)
+
+
+#: Halvings that find a quantile.
+_HALVINGS = 40
+#: Points of less weight than this, of the greatest, say nothing of a quantile.
+_LITTLE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Mixtures:
+    """Several numbers, each normal at each point of a grid.
+
+    Attributes
+    ----------
+    mean, sd
+        Shape (numbers, points).
+    weight
+        Shape (points,); adds up to one.
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+    weight: FloatArray
+
+    def take(self, which: Sequence[int]) -> "Mixtures":
+        """Return some of the numbers."""
+        return Mixtures(self.mean[list(which)], self.sd[list(which)], self.weight)
+
+    def followed_by(self, other: "Mixtures") -> "Mixtures":
+        """Return these numbers and others of the same grid."""
+        return Mixtures(np.vstack([self.mean, other.mean]), np.vstack([self.sd, other.sd]), self.weight)
+
+    def moments(self) -> tuple[FloatArray, FloatArray]:
+        """Return means and the roots of the mean variances at a point, shape (numbers,)."""
+        return self.mean @ self.weight, np.sqrt(self.sd**2 @ self.weight)
+
+    def two_sided(self) -> FloatArray:
+        """Return the chance that each lies beyond zero, from where most of it is, on either side."""
+        from scipy.special import ndtr
+
+        above = ndtr(self.mean / self.sd) @ self.weight
+        result: FloatArray = 2 * np.minimum(above, 1 - above)
+        return result
+
+    def quantiles(self, at: Sequence[float]) -> FloatArray:
+        """Return quantiles, shape (numbers, quantiles), by bisection."""
+        from scipy.special import ndtr
+
+        keep = self.weight > _LITTLE * self.weight.max()
+        mean, sd, weight = self.mean[:, keep], self.sd[:, keep], self.weight[keep] / self.weight[keep].sum()
+        found = []
+        for level in at:
+            low, high = np.min(mean - 9 * sd, axis=1), np.max(mean + 9 * sd, axis=1)
+            for _ in range(_HALVINGS):
+                middle = (low + high) / 2
+                below = ndtr((middle[:, None] - mean) / sd) @ weight < level
+                low, high = np.where(below, middle, low), np.where(below, high, middle)
+            found.append((low + high) / 2)
+        return np.column_stack(found)
