@@ -127,7 +127,7 @@ def say_verdict(fleet: "Fleet", *, quiet: bool) -> None:
 
 def failed_logs(logs: "pl.DataFrame") -> "pl.DataFrame":
     """Return the rows of logs that gave no numbers which may be used."""
-    from imucal.fleet_run.log_tasks import has_failed
+    from imucal.fleet_run.plan import has_failed
 
     pairs = zip(logs["status"], logs["verdict"], strict=True)
     return logs.filter([has_failed(status, verdict) for status, verdict in pairs])

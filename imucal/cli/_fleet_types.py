@@ -10,7 +10,7 @@ from imucal.cli.parameters.param_type import ParamType
 from imucal.resources import parse_size
 
 if TYPE_CHECKING:
-    from imucal.fleet_run.path_labels import LabelPattern
+    from imucal.fleet_run.logs import LabelPattern
 
 
 class Size(ParamType[int]):
@@ -19,7 +19,7 @@ class Size(ParamType[int]):
     name = "size"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        from imucal.fleet_run.log_tasks import LEAST_MEMORY
+        from imucal.fleet_run.plan import LEAST_MEMORY
 
         try:
             size = value if isinstance(value, int) else parse_size(str(value))
@@ -65,7 +65,7 @@ class Labels(ParamType["LabelPattern"]):
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> "LabelPattern":
-        from imucal.fleet_run.path_labels import LabelPattern
+        from imucal.fleet_run.logs import LabelPattern
 
         try:
             return LabelPattern(str(value))

@@ -20,10 +20,10 @@ from imucal.resources import threads
 if TYPE_CHECKING:
     from imucal.fleet.store import FleetStore
     from imucal.fleet_run import FleetPlan, FleetSettings
-    from imucal.fleet_run.manifest_file import LogEntry
-    from imucal.fleet_run.path_labels import LabelPattern
+    from imucal.fleet_run.logs import LabelPattern
+    from imucal.fleet_run.plan import LogEntry
 
-#: As `imucal.fleet_run.log_tasks` has them; to load that for a help text would take longer than the text.
+#: As `imucal.fleet_run.plan` has them; to load that for a help text would take longer than the text.
 _MODEL, _LEVEL = "N + B + K", 0.95
 
 
@@ -36,7 +36,7 @@ def _entries(
     quiet: bool,
 ) -> tuple["LogEntry", ...]:
     """Return the logs asked for; those of the store's manifest where none is named."""
-    from imucal.fleet_run.asked_logs import asked_logs, stored_logs
+    from imucal.fleet_run.plan import asked_logs, stored_logs
 
     if logs or manifest is not None:
         asked = asked_logs(logs, listed=sys.stdin if "-" in logs else (), manifest=manifest, labels=labels)
@@ -143,8 +143,8 @@ def command(
     """
     from imucal.fleet.store import FleetStore
     from imucal.fleet_run import plan_fleet
-    from imucal.fleet_run.asked_logs import as_json
     from imucal.fleet_run.fleet_call import fleet_settings, prepare
+    from imucal.fleet_run.plan import as_json
 
     if shard and scheduler:
         msg = "--shard works without a cluster; give --shard or --scheduler, not both"
@@ -195,7 +195,7 @@ def _run(
     here: bool,
     quiet: bool,
 ) -> None:
-    from imucal.fleet_run.dask_cluster import Engine
+    from imucal.fleet_run.on_dask import Engine
     from imucal.fleet_run.running import run_plan
 
     if not plan.tasks:
@@ -219,7 +219,7 @@ def _saying_how_to_go_on(resume: str) -> Iterator[None]:
 
 def _resume(typed: list[str], out: Path) -> str:
     """Return the command that goes on: the one that was typed, without what must not be done again."""
-    from imucal.fleet_run.manifest_file import shown_and_url
+    from imucal.fleet_run.plan import shown_and_url
 
     kept = [shown_and_url(word)[0] for word in typed if word not in {"--fresh", "-"}]
     if not kept:

@@ -6,12 +6,21 @@ from pathlib import Path
 
 from imucal.fleet.store import FleetStore
 from imucal.fleet_report import Fleet, load_fleet
-from imucal.fleet_run.asked_logs import as_json, asked_logs, stored_logs
-from imucal.fleet_run.dask_cluster import Engine
-from imucal.fleet_run.fleet_plan import FleetPlan, plan_fleet
-from imucal.fleet_run.log_tasks import LEAST_MEMORY, LEVEL, MODEL, REPORTS, FleetSettings
-from imucal.fleet_run.manifest_file import LogEntry
-from imucal.fleet_run.path_labels import LabelPattern
+from imucal.fleet_run.logs import LabelPattern
+from imucal.fleet_run.on_dask import Engine
+from imucal.fleet_run.plan import (
+    LEAST_MEMORY,
+    LEVEL,
+    MODEL,
+    REPORTS,
+    FleetPlan,
+    FleetSettings,
+    LogEntry,
+    as_json,
+    asked_logs,
+    plan_fleet,
+    stored_logs,
+)
 from imucal.fleet_run.running import RunCount, run_plan
 from imucal.noise import parse_structure, structure_text
 from imucal.resources import memory_there_is, parse_size, threads

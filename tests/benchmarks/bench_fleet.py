@@ -25,10 +25,9 @@ import numpy as np
 import psutil
 
 from imucal.fleet.store import FleetStore
-from imucal.fleet_run import dask_engine, running
-from imucal.fleet_run.dask_cluster import Engine
-from imucal.fleet_run.fleet_plan import FleetPlan
-from imucal.fleet_run.log_tasks import FleetSettings, LogDone, LogTask
+from imucal.fleet_run import on_dask, running
+from imucal.fleet_run.on_dask import Engine
+from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask
 from imucal.fleet_run.running import BATCH_S, RunCount, run_plan
 from tests.fleet.simulated_fleet import RATE, make_fleet
 from tests.fleet_run.faults import Bench, cluster
@@ -111,7 +110,7 @@ def engine(folder: Path, *, logs: int, seconds: float) -> None:
     task only the work is another. More batches are in hand than for real work, so that the time is that of
     the tasks and not of waiting for each.
     """
-    dask_engine.WINDOW, running.BATCH_S = 100, seconds
+    on_dask.WINDOW, running.BATCH_S = 100, seconds
     tasks = tuple(LogTask(path=f"logs/{number:07}.mcap", size=10_000) for number in range(logs))
     plan = FleetPlan(
         entries=(), tasks=tasks, done=(), again=(), copies={}, own=tuple(task.path for task in tasks)

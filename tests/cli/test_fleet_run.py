@@ -12,7 +12,7 @@ from imucal.cli._fleet_lines import print_plan, write_files
 from imucal.errors import WriteError
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import FleetPlan, LogTask
-from imucal.fleet_run.log_tasks import LEVEL, MODEL
+from imucal.fleet_run.plan import LEVEL, MODEL
 from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet
 

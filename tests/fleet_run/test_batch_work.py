@@ -9,9 +9,8 @@ import pytest
 from imucal.child_process import ChildProcess
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import running
-from imucal.fleet_run.batch_work import _child, work_on_batch
-from imucal.fleet_run.fleet_plan import FleetPlan
-from imucal.fleet_run.log_tasks import FleetSettings, LogDone, LogTask
+from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask
+from imucal.fleet_run.running import _child, work_on_batch
 from imucal.resources import POOLS, THREADS
 
 

@@ -10,11 +10,9 @@ import pytest
 
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import FleetPlan, FleetSettings, LogTask, plan_fleet
-from imucal.fleet_run.batch_work import commit, failure
-from imucal.fleet_run.fleet_plan import batches, expected_seconds
-from imucal.fleet_run.log_identity import content_of, edge_of, stamp_of
-from imucal.fleet_run.manifest_file import LogEntry
-from imucal.fleet_run.work import LogRows, first_row
+from imucal.fleet_run.logs import content_of, edge_of, stamp_of
+from imucal.fleet_run.plan import LogEntry, batches, expected_seconds
+from imucal.fleet_run.running import LogRows, commit, failure, first_row
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import pytest
 
-from imucal.fleet_run.dask_engine import Lost, _Hand, _Run
+from imucal.fleet_run.on_dask import Lost, _Hand, _Run
 
 
 class Played:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from imucal.errors import ReadError
-from imucal.fleet_run.log_list import find_logs
+from imucal.fleet_run.logs import find_logs
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from imucal.errors import ManifestError
-from imucal.fleet_run.manifest_file import read_manifest
+from imucal.fleet_run.plan import read_manifest
 
 
 def test_labels_and_options_are_read(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from imucal.fleet_run.path_labels import LabelPattern
+from imucal.fleet_run.logs import LabelPattern
 
 
 @pytest.mark.parametrize(

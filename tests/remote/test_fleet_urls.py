@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from imucal.fleet.store import FleetStore
-from imucal.fleet_run.log_identity import edge_of
-from imucal.fleet_run.log_places import content_at, edge_at
+from imucal.fleet_run.logs import content_at, edge_at, edge_of
 from imucal.remote import identify
 from tests.cli.run import run
 from tests.remote.one_axis import OPTIONS, one_axis
