@@ -118,7 +118,7 @@ def write_files(store: "FleetStore", *, quiet: bool) -> None:
 
 def say_verdict(fleet: "Fleet", *, quiet: bool) -> None:
     """Print which units are odd; on a terminal broken between words, else in one line for who searches it."""
-    from imucal.fleet_report.fleet_verdict import verdict
+    from imucal.fleet_report.verdict import verdict
 
     text = verdict(fleet)[1]
     for line in fitted(text, width(), indent=2) if sys.stderr.isatty() else [text]:

@@ -9,8 +9,8 @@ from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval, NoiseFit
-from imucal.fleet_report.shown import bound_name
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.fleet_report.verdict import bound_name
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov

@@ -6,8 +6,8 @@ from imucal.fitting.noise_fit import NoiseFit
 from imucal.fleet.pooling import log_values
 from imucal.fleet.population import FEWEST, membership
 from imucal.fleet.values import LogValue
-from imucal.fleet_report.shown import sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.fleet_report.verdict import sheet_unit
 from imucal.noise.terms import TERMS
 from imucal.report.result import Report
 

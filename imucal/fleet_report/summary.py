@@ -1,17 +1,40 @@
-"""Fleet: what many logs say of each sensor model, as values; renderers are functions of it."""
+"""Fleet: what many logs say of each sensor model, as values; renderers are functions of it.
 
+Several logs of one unit: have they one coefficient? Asked of the bins that the store keeps.
+
+What more units would buy: how far a tolerance bound lies above the quantile that it bounds.
+
+Where units are known well, the bound is k deviations above the mean in the logarithm, and the quantile z:
+Krishnamoorthy & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3): k is a quantile of the noncentral
+t law. Exp(tau (k - z)) is the price of having tested n units only.
+
+The store of a fleet -> Fleet: logs grouped by model and unit, and the statistics of each term.
+"""
+
+import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from imucal.errors import ChoiceError
+import numpy as np
+
+from imucal._version import __version__
+from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
-from imucal.fleet.population import Population, UnitValue
-from imucal.fleet.trend import Trend
+from imucal.fitting.bins import unpack
+from imucal.fleet.pooling import PooledFit, pool_bins
+from imucal.fleet.population import FALSE_SHARE, Population, UnitValue, adjusted, population
+from imucal.fleet.store import FleetStore
+from imucal.fleet.trend import Trend, adjust, trend
 from imucal.fleet.values import LogValue
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
+from imucal.side_work import try_side_work
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,3 +249,364 @@ class Fleet:
         asked = "no model's name" if name is None else repr(name)
         msg = f"{self.folder}: found {asked}, expected one of the sensor models: {names}"
         raise ChoiceError(msg)
+
+
+#: Model, sensor, axis and term.
+TermKey: TypeAlias = tuple[str, str, str, str]
+#: Relative difference of two sampling rates that is none.
+_SAME_RATE = 1e-3
+_LEVEL = 0.95
+#: So many logs' bins are held at once, 18 kB each.
+_AT_ONCE = 5000
+
+
+def unit_tests(
+    store: FleetStore, logs: Mapping[str, FleetLog], terms: Collection[TermKey]
+) -> tuple[dict[TermKey, tuple[UnitLogs, ...]], tuple[Finding, ...]]:
+    """Return for each term the units with several logs, and what could not be judged.
+
+    Parameters
+    ----------
+    store
+        Of the fleet.
+    logs
+        By key.
+    terms
+        Those that each model's axes have.
+    """
+    found: dict[TermKey, list[UnitLogs]] = {}
+    findings: list[Finding] = []
+    for (model, sensor, axis, unit), every in _packed(store, logs):
+        keys = [key for key in terms if key[:3] == (model, sensor, axis)]
+        symbols = tuple(symbol for symbol in TERMS if symbol in {_symbol(key[3]) for key in keys})
+        where = f"{Sensor(sensor).short}_{axis}"
+        pooled, said = try_side_work(
+            lambda every=every, symbols=symbols, sensor=sensor: _pooled(every, symbols, Sensor(sensor)),  # type: ignore[misc]
+            None,
+            what=f"{unit}: whether its logs agree in {where} is not known",
+            code="not-checked",
+            axis=where,
+        )
+        findings += said
+        for key in keys if pooled else ():
+            own = _of_term(pooled, key[3], unit) if pooled else None
+            if own:
+                found.setdefault(key, []).append(own)
+    return {key: tuple(tests) for key, tests in found.items()}, tuple(findings)
+
+
+def _packed(
+    store: FleetStore, logs: Mapping[str, FleetLog]
+) -> Iterator[tuple[tuple[str, str, str, str], list[bytes]]]:
+    """Yield the packed bins of units with several logs, by model, sensor, axis and unit."""
+    keys: dict[tuple[str, str], list[str]] = {}
+    for key, log in logs.items():
+        if log.unit is not None and not log.left_out:
+            keys.setdefault((log.model, log.unit), []).append(key)
+    several = [own for _, own in sorted(keys.items()) if len(own) > 1]
+    for frame in store.bins_in_turn(_together(several)) if several else ():
+        found: dict[tuple[str, str, str, str], list[bytes]] = {}
+        for row in frame.iter_rows(named=True):
+            log = logs[row["key"]]
+            if row["bins"] is not None:
+                place = (log.model, row["sensor"], row["axis"], log.unit or "")
+                found.setdefault(place, []).append(row["bins"])
+        yield from ((place, every) for place, every in sorted(found.items()) if len(every) > 1)
+
+
+def _together(units: Iterable[Sequence[str]]) -> Iterator[list[str]]:
+    """Yield the keys of some units at a time, whose bins are read at once."""
+    keys: list[str] = []
+    for own in units:
+        keys += own
+        if len(keys) >= _AT_ONCE:
+            yield keys
+            keys = []
+    if keys:
+        yield keys
+
+
+def _pooled(packed: Sequence[bytes], symbols: tuple[str, ...], sensor: Sensor) -> PooledFit:
+    every = [unpack(data) for data in packed]
+    first = every[0].tau0
+    rates = sorted({f"{1 / one.tau0:.6g} Hz" for one in every if abs(one.tau0 / first - 1) > _SAME_RATE})
+    if rates:
+        msg = f"found rates of {1 / first:.6g} Hz and {', '.join(rates)}, expected one"
+        raise DataError(msg)
+    return pool_bins(every, symbols, sensor=sensor, rate_hz=1 / first, level=_LEVEL)
+
+
+def _of_term(pooled: PooledFit, term: str, unit: str) -> UnitLogs | None:
+    test = next((test for test in pooled.homogeneity if test.key == term), None)
+    if test is None:
+        return None
+    joint = pooled[term]
+    return UnitLogs(
+        unit=unit,
+        logs=pooled.records,
+        p_value=test.p_value,
+        differs=test.differs,
+        spread=test.spread,
+        value=joint.value,
+        low=joint.low,
+        high=joint.high,
+    )
+
+
+def _symbol(term: str) -> str:
+    return term.rstrip("0123456789")
+
+
+#: The bound that is near enough, and the most units that are thought of.
+NEAR = 1.1
+_MOST = 10_000
+
+
+def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confidence: float = 0.95) -> float:
+    """Return the median bound of `units` units over the quantile that it bounds.
+
+    Parameters
+    ----------
+    units
+        At least 2.
+    spread
+        Standard deviation between units, in the logarithm.
+    content, confidence
+        Of the bound.
+    """
+    from scipy.special import nctdtrit, ndtri
+
+    z = float(ndtri(content))
+    root = math.sqrt(units)
+    factor = float(nctdtrit(units - 1, z * root, confidence)) / root
+    return math.exp(spread * (factor - z))
+
+
+def prices(found: Population) -> tuple[tuple[int, float], ...]:
+    """Return numbers of units with what they cost: these, twice as many, and those that come near enough.
+
+    Empty where the spread between units is not known.
+    """
+    if found.spread is None:
+        return ()
+    tau, n = found.spread.value, len(found.units)
+
+    def excess(units: int) -> float:
+        return tolerance_excess(units, tau, content=found.content, confidence=found.confidence)
+
+    wanted = {n, 2 * n}
+    if excess(n) > NEAR >= excess(_MOST):
+        low, high = n, _MOST
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if excess(middle) <= NEAR else (middle, high)
+        wanted.add(high)
+    return tuple((units, excess(units)) for units in sorted(wanted))
+
+
+Row = Mapping[str, Any]
+
+#: What a log whose record is not noise at rest is left out for.
+_NOT_NOISE = "not noise at rest"
+
+
+def load_fleet(
+    folder: str | Path, *, content: float = 0.95, confidence: float = 0.95, unit_logs: bool = True
+) -> Fleet:
+    """Return what the logs of a fleet say of each sensor model.
+
+    Parameters
+    ----------
+    folder
+        Where ``imucal fleet run`` keeps a fleet.
+    content, confidence
+        Of the tolerance bounds: a share `content` of all units with probability `confidence`.
+    unit_logs
+        Whether to test if several logs of a unit have one coefficient, which takes the most time.
+
+    Raises
+    ------
+    ReadError
+        If there is no fleet, or it can't be read.
+    DataError
+        If none of its logs was done, or some by a version that did not keep enough.
+    """
+    store = FleetStore(folder)
+    # A copy of another log is counted with it.
+    asked = store.manifest()["copy_of"].null_count()
+    logs = {row["key"]: _log(row) for row in store.logs().iter_rows(named=True)}
+    if not logs:
+        msg = f"{folder}: found {asked} logs and none done, expected some; run the fleet first"
+        raise DataError(msg)
+    results = store.results()
+    _refuse_old(folder, results)
+    groups = _grouped(results, logs)
+    tests, findings = unit_tests(store, logs, groups) if unit_logs else ({}, ())
+    names = sorted({log.model for log in logs.values() if _counts(log)})
+    models = []
+    for name in names:
+        own = tuple(log for log in logs.values() if log.model == name and log.unit is not None)
+        terms = [
+            _term(key, rows, tests.get(key, ()), content, confidence)
+            for key, rows in groups.items()
+            if key[0] == name
+        ]
+        models.append(_model(name, own, terms))
+    loose = _loose(results, logs)
+    return Fleet(
+        folder=Path(folder),
+        models=_judged_together(models),
+        logs=tuple(logs.values()),
+        asked=asked,
+        loose=loose,
+        labels=labels_to_type([one.log.path for one in loose]) if loose else "",
+        findings=findings,
+        version=__version__,
+    )
+
+
+def labels_to_type(paths: Sequence[str]) -> str:
+    """Return a text of labels that tells a unit for each path: the last folder that differs, or the name."""
+    parts = [path.replace("\\", "/").split("/") for path in paths]
+    suffixes = {PurePosixPath(names[-1]).suffix for names in parts}
+    suffix = suffixes.pop() if len(suffixes) == 1 else ""
+    folders = {names[-2] if len(names) > 1 else "" for names in parts}
+    if len(folders) > 1 and "" not in folders:
+        return f"{{unit}}/*{suffix}"
+    return f"{{unit}}{suffix}"
+
+
+def _counts(log: FleetLog) -> bool:
+    """Return whether the numbers of a log belong to a unit of a model."""
+    return log.unit is not None and not log.left_out
+
+
+def _model(name: str, logs: tuple[FleetLog, ...], terms: Sequence[FleetTerm]) -> SensorModel:
+    rates = sorted(log.rate_hz for log in logs if log.rate_hz)
+    return SensorModel(
+        name=name,
+        units=tuple(sorted({log.unit for log in logs if log.unit and _counts(log)})),
+        logs=logs,
+        rate_hz=rates[len(rates) // 2] if rates else math.nan,
+        terms=tuple(sorted(terms, key=_place)),
+    )
+
+
+def _judged_together(models: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
+    """Return models judged over all of their terms: what is rare in one of many terms is none of these."""
+    every = [term for model in models for term in model.terms]
+    moved = iter(adjust([term.trend for term in every if term.trend]))
+    tests = [test for term in every for test in term.unit_logs]
+    chances = iter(adjusted(np.array([test.p_value for test in tests])).tolist())
+
+    def judged(term: FleetTerm) -> FleetTerm:
+        return replace(
+            term,
+            trend=next(moved) if term.trend else None,
+            unit_logs=tuple(replace(test, differs=next(chances) <= FALSE_SHARE) for test in term.unit_logs),
+        )
+
+    return tuple(replace(model, terms=tuple(map(judged, model.terms))) for model in models)
+
+
+def _log(row: Row) -> FleetLog:
+    status, verdict = row["status"], row["verdict"] or ""
+    # Reasons are grouped: the path, which they begin with, is none.
+    left_out = (row["reason"] or status).removeprefix(f"{row['path']}: ") if status != "ok" else ""
+    findings = tuple(row["findings"] or ())
+    if not left_out and verdict in ("not-noise", "empty"):
+        left_out = f"{_NOT_NOISE}: {', '.join(findings) or verdict}"
+    return FleetLog(
+        path=row["path"],
+        model=row["model"] or "",
+        unit=row["unit"],
+        temperature_c=row["temperature_c"],
+        started=row["started"],
+        status=status,
+        reason=row["reason"] or "",
+        verdict=verdict,
+        findings=findings,
+        seconds=row["seconds"],
+        rate_hz=row["rate_hz"],
+        report=row["report"] or "",
+        left_out=left_out,
+    )
+
+
+def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[TermKey, "pl.DataFrame"]:
+    """Return the rows of results that count, by model, sensor, axis and term."""
+    import polars as pl
+
+    counted = {key: log.model for key, log in logs.items() if _counts(log)}
+    models = pl.DataFrame(list(counted.items()), schema={"key": pl.String, "model": pl.String}, orient="row")
+    rows = results.drop("model").join(models, on="key", how="inner", maintain_order="left")
+    found = rows.partition_by("model", "sensor", "axis", "term", as_dict=True, maintain_order=True)
+    return {(str(key[0]), str(key[1]), str(key[2]), str(key[3])): rows for key, rows in found.items()}
+
+
+def _value(row: Row, unit: str) -> LogValue:
+    names = [field.name for field in fields(LogValue) if field.name != "unit"]
+    told = {name: row[name] for name in names}
+    # A term without a square has none that could grow.
+    return LogValue(unit=unit, **told | {"variance_growth": told["variance_growth"] or 0.0})
+
+
+def _refuse_old(folder: str | Path, results: "pl.DataFrame") -> None:
+    """Refuse squares whose deviations follow the draws: their mean would be too low, and nothing would show.
+
+    Raises
+    ------
+    DataError
+        If there are any.
+    """
+    old = results.filter(results["variance"].is_not_null() & results["variance_growth"].is_null())
+    if old.height:
+        logs = old["key"].n_unique()
+        msg = (
+            f"{folder}: found {logs} log{'s' * (logs > 1)} done by an earlier version, which did not keep "
+            "how the error of a term grows with it; run the fleet again with --fresh"
+        )
+        raise DataError(msg)
+
+
+def _term(
+    key: TermKey, rows: "pl.DataFrame", tests: tuple[UnitLogs, ...], content: float, confidence: float
+) -> FleetTerm:
+    _, sensor, axis, term = key
+    logs = tuple(_value(row, row["unit"]) for row in rows.iter_rows(named=True))
+    found = population(logs, content=content, confidence=confidence)
+    moves, why = _trend(logs)
+    return FleetTerm(
+        sensor=Sensor(sensor),
+        axis=axis,  # type: ignore[arg-type]  # "x", "y" or "z", from a table
+        term=term,
+        logs=logs,
+        population=found,
+        trend=moves,
+        no_trend=why,
+        unit_logs=tests,
+        price=prices(found),
+    )
+
+
+def _trend(logs: Sequence[LogValue]) -> tuple[Trend | None, str]:
+    try:
+        return trend(logs), ""
+    except DataError as error:
+        return None, str(error)
+
+
+def _place(term: FleetTerm) -> tuple[int, int, str, str]:
+    sensors, symbols = list(Sensor), list(TERMS)
+    return sensors.index(term.sensor), symbols.index(term.symbol), term.term, term.axis
+
+
+def _loose(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> tuple[LooseLog, ...]:
+    values: dict[str, dict[tuple[str, str], LogValue]] = {
+        key: {} for key, log in logs.items() if log.unit is None and not log.left_out
+    }
+    for row in results.iter_rows(named=True):
+        if row["key"] in values:
+            where = (f"{Sensor(row['sensor']).short}_{row['axis']}", row["term"])
+            values[row["key"]][where] = _value(row, row["path"])
+    return tuple(LooseLog(log=logs[key], values=found) for key, found in values.items())

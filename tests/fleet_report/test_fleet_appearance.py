@@ -11,12 +11,10 @@ import imucal
 from imucal import Fleet
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.trend import Slope, Trend
-from imucal.fleet_report.fleet_figures import drift_figure, heat_figure, models_figure, units_figure
-from imucal.fleet_report.fleet_page import render_fleet_page
-from imucal.fleet_report.fleet_verdict import verdict
-from imucal.fleet_report.panels import labelled_ticks
-from imucal.fleet_report.shown import p_text, per, price_text, slope_text
+from imucal.fleet_report.files import drift_figure, heat_figure, models_figure, units_figure
+from imucal.fleet_report.pages import labelled_ticks, render_fleet_page
 from imucal.fleet_report.summary import FleetLog
+from imucal.fleet_report.verdict import p_text, per, price_text, slope_text, verdict
 from imucal.recording import Sensor
 from tests.fleet_report.simulated_store import write_store
 from tests.report.browser import Browser

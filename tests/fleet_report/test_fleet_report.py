@@ -19,16 +19,19 @@ import imucal
 from imucal import DataError, Fleet, ReadError
 from imucal.errors import ChoiceError
 from imucal.fleet.store import MANIFEST, FleetStore
-from imucal.fleet_report import unit_tests
-from imucal.fleet_report.fleet_document import fleet_csv, fleet_document, fleet_schema
-from imucal.fleet_report.fleet_figures import drift_figure, heat_figure, models_figure, units_figure
-from imucal.fleet_report.fleet_page import render_fleet_page
-from imucal.fleet_report.fleet_tables import heat_table
-from imucal.fleet_report.fleet_verdict import verdict
-from imucal.fleet_report.loading import labels_to_type
-from imucal.fleet_report.panels import unit_panel
-from imucal.fleet_report.sample_size import NEAR, tolerance_excess
-from imucal.fleet_report.summary import FleetTerm
+from imucal.fleet_report import summary
+from imucal.fleet_report.files import (
+    drift_figure,
+    fleet_csv,
+    fleet_document,
+    fleet_schema,
+    heat_figure,
+    models_figure,
+    units_figure,
+)
+from imucal.fleet_report.pages import heat_table, render_fleet_page, unit_panel
+from imucal.fleet_report.summary import NEAR, FleetTerm, labels_to_type, tolerance_excess
+from imucal.fleet_report.verdict import verdict
 from imucal.recording import Sensor
 from tests.fleet_report.simulated_store import TERMS, write_store
 from tests.report.browser import Browser
@@ -100,7 +103,7 @@ def test_a_copy_of_a_log_is_not_waited_for(tmp_path: Path) -> None:
 
 def test_units_are_tested_in_turn_as_at_once(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     """However many logs' bins are held at a time."""
-    monkeypatch.setattr(unit_tests, "_AT_ONCE", 1)
+    monkeypatch.setattr(summary, "_AT_ONCE", 1)
     again = imucal.load_fleet(fleet.folder)
     for one, two in zip(fleet.model().terms, again.model().terms, strict=True):
         assert one.unit_logs == two.unit_logs
@@ -427,7 +430,7 @@ def test_pictures_say_which_units_are_odd(page: html.HtmlElement) -> None:
 
 def test_units_are_sorted(fleet: Fleet) -> None:
     """From the largest at the top to the smallest."""
-    from imucal.fleet_report.panels import sorted_units
+    from imucal.fleet_report.pages import sorted_units
 
     values = [unit.value or unit.high for unit in sorted_units(fleet.model()["gyro_x", "B"])]
     assert values == sorted(values, reverse=True)
@@ -534,8 +537,8 @@ def test_a_picture_that_fails_costs_nothing_else(
     def broken(*_: object) -> None:
         raise ArithmeticError
 
-    monkeypatch.setattr("imucal.fleet_report.fleet_figures.heat_figure", broken)
-    monkeypatch.setattr("imucal.fleet_report.fleet_figures.units_figure", broken)
+    monkeypatch.setattr("imucal.fleet_report.files.heat_figure", broken)
+    monkeypatch.setattr("imucal.fleet_report.files.units_figure", broken)
     (tmp_path / "heat.png").write_bytes(b"of yesterday")
     told: list[str] = []
     files = imucal.write_fleet(fleet, tmp_path, tell=lambda finding: told.append(finding.text))
@@ -604,7 +607,7 @@ def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
     assert {(row["bounded"], row["median"]) for row in cells} == {("1", "")}
     page = render_fleet_page(fleet)
     assert "All logs together do not show this term" in page
-    from imucal.fleet_report.fleet_figures import fleet_figures
+    from imucal.fleet_report.files import fleet_figures
 
     assert all(draw() for draw in fleet_figures(fleet).values())
     report = imucal.fleet_as_report(fleet, value="median")

@@ -12,7 +12,7 @@ import pytest
 
 import imucal
 from imucal.fleet.store import FleetStore
-from imucal.fleet_report.fleet_page import render_fleet_page
+from imucal.fleet_report.pages import render_fleet_page
 from imucal.fleet_run.plan import as_json
 from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet

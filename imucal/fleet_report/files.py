@@ -1,26 +1,293 @@
-"""Pictures of a fleet: units of each term, units × terms, models side by side, temperature and time."""
+"""The files of a fleet's report, in its folder: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures.
 
+Fleet <-> ``fleet.json`` and ``fleet.csv``: all numbers in SI, in one fixed order.
+
+The layout is pinned by ``schema/fleet-1.schema.json``; a change that an old reader would misunderstand
+raises the number.
+
+Pictures of a fleet: units of each term, units × terms, models side by side, temperature and time.
+"""
+
+import csv
 import io
+import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from imucal.atomic import replacing
+from imucal.errors import WriteError
+from imucal.findings import Finding
+from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import UnitValue
 from imucal.fleet.trend import NEAREST, Trend
-from imucal.fleet_report.fleet_tables import by_term
-from imucal.fleet_report.panels import labelled_ticks, sorted_units, span
-from imucal.fleet_report.shown import bound_name, deviation, per, sheet_unit
+from imucal.fleet_report.pages import by_term, labelled_ticks, sorted_units, span
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.fleet_report.verdict import beyond_chance, bound_name, deviation, per, sheet_unit, verdict
 from imucal.recording import Sensor
+from imucal.report.document import plain
 from imucal.report.figure_parts import LABEL_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
 from imucal.report.palette import DATA, FADED, FRAME, GRID, INK, LEFT_OUT, MODEL
+from imucal.side_work import try_side_work
 from imucal.units import pretty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+SCHEMA = "imucal/fleet/1"
+
+_COLUMNS = (
+    *("model", "sensor", "axis", "term", "unit_si", "unit", "logs", "value", "low", "high", "odd", "p_odd"),
+    *("logs_differ", "median", "spread", "within", "prediction_low", "prediction_high", "tolerance"),
+    *("median_low", "median_high", "bounded"),
+)
+
+
+def fleet_schema() -> dict[str, object]:
+    """Return the JSON schema of ``fleet.json``."""
+    text = files("imucal.fleet_report").joinpath("schema", "fleet-1.schema.json").read_text(encoding="utf-8")
+    schema: dict[str, object] = json.loads(text)
+    return schema
+
+
+def fleet_document(fleet: Fleet) -> dict[str, object]:
+    """Return a fleet as JSON values."""
+    grade, text = verdict(fleet)
+    sure = beyond_chance(fleet)
+    return {
+        "schema": SCHEMA,
+        "version": fleet.version,
+        "verdict": {"grade": grade, "text": text},
+        "logs": {
+            "asked": fleet.asked,
+            "done": len(fleet.logs),
+            "counted": sum(not log.left_out for log in fleet.logs),
+        },
+        "models": [_model(model, sure) for model in fleet.models],
+        "failures": [
+            {"kind": kind, "reason": reason, "logs": [log.path for log in logs]}
+            for (kind, reason), logs in fleet.failures.items()
+        ],
+        "without_unit": {
+            "labels": fleet.labels,
+            "logs": [
+                {
+                    "path": one.log.path,
+                    "values": [
+                        {"axis": axis, "term": term, "value": v.value, "low": v.low, "high": v.high}
+                        for (axis, term), v in one.values.items()
+                    ],
+                }
+                for one in fleet.loose
+            ],
+        },
+        "findings": [_finding(finding) for finding in fleet.findings],
+    }
+
+
+def fleet_json(fleet: Fleet) -> str:
+    """Return the text of ``fleet.json``."""
+    return json.dumps(fleet_document(fleet), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def fleet_csv(fleet: Fleet) -> str:
+    """Return the text of ``fleet.csv``: a row a model, term, axis and unit, with its population beside it."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(_COLUMNS)
+    for model in fleet.models:
+        for term in model.terms:
+            rows.writerows(_rows(model, term))
+    return text.getvalue()
+
+
+def _rows(model: SensorModel, term: FleetTerm) -> Iterator[list[object]]:
+    """Yield the row of each unit."""
+    found = term.population
+    tested = {one.unit: int(one.differs) for one in term.unit_logs}
+    shared = [
+        None if found.bounded else found.median.value,
+        found.spread.value if found.spread else None,
+        found.within.value if found.within else None,
+        *(found.prediction or (None, None)),
+        found.tolerance,
+        found.median.low,
+        found.median.high,
+        int(found.bounded),
+    ]
+    for unit in found.units:
+        yield [
+            *(model.name, str(term.sensor), term.axis, term.term, term.unit, unit.unit, unit.logs),
+            *(unit.value, unit.low, unit.high, int(unit.odd), unit.p_odd, tested.get(unit.unit)),
+            *shared,
+        ]
+
+
+def _model(model: SensorModel, sure: set[tuple[int, str]]) -> dict[str, object]:
+    return {
+        "name": model.name,
+        "units": list(model.units),
+        "logs": sum(not log.left_out for log in model.logs),
+        "rate_hz": plain(model.rate_hz),
+        "terms": [_term(term, sure) for term in model.terms],
+    }
+
+
+def _term(term: FleetTerm, sure: set[tuple[int, str]]) -> dict[str, object]:
+    found, trend = term.population, term.trend
+    return {
+        "sensor": str(term.sensor),
+        "axis": term.axis,
+        "term": term.term,
+        "unit": term.unit,
+        "logs": found.logs,
+        "content": found.content,
+        "confidence": found.confidence,
+        "median": _limits(found.median) | ({"value": None} if found.bounded else {}),
+        "bounded": found.bounded,
+        "spread": _interval(found.spread),
+        "within": _interval(found.within),
+        "prediction": list(found.prediction) if found.prediction else None,
+        "quantile": found.quantile,
+        "tolerance": found.tolerance,
+        "price": [{"units": units, "ratio": ratio} for units, ratio in term.price],
+        "temperature_per_c": _interval(trend.temperature if trend else None),
+        "drift_per_year": _interval(trend.drift if trend else None),
+        "no_trend": term.no_trend,
+        "units": [
+            {
+                "unit": unit.unit,
+                "logs": unit.logs,
+                "value": unit.value,
+                "low": unit.low,
+                "high": unit.high,
+                "p_odd": unit.p_odd,
+                "odd": unit.odd,
+                "odd_overall": unit.odd and (id(term), unit.unit) in sure,
+            }
+            for unit in found.units
+        ],
+        "moves": [
+            {"label": mean.label, "p_value": mean.p_value, "p_adjusted": mean.p_odd, "moves": mean.odd}
+            for mean in (trend.means if trend else ())
+        ],
+        "slopes": [
+            {
+                "unit": slope.unit,
+                "label": slope.label,
+                **_limits(slope.slope),
+                "p_odd": slope.p_odd,
+                "odd": slope.odd,
+            }
+            for slope in (trend.slopes if trend else ())
+        ],
+        "unit_logs": [
+            {
+                "unit": one.unit,
+                "logs": one.logs,
+                "p_value": one.p_value,
+                "differs": one.differs,
+                "spread": one.spread,
+                "value": one.value,
+                "low": one.low,
+                "high": one.high,
+            }
+            for one in term.unit_logs
+        ],
+        "findings": [_finding(finding) for finding in found.findings],
+    }
+
+
+def _interval(interval: Interval | None) -> dict[str, float | None] | None:
+    return None if interval is None else _limits(interval)
+
+
+def _limits(interval: Interval) -> dict[str, float | None]:
+    return {"value": interval.value, "low": interval.low, "high": interval.high}
+
+
+def _finding(finding: Finding) -> dict[str, object]:
+    return {"level": finding.level, "code": finding.code, "axis": finding.axis, "text": finding.text}
+
+
+def write_fleet(
+    fleet: Fleet,
+    out: str | Path | None = None,
+    *,
+    pictures: bool = True,
+    html: bool = True,
+    tell: Callable[[Finding], None] | None = None,
+) -> tuple[Path, ...]:
+    """Write what is known of a fleet; return the files, ``fleet.json`` first.
+
+    Each file takes its place whole. A picture or page that can't be drawn is left out, also in the place of
+    an old one, and a finding in ``fleet.json`` says so.
+
+    Parameters
+    ----------
+    fleet
+        From `imucal.load_fleet`.
+    out
+        The folder; the fleet's own where none is given.
+    pictures, html
+        Whether to write PNGs and the page.
+    tell
+        Called with the finding of each picture or page that was left out.
+
+    Raises
+    ------
+    WriteError
+        If a file can't be written.
+    """
+    folder = fleet.folder if out is None else Path(out)
+    made: dict[str, Callable[[], bytes]] = {}
+    if pictures:
+        made |= fleet_figures(fleet)
+    tell = tell or (lambda _: None)
+    drawn: dict[str, bytes | None] = {}
+    for name, make in made.items():
+        fleet, drawn[name] = _drawn(fleet, name, make, tell)
+    if html:
+        from imucal.fleet_report.pages import render_fleet_page
+
+        # Last: where it is newer than the store, all of the report is.
+        page = partial(render_fleet_page, fleet)
+        fleet, drawn["fleet.html"] = _drawn(fleet, "fleet.html", lambda: page().encode(), tell)
+    drawn = {"fleet.json": fleet_json(fleet).encode(), "fleet.csv": fleet_csv(fleet).encode(), **drawn}
+    for name, data in drawn.items():
+        if data is None:
+            _remove(folder / name)
+            continue
+        with replacing(folder / name) as scratch:
+            scratch.write_bytes(data)
+    return tuple(folder / name for name, data in drawn.items() if data is not None)
+
+
+def _drawn(
+    fleet: Fleet, name: str, make: Callable[[], bytes], tell: Callable[[Finding], None]
+) -> tuple[Fleet, bytes | None]:
+    """Return a picture or page, and the fleet with a finding where it is None."""
+    data, failed = try_side_work(make, None, what=f"{name} is missing", code="not-drawn")
+    for finding in failed:
+        tell(finding)
+    return replace(fleet, findings=fleet.findings + failed), data
+
+
+def _remove(file: Path) -> None:
+    """Remove an old picture or page: it would be taken for that of the new numbers."""
+    try:
+        file.unlink(missing_ok=True)
+    except OSError as error:
+        msg = f"{file}: can't be removed: {error.strerror or error}; remove it, it is out of date"
+        raise WriteError(msg) from error
+
 
 _DPI = 110
 #: Colour of the tolerance bound.
