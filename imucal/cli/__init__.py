@@ -1,22 +1,109 @@
-"""The command line: parse, call, print. One file a command; one line a command in `COMMANDS`."""
+"""The command line: parse, call, print. One file a command; one line a command in `COMMANDS`.
 
+A group of commands that are imported when they are called.
+
+``--version``: which imucal runs, and whether the other distribution of that name is in its way.
+
+Another project on the package index is called ``imucal`` and installs a package of the same name. pip puts
+both into one folder, so that the one that came last overwrites files of the other.
+"""
+
+import difflib
 import errno
+import importlib
 import io
 import os
+import platform
 import re
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import click
+from click.shell_completion import CompletionItem
 
-from imucal.cli._lazy_group import LazyGroup
+from imucal._version import __version__
 from imucal.errors import ChoiceError, DataError, ImucalError, WriteError
 from imucal.printable import printable
 from imucal.resources import single_matrix_thread
 
 __all__ = ["COMMANDS", "main", "options_for"]
+
+
+class LazyGroup(click.Group):
+    """A group that imports a command when it is called.
+
+    Parameters
+    ----------
+    table
+        Command -> module that holds it, and the line that --help prints.
+    of_a_log
+        What was meant where a log stands in place of a command, and the command that does it.
+    attributes
+        As click's groups take them.
+    """
+
+    def __init__(
+        self,
+        *,
+        table: Mapping[str, tuple[str, str]],
+        of_a_log: tuple[str, str],
+        **attributes: Any,  # noqa: ANN401 - as click has them
+    ) -> None:
+        super().__init__(**attributes)
+        self.table, self._of_a_log = table, of_a_log
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        return list(self.table)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        if cmd_name not in self.table:
+            return None
+        module = importlib.import_module(self.table[cmd_name][0])
+        command: click.Command = module.command
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Name the command that a mistyped one is near to, or all of them."""
+        from imucal.remote.addresses import is_url, shown
+
+        name = args[0]
+        if name in self.table or name.startswith("-") or ctx.resilient_parsing:
+            return super().resolve_command(ctx, args)
+        near = difflib.get_close_matches(name.lower(), self.table, n=1)
+        if near:
+            hint = f"did you mean {near[0]!r}?"
+        elif Path(name).exists():
+            purpose, command = self._of_a_log
+            hint = f"to {purpose} write '{ctx.command_path} {command} {shlex.quote(name)}'"
+        elif is_url(name):
+            purpose, command = self._of_a_log
+            # What stands behind the question mark of a URL may be a secret.
+            name = shown(name)
+            hint = f"to {purpose} write '{ctx.command_path} {command} {shlex.quote(name)}'"
+        else:
+            hint = f"expected one of {', '.join(self.table)}"
+        msg = f"No such command {name!r}; {hint}"
+        raise click.UsageError(msg, ctx)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Offer commands without importing them, so that the Tab key answers at once."""
+        names = [
+            CompletionItem(name, help=summary)
+            for name, (_, summary) in self.table.items()
+            if name.startswith(incomplete)
+        ]
+        return names + click.Command.shell_complete(self, ctx, incomplete)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, summary) for name, (_, summary) in self.table.items()])
+
 
 #: Command -> module that holds it, and the line that --help prints; a module is imported when called.
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -29,7 +116,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("imucal.cli.check", "Pass or fail a report or a log against limits (the CI gate)."),
     "compare": ("imucal.cli.compare", "Say which terms of two reports differ significantly."),
     "export": ("imucal.cli.export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),
-    "fleet": ("imucal.cli.fleet_commands", "Characterise many logs of many units: run, status, report."),
+    "fleet": ("imucal.cli.fleet", "Characterise many logs of many units: run, status, report."),
     "completion": ("imucal.cli.completion", "Print the shell's completion script (bash, zsh, fish)."),
 }
 
@@ -56,8 +143,6 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> None:
     if wanted and not ctx.resilient_parsing:
-        from imucal.cli._version_line import version_lines
-
         click.echo(version_lines())
         ctx.exit()
 
@@ -163,3 +248,23 @@ def _explain(error: BaseException) -> int:
 def options_for(message: str) -> str:
     """Return the options that answer a message, such as ``--rate HZ``; empty where none does."""
     return " or ".join(option for pattern, option in _OPTIONS if re.search(pattern, message))
+
+
+#: This distribution, and the one that is another project's.
+OURS, OTHER = "imucal-noise", "imucal"
+
+
+def version_lines() -> str:
+    """Return this version, where it stands and what runs it; and a warning where files may be mixed."""
+    folder = Path(__file__).resolve().parent.parent
+    lines = [f"imucal {__version__} ({OURS}) in {folder}, Python {platform.python_version()}"]
+    try:
+        other = version(OTHER)
+    except PackageNotFoundError:
+        return lines[0]
+    lines += [
+        f"The distribution {OTHER} {other}, another project's, is installed too:",
+        "its files and these are mixed in one folder.",
+        f"Type: pip uninstall {OTHER} {OURS}, and install {OURS} again.",
+    ]
+    return "\n".join(lines)

@@ -7,10 +7,7 @@ from pathlib import Path
 import click
 
 from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
-from imucal.cli._echo import echo, echo_json, say
-from imucal.cli._finding_lines import print_findings
-from imucal.cli._terminal import fitted, width
-from imucal.cli._typed_names import name_of_log
+from imucal.cli._printing import echo, echo_json, fitted, name_of_log, print_findings, say, width
 from imucal.cli.parameters import LogRequest
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS

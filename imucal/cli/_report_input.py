@@ -6,8 +6,7 @@ from typing import Any, TypeVar
 
 import click
 
-from imucal.cli._echo import say
-from imucal.cli._typed_names import as_typed, name_of_log
+from imucal.cli._printing import as_typed, name_of_log, say
 from imucal.cli.parameters import LogRequest, log_options
 from imucal.errors import ReadError
 from imucal.remote import is_url
@@ -80,7 +79,7 @@ def is_report(log: str | Path) -> bool:
 
 
 def _characterise(request: LogRequest) -> Report:
-    from imucal.cli._finding_lines import print_findings
+    from imucal.cli._printing import print_findings
     from imucal.pipeline import Settings
 
     report = request.characterise(Settings(reading=request.settings()))

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
-from imucal.cli._terminal import FULL
+from imucal.cli._printing import FULL
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers

@@ -8,11 +8,8 @@ import click
 from imucal._version import __version__
 from imucal.allan.confidence import EDF_METHODS
 from imucal.allan.estimators import ESTIMATORS
-from imucal.cli._echo import echo, echo_json, say
-from imucal.cli._finding_lines import print_findings
-from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
-from imucal.cli.parameters import LogRequest, log_options, shown
-from imucal.cli.parameters.option_types import LEVEL, Taus
+from imucal.cli._printing import echo, echo_json, force_option, print_findings, refuse, refuse_warnings, say
+from imucal.cli.parameters import LEVEL, LogRequest, Taus, log_options, shown
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.grading import judge_findings

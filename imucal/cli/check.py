@@ -9,10 +9,9 @@ import click
 
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
-from imucal.cli._echo import echo, echo_json, say
-from imucal.cli._fleet_input import is_fleet, model_option, read_fleet
+from imucal.cli._fleet import is_fleet, model_option, read_fleet
+from imucal.cli._printing import FULL, echo, echo_json, say, width
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
-from imucal.cli._terminal import FULL, width
 from imucal.cli.parameters import LogRequest
 from imucal.errors import ReadError
 from imucal.printable import printable

@@ -6,13 +6,10 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._echo import echo_json, say
-from imucal.cli._fleet_input import is_fleet, model_option, read_fleet
+from imucal.cli._fleet import is_fleet, model_option, read_fleet
+from imucal.cli._printing import FULL, as_typed, echo_json, say, width
 from imucal.cli._report_input import read_report
-from imucal.cli._terminal import FULL, width
-from imucal.cli._typed_names import as_typed
-from imucal.cli.parameters import quiet_option, shown
-from imucal.cli.parameters.option_types import Number
+from imucal.cli.parameters import Number, quiet_option, shown
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS

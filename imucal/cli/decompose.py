@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal._version import __version__
-from imucal.cli._echo import echo, echo_json, say
-from imucal.cli._finding_lines import print_findings
+from imucal.cli._printing import echo, echo_json, force_option, print_findings, refuse, refuse_warnings, say
 from imucal.cli._progress import axes_progress, smoothing_progress
-from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
 from imucal.cli.fit import FORMATS, report_folder
-from imucal.cli.parameters import LogRequest, log_options, shown
-from imucal.cli.parameters.option_types import Duration, Structure
+from imucal.cli.parameters import Duration, LogRequest, Structure, log_options, shown
 from imucal.errors import DataError
 from imucal.recording import AxisSeries, Recording, Sensor
 

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, TypedDict, get_args
 import click
 from click.shell_completion import CompletionItem
 
-from imucal.cli._echo import echo, say
-from imucal.cli._fleet_input import is_fleet, model_option, read_fleet
+from imucal.cli._fleet import is_fleet, model_option, read_fleet
+from imucal.cli._printing import echo, force_option, refuse, say
 from imucal.cli._report_input import load_report, report_or_log
-from imucal.cli._verdict_line import force_option, refuse
 from imucal.cli.parameters import LogRequest, shown
 from imucal.cli.parameters.param_type import ParamType
 from imucal.errors import WriteError

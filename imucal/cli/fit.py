@@ -5,13 +5,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._echo import echo, echo_json, say
-from imucal.cli._finding_lines import print_findings
-from imucal.cli._terminal import width
-from imucal.cli._typed_names import as_typed, name_of_log
-from imucal.cli._verdict_line import force_option, refuse, refuse_warnings
-from imucal.cli.parameters import LogRequest, log_options, shown
-from imucal.cli.parameters.option_types import LEVEL, Structure, TauSet
+from imucal.cli._printing import (
+    as_typed,
+    echo,
+    echo_json,
+    force_option,
+    name_of_log,
+    print_findings,
+    refuse,
+    refuse_warnings,
+    say,
+    width,
+)
+from imucal.cli.parameters import LEVEL, LogRequest, Structure, TauSet, log_options, shown
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
 

@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._echo import echo, say
-from imucal.cli._finding_lines import print_findings
-from imucal.cli._fleet_lines import say_verdict
-from imucal.cli.parameters import quiet_option, shown
-from imucal.cli.parameters.option_types import Number
+from imucal.cli._fleet import say_verdict
+from imucal.cli._printing import echo, print_findings, say
+from imucal.cli.parameters import Number, quiet_option, shown
 
 if TYPE_CHECKING:
     from imucal.findings import Finding

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._echo import echo, echo_json, say
-from imucal.cli._fleet_lines import count, failed_logs, number_of_logs, print_failures, print_standing
-from imucal.cli._typed_names import as_typed
+from imucal.cli._fleet import count, failed_logs, number_of_logs, print_failures, print_standing
+from imucal.cli._printing import as_typed, echo, echo_json, say
 from imucal.cli.parameters import quiet_option
 from imucal.grading import GRADES
 

@@ -5,13 +5,10 @@ from typing import Any
 
 import click
 
-from imucal.cli._echo import echo, echo_json
-from imucal.cli._info_document import SCHEMA, log_document
-from imucal.cli._info_lines import lines_of_log
+from imucal.cli import parameters
+from imucal.cli._info import SCHEMA, lines_of_log, log_document, read_topics
+from imucal.cli._printing import echo, echo_json, wrapped
 from imucal.cli._progress import download_progress
-from imucal.cli._terminal import wrapped
-from imucal.cli._topic_reading import read_topics
-from imucal.cli.parameters import reading_options
 from imucal.readers import LogContents, describe, logs_of
 from imucal.readers.read_options import options_of
 from imucal.readers.tables.text_source import STANDARD_INPUT
@@ -47,7 +44,7 @@ Exit codes: 0 done, 2 usage, 3 a log can't be read."""
     default=None,
     help="Read the samples too, to find gaps and what is wrong with clocks (default: logs up to 64 MB).",
 )
-@reading_options
+@parameters
 @click.option("-v", "--verbose", is_flag=True, help="List the fields of messages too.")
 def command(
     logs: tuple[str, ...],

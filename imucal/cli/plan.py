@@ -7,11 +7,9 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._echo import echo, echo_json, say
+from imucal.cli._printing import FULL, echo, echo_json, fitted, say, width
 from imucal.cli._report_input import is_report, read_report
-from imucal.cli._terminal import FULL, fitted, width
-from imucal.cli.parameters import quiet_option, shown
-from imucal.cli.parameters.option_types import LEVEL, RATE, Duration
+from imucal.cli.parameters import LEVEL, RATE, Duration, quiet_option, shown
 from imucal.cli.parameters.param_type import ParamType
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS

@@ -7,9 +7,8 @@ from typing import Any
 
 import click
 
-from imucal.cli._echo import echo, echo_json, say
-from imucal.cli.parameters import quiet_option, shown
-from imucal.cli.parameters.option_types import RATE, Duration, Number
+from imucal.cli._printing import echo, echo_json, say
+from imucal.cli.parameters import RATE, Duration, Number, quiet_option, shown
 from imucal.cli.parameters.param_type import ParamType
 from imucal.noise import NoiseModel
 from imucal.units import G0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from imucal.cli._finding_lines import print_findings
+from imucal.cli._printing import print_findings
 from imucal.findings import Finding
 
 

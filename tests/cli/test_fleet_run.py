@@ -8,7 +8,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from imucal.cli._fleet_lines import print_plan, write_files
+from imucal.cli._fleet import print_plan, write_files
 from imucal.errors import WriteError
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import FleetPlan, LogTask

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from imucal.cli._printing import fitted, width
 from imucal.cli._progress import fleet_progress
-from imucal.cli._terminal import fitted, width
 from imucal.fleet_run.running import RunCount
 from tests.cli.reports import write_report
 from tests.cli.run import SAMPLE_LOGS, run

@@ -2,7 +2,7 @@
 
 import click
 
-from imucal.cli._lazy_group import LazyGroup
+from imucal.cli import LazyGroup
 
 #: Command -> module that holds it, and the line that --help prints.
 FLEET_COMMANDS: dict[str, tuple[str, str]] = {

@@ -1,16 +1,24 @@
-"""What the commands of a fleet print: what is to be done, what became of it, and why logs failed."""
+"""What the commands of a fleet print: what is to be done, what became of it, and why logs failed.
 
+Values of the options of ``imucal fleet run``.
+
+A fleet's folder as an argument of commands that take reports.
+"""
+
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._echo import echo, say
-from imucal.cli._finding_lines import print_findings
-from imucal.cli._terminal import fitted, width
+from imucal.cli._printing import echo, fitted, print_findings, say, width
+from imucal.cli.parameters import Duration, Structure
+from imucal.cli.parameters.param_type import ParamType
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
+from imucal.remote import is_url
+from imucal.resources import parse_size
 from imucal.units import data_size, duration
 
 if TYPE_CHECKING:
@@ -20,6 +28,7 @@ if TYPE_CHECKING:
     from imucal.fleet.store import FleetStore
     from imucal.fleet_report import Fleet
     from imucal.fleet_run import FleetPlan
+    from imucal.fleet_run.logs import LabelPattern
 
 #: So many logs of each kind of failure are named.
 _NAMED = 3
@@ -178,3 +187,90 @@ def count(logs: "pl.DataFrame", status: str, verdict: str | None = None) -> int:
     """Return how many logs ended so."""
     rows = zip(logs["status"], logs["verdict"], strict=True)
     return sum(s == status and (verdict is None or v == verdict) for s, v in rows)
+
+
+class Size(ParamType[int]):
+    """Bytes."""
+
+    name = "size"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        from imucal.fleet_run.plan import LEAST_MEMORY
+
+        try:
+            size = value if isinstance(value, int) else parse_size(str(value))
+        except ValueError as error:
+            self.fail(f"{value!r}: expected {error}", param, ctx)
+        if size < LEAST_MEMORY:
+            self.fail(f"{value!r} is too little for any log; give {LEAST_MEMORY >> 20}M or more", param, ctx)
+        return size
+
+
+class Patience(Duration):
+    """Seconds, or auto."""
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if value == "auto":
+            return -1.0
+        seconds = super().convert(value, param, ctx)
+        if seconds == 0:
+            self.fail("'0' is no time to work; write such as 10min, or auto", param, ctx)
+        return seconds
+
+
+class Shard(ParamType[tuple[int, int]]):
+    """i/n, i from 1."""
+
+    name = "shard"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", str(value).strip())
+        number, of = (int(match[1]), int(match[2])) if match else (0, 0)
+        if not 1 <= number <= of:
+            self.fail(f"{value!r} is no part; write i/n with i from 1 to n, such as 1/8", param, ctx)
+        return number, of
+
+
+class Labels(ParamType["LabelPattern"]):
+    """A pattern of paths with labels."""
+
+    name = "labels"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> "LabelPattern":
+        from imucal.fleet_run.logs import LabelPattern
+
+        try:
+            return LabelPattern(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+class FixedStructure(Structure):
+    """The terms of a model, the same for every log."""
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if value == "auto":
+            self.fail("auto would choose by the log; give the terms, such as 'N + B + K'", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+#: Option of commands that take a fleet.
+model_option = click.option(
+    "--fleet-model", metavar="NAME", help="Fleet: which sensor model, where it has several."
+)
+
+
+def is_fleet(path: str | Path) -> bool:
+    """Return whether a path is the folder of a fleet; a URL is none."""
+    return not is_url(path) and (Path(path) / "manifest.parquet").is_file()
+
+
+def read_fleet(path: str | Path) -> "Fleet":
+    """Load a fleet, as far as exports, checks and comparisons need it."""
+    from imucal.fleet_report import load_fleet
+
+    return load_fleet(path, unit_logs=False)
