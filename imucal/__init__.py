@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from imucal.fleet_run import run_fleet
     from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
-    from imucal.noise.transforms import avar_from_acvf, avar_from_psd
+    from imucal.noise.integrals import avar_from_acvf, avar_from_psd
     from imucal.pipeline import Settings, characterize
     from imucal.planning import plan
     from imucal.readers import read
@@ -116,7 +116,7 @@ _HOMES = {
     "imucal.fleet_run": ("run_fleet",),
     "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
-    "imucal.noise.transforms": ("avar_from_acvf", "avar_from_psd"),
+    "imucal.noise.integrals": ("avar_from_acvf", "avar_from_psd"),
     "imucal.pipeline": ("Settings", "characterize"),
     "imucal.planning": ("plan",),
     "imucal.readers": ("read",),

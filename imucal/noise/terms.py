@@ -14,8 +14,17 @@ from typing import ClassVar
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.noise.formulas import draw_flicker, gauss_markov_avar, gauss_markov_dct, gauss_markov_sum
-from imucal.noise.term import NoiseTerm, PowerLawTerm, Stroke, Words, require_non_negative
+from imucal.noise.term import (
+    NoiseTerm,
+    PowerLawTerm,
+    Stroke,
+    Words,
+    draw_flicker,
+    gauss_markov_avar,
+    gauss_markov_dct,
+    gauss_markov_sum,
+    require_non_negative,
+)
 from imucal.powerlaw import PowerLaw
 
 

@@ -8,9 +8,8 @@ import pytest
 
 from imucal.allan.estimators import ESTIMATORS
 from imucal.allan.variance import variances
-from imucal.noise.formulas import gauss_markov_avar, gauss_markov_sum
 from imucal.noise.model import NoiseModel
-from imucal.noise.term import NoiseTerm
+from imucal.noise.term import NoiseTerm, gauss_markov_avar, gauss_markov_sum
 from imucal.noise.terms import (
     TERMS,
     AngleRandomWalk,

@@ -22,7 +22,7 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
-from imucal.noise.formulas import gauss_markov_dct
+from imucal.noise.term import gauss_markov_dct
 
 #: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10

@@ -16,7 +16,7 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import MARKOV, Ordinates, coarser
-from imucal.noise.formulas import gauss_markov_dct
+from imucal.noise.term import gauss_markov_dct
 
 _GRID = 16
 #: Rounds of updates, and how many of the best mixtures of each candidate so far they are of.

@@ -32,7 +32,7 @@ from imucal.fitting.spectral.likelihood import evaluate
 from imucal.fitting.spectral.starts import find_starts
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.bank import gauss_markov_bank
-from imucal.noise.formulas import gauss_markov_dct
+from imucal.noise.term import gauss_markov_dct
 from imucal.recording import AxisSeries
 from imucal.units import pretty
 

@@ -5,7 +5,7 @@ import numpy.testing as npt
 import pytest
 from scipy.fft import dct
 
-from imucal.noise.formulas import gauss_markov_dct
+from imucal.noise.term import gauss_markov_dct
 
 
 @pytest.mark.parametrize("time", [0.5, 3.0, 40.0, 1000.0, 1e6])
