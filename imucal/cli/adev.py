@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import click
 
 from imucal._version import __version__
-from imucal.allan.confidence import EDF_METHODS
-from imucal.allan.estimators import ESTIMATORS
+from imucal.allan.intervals import EDF_METHODS
+from imucal.allan.variance import ESTIMATORS
 from imucal.cli._printing import echo, echo_json, force_option, print_findings, refuse, refuse_warnings, say
 from imucal.cli.parameters import LEVEL, LogRequest, Taus, log_options, shown
 from imucal.errors import DataError

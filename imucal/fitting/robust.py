@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucal.allan.confidence import excess_kurtosis
+from imucal.allan.intervals import excess_kurtosis
 from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.noise.terms import AngleRandomWalk

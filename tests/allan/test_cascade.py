@@ -5,9 +5,8 @@ import numpy.testing as npt
 import pytest
 
 from imucal.allan import Cascade
-from imucal.allan.cascade import _Level
-from imucal.allan.estimators import ESTIMATORS
-from imucal.allan.variance import variances
+from imucal.allan.engine import _Level
+from imucal.allan.variance import ESTIMATORS, variances
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 

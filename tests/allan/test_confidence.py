@@ -7,20 +7,21 @@ import numpy.testing as npt
 import pytest
 
 from imucal.allan import allan_curve
-from imucal.allan.confidence import (
+from imucal.allan.dct import bin_power, dct_bins, dct_ordinates, ramp_ordinates
+from imucal.allan.intervals import (
+    GenericModel,
     _less_for_heavy_tails,
     _Question,
     degrees_of_freedom,
     excess_kurtosis,
+    fit_curve,
+    fit_spectrum,
     gappy_degrees_of_freedom,
+    model_edf,
     named_laws,
     spectral_edf,
 )
-from imucal.allan.covariance import GenericModel, model_edf
-from imucal.allan.dct import bin_power, dct_bins, dct_ordinates, ramp_ordinates
-from imucal.allan.estimators import ESTIMATORS
-from imucal.allan.gaps import GappyVariances
-from imucal.allan.generic import fit_curve, fit_spectrum
+from imucal.allan.variance import ESTIMATORS, GappyVariances
 from imucal.noise import NoiseModel
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries

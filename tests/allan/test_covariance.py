@@ -5,10 +5,9 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.allan import covariance
-from imucal.allan.covariance import GenericModel, model_edf
-from imucal.allan.estimators import ESTIMATORS, Estimator
-from imucal.allan.variance import variances
+from imucal.allan import intervals
+from imucal.allan.intervals import GenericModel, model_edf
+from imucal.allan.variance import ESTIMATORS, Estimator, variances
 from imucal.arrays import FloatArray
 from imucal.noise import NoiseModel
 from imucal.powerlaw import PowerLaw
@@ -146,5 +145,5 @@ def test_beyond_32_the_modified_variance_has_the_shape_it_has_there(
     modified = ESTIMATORS["modified"]
     terms = modified.terms(4000, 64)
     quick = model_edf(model, 64, terms, modified)
-    monkeypatch.setattr(covariance, "_MODIFIED_LIMIT", 64)
+    monkeypatch.setattr(intervals, "_MODIFIED_LIMIT", 64)
     assert quick == pytest.approx(model_edf(model, 64, terms, modified), rel=0.02)

@@ -5,7 +5,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.allan import AllanCurve, allan_curve
-from imucal.allan.estimators import ESTIMATORS
+from imucal.allan.variance import ESTIMATORS
 from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.recording import AxisSeries, Sensor

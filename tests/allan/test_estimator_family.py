@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from imucal.allan import estimators
-from imucal.allan.estimators import ESTIMATORS, Estimator
+from imucal.allan import variance
+from imucal.allan.variance import ESTIMATORS, Estimator
 from imucal.cli.adev import command
 from tests.allan.witness import PUBLISHED, WITNESSES
 
@@ -25,7 +25,7 @@ def forgotten(name: str, estimator: Estimator) -> list[str]:
             name not in PUBLISHED
         ),
         "no row in the table at the head of imucal/allan/estimators.py": (
-            f"\n{name} " not in (estimators.__doc__ or "")
+            f"\n{name} " not in (variance.__doc__ or "")
         ),
         "no row in the table of docs/science-allan.md": (
             f"\n| `{name}` |" not in PAGE.read_text(encoding="utf-8")

@@ -5,8 +5,7 @@ import numpy.testing as npt
 import pytest
 from scipy.fft import dct
 
-from imucal.allan.dct import dct_ordinates
-from imucal.allan.four_step import LONG, dct2, four_step_dct, four_step_idct, idct2, split
+from imucal.allan.dct import LONG, dct2, dct_ordinates, four_step_dct, four_step_idct, idct2, split
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 7, 12, 15, 16, 36, 49, 97, 1000, 1001, 65_537, 120_000])

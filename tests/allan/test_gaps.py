@@ -7,10 +7,15 @@ import numpy.testing as npt
 import pytest
 from numpy.typing import NDArray
 
-from imucal.allan import allan_curve, gaps
-from imucal.allan.estimators import ESTIMATORS
-from imucal.allan.gaps import _positive, longest_run, run_variances, window_variances
-from imucal.allan.variance import variances
+from imucal.allan import allan_curve, variance
+from imucal.allan.variance import (
+    ESTIMATORS,
+    _positive,
+    longest_run,
+    run_variances,
+    variances,
+    window_variances,
+)
 from imucal.arrays import FloatArray
 from imucal.clock import Clock, Segment
 from imucal.errors import DataError
@@ -294,11 +299,11 @@ def test_values_below_zero_and_without_differences_are_left_out() -> None:
 
 def test_the_pattern_of_losses_is_followed_chunk_by_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pairs inside chunks of 64 places, the last of them shorter: loops over chunks and lags."""
-    monkeypatch.setattr(gaps, "_CHUNK", 64)
+    monkeypatch.setattr(variance, "_CHUNK", 64)
     rng, n = np.random.default_rng(22), 150
     samples, keep = rng.standard_normal(n).cumsum(), np.repeat(rng.random(n // 3) < 0.6, 3)
     keep[0] = keep[-1] = True
-    found = gaps._pattern(_series(samples, keep))
+    found = variance._pattern(_series(samples, keep))
     share, correlation, structure = keep.mean(), [], []
     for k in range(found.correlation.size):
         pairs, possible, squares = 0, 0, 0.0
@@ -321,5 +326,5 @@ def test_the_pattern_is_followed_for_four_mean_gaps(length: int, count: int, lag
     keep = np.ones(1000, dtype=bool)
     for start in range(10, 10 + count * (length + 2), length + 2):
         keep[start : start + length] = False
-    found = gaps._pattern(_series(np.random.default_rng(23).standard_normal(1000), keep))
+    found = variance._pattern(_series(np.random.default_rng(23).standard_normal(1000), keep))
     assert found.correlation.size == found.structure.size == lags

@@ -4,9 +4,9 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.allan.confidence import power_response
 from imucal.allan.dct import dct_bins
-from imucal.allan.estimators import ESTIMATORS
+from imucal.allan.intervals import power_response
+from imucal.allan.variance import ESTIMATORS
 
 
 def test_single_ordinates_have_the_published_response() -> None:

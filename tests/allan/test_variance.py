@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucal.allan.estimators import ESTIMATORS, estimator_named
-from imucal.allan.variance import sum_of_squares, variances
+from imucal.allan.variance import ESTIMATORS, estimator_named, sum_of_squares, variances
 from imucal.arrays import FloatArray
 from tests.allan.witness import PUBLISHED, WITNESSES, exact_avar, naive_moav
 from tests.real_data import real_data

@@ -19,10 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from imucal.allan.cascade import Cascade
-from imucal.allan.confidence import degrees_of_freedom
-from imucal.allan.estimators import ESTIMATORS
-from imucal.allan.variance import variances
+from imucal.allan.engine import Cascade
+from imucal.allan.intervals import degrees_of_freedom
+from imucal.allan.variance import ESTIMATORS, variances
 from imucal.arrays import FloatArray, IntArray
 
 __all__ = ["main"]

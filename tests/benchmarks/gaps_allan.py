@@ -13,9 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.allan.estimators import ESTIMATORS
-from imucal.allan.gaps import window_variances
-from imucal.allan.variance import variances
+from imucal.allan.variance import ESTIMATORS, variances, window_variances
 from imucal.arrays import FloatArray, IntArray
 from imucal.noise import NoiseModel
 from imucal.recording import AxisSeries

@@ -17,9 +17,8 @@ from matplotlib.figure import Figure
 from scipy.special import chdtri, ndtri
 
 from imucal import AxisSeries, NoiseModel, allan_curve, avar_from_acvf, avar_from_psd, decompose, fit
-from imucal.allan.covariance import GenericModel, model_edf
-from imucal.allan.estimators import ESTIMATORS
-from imucal.allan.variance import variances
+from imucal.allan.intervals import GenericModel, model_edf
+from imucal.allan.variance import ESTIMATORS, variances
 from imucal.arrays import FloatArray
 from imucal.report.figure import render
 from imucal.report.figure_bias import bias_figure

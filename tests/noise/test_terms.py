@@ -6,8 +6,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.allan.estimators import ESTIMATORS
-from imucal.allan.variance import variances
+from imucal.allan.variance import ESTIMATORS, variances
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm, gauss_markov_avar, gauss_markov_sum
 from imucal.noise.terms import (

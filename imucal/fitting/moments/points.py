@@ -27,9 +27,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from imucal.allan.confidence import excess_kurtosis
-from imucal.allan.covariance import trapezoid_weights
 from imucal.allan.curve import AllanCurve
+from imucal.allan.intervals import excess_kurtosis, trapezoid_weights
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.errors import DataError
 from imucal.noise.term import NoiseTerm

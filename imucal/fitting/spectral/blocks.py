@@ -26,8 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from imucal.allan.dct import DctBins, dct_bins, fast_length, own_ordinates, ramp_ordinates
-from imucal.allan.four_step import dct2, idct2
+from imucal.allan.dct import DctBins, dct2, dct_bins, fast_length, idct2, own_ordinates, ramp_ordinates
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.allan.confidence import power_response
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import DctBins
-from imucal.allan.estimators import ESTIMATORS
+from imucal.allan.intervals import power_response
+from imucal.allan.variance import ESTIMATORS
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
 from imucal.fitting.cross_checks import verify_findings

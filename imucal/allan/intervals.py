@@ -1,0 +1,623 @@
+"""Equivalent degrees of freedom of every value of a curve, by one of three methods.
+
+hybrid
+    Of the spectrum itself where the averaging time is short, of the generic model that fits it
+    best where it is long, both corrected for heavy tails. The default.
+model
+    Of the generic model at every averaging time.
+greenhall
+    Of the power law that the lag-1 autocorrelation names at each averaging time, as Stable32 prints
+    them. On few averages it often names the wrong law, which costs 10 to 15 % of coverage.
+
+Exact degrees of freedom of an estimator for a sum of power-law noises.
+
+A variance is the mean square of M differences d_t. For Gaussian noise
+
+    Var = (2/M) Σ_{|k|<M} (1 - |k|/M) s(k)² + (4 µ²/M) Σ (1 - |k|/M) s(k),   EDF = 2 (s(0) + µ²)² / Var
+
+where s(k) is the autocovariance of d_t and µ its mean (a drift's). With V(n) the generalised
+variance of the sum of n samples (`imucal.powerlaw`) and a_j the autocorrelation of the
+difference's coefficients, s(k) = -½ Σ_j a_j V(k + j m) / scale.
+
+Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on finite
+differences", PTTI 35, eqs. 6-10; the power laws' V(n) in place of their continuous limit.
+
+The generic model: the four power laws (and a drift) that best describe a spectrum.
+
+It need not be true: the intervals of a curve only need the local shape of the spectrum.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import comb
+
+import numpy as np
+
+from imucal.allan.dct import (
+    DctBins,
+    bin_power,
+    dct_bins,
+    dct_ordinates,
+    fast_length,
+    ramp_ordinates,
+    shared_number,
+)
+from imucal.allan.variance import Estimator, GappyVariances, sum_of_squares
+from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
+from imucal.powerlaw import PowerLaw
+from imucal.recording import AxisSeries
+
+#: Up to so many lags are summed one by one; beyond, on a graded grid.
+_ALL_LAGS = 1024
+
+#: Lags that stand alone about each kink, and points per octave beyond them.
+_DENSE, _PER_OCTAVE = 24, 16
+
+#: Flicker's covariance dies like k^-4; this many averaging times hold all but 1e-6 of its squares.
+_FAR = 32
+
+#: The twice integrated estimator is evaluated at most at this factor; its covariance then is scaled.
+_MODIFIED_LIMIT = 32
+
+#: Slope of the modified variance over log m, by law, where m is large.
+_MODIFIED_SLOPES: dict[PowerLaw, float] = {
+    PowerLaw.QUANTIZATION: -3,
+    PowerLaw.WHITE: -1,
+    PowerLaw.FLICKER: 0,
+    PowerLaw.WALK: 1,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GenericModel:
+    """A sum of the four power laws and a drift, in units of one sample.
+
+    Attributes
+    ----------
+    variances
+        Variance parameter of each `PowerLaw`, in its order, in U².
+    drift
+        Drift per sample, in U.
+    """
+
+    variances: tuple[float, ...]
+    drift: float = 0.0
+
+    def avar(self, m: FloatArray) -> FloatArray:
+        """Return the model's Allan variance at averaging factors `m`, shape (k,), in U²."""
+        total: FloatArray = self.drift**2 * np.asarray(m, dtype=np.float64) ** 2 / 2
+        for law, variance in zip(PowerLaw, self.variances, strict=True):
+            total = total + variance * law.avar(m)
+        return total
+
+
+def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *, stride: int = 1) -> float:
+    """Return the equivalent degrees of freedom of one value, at least 1.
+
+    Parameters
+    ----------
+    model
+        What the samples are taken to be; its scale does not matter.
+    m
+        Averaging factor.
+    terms
+        Number M of differences that are averaged.
+    estimator
+        Which differences.
+    stride
+        Samples between neighbouring differences of an overlapping estimator; a divisor of `m`.
+
+    Notes
+    -----
+    For estimators of one integration the relative error of the graded sum is below 1e-3
+    (tested against the sum over all lags). The modified estimator above m = 32 uses the shape of
+    its covariance at m = 32. Cost some 0.2 ms.
+    """
+    variances = np.array(model.variances)
+    if not variances.any() and not model.drift:
+        variances = np.array([0.0, 1.0, 0.0, 0.0])
+    mean_square = _drift_square(model.drift, m, estimator)
+    if estimator.integrations == 2 and m > _MODIFIED_LIMIT:
+        ratio = m / _MODIFIED_LIMIT
+        variances = variances * np.array([ratio ** _MODIFIED_SLOPES[law] for law in PowerLaw])
+        terms, m = max(terms / ratio, 1.0), _MODIFIED_LIMIT
+    stride = stride if estimator.overlapping else m
+    span = terms * stride
+    lags, weights, basis = _basis(m, int(np.ceil(span)), stride, estimator)
+    weights = weights * (1 - lags / span)
+    covariance = variances @ basis
+    lag_sum = max(float(weights @ covariance), 0.0)
+    total = float(weights @ covariance**2) + 2 * mean_square * lag_sum
+    level = float(covariance[0]) + mean_square
+    return max(terms * level**2 / total, 1.0) if total > 0 else terms
+
+
+def _drift_square(drift: float, m: int, estimator: Estimator) -> float:
+    """Return the squared mean that a drift gives a difference; a third difference sees none."""
+    if estimator.order - estimator.integrations != 1:
+        return 0.0
+    return drift**2 * m * m / 2
+
+
+@lru_cache(maxsize=128)
+def _basis(m: int, span: int, stride: int, estimator: Estimator) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return lags, shape (j,), their weights, and s(k) of each law of unit variance, shape (4, j)."""
+    lags, weights = _lag_grid(m, min(span - 1, _FAR * m), stride, estimator.order)
+    return lags, weights, np.array([_covariance(law, lags, m, estimator) for law in PowerLaw])
+
+
+def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return lags from 0 to `last` and the weights that sum a smooth even function over them.
+
+    Every lag stands alone about the kinks 0, m, … order m; between, points thin out and the
+    trapezoid rule carries the lags they stand for.
+    """
+    steps = last // stride
+    lags = np.arange(steps + 1) if steps <= _ALL_LAGS else _graded(m // stride, steps, order)
+    weights = 2 * trapezoid_weights(lags)
+    weights[0] -= 1
+    return (lags * stride).astype(np.float64), weights
+
+
+def trapezoid_weights(lags: IntArray) -> FloatArray:
+    """Return the weights that turn values at rising `lags`, shape (l,), into a sum over all between."""
+    weight = np.ones(lags.size)
+    skipped = (np.diff(lags) - 1) / 2
+    weight[:-1] += skipped
+    weight[1:] += skipped
+    return weight
+
+
+def _graded(m: int, last: int, order: int) -> IntArray:
+    """Return distinct lags from 0 to `last`, dense about the multiples of m up to order m."""
+    octaves = np.log2(last / _DENSE)
+    out = np.round(_DENSE * 2.0 ** (np.arange(int(octaves * _PER_OCTAVE) + 1) / _PER_OCTAVE))
+    near = np.concatenate([np.arange(_DENSE), out]).astype(np.int64)
+    parts = [np.array([last]), np.linspace(0, min(last, (order + 1) * m), 129).astype(np.int64)]
+    for kink in range(order + 1):
+        parts += [kink * m + near, kink * m - near]
+    lags = np.unique(np.concatenate(parts))
+    return lags[(lags >= 0) & (lags <= last)]
+
+
+def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatArray:
+    """Return s(k); beyond the reach of the difference only flicker's is not zero."""
+    inside = (k <= estimator.order * m) | (law is PowerLaw.FLICKER)
+    covariance = np.zeros(k.shape)
+    covariance[inside] = _comb(law, k[inside], m, estimator)
+    return covariance
+
+
+def _comb(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatArray:
+    difference = np.array([1.0])
+    for _ in range(estimator.order if estimator.integrations == 1 else estimator.order - 1):
+        difference = np.convolve(difference, [1.0, -1.0])
+    comb = np.convolve(difference, difference[::-1])
+    half = comb.size // 2
+    total = np.zeros(k.shape)
+    for index, coefficient in enumerate(comb):
+        shifted = k + (index - half) * m
+        total += coefficient * (
+            law.sum_variance(shifted) if estimator.integrations == 1 else _smoothed(law, shifted, m)
+        )
+    covariance: FloatArray = -0.5 * total / estimator.scale(m)
+    return covariance
+
+
+def _smoothed(law: PowerLaw, n: FloatArray, m: int) -> FloatArray:
+    """Return V(n) summed with the triangle of a sum of m neighbours."""
+    steps = np.arange(1 - m, m, dtype=np.float64)
+    summed: FloatArray = law.sum_variance(n[:, None] + steps) @ (m - np.abs(steps))
+    return summed
+
+
+#: A drift has zero mean beyond this ordinate, to 1e-6 of its squares.
+_DRIFT_ORDINATES = 128
+
+#: Twice the log likelihood that a drift must gain: the 95 % quantile of chi-squared with 1 dof.
+_DRIFT_GAIN = 3.84
+
+_ROUNDS = 30
+#: Added to the diagonal of the laws' correlation, so that laws that are alike are not singular.
+_RIDGE = 1e-12
+
+
+def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> GenericModel:
+    """Return the maximum-likelihood generic model of DCT-II ordinates.
+
+    Parameters
+    ----------
+    ordinates
+        The lowest ordinates from k = 1 on, shape (j,); they show the drift.
+    power
+        Sums of squared ordinates, shape (b,).
+    bins
+        Their bins.
+
+    Notes
+    -----
+    The model is scored bin by bin as -log L = ½ Σ (n_b log S_b + P_b / S_b). The drift is kept
+    only where it gains 3.84 in 2 log L.
+
+    Source: Whittle (1953), with the exact E[X_k²] of the DCT-II in place of the psd.
+    """
+    count = bins.count.astype(np.float64)
+    basis = np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in PowerLaw])
+    plain, plain_score = _fit(basis, power, count)
+    singles = min(_DRIFT_ORDINATES, ordinates.size, int(np.argmin(bins.count == 1)) or bins.size)
+    shape = ramp_ordinates(bins.n, singles)
+    low = ordinates[:singles]
+    variances, score, drift = plain, plain_score, 0.0
+    for _ in range(3):
+        spectrum = variances @ basis[:, :singles]
+        if not spectrum.all():
+            return GenericModel(variances=tuple(plain.tolist()))
+        drift = float(np.sum(low * shape / spectrum) / np.sum(shape**2 / spectrum))
+        rest = power.copy()
+        rest[:singles] = (low - drift * shape) ** 2
+        variances, score = _fit(basis, rest, count, start=plain)
+    if 2 * (plain_score - score) > _DRIFT_GAIN:
+        return GenericModel(variances=tuple(variances.tolist()), drift=drift)
+    return GenericModel(variances=tuple(plain.tolist()))
+
+
+def fit_curve(m: FloatArray, avar: FloatArray, weight: FloatArray) -> GenericModel:
+    """Return the generic model nearest to a curve, where there is no spectrum to fit.
+
+    Parameters
+    ----------
+    m, avar
+        The curve, shape (k,).
+    weight
+        Rough degrees of freedom of each value, shape (k,).
+    """
+    good = avar > 0
+    basis = np.array([law.avar(m[good]) for law in PowerLaw])
+    variances = _non_negative(basis / avar[good], np.ones(int(good.sum())), weight[good])
+    return GenericModel(variances=tuple(variances.tolist()))
+
+
+def _fit(
+    basis: FloatArray, power: FloatArray, count: FloatArray, start: FloatArray | None = None
+) -> tuple[FloatArray, float]:
+    """Minimise the score over non-negative variances by iterated weighted least squares.
+
+    The weights are those of Fisher scoring; a step is halved until the score falls.
+    """
+    level = power / count
+    floor = float(level.sum()) * 1e-30
+    if not floor:
+        return np.zeros(len(basis)), 0.0
+    variances = _start(basis, level, count) if start is None else start
+    score = _score(variances @ basis, power, count, floor)
+    for _ in range(_ROUNDS):
+        spectrum = variances @ basis + floor
+        target = _non_negative(basis / spectrum, level / spectrum, count)
+        step = 1.0
+        while step > 1e-3:
+            trial = variances + step * (target - variances)
+            trial_score = _score(trial @ basis, power, count, floor)
+            if trial_score < score:
+                break
+            step /= 2
+        else:
+            break
+        gain, variances, score = score - trial_score, trial, trial_score
+        if gain < 1e-3:
+            break
+    return variances, score
+
+
+def _start(basis: FloatArray, level: FloatArray, count: FloatArray) -> FloatArray:
+    """Return a start by multiplicative updates, which keep variances positive and never diverge."""
+    variances = np.array([np.quantile(level / law, 0.25) for law in basis]) / len(basis)
+    variances += np.array([float((level * count).sum() / (law * count).sum()) for law in basis]) * 1e-6
+    for _ in range(20):
+        spectrum = variances @ basis
+        variances = variances * np.sqrt(
+            (basis @ (count * level / spectrum**2)) / (basis @ (count / spectrum))
+        )
+    return variances
+
+
+def _score(spectrum: FloatArray, power: FloatArray, count: FloatArray, floor: float) -> float:
+    safe = spectrum + floor
+    return 0.5 * float(count @ np.log(safe) + np.sum(power / safe))
+
+
+def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the weights v >= 0 that minimise Σ weight (target - v @ basis)², shape (4,).
+
+    Source: Lawson & Hanson (1974), Solving Least Squares Problems, ch. 23.
+    """
+    scale = np.sqrt(np.maximum((basis**2) @ weight, np.finfo(np.float64).tiny))
+    unit = basis / scale[:, None]
+    gram, moment = (unit * weight) @ unit.T, (unit * weight) @ target
+    gram += _RIDGE * np.eye(len(basis))
+    values = np.zeros(len(basis))
+    free = np.zeros(len(basis), dtype=bool)
+    for _ in range(3 * len(basis)):
+        slope = np.where(free, -np.inf, moment - gram @ values)
+        if slope.max() <= 1e-10 * np.abs(moment).max():
+            break
+        free[int(np.argmax(slope))] = True
+        values = _inside(gram, moment, values, free)
+        free = values > 0
+    return values / scale
+
+
+def _inside(gram: FloatArray, moment: FloatArray, values: FloatArray, free: BoolArray) -> FloatArray:
+    """Walk from `values` towards the free minimum, dropping each weight that reaches zero."""
+    free = free.copy()
+    while True:
+        chosen = np.flatnonzero(free)
+        wanted = np.zeros(values.size)
+        wanted[chosen] = np.linalg.solve(gram[np.ix_(chosen, chosen)], moment[chosen])
+        low = chosen[wanted[chosen] <= 0]
+        if not low.size:
+            return wanted
+        step = np.min(values[low] / (values[low] - wanted[low]))
+        values = values + step * (wanted - values)
+        values[low[values[low] <= 1e-15]] = 0.0
+        free &= values > 0
+        if not free.any():
+            return np.zeros(values.size)
+
+
+#: Up to n / 256 the spectrum has enough ordinates in the passband to need no model.
+_CROSSOVER = 256
+
+#: The kurtosis of a difference of two independent values is half of each one's.
+_HALVED = 2.0
+
+#: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
+_UNIFORM = -1.2
+
+#: Fewer averages than this name no power law; the one named at the averaging time before stays.
+_FEWEST = 30
+
+#: Largest exponent p of f^p that each law stands for, rising; what is flatter is quantization.
+_EXPONENTS = ((-1.5, PowerLaw.WALK), (-0.5, PowerLaw.FLICKER), (0.5, PowerLaw.WHITE))
+
+#: Elements of a work array.
+_BLOCK = 32768
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Question:
+    """What a method is asked: degrees of freedom of `m` (k,) with `terms` (k,) differences each."""
+
+    samples: FloatArray
+    m: IntArray
+    terms: FloatArray
+    estimator: Estimator
+
+
+def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, method: str) -> FloatArray:
+    """Return the equivalent degrees of freedom of each value of a curve.
+
+    Parameters
+    ----------
+    samples
+        Evenly spaced, shape (n,), finite.
+    m
+        Averaging factors, shape (k,), each within the estimator's reach.
+    estimator
+        What was computed.
+    method
+        ``hybrid``, ``model`` or ``greenhall``.
+
+    Returns
+    -------
+    Shape (k,), each at least 1.
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown.
+
+    Source: Greenhall & Riley (2003), PTTI 35; Percival & Walden (2000), ch. 8 (the spectral form).
+    """
+    chosen = _method_named(method)
+    terms = np.array([estimator.terms(samples.size, mi) for mi in m.tolist()], dtype=np.float64)
+    question = _Question(samples=samples, m=m, terms=terms, estimator=estimator)
+    edf: FloatArray = np.maximum(chosen(question), 1.0)
+    return edf
+
+
+def _hybrid(question: _Question) -> FloatArray:
+    samples, m, estimator = question.samples, question.m, question.estimator
+    used, bins, ordinates = _transformed(samples)
+    power = bin_power(ordinates, bins)
+    short = (m <= used // _CROSSOVER) & estimator.overlapping
+    edf = np.empty(m.size)
+    edf[short] = spectral_edf(power, bins, m[short], question.terms[short], estimator)
+    if not short.all():
+        model = fit_spectrum(ordinates, power, bins)
+        long = replace(question, m=m[~short], terms=question.terms[~short])
+        edf[~short] = _of_models([model] * long.m.size, long)
+    return _less_for_heavy_tails(edf, question)
+
+
+def _model(question: _Question) -> FloatArray:
+    _, bins, ordinates = _transformed(question.samples)
+    model = fit_spectrum(ordinates, bin_power(ordinates, bins), bins)
+    return _of_models([model] * question.m.size, question)
+
+
+def _greenhall(question: _Question) -> FloatArray:
+    models = [
+        GenericModel(variances=tuple(float(law is named) for law in PowerLaw))
+        for named in named_laws(question.samples, question.m)
+    ]
+    return _of_models(models, question)
+
+
+#: Name -> method.
+EDF_METHODS: dict[str, Callable[[_Question], FloatArray]] = {
+    "hybrid": _hybrid,
+    "model": _model,
+    "greenhall": _greenhall,
+}
+
+
+def _method_named(name: str) -> Callable[[_Question], FloatArray]:
+    if name not in EDF_METHODS:
+        msg = f"edf method {name!r} is not known: expected one of {', '.join(EDF_METHODS)}"
+        raise ValueError(msg)
+    return EDF_METHODS[name]
+
+
+def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:
+    """Return the power law that the averages of `m` neighbouring samples follow, for each factor.
+
+    Source: Riley & Greenhall (2004), "Power law noise identification using the lag 1
+    autocorrelation", EFTF 18, eqs. 5-10.
+    """
+    laws: list[PowerLaw] = []
+    for factor in m.tolist():
+        count = samples.size // factor
+        if count < _FEWEST:
+            laws.append(laws[-1] if laws else PowerLaw.WHITE)
+            continue
+        averages = samples[: count * factor].reshape(count, factor).mean(axis=1)
+        exponent = _exponent(averages)
+        laws.append(next((law for top, law in _EXPONENTS if exponent < top), PowerLaw.QUANTIZATION))
+    return laws
+
+
+def _exponent(values: FloatArray, differences: int = 0) -> float:
+    """Return the exponent of the spectrum of `values`, differencing them until they are stationary."""
+    centred = values - values.mean()
+    square = sum_of_squares(centred)
+    lag_one = float((centred[1:] * centred[:-1]).sum()) / square if square > 0 else 0.0
+    order = lag_one / (1 + lag_one)
+    if order < 0.25 or differences == 2:
+        return -2 * (order + differences)
+    return _exponent(np.diff(values), differences + 1)
+
+
+def _transformed(samples: FloatArray) -> tuple[int, DctBins, FloatArray]:
+    """Return how many samples were used, their bins and DCT-II ordinates."""
+    used = max(fast_length(samples.size), 2)
+    return used, dct_bins(used), dct_ordinates(samples[:used])
+
+
+def _of_models(models: Sequence[GenericModel], question: _Question) -> FloatArray:
+    """Return the degrees of freedom of each factor under its own model."""
+    triples = zip(models, question.m.tolist(), question.terms.tolist(), strict=True)
+    return np.array([model_edf(model, m, terms, question.estimator) for model, m, terms in triples])
+
+
+def spectral_edf(
+    power: FloatArray, bins: DctBins, m: IntArray, terms: FloatArray, estimator: Estimator
+) -> FloatArray:
+    """Return the degrees of freedom that the spectrum itself gives, without a model.
+
+    With G the spectrum of the differences, EDF = M (mean G)² / mean G². The squared power of a bin
+    of n_b ordinates is too large by 1 + 2/n_b on average, which is taken out.
+
+    Parameters
+    ----------
+    power, bins
+        Sums of squared DCT-II ordinates of each bin, shape (b,).
+    m, terms
+        Averaging factors and the number M of differences of each, shape (k,).
+    estimator
+        An overlapping one.
+    """
+    count = bins.count.astype(np.float64)
+    level = power / count
+    square = level**2 * count / (count + 2)
+    edf = np.empty(m.size)
+    for i, (factor, number) in enumerate(zip(m.tolist(), terms.tolist(), strict=True)):
+        response, squared = power_response(bins, factor, estimator)
+        first, second = float((count * response) @ level), float((count * squared) @ square)
+        edf[i] = number * first**2 / (second * (bins.n - 1)) if second > 0 else number
+    return edf
+
+
+@lru_cache(maxsize=256)
+def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
+    """Return an estimator's response H and its square, averaged over each bin, shape (b,).
+
+    The variance is the mean of H S over all angular frequencies, S the spectrum per sample; for
+    the Allan variance H = 2 sin(m w/2)^4 / (m sin(w/2))². Where a bin is wider than a ripple, the
+    ripple's mean takes its place: the mean of (2 sin)^(2j) is the central binomial coefficient of j.
+    Axes of one length share them; both are read-only.
+
+    Source: NIST SP 1065 (2008), eq. 65, for sampled data.
+    """
+    order = estimator.order
+    tail = (2 * np.sin(bins.omega / 2)) ** (-2 * estimator.integrations) / estimator.scale(m)
+    ripple = (2 * np.sin(m * bins.omega / 2)) ** (2 * order)
+    wide = bins.count * m * np.pi / bins.n > 1
+    response = np.where(wide, comb(2 * order, order), ripple) * tail
+    squared = np.where(wide, comb(4 * order, 2 * order), ripple**2) * tail**2
+    return read_only(response), read_only(squared)
+
+
+def excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None = None) -> float:
+    """Return the excess kurtosis of the differences of neighbouring samples; 0 where they are constant.
+
+    `neighbours`, shape (n-1,), says which samples are followed by their neighbour; None for all.
+    """
+    if samples.size < 3:
+        return 0.0
+    if neighbours is None:
+        return shared_number(samples, "excess kurtosis", lambda: _excess_kurtosis(samples, None))
+    return _excess_kurtosis(samples, neighbours)
+
+
+def _excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None) -> float:
+    mean = float((samples[-1] - samples[0]) / (samples.size - 1))
+    count = second = fourth = 0.0
+    for start in range(0, samples.size - 1, _BLOCK):
+        stop = min(start + _BLOCK, samples.size - 1)
+        part = samples[start + 1 : stop + 1] - samples[start:stop]
+        part -= mean
+        np.square(part, out=part)
+        if neighbours is not None:
+            part = part[neighbours[start:stop]]
+        count += part.size
+        second += float(part.sum())
+        fourth += sum_of_squares(part)
+    return count * fourth / second**2 - 3 if second > 0 else 0.0
+
+
+def _less_for_heavy_tails(
+    edf: FloatArray, question: _Question, neighbours: BoolArray | None = None
+) -> FloatArray:
+    """Widen for tails heavier than a Gaussian's: Var gains kappa/n where windows are not too few."""
+    kappa = max(_HALVED * excess_kurtosis(question.samples, neighbours), _UNIFORM)
+    n, order = question.samples.size, question.estimator.order
+    independent = n - order * question.m + 1.0
+    corrected = edf / (1 + kappa * edf / (2 * np.maximum(independent, 1)))
+    return np.where(independent >= order * question.m, corrected, edf)
+
+
+def gappy_degrees_of_freedom(
+    series: AxisSeries, values: GappyVariances, estimator: Estimator, method: str
+) -> FloatArray:
+    """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
+
+    There is no spectrum of a series with gaps to go by: ``hybrid`` and ``model`` take the generic
+    model nearest to the curve, with as many differences as there are windows, less for what was taken
+    out of their mean square.
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown.
+    """
+    chosen = _method_named(method)
+    question = _Question(samples=series.samples, m=values.m, terms=values.terms, estimator=estimator)
+    if chosen is _greenhall:
+        return np.maximum(_greenhall(question), 1.0)
+    m = values.m.astype(np.float64)
+    model = fit_curve(m, values.avar, np.maximum(values.terms / m, 1.0))
+    edf = _of_models([model] * m.size, question) / values.inflation**2
+    neighbours = np.diff(series.clock.grid()) == 1
+    corrected: FloatArray = np.maximum(_less_for_heavy_tails(edf, question, neighbours), 1.0)
+    return corrected
