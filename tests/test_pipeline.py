@@ -13,8 +13,7 @@ from imucal.noise import NoiseModel
 from imucal.pipeline import Settings, _workers, characterize
 from imucal.readers import read
 from imucal.recording import Axis, AxisSeries, Recording, Source
-from imucal.report.document import to_document
-from imucal.report.json_file import dumps
+from imucal.report.json_file import dumps, to_document
 from imucal.report.result import AxisReport, Report
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"

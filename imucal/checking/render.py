@@ -3,7 +3,7 @@
 from xml.etree import ElementTree as ET
 
 from imucal.checking.verdict import CheckResult, Row
-from imucal.report.document import plain
+from imucal.report.json_file import plain
 
 SCHEMA = "imucal/checking/1"
 

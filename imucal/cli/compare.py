@@ -15,7 +15,7 @@ from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.remote import is_url
 from imucal.remote.addresses import shown as shown_address
-from imucal.report.document import plain
+from imucal.report.json_file import plain
 from imucal.report.result import Report
 from imucal.units import DatasheetUnit
 

@@ -100,7 +100,7 @@ def command(
     parts with their standard errors (_se), decomposition.json says which model was used.
     """
     from imucal.pipeline import Settings, characterize
-    from imucal.report.bias_files import SCHEMA, check_folder, write_document
+    from imucal.report.figure_bias import SCHEMA, check_folder, write_document
 
     if every == 0:
         msg = "0 s between rows are no rows; give a time above 0, such as 10s"
@@ -164,7 +164,7 @@ def _decompose_axis(
 ) -> dict[str, object]:  # fmt: skip
     """Decompose one axis and write its files; return what is to say about it."""
     from imucal.fitting.decomposition import decompose
-    from imucal.report.bias_files import axis_document, write_decomposition
+    from imucal.report.figure_bias import axis_document, write_decomposition
 
     taken = fit.settings.get("regressors")
     if isinstance(taken, list) and taken:

@@ -165,8 +165,7 @@ def command(
         say("A table of deviations has no report folder; --json has all numbers.", quiet=request.quiet)
         return
     from imucal.cli._result_table import summary_table
-    from imucal.report.document import to_document
-    from imucal.report.json_file import dumps
+    from imucal.report.json_file import dumps, to_document
     from imucal.report.writer import check_folder, write_report
 
     folder = out or report_folder(request.logs[0])

@@ -16,7 +16,7 @@ from imucal.noise.terms import TERMS
 from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
 from imucal.remote import is_url
-from imucal.report.document import plain
+from imucal.report.json_file import plain
 from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/planning/1"

@@ -31,9 +31,20 @@ from imucal.fleet_report.pages import by_term, labelled_ticks, sorted_units, spa
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.fleet_report.verdict import beyond_chance, bound_name, deviation, per, sheet_unit, verdict
 from imucal.recording import Sensor
-from imucal.report.document import plain
-from imucal.report.figure_parts import LABEL_SIZE, SMALL_SIZE, TITLE_SIZE, new_figure
-from imucal.report.palette import DATA, FADED, FRAME, GRID, INK, LEFT_OUT, MODEL
+from imucal.report.figure import (
+    DATA,
+    FADED,
+    FRAME,
+    GRID,
+    INK,
+    LABEL_SIZE,
+    LEFT_OUT,
+    MODEL,
+    SMALL_SIZE,
+    TITLE_SIZE,
+    new_figure,
+)
+from imucal.report.json_file import plain
 from imucal.side_work import try_side_work
 from imucal.units import pretty
 

@@ -37,10 +37,10 @@ from imucal.fleet_report.verdict import (
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
 from imucal.report import numbers
-from imucal.report.log_ticks import tick_label, tick_places
+from imucal.report.figure import tick_label, tick_places
+from imucal.report.html_page import Page, Section, page_file, render_frame
 from imucal.report.markup import Markup, both_units, element, join, labelled, row, table
 from imucal.report.numbers import Quantity
-from imucal.report.page_frame import Page, Section, page_file, render_frame
 from imucal.units import pretty
 
 _AXES: tuple[Axis, ...] = ("x", "y", "z")

@@ -2,27 +2,606 @@
 
 Drawn through matplotlib's object interface on the Agg canvas: no window, no pyplot, no state that
 outlives a call. Sizes are chosen so that the smallest text has 9 px at a width of 800 px.
+
+The spectrum as it is drawn: its lowest bins merged, so that no single ordinate rules the eye.
+
+Colours and line styles, one set for pictures and page; those of a term stand in its class.
+
+Darkened from Okabe & Ito (2008), "Color universal design", so that they also serve as text on
+white (contrast above 4.5); every colour comes with its own line style or marker as well.
+
+Ticks of logarithmic axes: few, readable, and a tenth of the drawing time of matplotlib's own.
+
+Matplotlib makes an object of every minor tick, of which two log-log plots have hundreds, and sets
+every power of ten by its formula parser. Here the minor ticks of an axis are one artist.
+
+What the plots of a picture share: sizes, axes, read-offs.
+
+The Allan deviation as a plot: points and intervals, the model and its terms, the read-offs.
+
+The spectrum as a plot: the root of the two-sided psd, in which white noise has the height N.
+
+The pictures of a report, drawn side by side where processes may be forked: each is worth half a second.
 """
 
 import io
+import math
 import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from importlib import import_module
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
-from imucal.fitting.noise_fit import Estimate
+import numpy as np
+
+from imucal.allan.curve import AllanCurve
+from imucal.arrays import FloatArray, IntArray
+from imucal.findings import Finding
+from imucal.fitting.noise_fit import Estimate, Line
+from imucal.noise.term import NoiseTerm, Stroke
 from imucal.noise.terms import TERMS
+from imucal.parallel import side_by_side
 from imucal.printable import printable
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.figure_allan import MARKERS, draw_allan, draw_allan_overview
-from imucal.report.figure_parts import LEGEND_SIZE, SMALL_SIZE, TITLE_SIZE, dashes, estimate_text, new_figure
-from imucal.report.figure_psd import draw_psd, draw_psd_overview
-from imucal.report.palette import AXES, FADED, INK
+from imucal.report.labels import Label, place_labels
 from imucal.report.result import AxisReport, Report
 from imucal.report.sheet_units import SheetUnits, sheet_units
-from imucal.units import duration
+from imucal.resources import threads
+from imucal.side_work import try_side_work
+from imucal.units import duration, pretty
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+#: Fewest ordinates of the first point and of the others: 95 % of roots lie within 0.45 to 1.55 and 0.61
+#: to 1.39 times the truth. Fewer are single spikes; more would leave no slope at the lowest frequencies.
+_FIRST, _LEAST = 6.0, 12.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SmoothSpectrum:
+    """Roots of a two-sided density with their limits, in U/√Hz, shape (k,); `frequency` in Hz."""
+
+    frequency: FloatArray
+    root: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
+    """Return an axis's spectrum with neighbouring bins merged until each point averages 12 ordinates.
+
+    The ratio to the model is averaged, not the density: within a merged bin the slope is the model's, and
+    a steep density is not read too high. Limits are chi-squared, at the level of the fit, one degree of
+    freedom an ordinate.
+
+    Notes
+    -----
+    Prewhitening by a model: Blackman & Tukey (1958), The Measurement of Power Spectra, sec. B.18.
+    """
+    from scipy.special import chdtri
+
+    spectrum, fit = axis.spectrum, axis.fit
+    if not spectrum.frequency.size:
+        return SmoothSpectrum(frequency=np.zeros(0), root=np.zeros(0), low=np.zeros(0), high=np.zeros(0))
+    first = _firsts(spectrum.count)
+    count = np.add.reduceat(spectrum.count, first)
+    frequency = np.exp(np.add.reduceat(np.log(spectrum.frequency) * spectrum.count, first) / count)
+    ratio = np.add.reduceat(spectrum.psd / _shape(axis, spectrum.frequency) * spectrum.count, first) / count
+    root = np.sqrt(ratio * _shape(axis, frequency))
+    tail = (1 - fit.level) / 2
+    return SmoothSpectrum(
+        frequency=frequency,
+        root=root,
+        low=root * np.sqrt(count / chdtri(count, tail)),
+        high=root * np.sqrt(count / chdtri(count, 1 - tail)),
+    )
+
+
+def _shape(axis: AxisReport, frequency: FloatArray) -> FloatArray:
+    """Return the model's density, or 1 where there is no model."""
+    density = axis.fit.model.psd(frequency, rate_hz=axis.fit.rate_hz)
+    return density if np.all(density > 0) else np.ones(frequency.size)
+
+
+def _firsts(count: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Return the first bin of each merged one; the last takes what is left over."""
+    firsts, held = [0], 0.0
+    for index, ordinates in enumerate(count.tolist()):
+        if held >= (_FIRST if len(firsts) == 1 else _LEAST):
+            firsts.append(index)
+            held = 0.0
+        held += ordinates
+    if held < _LEAST and len(firsts) > 1:
+        firsts.pop()
+    return np.array(firsts, dtype=np.int64)
+
+
+INK = "#1c2733"
+DATA = Stroke("#33414f", "#c9d4df", ())
+MODEL = Stroke("#0063a3", "#5db6f2", ())
+#: Text of second rank.
+FADED = "#66717d"
+#: What the fit did not use.
+UNUSED = "#b4bcc5"
+#: Spectral lines.
+LEFT_OUT = "#b00020"
+GRID = "#e3e7ec"
+#: Spines and ticks.
+FRAME = "#9aa5b1"
+
+#: Axis -> its stroke in an overview.
+AXES: dict[str, Stroke] = {
+    "x": Stroke("#b84300", "#ff9157", ()),
+    "y": Stroke("#0063a3", "#5db6f2", (6, 2)),
+    "z": Stroke("#00734f", "#36c99a", (2, 1.5)),
+}
+
+
+_SIZE = 9.0
+#: Length of a minor tick, in parts of the plot.
+_MINOR = 0.006
+#: At most so many labelled ticks an axis.
+_MOST = 8
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def draw_ticks(axes: "Axes") -> None:
+    """Draw ticks and grid lines for the axes' present limits."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+
+    marks: list[list[tuple[float, float]]] = []
+    for axis, horizontal in ((axes.xaxis, True), (axes.yaxis, False)):
+        low, high = axis.get_view_interval()
+        major, minor = tick_places(low, high)
+        axis.set_major_locator(FixedLocator(major))
+        axis.set_major_formatter(FixedFormatter([tick_label(place) for place in major]))
+        axis.set_minor_locator(NullLocator())
+        for place in minor:
+            part = math.log(place / low) / math.log(high / low)
+            # The plot is wider than it is high: equal lengths are different parts.
+            marks.append([(part, 0.0), (part, 1.5 * _MINOR)] if horizontal else [(0.0, part), (_MINOR, part)])
+    axes.add_collection(
+        LineCollection(marks, colors=FRAME, linewidths=0.7, transform=axes.transAxes, zorder=1.5),
+        autolim=False,
+    )
+    axes.tick_params(labelsize=_SIZE, colors=INK)
+    axes.grid(visible=True, which="major", color=GRID, linewidth=0.8)
+
+
+def tick_places(low: float, high: float) -> tuple[list[float], list[float]]:
+    """Return the places of labelled and of minor ticks between two positive limits."""
+    decades, inside = _multiples(low, high, (1,)), _multiples(low, high, range(1, 10))
+    if len(decades) >= 3:
+        step = math.ceil(len(decades) / _MOST)
+        if step == 1:
+            return decades, inside
+        return [place for place in decades if round(math.log10(place)) % step == 0], decades
+    major = _multiples(low, high, (1, 2, 5))
+    if len(major) >= 2:
+        return major, inside
+    return (inside if len(inside) >= 2 else [low, high]), []
+
+
+def _multiples(low: float, high: float, digits: Iterable[int]) -> list[float]:
+    """Return ``digit * 10^e`` between two limits, rising, of every digit and whole e."""
+    powers = [10.0**e for e in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)]
+    return [digit * power for power, digit in product(powers, digits) if low <= digit * power <= high]
+
+
+def tick_label(value: float) -> str:
+    """Return ``0.01`` … ``1000`` as they are, others as ``10⁻⁵`` or ``2×10⁻⁵``."""
+    exponent = math.floor(math.log10(value) + 1e-9)
+    if -2 <= exponent <= 3:
+        return f"{value:.6g}"
+    factor = round(value / 10.0**exponent, 6)
+    power = f"10{str(exponent).translate(_SUPERSCRIPTS)}"
+    return power if factor == 1 else f"{factor:g}×{power}"
+
+
+#: Text sizes in points, for a figure 10 inches wide.
+TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 8.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawn:
+    """A term as a line: the estimate it draws, the term with its value or its bound.
+
+    `tau_s` is where its coefficient is read off, in s; None for a floor.
+    """
+
+    estimate: Estimate
+    term: NoiseTerm
+    tau_s: float | None
+    height: float
+
+
+def new_figure(width: float, height: float, dpi: float) -> "Figure":
+    """Return an empty white figure with its own Agg canvas; sizes in inches."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def style_axes(
+    axes: "Axes", *, x: str, y: str, x_limits: tuple[float, float], y_limits: tuple[float, float]
+) -> None:
+    """Make both scales logarithmic, with named units, quiet grid lines and final limits."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(*x_limits)
+    axes.set_ylim(*y_limits)
+    axes.set_axisbelow(True)
+    for spine, visible in (("left", True), ("bottom", True), ("top", False), ("right", False)):
+        axes.spines[spine].set_visible(visible)
+        axes.spines[spine].set_color(FRAME)
+    axes.set_xlabel(x, fontsize=LABEL_SIZE, color=INK, labelpad=3)
+    axes.set_ylabel(y, fontsize=LABEL_SIZE, color=INK, labelpad=3)
+    draw_ticks(axes)
+
+
+def limits(values: FloatArray, *, below: float, above: float) -> tuple[float, float]:
+    """Return limits about the positive ones of `values`, with factors of room below and above."""
+    positive = values[np.isfinite(values) & (values > 0)]
+    if not positive.size:
+        return 0.1, 10.0
+    return float(positive.min() / below), float(positive.max() * above)
+
+
+def dashes(stroke: Stroke) -> dict[str, Any]:
+    """Return the line style of a stroke."""
+    return {"dashes": stroke.dashes} if stroke.dashes else {}
+
+
+def term_entries(axis: AxisReport, terms: list[Drawn]) -> list[Any]:
+    """Return the legend's entries of the terms' lines, one for each symbol."""
+    from matplotlib.lines import Line2D
+
+    entries: dict[str, Any] = {}
+    for drawn in terms:
+        symbol, bounded = drawn.estimate.symbol, drawn.estimate.value is None
+        stroke = TERMS[symbol].stroke
+        name = f"{symbol}{' bound:' if bounded else ''} {TERMS[symbol].name(axis.sensor)}"
+        marker: dict[str, Any] = {"marker": "v" if bounded else "D", "markersize": 5.5}
+        face = "white" if bounded else stroke.light
+        entries[symbol] = Line2D(
+            [],
+            [],
+            color=stroke.light,
+            linewidth=1.3,
+            label=name,
+            markerfacecolor=face,
+            **marker,
+            **dashes(stroke),
+        )
+    return list(entries.values())
+
+
+def drawn_terms(axis: AxisReport) -> list[Drawn]:
+    """Return the lines to draw: each term of the fit, and each bound as if it were the value."""
+    found = []
+    by_symbol = {term.symbol: term for term in axis.fit.model.terms}
+    for estimate in axis.fit.estimates:
+        if TERMS[estimate.symbol].repeatable:
+            term: NoiseTerm | None = numbers.gauss_markov_term(axis.fit, estimate)
+        elif estimate.value is None:
+            term = _bound(estimate)
+        else:
+            term = by_symbol.get(estimate.symbol)
+        if term is not None:
+            found.append(_drawn(estimate, term))
+    return found
+
+
+def estimate_text(
+    estimate: Estimate, sensor: Sensor, units: SheetUnits, *, exponent: int | None = None
+) -> str:
+    """Return ``N 0.4125 ± 0.0016 deg/√h``; a Gauss-Markov term has its T on a second line."""
+    quantity = units.estimate(estimate, sensor)
+    text = f"{estimate.key} {numbers.with_uncertainty(quantity, exponent=exponent)}"
+    if estimate.correlation_time is None:
+        return text
+    time = numbers.with_uncertainty(numbers.correlation_time(estimate.correlation_time))
+    return f"{text}\nT {time}"
+
+
+def _bound(estimate: Estimate) -> NoiseTerm | None:
+    if not (math.isfinite(estimate.high) and estimate.high > 0):
+        return None
+    return TERMS[estimate.symbol].of(estimate.high)
+
+
+def _drawn(estimate: Estimate, term: NoiseTerm) -> Drawn:
+    tau_s, height = term.read_off()
+    return Drawn(estimate=estimate, term=term, tau_s=tau_s, height=height)
+
+
+#: The vertical axis reaches this far below the curve to show a read-off, never further.
+_DEEPEST = 40.0
+#: Axis -> its marker in an overview.
+MARKERS = {"x": "o", "y": "s", "z": "^"}
+
+
+def draw_allan(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
+    """Draw one axis's curve, model and terms in data-sheet units; return the entries of the legend."""
+    curve, rate, factor = axis.fit.curve, axis.fit.rate_hz, units.level.factor
+    shown, terms, m = shown_points(curve), drawn_terms(axis), _dense(curve)
+    style_axes(
+        axes,
+        x="averaging time τ (s)",
+        y=f"Allan deviation ({pretty(units.level.name)})",
+        x_limits=limits(curve.tau[shown], below=1.6, above=1.9),
+        y_limits=_y_limits(curve.adev[shown] * factor, [each.height * factor for each in terms]),
+    )
+    entries = _points(axes, axis, shown, factor)
+    total = np.sqrt(axis.fit.model.avar(m, rate_hz=rate)) * factor
+    if axis.fit.model.terms:
+        name = f"model {axis.fit.model}"
+        entries += axes.plot(m / rate, total, color=MODEL.light, linewidth=1.8, zorder=6, label=name)
+    obstacles = [(curve.tau[shown], curve.adev[shown] * factor, 2.0), (m / rate, total, 2.0)]
+    labels = []
+    for drawn in terms:
+        line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor
+        obstacles.append((m / rate, line, 0.7))
+        labels += _term(axes, axis, drawn, units, m / rate, line, total)
+    labels.append(_minimum(axes, axis, units))
+    place_labels(axes, labels, obstacles=obstacles, fontsize=LEGEND_SIZE)
+    return entries + term_entries(axis, terms)
+
+
+def draw_allan_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits) -> None:
+    """Draw the curves and models of a sensor's axes."""
+    values, times, factor = [], [], units.level.factor
+    for axis in reports:
+        curve, colour = axis.fit.curve, AXES[axis.axis].light
+        shown = shown_points(curve)
+        tau, adev = curve.tau[shown], curve.adev[shown] * factor
+        low, high = curve.confidence_interval(axis.fit.level)
+        axes.fill_between(
+            tau, low[shown] * factor, high[shown] * factor, color=colour, alpha=0.13, linewidth=0
+        )
+        marker: dict[str, Any] = {"marker": MARKERS[axis.axis], "markersize": 3.8, "markerfacecolor": "white"}
+        axes.plot(tau, adev, color=colour, linestyle="none", zorder=4, **marker)
+        m = _dense(curve)
+        total = np.sqrt(axis.fit.model.avar(m, rate_hz=axis.fit.rate_hz)) * factor
+        line: dict[str, Any] = {"color": colour, "linewidth": 1.5, **dashes(AXES[axis.axis])}
+        axes.plot(m / axis.fit.rate_hz, total, **line)
+        values.append(adev)
+        times.append(tau)
+    style_axes(
+        axes,
+        x="averaging time τ (s)",
+        y=f"Allan deviation ({pretty(units.level.name)})",
+        x_limits=limits(np.concatenate(times), below=1.6, above=1.9),
+        y_limits=limits(np.concatenate(values), below=2.0, above=2.0),
+    )
+
+
+def shown_points(curve: AllanCurve) -> IntArray:
+    """Return the indices worth drawing: those with at least 2 degrees of freedom, where there are any."""
+    positive = curve.avar > 0
+    sure = positive & ~(curve.edf < 2)
+    return np.flatnonzero(sure if np.count_nonzero(sure) >= 2 else positive).astype(np.int64)
+
+
+def _dense(curve: AllanCurve) -> FloatArray:
+    """Return whole averaging factors that make a smooth line over the curve."""
+    return np.unique(np.geomspace(float(curve.m.min()), float(curve.m.max()), 200).round())
+
+
+def _y_limits(adev: FloatArray, heights: list[float]) -> tuple[float, float]:
+    """Return limits that hold the curve, and the read-offs not too far below it."""
+    bottom, top = limits(adev, below=2.2, above=2.2)
+    deepest = bottom * 2.2 / _DEEPEST
+    for height in heights:
+        if deepest < height < bottom * 1.3:
+            bottom = min(bottom, height / 1.6)
+    return bottom, top
+
+
+def _points(axes: "Axes", axis: AxisReport, shown: IntArray, factor: float) -> list[Any]:
+    curve = axis.fit.curve
+    low, high = (limit * factor for limit in curve.confidence_interval(axis.fit.level))
+    adev = curve.adev * factor
+    known = shown[np.isfinite(low[shown]) & np.isfinite(high[shown])]
+    entries: list[Any] = []
+    dots: dict[str, Any] = {"marker": "o", "markersize": 4.4, "linestyle": "none"}
+    used, unused = np.intersect1d(shown, axis.fit.used), np.setdiff1d(shown, axis.fit.used)
+    if used.size:
+        name = f"Allan deviation ({curve.estimator})"
+        # Above the labels' white boxes: no label hides a part of a point.
+        entries += axes.plot(curve.tau[used], adev[used], color=DATA.light, zorder=21, label=name, **dots)
+    if known.size:
+        name = f"its {100 * axis.fit.level:.4g} % interval"
+        band: dict[str, Any] = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2, "label": name}
+        entries.append(axes.fill_between(curve.tau[known], low[known], high[known], **band))
+    if unused.size:
+        name = "not used by the fit"
+        entries += axes.plot(curve.tau[unused], adev[unused], color=UNUSED, zorder=5, label=name, **dots)
+    return entries
+
+
+def _term(  # noqa: PLR0917 - drawing takes what is drawn
+    axes: "Axes",
+    axis: AxisReport,
+    drawn: Drawn,
+    units: SheetUnits,
+    tau: FloatArray,
+    line: FloatArray,
+    total: FloatArray,
+) -> list[Label]:
+    """Draw a term's line and read-off; return its label, or nothing where no part of it is in view."""
+    stroke, bounded = TERMS[drawn.estimate.symbol].stroke, drawn.estimate.value is None
+    style: dict[str, Any] = {"linewidth": 1.0 if bounded else 1.3, "alpha": 0.65 if bounded else 1.0}
+    axes.plot(tau, line, color=stroke.light, zorder=3, **style, **dashes(stroke))
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    at, height = drawn.tau_s, drawn.height * units.level.factor
+    if at is None and not bounded:
+        # A floor is read where it makes up most of the curve.
+        at = float(tau[np.argmax(np.where((tau > left * 2) & (tau < right / 2), line / total, 0))])
+    text = estimate_text(drawn.estimate, axis.sensor, units)
+    if at is not None and left < at < right and bottom < height < top:
+        face = "white" if bounded else stroke.light
+        mark: dict[str, Any] = {"marker": "v" if bounded else "D", "markersize": 5.5, "markerfacecolor": face}
+        axes.plot([at], [height], color=stroke.light, linestyle="none", zorder=8, **mark)
+        return [Label(text=text, x=np.array([at]), y=np.array([height]), colour=stroke.light)]
+    in_view = (line > bottom * 1.1) & (line < top / 1.1) & (tau > left) & (tau < right)
+    inside = np.flatnonzero(in_view)
+    if not inside.size:
+        # Too small to matter anywhere in view; the reader still wants the number.
+        places = np.geomspace(left, right, 12)[1:-1]
+        edge = np.full(places.size, bottom * (top / bottom) ** 0.01)
+        return [Label(text=f"{text} (below)", x=places, y=edge, colour=stroke.light)]
+    some = inside[:: max(1, inside.size // 12)]
+    return [Label(text=text, x=tau[some], y=line[some], colour=stroke.light)]
+
+
+def _minimum(axes: "Axes", axis: AxisReport, units: SheetUnits) -> Label:
+    """Ring the lowest point of the curve; return its label."""
+    floor = units.minimum(axis)
+    adev, tau = axis.fit.curve.minimum
+    adev *= units.level.factor
+    axes.plot([tau], [adev], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
+    text = f"minimum {numbers.with_interval(floor)}"
+    return Label(text=text, x=np.array([tau]), y=np.array([adev]), colour=INK)
+
+
+#: At most this many lines are named, the strongest first; all are marked.
+_NAMED_LINES = 3
+
+
+def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
+    """Draw one axis's spectrum, model and terms in data-sheet units; return the entries of the legend."""
+    smooth, factor = smooth_spectrum(axis), units.density.factor
+    frequency, root = smooth.frequency, smooth.root * factor
+    style_axes(
+        axes,
+        x="frequency (Hz)",
+        y=f"√PSD, two-sided ({pretty(units.density.name)})",
+        x_limits=limits(axis.spectrum.frequency, below=1.3, above=1.3),
+        y_limits=limits(root, below=2.0, above=2.2),
+    )
+    if not frequency.size:
+        axes.text(0.5, 0.5, "no samples, no spectrum", transform=axes.transAxes, ha="center", color=INK)
+        return []
+    band: dict[str, Any] = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2}
+    axes.fill_between(frequency, smooth.low * factor, smooth.high * factor, **band)
+    axes.plot(frequency, root, color=DATA.light, linewidth=1.0, zorder=4)
+    grid = np.geomspace(axis.spectrum.frequency[0], axis.spectrum.frequency[-1], 200)
+    for drawn in drawn_terms(axis):
+        _figure_psd_term(axes, axis, drawn, grid, factor)
+    if axis.fit.model.terms:
+        model = np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz)) * factor
+        axes.plot(grid, model, color=MODEL.light, linewidth=1.8, zorder=6)
+    entries = _unused_band(axes, axis)
+    labels = _lines(axes, axis, entries, factor) + _response(axes, axis)
+    place_labels(axes, labels, obstacles=[(frequency, root, 2.0)], fontsize=LEGEND_SIZE)
+    return entries
+
+
+def draw_psd_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits) -> None:
+    """Draw the spectra and models of a sensor's axes."""
+    values, places, factor = [np.zeros(0)], [np.zeros(0)], units.density.factor
+    for axis in reports:
+        smooth, stroke = smooth_spectrum(axis), AXES[axis.axis]
+        frequency, root = smooth.frequency, smooth.root * factor
+        if not frequency.size:
+            continue
+        axes.plot(frequency, root, color=stroke.light, linewidth=0.8, alpha=0.55)
+        grid = np.geomspace(axis.spectrum.frequency[0], axis.spectrum.frequency[-1], 200)
+        model = np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz)) * factor
+        axes.plot(grid, model, color=stroke.light, linewidth=1.6, **dashes(stroke))
+        values.append(root)
+        places.append(grid)
+    style_axes(
+        axes,
+        x="frequency (Hz)",
+        y=f"√PSD, two-sided ({pretty(units.density.name)})",
+        x_limits=limits(np.concatenate(places), below=1.3, above=1.3),
+        y_limits=limits(np.concatenate(values), below=2.0, above=2.2),
+    )
+
+
+def _figure_psd_term(axes: "Axes", axis: AxisReport, drawn: Drawn, grid: FloatArray, factor: float) -> None:
+    density = np.sqrt(drawn.term.psd(grid, 1 / axis.fit.rate_hz)) * factor
+    stroke = TERMS[drawn.estimate.symbol].stroke
+    if drawn.estimate.value is not None and np.any(density > 0):
+        axes.plot(grid, density, color=stroke.light, linewidth=1.1, zorder=3, **dashes(stroke))
+
+
+def _unused_band(axes: "Axes", axis: AxisReport) -> list[Any]:
+    """Grey what lies outside the band of the fit."""
+    band = axis.fit.goodness.band_hz
+    if band is None:
+        return []
+    left, right = axes.get_xlim()
+    spectrum = axis.spectrum.frequency
+    spans = []
+    if spectrum[0] < band[0]:
+        spans.append((left, band[0]))
+    if spectrum[-1] > band[1] * 1.01:
+        spans.append((band[1], right))
+    style: dict[str, Any] = {"color": UNUSED, "alpha": 0.3, "linewidth": 0, "zorder": 1}
+    made = [axes.axvspan(*span, label="band not used by the fit", **style) for span in spans]
+    return made[:1]
+
+
+def _lines(axes: "Axes", axis: AxisReport, entries: list[Any], factor: float) -> list[Label]:
+    """Mark the spectral lines that the fit left out; return names for the strongest."""
+    lines = axis.fit.goodness.lines
+    if not lines:
+        return []
+    at = [line.frequency_hz for line in lines]
+    heights = [_height(axis, line) * factor for line in lines]
+    entries += axes.plot(
+        at,
+        heights,
+        marker="v",
+        markersize=6,
+        color=LEFT_OUT,
+        linestyle="none",
+        zorder=9,
+        label="line left out of the fit",
+    )
+    strongest = sorted(zip(lines, heights, strict=True), key=lambda pair: -pair[0].amplitude)[:_NAMED_LINES]
+    return [
+        Label(
+            text=f"{line.frequency_hz:.4g} Hz",
+            x=np.array([line.frequency_hz]),
+            y=np.array([height]),
+            colour=LEFT_OUT,
+        )
+        for line, height in strongest
+    ]
+
+
+def _height(axis: AxisReport, line: Line) -> float:
+    """Return the height of the spectrum at a line, so that its mark stands on the peak."""
+    nearest = np.argmin(np.abs(axis.spectrum.frequency - line.frequency_hz))
+    around = axis.spectrum.psd[max(nearest - 1, 0) : nearest + 2]
+    return float(np.sqrt(around.max()) * 1.12)
+
+
+def _response(axes: "Axes", axis: AxisReport) -> list[Label]:
+    """Mark the corner of the output filter."""
+    response = axis.fit.response
+    left, right = axes.get_xlim()
+    if response is None or not left < response.cutoff_hz < right:
+        return []
+    axes.axvline(response.cutoff_hz, color=INK, linewidth=1.0, dashes=(2, 2), zorder=5)
+    bottom, top = axes.get_ylim()
+    text = f"output filter\n{response.kind}\n{response.cutoff_hz:.3g} Hz"
+    heights = np.geomspace(bottom, top, 8)[1:-1]
+    return [Label(text=text, x=np.full(heights.size, response.cutoff_hz), y=heights, colour=INK)]
+
 
 #: What `render` can make.
 FORMATS = ("png", "svg", "pdf")
@@ -197,3 +776,98 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
         figure.text(0.02, y, key, **(style | {"fontweight": "bold"}))
         for text, x in zip(texts, columns, strict=False):
             figure.text(x, y, text, **style)
+
+
+#: Loaded once, by the process that the others are forked from.
+_LIBRARIES = ("matplotlib.figure", "matplotlib.backends.backend_agg")
+
+
+@dataclass(slots=True)
+class Drawings:
+    """What was drawn, and what could not be.
+
+    Attributes
+    ----------
+    files
+        Contents by the name of the file.
+    small
+        The page's pictures by the name of the axis.
+    failures
+        Why a file is missing, in the order of the files.
+    """
+
+    files: dict[str, bytes] = field(default_factory=dict)
+    small: dict[str, bytes] = field(default_factory=dict)
+    failures: list[Finding] = field(default_factory=list)
+
+
+def picture_names(report: Report, formats: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the files that are drawn of a report."""
+    return tuple(f"{_stem(item)}.{form}" for item in _items(report) for form in formats)
+
+
+def draw(report: Report, formats: Sequence[str], *, small: bool, workers: int | None = None) -> Drawings:
+    """Draw the pictures of a report.
+
+    Parameters
+    ----------
+    formats
+        Of the files: ``png``, ``svg``, ``pdf``.
+    small
+        Whether to draw those of the page too.
+    workers
+        Most at a time; by default as many as the machine has processors.
+    """
+    items = _items(report) if formats else tuple(report.axes) if small else ()
+    count = threads() if workers is None else workers
+    if count > 1 and items:
+        for name in _LIBRARIES:
+            import_module(name)
+    drawn = Drawings()
+    work = partial(_drawings_drawn, report, formats=tuple(formats), small=small)
+    for one in side_by_side(work, items, workers=count):
+        drawn.files |= one.files
+        drawn.small |= one.small
+        drawn.failures += one.failures
+    return drawn
+
+
+def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
+    """Return what has a picture: each axis, and each sensor."""
+    sensors = (sensor for sensor in Sensor if any(axis.sensor is sensor for axis in report.axes))
+    return (*report.axes, *sensors)
+
+
+def _stem(item: AxisReport | Sensor) -> str:
+    return item.short if isinstance(item, Sensor) else item.name
+
+
+def _drawings_drawn(
+    report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...], small: bool
+) -> Drawings:
+    """Draw one picture once, and make all of its files."""
+
+    @cache
+    def made() -> "Figure":
+        if isinstance(item, Sensor):
+            return sensor_figure(report, item)
+        return axis_figure(report, item)
+
+    result = Drawings()
+    for form in formats:
+        name = f"{_stem(item)}.{form}"
+        content, failed = try_side_work(
+            lambda form=form: render(made(), form, version=report.version),  # type: ignore[misc]
+            None,
+            what=f"{name} was left out",
+            code="not-drawn",
+        )
+        if content is not None:
+            result.files[name] = content
+        result.failures += failed
+    if small and isinstance(item, AxisReport):
+        # The page draws what is missing itself, and says why it can't.
+        content, _ = try_side_work(lambda: render_small(made()), None, what="", code="not-drawn")
+        if content is not None:
+            result.small[item.name] = content
+    return result

@@ -23,13 +23,12 @@ from imucal.atomic import sync_folder
 from imucal.errors import WriteError
 from imucal.findings import Finding
 from imucal.recording import Sensor
-from imucal.report.document import axis_document, to_document
-from imucal.report.json_file import dumps
+from imucal.report.json_file import axis_document, dumps, to_document
 from imucal.report.result import AxisReport, Report
 from imucal.side_work import try_side_work
 
 if TYPE_CHECKING:
-    from imucal.report.drawings import Drawings
+    from imucal.report.figure import Drawings
 
 _REPORT = "report.json"
 #: Files this module writes, in any version and with any settings.
@@ -75,8 +74,7 @@ def write_report(
         If a format is unknown.
     """
     out = Path(out)
-    from imucal.report.drawings import draw, picture_names
-    from imucal.report.figure import FORMATS
+    from imucal.report.figure import FORMATS, draw, picture_names
 
     unknown = [form for form in formats if form not in FORMATS]
     if unknown:

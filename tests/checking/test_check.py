@@ -13,8 +13,7 @@ from imucal.checking.verdict import judge
 from imucal.errors import LimitsError, ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
-from imucal.report.document import to_document
-from imucal.report.json_file import dumps
+from imucal.report.json_file import dumps, to_document
 from imucal.report.result import AxisReport, Report
 from tests.report.synthetic import axis_report, consumer_report, small_report
 

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from imucal.report.document import to_document
-from imucal.report.json_file import dumps
+from imucal.report.json_file import dumps, to_document
 from imucal.report.result import Report
 from tests.report.synthetic import consumer_report
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from imucal.recording import Sensor
-from imucal.report import drawings, figure
-from imucal.report.drawings import draw, picture_names
+from imucal.report import figure
+from imucal.report import figure as drawings
+from imucal.report.figure import draw, picture_names
 from imucal.report.result import AxisReport, Report
 from imucal.report.writer import write_report
 from tests.report.synthetic import consumer_report, small_report
@@ -31,13 +32,13 @@ def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, 
     """Two at a time where two are asked for; their results come in the order of the files."""
     marks = tmp_path / "marks"
     marks.mkdir()
-    work = drawings._drawn
+    work = drawings._drawings_drawn
 
     def marked(*arguments: object, **named: object) -> object:
         (marks / str(os.getpid())).touch()
         return work(*arguments, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(drawings, "_drawn", marked)
+    monkeypatch.setattr(drawings, "_drawings_drawn", marked)
     monkeypatch.setattr("imucal.parallel.may_fork", lambda: True)
     report = _two_axes()
     found = draw(report, ("png",), small=True, workers=2)

@@ -19,10 +19,8 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.term import Stroke
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
-from imucal.report import palette
-from imucal.report.figure import axis_figure, render, sensor_figure
-from imucal.report.figure_allan import shown_points
-from imucal.report.figure_parts import drawn_terms
+from imucal.report import figure as palette
+from imucal.report.figure import axis_figure, drawn_terms, render, sensor_figure, shown_points
 from imucal.report.result import AxisReport
 from tests.report.synthetic import axis_report, consumer_report, shortest_report, small_report
 

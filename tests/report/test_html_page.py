@@ -16,13 +16,11 @@ from imucal.allan.dct import Spectrum
 from imucal.clock import Gap
 from imucal.fitting.noise_fit import Candidate, Line
 from imucal.report.exports import TARGETS
-from imucal.report.figure_parts import estimate_text
-from imucal.report.html_page import _axis_section, render_page
+from imucal.report.figure import estimate_text
+from imucal.report.html_page import _axis_section, page_data, render_page, standing_out
 from imucal.report.markup import Markup, element
 from imucal.report.numbers import with_interval
-from imucal.report.page_data import page_data, standing_out
-from imucal.report.page_summary import summary_section
-from imucal.report.page_words import method_section
+from imucal.report.page_parts import method_section, summary_section
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.report.sheet_units import sheet_units
 from tests.report.browser import Browser

@@ -13,8 +13,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.errors import ReadError
-from imucal.report.document import axis_document, plain, to_document
-from imucal.report.json_file import dumps, from_document, load, schema
+from imucal.report.json_file import axis_document, dumps, from_document, load, plain, schema, to_document
 from imucal.report.result import Report
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 

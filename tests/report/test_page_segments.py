@@ -13,10 +13,9 @@ from imucal.checking.gate import measure
 from imucal.comparison import compare
 from imucal.fitting.homogeneity import homogeneity, widened
 from imucal.fitting.noise_fit import Segments, Trace
-from imucal.report.document import to_document
 from imucal.report.html_page import render_page
-from imucal.report.json_file import dumps, from_document, schema
-from imucal.report.page_segments import segments_figure
+from imucal.report.json_file import dumps, from_document, schema, to_document
+from imucal.report.page_parts import segments_figure
 from imucal.report.result import AxisReport, Report
 from tests.report.synthetic import consumer_report, small_report
 

@@ -8,8 +8,7 @@ floors: vibration dominates in flight.
 from collections.abc import Callable, Iterable
 
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.keyed import Entry, Key, at_period, entries, four
-from imucal.report.exports.target import Body, Target, comment, decimal
+from imucal.report.exports.target import Body, Entry, Key, Target, at_period, comment, decimal, entries, four
 
 #: Period of EKF2's prediction, in s (EKF2_PREDICT_US = 10000).
 _PX4_S = 0.01

@@ -8,8 +8,7 @@ exists: the bias's own uncertainty is the estimator's to carry.
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.keyed import DENSITY_SQUARED, Entry, entries, four, lines
-from imucal.report.exports.target import Body, Target, real
+from imucal.report.exports.target import DENSITY_SQUARED, Body, Entry, Target, entries, four, lines, real
 from imucal.units import G0
 
 #: Covariance of the integration itself: GTSAM's own default of 1 would drown the sensor's.

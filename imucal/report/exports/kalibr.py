@@ -7,8 +7,7 @@ Continuous densities; Kalibr divides by sqrt(dt) itself and refuses a value that
 import numpy as np
 
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.keyed import four, yaml_body
-from imucal.report.exports.target import Target, matrix, opencv_yaml, plain, quoted, real
+from imucal.report.exports.target import Target, four, matrix, opencv_yaml, plain, quoted, real, yaml_body
 
 #: The four keys, as EuRoC and Kimera-VIO have them too.
 KEYS = four(

@@ -10,18 +10,23 @@ noise at all: what a log at rest gives it is the gyroscope's bias.
 import math
 
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.keyed import (
+from imucal.report.exports.target import (
     ACCEL,
     GYRO,
     SAMPLE_SQUARED,
+    Body,
     Key,
+    Target,
+    beside_json,
+    comment,
     entries,
     four,
     json_object,
     json_origins,
+    real,
+    vector,
     yaml_body,
 )
-from imucal.report.exports.target import Body, Target, beside_json, comment, real, vector
 from imucal.units import G0
 
 #: Time between two scans of a LiDAR at 10 Hz, in s.

@@ -12,8 +12,18 @@ the duration, and rounds the sample rate.
 from collections.abc import Sequence
 
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.keyed import ACCEL, DENSITY_SQUARED, GYRO, Key, triad
-from imucal.report.exports.target import Body, Target, comment, real, vector
+from imucal.report.exports.target import (
+    ACCEL,
+    DENSITY_SQUARED,
+    GYRO,
+    Body,
+    Key,
+    Target,
+    comment,
+    real,
+    triad,
+    vector,
+)
 
 _KEYS = {"NoiseDensity": "N", "BiasInstability": "B", "RandomWalk": "K"}
 

@@ -10,19 +10,22 @@ from collections.abc import Iterable
 
 from imucal.noise.terms import TERMS
 from imucal.report.exports.config_numbers import NOMINAL_TIME_S, Number, Numbers
-from imucal.report.exports.keyed import (
+from imucal.report.exports.target import (
     ACCEL,
     GYRO,
     SAMPLE,
+    Body,
     Entry,
     Formula,
     Key,
+    Target,
+    beside_json,
     entries,
     json_object,
     json_origins,
     lines,
+    real,
 )
-from imucal.report.exports.target import Body, Target, beside_json, real
 from imucal.units import G0
 
 #: Time over which AirSim's bias is said to be stable, in s; any will do, K = stability / sqrt(tau).

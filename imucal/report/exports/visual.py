@@ -13,30 +13,28 @@ import numpy as np
 
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.kalibr import FORMULA, KEYS
-from imucal.report.exports.keyed import (
+from imucal.report.exports.target import (
     ACCEL,
     DENSITY_SQUARED,
     GYRO,
     SAMPLE,
+    Body,
     Formula,
     Key,
+    Target,
+    beside_json,
+    comment,
     entries,
     four,
     json_object,
     json_origins,
     lines,
-    triad,
-    yaml_body,
-)
-from imucal.report.exports.target import (
-    Body,
-    Target,
-    beside_json,
-    comment,
     opencv_yaml,
     quoted,
     real,
+    triad,
     vector,
+    yaml_body,
 )
 from imucal.units import G0
 
