@@ -8,24 +8,23 @@ from imucal.findings import Finding
 from imucal.mapped import release
 from imucal.parallel import side_by_side
 from imucal.recording import AxisSeries, Recording
+from imucal.screening.density import check_roll_off, check_tones
+from imucal.screening.level import check_steps, check_temperature, check_warm_up
 from imucal.screening.motion import check_motion, check_tremor, check_turned
-from imucal.screening.profile import Profile, profile
-from imucal.screening.rolloff import check_roll_off
-from imucal.screening.sampling_rate import check_rate
-from imucal.screening.steps import check_steps
-from imucal.screening.stuck import (
+from imucal.screening.values import (
+    check_accelerometer_unit,
     check_duplicates,
+    check_gyroscope_unit,
     check_lsb,
     check_no_data,
     check_not_finite,
+    check_rate,
     check_repeats,
     check_saturated,
     check_stuck,
+    check_swapped,
 )
-from imucal.screening.temperature import check_temperature
-from imucal.screening.tones import check_tones
-from imucal.screening.unit_check import check_accelerometer_unit, check_gyroscope_unit, check_swapped
-from imucal.screening.warmup import check_warm_up
+from imucal.screening.windows import Profile, profile
 from imucal.side_work import findings_or_why_not, try_side_work
 
 __all__ = ["AxisCheck", "LogCheck", "screen"]

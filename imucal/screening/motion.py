@@ -8,10 +8,8 @@ from numpy.typing import NDArray
 
 from imucal.findings import Finding, Level
 from imucal.recording import Sensor
-from imucal.screening.profile import Profile
-from imucal.screening.stillness import usual_variance
-from imucal.screening.unit_check import gravity
-from imucal.screening.words import amount, name_list, span, time
+from imucal.screening.values import gravity
+from imucal.screening.windows import Profile, amount, name_list, span, time, usual_variance
 
 #: Disturbances closer than this are one, in s.
 _APART_S = 3.0

@@ -1,13 +1,28 @@
-"""An axis cut into short windows: the small table that most checks work on instead of the samples."""
+"""An axis cut into short windows: the small table that most checks work on instead of the samples.
 
+Welch's power spectral density of the undisturbed parts of an axis.
+
+Which windows of an axis are disturbed: louder than its quiet ones, or off their level.
+
+Every limit comes from the axis's own quiet windows, so that a touch does not hide itself by raising
+the yardstick.
+
+What all checks of one axis share, worked out once.
+
+Figures as a finding says them: spans of time, and amounts in SI with the data-sheet unit beside it.
+"""
+
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.clock import Segment
-from imucal.recording import AxisSeries
+from imucal.recording import AxisSeries, Sensor
+from imucal.units import G0
 
 #: Length of a window, in s: long against a knock's ringing, short against what one wants to keep.
 _LENGTH_S = 0.5
@@ -151,3 +166,346 @@ def _statistics(samples: FloatArray, starts: IntArray, width: int) -> FloatArray
             table.max(axis=1),
         ]
     )
+
+
+#: Shortest and longest stretch that is transformed, in samples.
+_SHORTEST, _LONGEST = 256, 16384
+#: Stretches wanted of a short log; the most that are taken of a long one, spread evenly over it.
+_WELCH_WANTED, _MOST = 16, 256
+#: Stretches that are transformed at once, which is a third quicker than one by one.
+_TOGETHER = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Density:
+    """A two-sided power spectral density at equal spacing.
+
+    Attributes
+    ----------
+    frequency
+        Shape (k,), in Hz, from 0 to the Nyquist frequency.
+    psd
+        Shape (k,), two-sided, in U²/Hz.
+    edf
+        Degrees of freedom of each value.
+    """
+
+    frequency: FloatArray
+    psd: FloatArray
+    edf: float
+
+    @property
+    def spacing_hz(self) -> float:
+        """Distance of neighbouring frequencies, in Hz."""
+        return float(self.frequency[1])
+
+
+def density(series: AxisSeries, *, avoid: IntArray, width: int) -> Density | None:
+    """Return the density of the stretches that hold no gap and no disturbance.
+
+    `avoid`, shape (j,), rising, are the first samples of the disturbed windows, each `width` long.
+    Hann windows that overlap by half. None where fewer than four stretches of 256 samples fit.
+    O(n log n), and no more than 256 stretches however long the log is.
+
+    Source: Welch (1967), IEEE Trans. Audio Electroacoust. 15(2).
+    """
+    size = _LONGEST
+    while size > _SHORTEST and size * _WELCH_WANTED > series.n:
+        size //= 2
+    while size >= _SHORTEST:
+        starts = _welch_starts(series, size, avoid, width)
+        if starts.size >= min(_WELCH_WANTED, 4):
+            break
+        size //= 2
+    else:
+        return None
+    if starts.size > _MOST:
+        starts = starts[np.linspace(0, starts.size - 1, _MOST).astype(np.int64)]
+    taper = np.hanning(size + 1)[:-1]
+    total = np.zeros(2 * (size // 2 + 1))
+    # The same memory for all of them: a page that is new costs more than its share of a transform.
+    tapered = np.empty((_TOGETHER, size))
+    transform = np.empty((_TOGETHER, size // 2 + 1), dtype=np.complex128)
+    for first in range(0, starts.size, _TOGETHER):
+        some = starts[first : first + _TOGETHER].tolist()
+        for row, start in zip(tapered, some, strict=False):
+            row[:] = series.samples[start : start + size]
+        rows, parts = tapered[: len(some)], transform[: len(some)]
+        rows -= rows.mean(axis=1, keepdims=True)
+        rows *= taper
+        squares = np.fft.rfft(rows, out=parts).view(np.float64)
+        total += np.square(squares, out=squares).sum(axis=0)
+    power = total.reshape(-1, 2).sum(axis=1)
+    power *= series.tau0 / (starts.size * (taper @ taper))
+    # Neighbouring Hann stretches correlate by 1/6 in amplitude: 2/36 in power, twice.
+    frequency = np.arange(power.size, dtype=np.float64) * (series.rate_hz / size)
+    return Density(frequency=frequency, psd=power, edf=2 * starts.size / (1 + 2 / 36))
+
+
+def _welch_starts(series: AxisSeries, size: int, avoid: IntArray, width: int) -> IntArray:
+    fitting = [segment for segment in series.clock.segments if segment.size >= size]
+    starts = [np.arange(segment.start, segment.stop - size + 1, size // 2) for segment in fitting]
+    every = np.concatenate([np.zeros(0, dtype=np.int64), *starts])
+    before = np.searchsorted(avoid, every - width, side="right")
+    kept: IntArray = every[np.searchsorted(avoid, every + size) == before]
+    return kept
+
+
+#: How often an axis at rest may have one disturbed window, by chance.
+_FALSE_ALARM = 1e-4
+#: Real noise breathes with the temperature: a variance or a jump must pass the limit by this much.
+_MARGIN = 1.25
+#: A spike stands out by this many robust deviations and is at most two samples long.
+_SPIKE = 5 * 1.4826
+#: Spikes in more than this part of a window are no spikes.
+_MOST_SPIKES = 0.15
+#: Fewer windows than this say nothing about what is usual.
+_LEAST_WINDOWS = 8
+#: Median of chi2(1).
+_MEDIAN_CHI2 = 0.4549364
+
+
+def usual_variance(windows: Windows) -> float:
+    """Return the median variance of the windows that are not constant, in U²; 0 if all are."""
+    varying = windows.variance[windows.variance > 0]
+    return float(np.median(varying)) if varying.size else 0.0
+
+
+def disturbed(windows: Windows, lsb: float | None) -> NDArray[np.bool_]:
+    """Return which windows are disturbed, shape (k,).
+
+    A window is when its variance, or the jump of its mean from the window before, is larger than
+    chance allows; both must also exceed the resolution `lsb`, below which values only toggle.
+    """
+    from scipy.special import ndtri
+
+    if windows.size < _LEAST_WINDOWS:
+        return np.zeros(windows.size, dtype=bool)
+    p_above = _FALSE_ALARM / windows.size
+    least = lsb or 0.0
+    varying = windows.variance[windows.variance > 0]
+    limit = variance_limit(varying, p_above) if varying.size else 0.0
+    loud = windows.variance > max(_MARGIN * limit, least**2)
+    jumps = _jumps(windows)
+    scale = np.sqrt(np.median(jumps[jumps > 0] ** 2) / _MEDIAN_CHI2) if np.any(jumps > 0) else 0.0
+    off = jumps > max(np.sqrt(_MARGIN) * -ndtri(p_above) * scale, least)
+    loud[1:] |= off
+    loud[:-1] |= off
+    return loud
+
+
+def variance_limit(variances: FloatArray, p_above: float) -> float:
+    """Return what the variance of a quiet window exceeds with a probability of at most about `p_above`.
+
+    A variance is a sum of weighted chi-squares: its tail falls as exp(-x/c), where c shows between
+    the median and the 80 % quantile, whatever the colour of the noise. Windows in motion, when they
+    are more than a fifth, would raise that; so the limit is never above that of two degrees of
+    freedom with the same median. Shape of `variances` (k,), k >= 1.
+    """
+    middle, upper = (float(q) for q in np.quantile(variances, [0.5, 0.8]))
+    reach = math.log(0.5 / p_above)
+    fitted = middle + (upper - middle) / math.log(0.5 / 0.2) * reach
+    return min(fitted, middle * (1 + reach / math.log(2)))
+
+
+def _jumps(windows: Windows) -> FloatArray:
+    """Return how far the mean moves from each window to the next, shape (k - 1,); 0 over a gap."""
+    jumps = np.abs(np.diff(windows.mean))
+    jumps[np.diff(windows.time_s) > 1.5 * windows.length_s] = 0.0
+    return jumps
+
+
+def without_spikes(series: AxisSeries, windows: Windows, suspects: NDArray[np.bool_]) -> Windows:
+    """Return the windows, mean and variance of the suspects taken without outliers of one or two samples.
+
+    Spikes are errors of the data, not of the stillness; the fit cleans and counts them.
+    """
+    mean, variance = windows.mean.copy(), windows.variance.copy()
+    offsets = np.arange(windows.width)
+    for index in np.array_split(
+        np.flatnonzero(suspects), max(1, suspects.sum() * windows.width // (1 << 18))
+    ):
+        table = series.samples[windows.start[index, None] + offsets]
+        keep = ~_spikes(table)
+        rare = (~keep).sum(axis=1) <= max(2, _MOST_SPIKES * windows.width)
+        count = keep.sum(axis=1)
+        middle = np.where(keep, table, 0).sum(axis=1) / count
+        rest = np.where(keep, table - middle[:, None], 0)
+        mean[index] = np.where(rare, middle, mean[index])
+        variance[index] = np.where(rare, (rest**2).sum(axis=1) / (count - 1), variance[index])
+    return replace(windows, mean=mean, variance=variance)
+
+
+def _spikes(table: FloatArray) -> NDArray[np.bool_]:
+    """Return which samples of each row stand out alone or in pairs, shape of `table`."""
+    rest = np.abs(table - np.median(table, axis=1, keepdims=True))
+    deviation = np.median(rest, axis=1, keepdims=True)
+    # Of a coarse axis most samples are equal: then the mean deviation is the yardstick.
+    deviation = np.where(deviation > 0, deviation, rest.mean(axis=1, keepdims=True))
+    out = np.pad(rest > _SPIKE * deviation, ((0, 0), (2, 2)))
+    left, here, right = out[:, 1:-3], out[:, 2:-2], out[:, 3:-1]
+    far_left, far_right = out[:, :-4], out[:, 4:]
+    longer = (left & right) | (left & far_left) | (right & far_right)
+    return here & ~longer
+
+
+#: Samples that show the LSB, in stretches spread over the log.
+_STRETCHES, _STRETCH = 16, 2048
+#: Steps of more LSB than this say little about the LSB.
+_FEW = 12
+#: A step may differ by this part of an LSB from a multiple: decimal and float32 rounding.
+_TOLERANCE = 0.15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Profile:
+    """One axis, as the checks see it.
+
+    Attributes
+    ----------
+    series
+        The axis without NaN, infinite and absurd samples.
+    left_out
+        How many those are.
+    windows
+        Its windows; spikes are left out of the mean and variance of windows that stand out.
+    disturbed
+        Which windows are not at rest, shape (k,).
+    lsb
+        The step of its values, in U; None where they are not on a lattice.
+    noise
+        Deviation of its white noise, per sample, in U.
+    density
+        Its power spectral density at rest; None of a short log.
+    """
+
+    series: AxisSeries
+    left_out: int
+    windows: Windows
+    disturbed: NDArray[np.bool_]
+    lsb: float | None
+    noise: float
+    density: Density | None
+
+    @property
+    def name(self) -> str:
+        """`gyro_x` … `accel_z`."""
+        return self.series.name
+
+    @property
+    def constant(self) -> bool:
+        """Whether no sample differs from another."""
+        return not self.windows.size or bool(self.windows.low.min() == self.windows.high.max())
+
+
+def profile(series: AxisSeries) -> Profile:
+    """Return the profile of an axis; one pass over the samples, and a bounded number of transforms."""
+    whole = series
+    series = series.finite()
+    windows = cut(series)
+    lsb = resolution(series)
+    marks = disturbed(windows, lsb)
+    if marks.any():
+        windows = without_spikes(series, windows, marks)
+        marks = disturbed(windows, lsb)
+    quiet = windows.step_variance[~marks & (windows.variance > 0)]
+    return Profile(
+        series=series,
+        left_out=whole.n - series.n,
+        windows=windows,
+        disturbed=marks,
+        lsb=lsb,
+        noise=float(np.sqrt(np.median(quiet))) if quiet.size else 0.0,
+        density=density(series, avoid=windows.start[marks], width=windows.width),
+    )
+
+
+def excerpt(n: int) -> list[slice]:
+    """Return at most 16 stretches of 2048 indices, spread evenly over `n` samples."""
+    if n <= _STRETCHES * _STRETCH:
+        return [slice(0, n)]
+    firsts = np.linspace(0, n - _STRETCH, _STRETCHES).astype(np.int64)
+    return [slice(first, first + _STRETCH) for first in firsts.tolist()]
+
+
+def resolution(series: AxisSeries) -> float | None:
+    """Return the step between neighbouring values, in U; None where values are not on a lattice.
+
+    A constant axis has none.
+    """
+    values = np.unique(np.concatenate([series.samples[part] for part in excerpt(series.n)]))
+    return _lattice_step(values)
+
+
+def _lattice_step(values: FloatArray) -> float | None:
+    if values.size < 2:
+        return None
+    steps = np.diff(values)
+    # Values that differ by the rounding of a 32-bit float are one value.
+    steps = steps[steps > 4e-7 * np.abs(values).max()]
+    if not steps.size:
+        return None
+    step = float(steps.min())
+    near = steps[steps < (_FEW + 0.5) * step]
+    if steps.size > 2 and near.size < max(2, steps.size // 4):
+        return None
+    step = float(near.sum() / np.rint(near / step).sum())
+    off = np.abs(near / step - np.rint(near / step))
+    return step if off.max() < _TOLERANCE else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Blocks:
+    """Means over equal spans of time; `time_s` (middle, s) and `mean` (U) have shape (k,)."""
+
+    time_s: FloatArray
+    mean: FloatArray
+
+
+def blocks(profile: Profile, count: int) -> Blocks:
+    """Return the means of the undisturbed windows over `count` equal spans; empty spans are left out."""
+    windows = profile.windows
+    rest = ~profile.disturbed
+    middle = windows.time_s[rest] + windows.length_s / 2
+    index = np.minimum((middle / profile.series.duration_s * count).astype(np.int64), count - 1)
+    number = np.bincount(index, minlength=count)
+    filled = number > 0
+    offset = float(windows.mean[rest][0]) if middle.size else 0.0
+    total = np.bincount(index, weights=windows.mean[rest] - offset, minlength=count)
+    when = np.bincount(index, weights=middle, minlength=count)
+    return Blocks(time_s=when[filled] / number[filled], mean=offset + total[filled] / number[filled])
+
+
+def time(seconds: float) -> str:
+    """Return ``12.3 s``, ``4.5 min`` or ``2.25 h``.
+
+    >>> time(12.34), time(600.0), time(10_000.0)
+    ('12.3 s', '10 min', '2.78 h')
+    """
+    if seconds < 300:
+        return f"{seconds:.3g} s" if seconds < 100 else f"{seconds:.0f} s"
+    return f"{seconds / 60:.3g} min" if seconds < 7200 else f"{seconds / 3600:.3g} h"
+
+
+def span(start_s: float, end_s: float) -> str:
+    """Return ``12.3 to 15.2 s``: always in seconds, as these are what a person cuts by."""
+    return f"{start_s:.1f} to {end_s:.1f} s"
+
+
+def amount(value: float, sensor: Sensor) -> str:
+    """Return ``0.0012 rad/s (0.0688 deg/s)`` or ``0.012 m/s^2 (1.22 mg)``."""
+    if sensor is Sensor.GYROSCOPE:
+        return f"{_figure(value)} rad/s ({_figure(math.degrees(value))} deg/s)"
+    return f"{_figure(value)} m/s^2 ({_figure(value / G0 * 1e3)} mg)"
+
+
+def _figure(value: float) -> str:
+    """Return three digits, without an exponent where four or five digits say it as well."""
+    return f"{value:.0f}" if 999.5 <= abs(value) < 1e5 else f"{value:.3g}"
+
+
+def name_list(names: list[str]) -> str:
+    """Return ``a``, ``a and b`` or ``a, b and c``."""
+    if len(names) < 2:
+        return "".join(names)
+    return ", ".join(names[:-1]) + " and " + names[-1]

@@ -5,9 +5,7 @@ import pytest
 from scipy import stats
 
 from imucal.recording import AxisSeries, Sensor
-from imucal.screening.profile import resolution
-from imucal.screening.stillness import variance_limit
-from imucal.screening.words import amount, name_list, span, time
+from imucal.screening.windows import amount, name_list, resolution, span, time, variance_limit
 
 
 @pytest.mark.parametrize("lsb", [1.0, 1 / 131, 2.0**-14 * 9.80665, 1e-3])

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from imucal.recording import AxisSeries
-from imucal.screening.profile import profile
-from imucal.screening.rolloff import corner
-from imucal.screening.tones import likely_cause, tones
-from imucal.screening.welch import density
+from imucal.screening.density import corner, likely_cause, tones
+from imucal.screening.windows import density, profile
 from tests.screening.still import KINDS
 
 N, RATE = 60_000, 200.0
