@@ -1,8 +1,7 @@
 """The gate: a report against limits, by the interval and not by the point."""
 
 from imucal.checking.gate import check
-from imucal.checking.limits import Baseline, FindingRules, Limits
-from imucal.checking.limits_file import parse_limits, read_limits
+from imucal.checking.limits import Baseline, FindingRules, Limits, parse_limits, read_limits
 from imucal.checking.verdict import CheckResult, Measured
 
 __all__ = [

@@ -4,8 +4,7 @@ import math
 from collections.abc import Container, Iterator
 from itertools import chain
 
-from imucal.checking.limit_units import LOG_QUANTITIES
-from imucal.checking.limits import Baseline, Limit, Limits
+from imucal.checking.limits import LOG_QUANTITIES, Baseline, Limit, Limits
 from imucal.checking.verdict import CheckResult, Measured, Row, judge
 from imucal.errors import LimitsError
 from imucal.recording import Sensor

@@ -99,7 +99,7 @@ def command(
     the number of terms (Holm), a unit of the fleet fails with a probability of 5 %.
     """
     from imucal.checking import check
-    from imucal.checking.render import github_annotations, junit_xml, to_document
+    from imucal.checking.verdict import github_annotations, junit_xml, to_document
 
     limits = (
         Limits()

@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from imucal.checking import Baseline, Limits, parse_limits, read_limits
-from imucal.checking.limit_units import (
+from imucal.checking.limits import (
+    FINDING_CODES,
     LOG_QUANTITIES,
     SAMPLE_QUANTITIES,
     TERM_QUANTITIES,
     plain_unit,
     quantity_units,
 )
-from imucal.checking.limits import FINDING_CODES
 from imucal.errors import LimitsError
 from imucal.noise import TERMS
 from imucal.recording import Sensor

@@ -6,7 +6,7 @@ from dataclasses import replace
 from lxml import etree
 
 from imucal.checking import CheckResult, check, parse_limits
-from imucal.checking.render import github_annotations, junit_xml, to_document
+from imucal.checking.verdict import github_annotations, junit_xml, to_document
 from imucal.recording import Source
 from tests.report.synthetic import consumer_report
 

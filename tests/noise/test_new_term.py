@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import imucal
 from imucal.arrays import FloatArray
-from imucal.checking.limit_units import quantity_units
+from imucal.checking.limits import quantity_units
 from imucal.cli import imucal as command
 from imucal.fitting import METHODS
 from imucal.fitting.noise_fit import Estimate
