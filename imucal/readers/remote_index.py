@@ -15,9 +15,8 @@ from imucal.readers.message_logs import describe_logs
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.remote_logs import LocalLogs, RangedFile, TooMuchError
 from imucal.remote import LocalCopy, RemoteLog
-from imucal.remote.failures import ChangedError
-from imucal.remote.log_cache import entry_of
-from imucal.remote.remote_log import RemoteFile
+from imucal.remote.addresses import ChangedError, RemoteFile
+from imucal.remote.copies import entry_of
 
 #: Below this many bytes a log is downloaded for its description too: its parts would take no less time.
 _SMALL = 1 << 20

@@ -16,7 +16,7 @@ from imucal.readers.files import DamagedError, LogFile
 from imucal.readers.read_options import Progress
 from imucal.recording import LogFileInfo, Recording
 from imucal.remote import LocalCopy, RemoteLog, fetched, is_url, logs_at
-from imucal.remote.remote_log import RemoteFile
+from imucal.remote.addresses import RemoteFile
 from imucal.remote.stores import store_of
 
 

@@ -3,10 +3,8 @@
 `identify` asks the store for name, ETag and size; `fetched` lends a copy from the cache.
 """
 
-from imucal.remote.addresses import is_url
-from imucal.remote.copies import LocalCopy, fetched
-from imucal.remote.listing import expand, identify, logs_at
-from imucal.remote.log_cache import forget
-from imucal.remote.remote_log import RemoteLog
+from imucal.remote.addresses import RemoteLog, is_url
+from imucal.remote.copies import LocalCopy, fetched, forget
+from imucal.remote.stores import expand, identify, logs_at
 
 __all__ = ["LocalCopy", "RemoteLog", "expand", "fetched", "forget", "identify", "is_url", "logs_at"]

@@ -1,11 +1,54 @@
-"""What a store of logs can do, and which store a URL is of."""
+"""What a store of logs can do, and which store a URL is of.
 
-from collections.abc import Iterator
-from typing import Protocol
+Logs behind http and https, by the standard library: parts, signed addresses, proxies, ~/.netrc.
 
-from imucal.errors import ReadError
-from imucal.remote.addresses import OBJECT_STORES, WEB, scheme_of, shown
-from imucal.remote.remote_log import RemoteFile
+A look is a GET of the first bytes, not a HEAD: addresses that are signed for GET refuse every other method.
+
+Logs in the object stores that fsspec reads: S3, Google Cloud Storage, Azure.
+
+Credentials, endpoints and proxies are found as s3fs, gcsfs and adlfs find them.
+
+URL -> the logs that it stands for, and the identity of each.
+"""
+
+import contextlib
+import http.client
+import importlib.util
+import logging
+import netrc
+import re
+import shlex
+from base64 import b64encode
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from email.message import Message
+from fnmatch import fnmatchcase
+from html import unescape
+from typing import IO, Any, Protocol, TypeVar
+from urllib.error import HTTPError
+from urllib.parse import quote, unquote, urljoin, urlsplit, urlunsplit
+from urllib.request import Request, urlopen
+
+from imucal._version import __version__
+from imucal.errors import ImucalError, ReadError
+from imucal.remote.addresses import (
+    OBJECT_STORES,
+    WEB,
+    ChangedError,
+    PassingError,
+    RemoteFile,
+    RemoteLog,
+    explained,
+    forbidden,
+    has_wildcards,
+    is_folder_name,
+    missing,
+    name_of,
+    retried,
+    scheme_of,
+    shown,
+    timeout,
+)
 
 
 class Store(Protocol):
@@ -37,8 +80,6 @@ def store_of(url: str) -> Store:
     """
     scheme = scheme_of(url)
     if scheme in WEB:
-        from imucal.remote.http_store import HttpStore
-
         return HttpStore()
     if scheme not in OBJECT_STORES:
         hint = "; leave file:// out" if scheme == "file" else ""
@@ -47,6 +88,364 @@ def store_of(url: str) -> Store:
             f"http://{hint}"
         )
         raise ReadError(msg)
-    from imucal.remote.object_store import ObjectStore
 
     return ObjectStore(url)
+
+
+#: Codes of servers that are busy or starting.
+_PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
+#: Bytes that a look asks for: enough to tell a web page from a log.
+_HEAD = 512
+_BLOCK = 1 << 20
+#: A listing that is larger is none, in bytes.
+_PAGE = 1 << 24
+_PAGE_STARTS = (b"<!doctype html", b"<html")
+_RANGE = re.compile(r"bytes (?:\d+-\d+|\*)/(\d+)")
+
+
+class HttpStore:
+    """Files of web servers."""
+
+    def look_at(self, url: str) -> RemoteFile | None:
+        if is_folder_name(url):
+            return None
+        return retried(url, lambda: self._looked_at(url))
+
+    def _looked_at(self, url: str) -> RemoteFile:
+        with _naming(url):
+            with _open(url, f"bytes=0-{_HEAD - 1}", empty=True) as (status, headers, body):
+                _refuse_page(url, headers, body.read(_HEAD))
+            match = _RANGE.match(headers.get("Content-Range", ""))
+            length = headers.get("Content-Length", "")
+            size = int(match[1]) if match else int(length) if length.isdigit() and status == 200 else None
+            return RemoteFile(
+                url=url, etag=_tag(headers), size=size, ranges=status != 200 and match is not None
+            )
+
+    def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
+        def part() -> bytes:
+            with _naming(file.url), _open(file.url, f"bytes={start}-{stop - 1}") as (status, headers, body):
+                if status != 206 or _tag(headers) != file.etag:
+                    raise ChangedError
+                data = body.read(stop - start)
+                if len(data) != stop - start:
+                    msg = "the connection ended early"
+                    raise PassingError(msg)
+                return data
+
+        return retried(file.url, part)
+
+    def blocks(self, file: RemoteFile, start: int) -> Iterator[bytes]:
+        part = f"bytes={start}-" if start else None
+        with _naming(file.url), _open(file.url, part) as (status, headers, body):
+            if (start and status != 206) or _tag(headers) != file.etag:
+                raise ChangedError
+            while block := body.read(_BLOCK):
+                yield block
+
+    def files_in(self, url: str) -> list[str]:
+        folder = url if is_folder_name(url) else f"{shown(url)}/"
+        return [link for link in _links(folder) if not link.endswith("/")]
+
+    def matches(self, url: str) -> list[str]:
+        parts = urlsplit(url)
+        path, _, pattern = parts.path.rpartition("/")
+        if "*" in path:
+            msg = f"{shown(url)}: a web address may have * in its last part only, such as …/logs/*.mcap"
+            raise ReadError(msg)
+        folder = urlunsplit((parts.scheme, parts.netloc, f"{path}/", parts.query, ""))
+        names = {link: unquote(urlsplit(link).path.rpartition("/")[2]) for link in _links(folder)}
+        return [link for link, name in names.items() if fnmatchcase(name, unquote(pattern))]
+
+
+@contextlib.contextmanager
+def _naming(url: str) -> Iterator[None]:
+    """Turn what the library raises into errors of ours."""
+    try:
+        yield
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        raise explained(error, url) from error
+
+
+@contextlib.contextmanager
+def _open(
+    url: str, part: str | None = None, *, empty: bool = False
+) -> Iterator[tuple[int, Message, IO[bytes]]]:
+    """Yield status, headers and body of an answer; with `empty`, a file without bytes is one."""
+    try:
+        response = urlopen(_request(url, part), timeout=timeout())  # noqa: S310 - `store_of` looked at the scheme
+    except HTTPError as error:
+        with error:
+            if error.code == 416 and empty:
+                yield error.code, error.headers, error
+                return
+            raise _refusal(url, error.code) from error
+    with response:
+        yield response.status, response.headers, response
+
+
+def _refusal(url: str, code: int) -> Exception:
+    if code in _PASSING:
+        return PassingError(f"the server answers {code} ({http.client.responses[code]})")
+    if code in {404, 410}:
+        return missing(url)
+    if code in {401, 403, 407}:
+        return forbidden(url, code)
+    if code == 416:
+        return ChangedError()
+    what = http.client.responses.get(code, "no such code is known")
+    return ReadError(f"{shown(url)}: the server answers {code} ({what}); expected the file")
+
+
+def _request(url: str, part: str | None) -> Request:
+    """Return a request; name and password of the URL or of ~/.netrc go to this host alone."""
+    parts = urlsplit(url)
+    user, _, host = parts.netloc.rpartition("@")
+    # Letters beyond ASCII and spaces, as people type them; what is quoted stays.
+    path = quote(parts.path, safe="/%:@!$&'()*+,;=~-._")
+    request = Request(urlunsplit((parts.scheme.lower(), host, path, parts.query, "")))  # noqa: S310
+    request.add_header("User-Agent", f"imucal/{__version__}")
+    request.add_header("Accept-Encoding", "identity")
+    if part:
+        request.add_header("Range", part)
+    login = ":".join(map(unquote, user.split(":", 1))) if user else _from_netrc(parts.hostname or "")
+    if login:
+        request.add_unredirected_header("Authorization", f"Basic {b64encode(login.encode()).decode()}")
+    return request
+
+
+def _from_netrc(host: str) -> str:
+    try:
+        found = netrc.netrc().authenticators(host)
+    except (OSError, netrc.NetrcParseError, RuntimeError):
+        return ""
+    return f"{found[0]}:{found[2]}" if found else ""
+
+
+def _tag(headers: Message) -> str:
+    return headers.get("ETag") or headers.get("Last-Modified") or ""
+
+
+def _refuse_page(url: str, headers: Message, head: bytes) -> None:
+    """Raise where the answer is a web page: no log begins so."""
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_PAGE_STARTS):
+        kind = headers.get_content_type()
+        msg = (
+            f"{shown(url)}: the answer is a web page ({kind}), perhaps to log in, and no log; "
+            "expected the address of the file itself, signed where it needs to be"
+        )
+        raise ReadError(msg)
+
+
+def _links(folder: str) -> list[str]:
+    """Return what the listing of a folder links to in that folder, in the order of the names."""
+
+    def page() -> bytes:
+        with _naming(folder), _open(folder) as (_, _, body):
+            return body.read(_PAGE)
+
+    text = retried(folder, page).decode("utf-8", "replace")
+    base = urlsplit(folder).path
+    found = set()
+    for link in re.findall(r"""href\s*=\s*["']([^"']+)["']""", text, re.IGNORECASE):
+        target = urljoin(folder, unescape(link))
+        path = urlsplit(target).path
+        inside = path.removeprefix(base)
+        if path.startswith(base) and inside and "/" not in inside.rstrip("/"):
+            found.add(target)
+    return sorted(found)
+
+
+Result = TypeVar("Result")
+
+#: Bytes of one request of a download.
+_PART = 1 << 24
+
+
+class ObjectStore:
+    """The objects of one kind of store."""
+
+    def __init__(self, url: str) -> None:
+        self._scheme = scheme_of(url)
+        protocol, package, extra = OBJECT_STORES[self._scheme]
+        if any(importlib.util.find_spec(name) is None for name in ("fsspec", package)):
+            typed = shlex.quote(f"imucal-noise[{extra}]")
+            msg = f"{shown(url)}: {self._scheme}:// needs the package {package}; type: pip install {typed}"
+            raise ReadError(msg)
+        self._url = url
+        self._files = self._asked(url, lambda: _file_system(protocol))
+
+    def look_at(self, url: str) -> RemoteFile | None:
+        info = self._asked(url, lambda: self._files.info(self._key(url)))
+        if info.get("type") == "directory":
+            return None
+        if info.get("size") is None:
+            msg = f"{shown(url)}: its store does not say how large it is; expected an object of known size"
+            raise ReadError(msg)
+        return RemoteFile(url=url, etag=_object_store_tag(info), size=int(info["size"]))
+
+    def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
+        return self._asked(file.url, lambda: self._part(file, start, stop))
+
+    def blocks(self, file: RemoteFile, start: int) -> Iterator[bytes]:
+        size = file.size or 0
+        for at in range(start, size, _PART):
+            try:
+                yield self._part(file, at, min(at + _PART, size))
+            except Exception as error:
+                raise _ours(error, file.url) from error
+        # Parts may be of two objects where one took the place of the other meanwhile.
+        now = self.look_at(file.url)
+        if now is None or (now.etag, now.size) != (file.etag, file.size):
+            raise ChangedError
+
+    def files_in(self, url: str) -> list[str]:
+        listed = self._asked(url, lambda: self._files.ls(self._key(url), detail=True))
+        return sorted(self._name(entry["name"]) for entry in listed if entry.get("type") == "file")
+
+    def matches(self, url: str) -> list[str]:
+        found = self._asked(url, lambda: self._files.glob(self._key(url)))
+        return sorted(map(self._name, found))
+
+    def _part(self, file: RemoteFile, start: int, stop: int) -> bytes:
+        data: bytes = self._files.cat_file(self._key(file.url), start=start, end=stop)
+        if len(data) > stop - start or (len(data) < stop - start and stop <= (file.size or 0)):
+            raise ChangedError
+        return data
+
+    def _key(self, url: str) -> str:
+        return url.partition("://")[2].rstrip("/")
+
+    def _name(self, key: str) -> str:
+        return f"{self._scheme}://{key}"
+
+    def _asked(self, url: str, work: Callable[[], Result]) -> Result:
+        """Return what the library answers; its errors become ours."""
+
+        def attempt() -> Result:
+            try:
+                return work()
+            except Exception as error:
+                raise _ours(error, url) from error
+
+        return retried(url, attempt)
+
+
+def _ours(error: Exception, url: str) -> Exception:
+    return error if isinstance(error, ImucalError | PassingError | ChangedError) else explained(error, url)
+
+
+def _object_store_tag(info: dict[str, Any]) -> str:
+    """Return the ETag in quotes, as S3 writes it; Google and Azure leave them out at times."""
+    tag = info.get("ETag") or info.get("etag")
+    if tag:
+        return str(tag) if str(tag).startswith('"') else f'"{tag}"'
+    times = (info.get(name) for name in ("LastModified", "last_modified", "updated", "mtime"))
+    return next((str(time) for time in times if time), "")
+
+
+def _file_system(protocol: str) -> Any:  # noqa: ANN401 - fsspec has no types
+    """Return a file system that remembers no listings: objects change."""
+    import fsspec
+
+    for name in ("fsspec", "s3fs", "gcsfs", "adlfs", "botocore", "aiobotocore", "google", "azure"):
+        # What they have to say of a failure stands in its message.
+        logging.getLogger(name).addHandler(logging.NullHandler())
+    settings: dict[str, Any] = {"use_listings_cache": False}
+    if protocol == "s3":
+        # Further attempts are made here, with a message at their end.
+        config = {"connect_timeout": timeout(), "read_timeout": timeout(), "retries": {"max_attempts": 1}}
+        settings["config_kwargs"] = config | fsspec.config.conf.get("s3", {}).get("config_kwargs", {})
+    return fsspec.filesystem(protocol, **settings)
+
+
+#: The file that makes a folder a bag.
+_METADATA = "metadata.yaml"
+#: Endings of logs; a compressed text may have one more.
+_MESSAGES = (".mcap", ".bag", ".db3", ".bag.active", ".mcap.zstd", ".mcap.zst", ".db3.zstd", ".db3.zst")
+_TABLES = (".csv", ".tsv", ".txt", ".log", ".dat", ".parquet", ".npz", ".npy", ".mat", ".ulg")
+_PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip")
+_LOGS = (*_MESSAGES, *(table + packed for table in _TABLES for packed in _PACKED))
+
+
+def expand(url: str) -> list[str]:
+    """Return the URLs of the logs that one stands for: itself, what its wildcards match, or a folder's logs.
+
+    A folder with ``metadata.yaml`` is one log, the bag of ROS 2; so is one that holds only tables, as
+    they may be an app's set. Of any other, each log stands for itself.
+
+    Raises
+    ------
+    ReadError
+        If there is none, or it can't be asked.
+    """
+    store = store_of(url)
+    if not has_wildcards(url) and not is_folder_name(url) and store.look_at(url) is not None:
+        return [url]
+    return _expanded(store, url)
+
+
+def logs_at(url: str) -> list[RemoteLog]:
+    """Return the logs that a URL stands for, as `expand` does, with what `identify` says of each."""
+    store = store_of(url)
+    if not has_wildcards(url) and not is_folder_name(url) and (file := store.look_at(url)) is not None:
+        return [_of_one(url, file)]
+    return [identify(log) for log in _expanded(store, url)]
+
+
+def _expanded(store: Store, url: str) -> list[str]:
+    if has_wildcards(url):
+        found = [match for match in store.matches(url) if name_of(match).endswith(_LOGS)]
+        if found:
+            return found
+        with suppress(ReadError):
+            # Such signs may stand in a name.
+            if store.look_at(url) is not None:
+                return [url]
+        msg = f"{shown(url)}: no log has such a name; expected one with an ending such as .mcap, .bag or .csv"
+        raise ReadError(msg)
+    logs = _logs_in(store, url)
+    names = [name_of(log) for log in logs]
+    if _METADATA in names or not any(name.endswith(_MESSAGES) for name in names):
+        return [url]
+    return [log for log in logs if name_of(log).endswith(_MESSAGES)]
+
+
+def identify(url: str, *, keep: bool = True) -> RemoteLog:
+    """Return name, ETag and size of a log without reading it; `keep` says whether its copy stays after use.
+
+    Raises
+    ------
+    ReadError
+        If there is none, it may not be read, or the store can't be asked.
+    """
+    store = store_of(url)
+    file = None if is_folder_name(url) else store.look_at(url)
+    if file is not None:
+        return _of_one(url, file, keep=keep)
+    found = [store.look_at(log) for log in _logs_in(store, url)]
+    return RemoteLog(url=url, files=tuple(file for file in found if file is not None), folder=True, keep=keep)
+
+
+def _of_one(url: str, file: RemoteFile, *, keep: bool = True) -> RemoteLog:
+    if file.size == 0:
+        msg = f"{shown(url)}: the file is empty; expected a log"
+        raise ReadError(msg)
+    return RemoteLog(url=url, files=(file,), keep=keep)
+
+
+def _logs_in(store: Store, url: str) -> list[str]:
+    """Return the files of a folder that belong to logs.
+
+    Raises
+    ------
+    ReadError
+        If there are none.
+    """
+    files = store.files_in(url)
+    logs = [file for file in files if name_of(file) == _METADATA or name_of(file).endswith(_LOGS)]
+    if not any(name_of(log) != _METADATA for log in logs):
+        inside = ", ".join(name_of(file) for file in files[:10]) or "nothing"
+        msg = f"{shown(url)}: a folder that holds {inside}; expected logs, such as .mcap, .bag or .csv files"
+        raise ReadError(msg)
+    return logs

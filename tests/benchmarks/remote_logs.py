@@ -24,7 +24,7 @@ import numpy as np
 import imucal
 from imucal.log_files import _ros2_messages, write_log
 from imucal.readers import describe, read
-from imucal.remote.object_store import ObjectStore
+from imucal.remote.stores import ObjectStore
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.remote.web_server import web_server
 

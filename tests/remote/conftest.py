@@ -9,7 +9,7 @@ import fsspec
 import pytest
 from moto.server import ThreadedMotoServer
 
-from imucal.remote import failures
+from imucal.remote import addresses
 from tests.remote.web_server import WebServer, web_server
 
 __all__ = ["bucket", "cache", "endpoint", "no_waits", "web"]
@@ -36,7 +36,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(autouse=True)
 def no_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let attempts follow one another at once."""
-    monkeypatch.setattr(failures, "WAITS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr(addresses, "WAITS", (0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="session")

@@ -14,8 +14,7 @@ import pytest
 
 import imucal
 from imucal.remote import RemoteLog, fetched, forget, identify
-from imucal.remote.file_locks import locked
-from imucal.remote.log_cache import cache_folder, cache_size
+from imucal.remote.copies import cache_folder, cache_size, locked
 from tests.remote.web_server import WebServer
 
 BODY = bytes(range(256)) * 400  # 102 400 bytes

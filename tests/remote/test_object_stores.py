@@ -15,9 +15,9 @@ from imucal.log_files import write_log
 from imucal.readers import describe, logs_of
 from imucal.readers.containers.rosbag2_folder import ENDINGS
 from imucal.readers.formats import FORMATS
-from imucal.remote import expand, failures, fetched, identify
+from imucal.remote import addresses, expand, fetched, identify
 from imucal.remote.addresses import OBJECT_STORES
-from imucal.remote.listing import _MESSAGES, _TABLES
+from imucal.remote.stores import _MESSAGES, _TABLES
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.remote.one_axis import OPTIONS, one_axis
 from tests.remote.web_server import WebServer
@@ -143,7 +143,7 @@ def test_no_access_and_no_answer(bucket: Any, web: WebServer, monkeypatch: pytes
         imucal.read("s3://logs/a.csv")
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
     bucket.clear_instance_cache()
-    monkeypatch.setattr(failures, "WAITS", (0.0,))
+    monkeypatch.setattr(addresses, "WAITS", (0.0,))
     with pytest.raises(
         imucal.ReadError, match=r"s3://logs/a\.csv: the connection failed: .* \(2 attempts\); try"
     ):
