@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.atomic import replacing
 from imucal.errors import WriteError
-from imucal.mapped import blocks
 from imucal.recording import Recording
 
 _TOPIC = "/imu/data_raw"

@@ -10,7 +10,7 @@ import numpy as np
 from imucal._version import __version__
 from imucal.allan import allan_curve, spectrum
 from imucal.allan.dct import shared_transform
-from imucal.arrays import FloatArray
+from imucal.arrays import FloatArray, never_changes, release
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting import FitSettings, NoiseFit, fit_axis
@@ -19,14 +19,12 @@ from imucal.fitting.cross_checks import second_opinion
 from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
-from imucal.mapped import never_changes, release
-from imucal.parallel import side_by_side
 from imucal.planning import resolution_findings
+from imucal.processes import findings_or_why_not, side_by_side
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.resources import memory_limit, threads
 from imucal.screening import screen
-from imucal.side_work import findings_or_why_not
 
 #: Samples looked at at once.
 _BLOCK = 1 << 20

@@ -8,11 +8,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, read_only
+from imucal.arrays import FloatArray, blocks, read_only
 from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.mapped import blocks
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 

@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.arrays import FloatArray
+from imucal.arrays import FloatArray, blocks
 from imucal.clock import Clock
-from imucal.mapped import blocks
 from imucal.noise import NoiseModel
 from imucal.readers.store import Room
 from imucal.recording import Axis, AxisSeries, Recording, Sensor, Source

@@ -24,9 +24,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(autouse=True)
 def faults_fail_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
     """Raise faults of the program in side work (second opinions …); a user is only told of them."""
-    from imucal import side_work
+    from imucal import processes
 
-    monkeypatch.setattr(side_work, "faults_are_raised", lambda: True)
+    monkeypatch.setattr(processes, "faults_are_raised", lambda: True)
 
 
 @pytest.fixture

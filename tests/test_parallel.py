@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 import pytest
 
-from imucal.parallel import may_fork, side_by_side
+from imucal.processes import may_fork, side_by_side
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -155,7 +155,7 @@ def test_no_process_outlives_its_parent(tmp_path: Path, name: str) -> None:
     number = getattr(signal, name)
     script = f"""
         import os, pathlib, time
-        from imucal.parallel import side_by_side
+        from imucal.processes import side_by_side
         def work(item):
             pathlib.Path({str(tmp_path)!r}, str(os.getpid())).touch()
             time.sleep(60)

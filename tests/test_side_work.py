@@ -7,16 +7,16 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from imucal import pipeline, screening, side_work
+from imucal import pipeline, processes, screening
 from imucal.errors import DataError
 from imucal.fitting.spectral import mle
 from imucal.pipeline import Settings, characterize
+from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries, Recording, Source
 from imucal.report import figure, html_page
 from imucal.report.json_file import load
 from imucal.report.writer import write_report
 from imucal.screening import screen
-from imucal.side_work import findings_or_why_not, try_side_work
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.report.synthetic import small_report
 from tests.screening.still import recording, still
@@ -36,7 +36,7 @@ FAILURES = [
 @pytest.fixture
 def as_a_user(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tell faults of the program, as outside the tests."""
-    monkeypatch.setattr(side_work, "faults_are_raised", lambda: False)
+    monkeypatch.setattr(processes, "faults_are_raised", lambda: False)
 
 
 def _failing(error: Exception) -> Callable[..., NoReturn]:
@@ -80,9 +80,9 @@ def test_faults_are_raised_where_someone_looks_for_them(
     """With IMUCAL_DEBUG and in these tests; what data can do is a finding there too."""
     if debug:
         monkeypatch.undo()
-        assert not side_work.faults_are_raised()
+        assert not processes.faults_are_raised()
         monkeypatch.setenv("IMUCAL_DEBUG", "1")
-    assert side_work.faults_are_raised()
+    assert processes.faults_are_raised()
     with pytest.raises(KeyError):
         try_side_work(_failing(KeyError("K")), None, what="", code="")
     assert try_side_work(_failing(ZeroDivisionError()), None, what="No", code="")[1]

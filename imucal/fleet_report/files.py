@@ -30,6 +30,7 @@ from imucal.fleet.trend import NEAREST, Trend
 from imucal.fleet_report.pages import by_term, labelled_ticks, sorted_units, span
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.fleet_report.verdict import beyond_chance, bound_name, deviation, per, sheet_unit, verdict
+from imucal.processes import try_side_work
 from imucal.recording import Sensor
 from imucal.report.figure import (
     DATA,
@@ -45,7 +46,6 @@ from imucal.report.figure import (
     new_figure,
 )
 from imucal.report.json_file import plain
-from imucal.side_work import try_side_work
 from imucal.units import pretty
 
 if TYPE_CHECKING:

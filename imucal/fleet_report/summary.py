@@ -30,8 +30,8 @@ from imucal.fleet.store import FleetStore
 from imucal.fleet.trend import Trend, adjust, trend
 from imucal.fleet.values import LogValue
 from imucal.noise.terms import TERMS
+from imucal.processes import try_side_work
 from imucal.recording import Axis, Sensor
-from imucal.side_work import try_side_work
 
 if TYPE_CHECKING:
     import polars as pl

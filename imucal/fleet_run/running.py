@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from imucal._version import __version__
-from imucal.child_process import Answer, ChildProcess
 from imucal.errors import DataError, ImucalError
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run.logs import Stamp, at_hand, content_of, edge_of
 from imucal.fleet_run.on_dask import Engine, Lost, outcomes
 from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask, batches, has_failed
+from imucal.processes import Answer, ChildProcess
 from imucal.readers.remote_logs import LocalLogs
 from imucal.recording import Recording
 from imucal.resources import MEMORY, POOLS, THREADS

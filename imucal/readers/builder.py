@@ -5,10 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.mapped import blocks
 from imucal.readers.store import Room
 from imucal.recording import AXES, Axis, AxisSeries, Recording, Sensor, Source, Temperature
 

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec, TypeVar, cast
 
-from imucal.child_process import ChildProcess
 from imucal.errors import ReadError
+from imucal.processes import ChildProcess
 from imucal.resources import memory_limit
 
 Parameters = ParamSpec("Parameters")

@@ -15,11 +15,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from imucal.arrays import BoolArray, IntArray
+from imucal.arrays import BoolArray, IntArray, blocks
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
-from imucal.mapped import blocks
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks
 from imucal.readers.containers import Container, Loss

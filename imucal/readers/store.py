@@ -19,9 +19,8 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, never_changes, release
 from imucal.errors import ReadError
-from imucal.mapped import blocks, never_changes, release
 from imucal.recording import Sensor
 from imucal.resources import column_limit
 

@@ -42,15 +42,14 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Line
 from imucal.noise.term import NoiseTerm, Stroke
 from imucal.noise.terms import TERMS
-from imucal.parallel import side_by_side
 from imucal.printable import printable
+from imucal.processes import side_by_side, try_side_work
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.labels import Label, place_labels
 from imucal.report.result import AxisReport, Report
 from imucal.report.sheet_units import SheetUnits, sheet_units
 from imucal.resources import threads
-from imucal.side_work import try_side_work
 from imucal.units import duration, pretty
 
 if TYPE_CHECKING:

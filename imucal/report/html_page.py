@@ -23,6 +23,7 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.processes import try_side_work
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.figure import (
@@ -50,7 +51,6 @@ from imucal.report.page_parts import (
 )
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.report.sheet_units import SheetUnits, sheet_units
-from imucal.side_work import try_side_work
 from imucal.units import DatasheetUnit, duration, pretty
 
 #: Anchor, title and body of a section.

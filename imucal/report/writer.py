@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING
 from imucal.atomic import sync_folder
 from imucal.errors import WriteError
 from imucal.findings import Finding
+from imucal.processes import try_side_work
 from imucal.recording import Sensor
 from imucal.report.json_file import axis_document, dumps, to_document
 from imucal.report.result import AxisReport, Report
-from imucal.side_work import try_side_work
 
 if TYPE_CHECKING:
     from imucal.report.figure import Drawings

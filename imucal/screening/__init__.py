@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TypeAlias
 
+from imucal.arrays import release
 from imucal.findings import Finding
-from imucal.mapped import release
-from imucal.parallel import side_by_side
+from imucal.processes import findings_or_why_not, side_by_side, try_side_work
 from imucal.recording import AxisSeries, Recording
 from imucal.screening.density import check_roll_off, check_tones
 from imucal.screening.level import check_steps, check_temperature, check_warm_up
@@ -25,7 +25,6 @@ from imucal.screening.values import (
     check_swapped,
 )
 from imucal.screening.windows import Profile, profile
-from imucal.side_work import findings_or_why_not, try_side_work
 
 __all__ = ["AxisCheck", "LogCheck", "screen"]
 

@@ -22,7 +22,7 @@ OF_THE_RUN = ("cpu_s", "wall_s", "finished", "part")
 #: Seconds that anything here may take before it is taken for hung.
 PATIENCE = 240.0
 #: What a worker's child has in its command line.
-CHILD = "imucal.child_process"
+CHILD = "imucal.processes"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from imucal.child_process import ChildProcess
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import running
 from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask
 from imucal.fleet_run.running import _child, work_on_batch
+from imucal.processes import ChildProcess
 from imucal.resources import POOLS, THREADS
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imucal import child_process
+from imucal import processes
 from imucal.errors import ReadError
 from imucal.readers import isolation, read
 from imucal.readers.isolation import isolated
@@ -96,7 +96,7 @@ def test_an_interrupted_question_leaves_no_answer_behind(file: Path, monkeypatch
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(child_process, "_receive", interrupted)
+        patch.setattr(processes, "_receive", interrupted)
         with pytest.raises(KeyboardInterrupt):
             call(file, len, b"abcd")
     assert call(file, len, b"ab") == 2

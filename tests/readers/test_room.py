@@ -7,10 +7,9 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal import mapped
-from imucal.arrays import IntArray
+from imucal import arrays
+from imucal.arrays import IntArray, blocks, release
 from imucal.errors import ReadError
-from imucal.mapped import blocks, release
 from imucal.readers.clocks.from_stamps import _filled
 from imucal.readers.message_logs import steps_back, unsorted
 from imucal.readers.store import Room, Spill, copy_to, count, equal, extremes, is_constant
@@ -23,8 +22,8 @@ KEEP = RNG.random(500) < 0.3
 
 @pytest.fixture(params=[1 << 18, 1, 7, 500], autouse=True)
 def _block(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mapped, "BLOCK", request.param)
-    monkeypatch.setattr(mapped, "_HELD", 20)
+    monkeypatch.setattr(arrays, "BLOCK", request.param)
+    monkeypatch.setattr(arrays, "_HELD", 20)
 
 
 @pytest.fixture(params=[None, 0])
@@ -61,7 +60,7 @@ def test_a_large_array_lies_in_a_file() -> None:
 def test_pages_are_handed_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """Behind the blocks of mapped arrays, and at the end; each map once."""
     seen: list[int] = []
-    monkeypatch.setattr(mapped, "_hand_back", lambda held: seen.append(len(held)))
+    monkeypatch.setattr(arrays, "_hand_back", lambda held: seen.append(len(held)))
     held = Room(0).empty(100, np.float64)
     parts = list(blocks(100, held, held[50:], np.zeros(100), size=10))
     assert parts == [slice(i, i + 10) for i in range(0, 100, 10)]
@@ -141,9 +140,9 @@ def test_counters_and_times_of_day_go_on(room: Room) -> None:
 )
 def test_stamps_do_not_depend_on_blocks(made: Callable[[Room], Any], room: Room) -> None:
     """Nor on where they lie: they are those of one block in memory."""
-    mapped_block, mapped.BLOCK = mapped.BLOCK, 1 << 18
+    mapped_block, arrays.BLOCK = arrays.BLOCK, 1 << 18
     expected = made(Room())
-    mapped.BLOCK = mapped_block
+    arrays.BLOCK = mapped_block
     npt.assert_array_equal(made(room), expected)
 
 

@@ -39,7 +39,7 @@ def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, 
         return work(*arguments, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(drawings, "_drawings_drawn", marked)
-    monkeypatch.setattr("imucal.parallel.may_fork", lambda: True)
+    monkeypatch.setattr("imucal.processes.may_fork", lambda: True)
     report = _two_axes()
     found = draw(report, ("png",), small=True, workers=2)
     assert 1 <= len(list(marks.iterdir())) <= 2

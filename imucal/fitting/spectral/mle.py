@@ -51,8 +51,8 @@ from imucal.fitting.spectral.selection import choice_findings, choose, near_cand
 from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, all_structures, richest
 from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.noise.model import NoiseModel
+from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries
-from imucal.side_work import findings_or_why_not, try_side_work
 
 
 def noise_share(

@@ -12,11 +12,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from imucal.arrays import BoolArray, IntArray, median
+from imucal.arrays import BoolArray, IntArray, blocks, median
 from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.mapped import blocks
 from imucal.readers.clocks.placing import (
     NO_BREAKS,
     Breaks,

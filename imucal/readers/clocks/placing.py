@@ -19,8 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray, distinct, median, percentile
-from imucal.mapped import blocks
+from imucal.arrays import FloatArray, IntArray, blocks, distinct, median, percentile
 
 #: Blocks of neighbouring samples looked at, and samples in each; all samples where there are fewer.
 _BLOCKS = 10

@@ -17,8 +17,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray
-from imucal.mapped import blocks
+from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.readers.containers import Batch, Loss
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector

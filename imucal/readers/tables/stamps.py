@@ -11,9 +11,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.errors import ChoiceError
-from imucal.mapped import blocks
 from imucal.readers.store import Room, extremes
 from imucal.readers.tables.columns import NamedTable, index_of, list_columns
 from imucal.readers.tables.dates import day_first, is_text_stamp, is_time_of_day, text_kind

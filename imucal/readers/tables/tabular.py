@@ -12,11 +12,10 @@ from typing import Any, TypeAlias, cast
 
 import numpy as np
 
-from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray, blocks
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
-from imucal.mapped import blocks
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps
 from imucal.readers.contents import LogContents, TopicContents

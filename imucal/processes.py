@@ -1,0 +1,485 @@
+"""A child process that answers questions, bounded in time and memory.
+
+What may hang, take all memory or end its process does so in the child: the caller gets an answer that says
+so. A child is started at its first question, and anew where it has ended; it leaves when its parent does.
+
+Work on several things at a time in child processes, with results as if done one after the other.
+
+Threads would fight over the interpreter's lock: what is done with an axis holds it half of the time. A
+child that is forked has everything its parent has without a copy, and sends back its result.
+
+What only judges or draws a result: where it fails, the result stays and a finding says so.
+
+Second opinions, screening and pictures are such work. That they can't judge some data, as a DataError
+or a failed calculation says, is a finding. A fault of the program is one too, so that it costs nobody
+hours of data; with IMUCAL_DEBUG set it is raised instead, where it happened.
+"""
+
+import ctypes
+import gc
+import io
+import multiprocessing
+import os
+import pickle
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from typing import TYPE_CHECKING, BinaryIO, Literal, TypeAlias, TypeVar, cast
+
+import numpy as np
+
+from imucal.errors import DataError
+from imucal.findings import Finding
+
+if TYPE_CHECKING:
+    from multiprocessing.context import ForkProcess
+
+#: done: it answered; failed: it raised; late: it took too long; ended: its process did, or was ended.
+Outcome: TypeAlias = Literal["done", "failed", "late", "ended"]
+#: What a limit of memory counts: all addresses, or what a process has written or may write of its own.
+Counted: TypeAlias = Literal["addresses", "data"]
+
+_LENGTH = struct.Struct("<Q")
+_START = "import sys; sys.path[:] = {path!r}; from imucal.processes import serve; serve()"
+#: Seconds between looks at whether the parent is still there.
+_LOOK_S = 1.0
+#: Of what a child wrote on standard error before it ended, so many bytes are read.
+_WORDS = 2000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """How a question ended.
+
+    Attributes
+    ----------
+    outcome
+        What became of it.
+    value
+        What the function returned, where it is done.
+    words
+        The error's type and text, where it failed; what the child wrote last, where it ended.
+    code
+        Exit code of a child that ended, negative for a signal, as `subprocess.Popen.returncode`.
+    """
+
+    outcome: Outcome
+    value: object = None
+    words: str = ""
+    code: int = 0
+
+
+class ChildProcess:
+    """A process that answers one question at a time.
+
+    Parameters
+    ----------
+    environment
+        Variables that it has besides those of this process; None takes one away.
+    counted
+        What its limit of memory counts.
+    folder
+        Its working folder; None for that of this process.
+    """
+
+    def __init__(
+        self,
+        *,
+        environment: Mapping[str, str | None] | None = None,
+        counted: Counted = "addresses",
+        folder: str | None = None,
+    ) -> None:
+        self._environment, self._counted, self._folder = environment or {}, counted, folder
+        self._process: subprocess.Popen[bytes] | None = None
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as this object
+        self._lock = threading.Lock()
+
+    def ask(
+        self,
+        function: Callable[..., object],
+        *args: object,
+        seconds: float,
+        memory: int,
+        **kwargs: object,
+    ) -> Answer:
+        """Call a function of a module in the child.
+
+        Parameters
+        ----------
+        function, args, kwargs
+            What to call; all can be pickled.
+        seconds
+            After these it is ended.
+        memory
+            Bytes that it may take, where the operating system can limit it.
+
+        Raises
+        ------
+        OSError
+            If the child can't be started.
+        """
+        question = pickle.dumps((self._counted, memory, function, args, kwargs))
+        with self._lock:
+            process = self._started()
+            late = threading.Event()
+
+            def end() -> None:
+                late.set()
+                process.kill()
+
+            timer = threading.Timer(seconds, end)
+            timer.start()
+            try:
+                _send(cast("BinaryIO", process.stdin), question)
+                answer = _receive(cast("BinaryIO", process.stdout))
+            except OSError:
+                answer = None
+            except BaseException:
+                # Interrupted: what the child answers now nobody waits for.
+                self.end()
+                raise
+            finally:
+                timer.cancel()
+            if answer is not None:
+                done, result = pickle.loads(answer)  # noqa: S301 - from this package's own process
+                return (
+                    Answer(outcome="done", value=result) if done else Answer(outcome="failed", words=result)
+                )
+            self.end()
+            return Answer(
+                outcome="late" if late.is_set() else "ended",
+                words=self._last_words(),
+                code=process.returncode,
+            )
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process, while there is one."""
+        return None if self._process is None else self._process.pid
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        if self._process is None or self._process.poll() is not None:
+            self.end()
+            self._said.seek(0)
+            self._said.truncate()
+            self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
+                [sys.executable, "-c", _START.format(path=sys.path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._said,
+                env={k: v for k, v in {**os.environ, **self._environment}.items() if v is not None},
+                cwd=self._folder,
+            )
+        return self._process
+
+    def _last_words(self) -> str:
+        size = self._said.seek(0, os.SEEK_END)
+        self._said.seek(max(size - _WORDS, 0))
+        return self._said.read().decode("utf-8", "replace")
+
+    def end(self) -> None:
+        """End the process, if there is one."""
+        if self._process is not None:
+            self._process.kill()
+            # Closes the pipes and takes the exit code.
+            self._process.communicate()
+            self._process = None
+
+
+def serve() -> None:
+    """Answer questions on standard input until it ends: the child's side."""
+    # An interrupt is the parent's to handle: it ends the child.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=leave_with, args=(os.getppid(),), daemon=True).start()
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    # What the packages print is nobody's.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    while (question := _receive(sys.stdin.buffer)) is not None:
+        try:
+            counted, memory, function, args, kwargs = pickle.loads(question)  # noqa: S301 - from this package's own process
+            _limit_memory(counted, memory)
+            answer = pickle.dumps((True, function(*args, **kwargs)), protocol=5)
+        except BaseException as error:  # noqa: BLE001 - panics of Rust are no Exceptions
+            text = " ".join(str(error).split())[:300]
+            answer = pickle.dumps((False, f"{type(error).__name__}: {text}"))
+        _send(answers, answer)
+
+
+def leave_with(parent: int) -> None:
+    """End this process, whatever it does, once its parent has ended."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK_S)
+    os._exit(1)
+
+
+def _limit_memory(counted: Counted, size: int) -> None:
+    try:
+        import resource
+    except ImportError:
+        return
+    kind = resource.RLIMIT_AS if counted == "addresses" else resource.RLIMIT_DATA
+    resource.setrlimit(kind, (size, resource.RLIM_INFINITY))
+
+
+def _send(stream: BinaryIO, data: bytes) -> None:
+    stream.write(_LENGTH.pack(len(data)))
+    stream.write(data)
+    stream.flush()
+
+
+def _receive(stream: BinaryIO) -> bytes | None:
+    """Return the next message; None where the stream has ended."""
+    head = stream.read(_LENGTH.size)
+    if len(head) < _LENGTH.size:
+        return None
+    (size,) = _LENGTH.unpack(head)
+    data = stream.read(size)
+    return data if len(data) == size else None
+
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+#: The thread of `imucal.readers.checksums`.
+CHECKSUMS = "imucal checksums"
+#: Threads that hold no lock a child needs: ours, by its name, and that of rich's progress bars, by its class.
+_HARMLESS = frozenset({CHECKSUMS, "_RefreshThread"})
+#: Which warnings of children have been shown, as Python keeps it for each module.
+_SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
+#: What Python 3.12 and later say of a fork beside threads, also those of libraries.
+_FORK_WARNING = r".*multi-threaded, use of fork"
+
+
+def may_fork() -> bool:
+    """Whether child processes may be forked here.
+
+    Not elsewhere than on Linux, where libraries do not bear it; in a child of `multiprocessing`; beside other
+    threads of Python, whose locks a child would find locked for ever; under a debugger or a profiler.
+    """
+    if not sys.platform.startswith("linux") or sys.gettrace() or sys.getprofile():
+        return False
+    others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    return (
+        multiprocessing.parent_process() is None
+        and threading.current_thread() is threading.main_thread()
+        and all(_HARMLESS & {thread.name, type(thread).__name__} for thread in others)
+    )
+
+
+def side_by_side(
+    work: Callable[[T], R],
+    items: Sequence[T],
+    *,
+    workers: int,
+    done: Callable[[int, T | None], None] | None = None,
+) -> list[R]:
+    """Return what `work` makes of each item, in their order.
+
+    Items are begun in their order, each in one of `workers` forked processes, or here one by one where
+    none may be forked. Where one fails, or its process is killed, no other is begun there; that one and
+    what is left are done here one by one, so that an error is raised as if all had been. No process
+    outlives the call, nor this process.
+
+    Parameters
+    ----------
+    workers
+        Most items at a time.
+    done
+        Called with the number of items done and the first that is not done; None when all are.
+    """
+    found: dict[int, R] = {}
+
+    def tell() -> None:
+        if done:
+            done(len(found), next((item for index, item in enumerate(items) if index not in found), None))
+
+    if workers > 1 and len(items) > 1 and may_fork():
+        _in_children(work, items, min(workers, len(items)), found, tell)
+    for index, item in enumerate(items):
+        if index not in found:
+            tell()
+            found[index] = work(item)
+    tell()
+    return [found[index] for index in range(len(items))]
+
+
+def trim_memory() -> None:
+    """Hand memory that was freed back to the system, where the C library keeps it (glibc).
+
+    What stands free among what is in use counts as this process's, and again as each child's that writes
+    to it.
+    """
+    if sys.platform.startswith("linux"):
+        with suppress(AttributeError, OSError):
+            ctypes.CDLL(None).malloc_trim(0)
+
+
+def _in_children(
+    work: Callable[[T], R], items: Sequence[T], workers: int, found: dict[int, R], tell: Callable[[], None]
+) -> None:
+    """Add the results of children to `found`, until all are there or one could not be made."""
+    processes: list[ForkProcess] = []
+    in_hand: dict[Connection, int] = {}
+    trim_memory()
+    try:
+        for index in range(workers):
+            pipe = _start(work, items, processes)
+            if pipe is None:
+                break
+            _give(pipe, index, in_hand)
+        todo = iter(range(len(in_hand), len(items)))
+        while in_hand:
+            tell()
+            for pipe in [pipe for pipe in wait(list(in_hand)) if isinstance(pipe, Connection)]:
+                index = in_hand.pop(pipe)
+                if not _received(pipe, index, items, found):
+                    todo = iter(())
+                elif (following := next(todo, None)) is not None:
+                    _give(pipe, following, in_hand)
+            if len(found) == len(items):
+                return
+    finally:
+        # They have nothing to tidy up.
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.join()
+
+
+def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProcess]") -> Connection | None:
+    """Add a child to `processes` and return its pipe; None where the system gives no more."""
+    context = multiprocessing.get_context("fork")
+    # An interrupt waits until the child is known; the child never gets it, its parent ends it.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        ours, theirs = context.Pipe()
+        with theirs, warnings.catch_warnings():
+            warnings.filterwarnings("ignore", _FORK_WARNING, DeprecationWarning)
+            process = context.Process(target=_serve, args=(work, items, theirs, os.getpid()), daemon=True)
+            process.start()
+        processes.append(process)
+    except OSError:
+        return None
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return ours
+
+
+def _give(pipe: Connection, index: int, in_hand: dict[Connection, int]) -> None:
+    """Hand out an item; that a child is gone is seen when its result is read."""
+    in_hand[pipe] = index
+    with suppress(OSError):
+        pipe.send_bytes(b"%d" % index)
+
+
+class _Sender(pickle.Pickler):
+    """Packs a result; the item that it is of is named in it, not sent: the parent has it."""
+
+    def __init__(self, file: io.BytesIO, item: object) -> None:
+        super().__init__(file, protocol=5)
+        self._item = item
+
+    def persistent_id(self, obj: object) -> str | None:
+        return "item" if obj is self._item else None
+
+
+class _Receiver(pickle.Unpickler):
+    """Unpacks what a `_Sender` has packed."""
+
+    def __init__(self, file: io.BytesIO, item: object) -> None:
+        super().__init__(file)
+        self._item = item
+
+    def persistent_load(self, pid: object) -> object:  # noqa: ARG002 - there is one
+        return self._item
+
+
+def _received(pipe: Connection, index: int, items: Sequence[T], found: dict[int, R]) -> bool:
+    """Add a child's result to `found`, and show its warnings; False where it has ended without one."""
+    try:
+        found[index], caught = _Receiver(io.BytesIO(pipe.recv_bytes()), items[index]).load()
+    except (EOFError, OSError):
+        return False
+    for message, category, file, line in caught:
+        warnings.warn_explicit(message, category, file, line, registry=_SEEN)
+    return True
+
+
+def _serve(work: Callable[[T], R], items: Sequence[T], pipe: Connection, parent: int) -> None:
+    """Send the result and the warnings of each item that is asked for: the child's side.
+
+    Whatever fails ends the child without a word: its parent does the same again, and says it.
+    """
+    try:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
+        # What is there stays: the collector would write to its pages, which parent and child share.
+        gc.freeze()
+        while True:
+            index = int(pipe.recv_bytes())
+            with warnings.catch_warnings(record=True) as caught:
+                result = work(items[index])
+            said = [(one.message, one.category, one.filename, one.lineno) for one in caught]
+            packed = io.BytesIO()
+            _Sender(packed, items[index]).dump((result, said))
+            pipe.send_bytes(packed.getbuffer())
+    finally:
+        # At once: nothing that stands in buffers of the parent's is written twice.
+        os._exit(1)
+
+
+U = TypeVar("U")
+
+#: How calculations end on data that they were not made for.
+_NUMERIC = (ArithmeticError, np.linalg.LinAlgError)
+
+
+def try_side_work(
+    make: Callable[[], T], otherwise: U, *, what: str, code: str, axis: str | None = None
+) -> tuple[T | U, tuple[Finding, ...]]:
+    """Return what `make` gives and no finding; or `otherwise` and the finding that it could not.
+
+    Parameters
+    ----------
+    what
+        The sentence's beginning, such as ``The Allan curve gives no second opinion``.
+    code, axis
+        Of the finding.
+    """
+    try:
+        return make(), ()
+    except DataError as error:
+        why = str(error).removeprefix(f"{axis}: ")
+    except _NUMERIC as error:
+        why = f"the calculation failed ({_last_words(error)})"
+    except Exception as error:
+        if faults_are_raised():
+            raise
+        why = f"internal error ({_last_words(error)}); please report it, IMUCAL_DEBUG=1 shows where"
+    return otherwise, (Finding(level="warning", code=code, axis=axis, text=f"{what}: {why}."),)
+
+
+def findings_or_why_not(
+    judge: Callable[[], tuple[Finding, ...]], *, what: str, code: str, axis: str | None = None
+) -> tuple[Finding, ...]:
+    """Return the findings of a judge, or the one that it could not judge."""
+    found, failed = try_side_work(judge, (), what=what, code=code, axis=axis)
+    return found + failed
+
+
+def faults_are_raised() -> bool:
+    """Whether faults of the program are raised: IMUCAL_DEBUG is set."""
+    return bool(os.environ.get("IMUCAL_DEBUG"))
+
+
+def _last_words(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}".rstrip(". ")
