@@ -122,9 +122,3 @@ def files_in_folders() -> dict[str, int]:
     for module in modules():
         counts[str(module.path.parent.relative_to(ROOT.parent))] += not module.is_folder
     return dict(counts)
-
-
-def names_that_stand_twice() -> list[str]:
-    """Return the names that two modules share; `_options` counts as `options`, a folder as a module."""
-    names = [module.name.rsplit(".", 1)[-1].lstrip("_") for module in modules()]
-    return sorted({name for name in names if names.count(name) > 1})

@@ -4,7 +4,7 @@ import ast
 
 import pytest
 
-from tests.house import Module, complexity, cycles, files_in_folders, modules, names_that_stand_twice
+from tests.house import Module, complexity, cycles, files_in_folders, modules
 
 FOLDERS = [module for module in modules() if module.is_folder and module.name != "imucal"]
 
@@ -13,12 +13,6 @@ def test_no_folder_is_crowded() -> None:
     """Thirty-five files are what a listing shows at a glance."""
     crowded = {folder: count for folder, count in files_in_folders().items() if count > 35}
     assert not crowded, f"group these folders' files into rooms: {crowded}"
-
-
-def test_no_two_modules_share_a_name() -> None:
-    """A file is found by its name alone."""
-    twice = names_that_stand_twice()
-    assert not twice, f"these names stand twice in the package; give each file one of its own: {twice}"
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:

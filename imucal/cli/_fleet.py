@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._printing import echo, fitted, print_findings, say, width
-from imucal.cli.parameters import Duration, Structure
-from imucal.cli.parameters.param_type import ParamType
+from imucal.cli.parameters import Duration, ParamType, Structure
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
 from imucal.remote import is_url

@@ -10,8 +10,7 @@ from click.shell_completion import CompletionItem
 from imucal.cli._fleet import is_fleet, model_option, read_fleet
 from imucal.cli._printing import echo, force_option, refuse, say
 from imucal.cli._report_input import load_report, report_or_log
-from imucal.cli.parameters import LogRequest, shown
-from imucal.cli.parameters.param_type import ParamType
+from imucal.cli.parameters import LogRequest, ParamType, shown
 from imucal.errors import WriteError
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli import parameters
 from imucal.cli._fleet import FixedStructure, Labels, Patience, Shard, Size, conclude, print_plan, say_plan
 from imucal.cli._printing import say
 from imucal.cli._progress import fleet_progress
-from imucal.cli.parameters import LEVEL, Duration, Number, quiet_option, shown
+from imucal.cli.parameters import LEVEL, Duration, Number, quiet_option, reading_options, shown
 from imucal.resources import threads
 
 if TYPE_CHECKING:
@@ -102,7 +101,7 @@ Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
 @click.option("--fresh", is_flag=True, help="Forget what the folder has, and do every log anew.")
 @click.option("--dry-run", is_flag=True, help="Print what would be done; write nothing.")
 @click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor.")
-@parameters
+@reading_options
 @click.option("--skip", type=Duration(), default=0.0, metavar="TIME", help="Leave out the start of each log.")
 @click.option("--take", type=Duration(), metavar="TIME", help="Use only so much of each log, such as 2h.")
 @click.option("--strict", is_flag=True, help="Refuse damaged logs.")

@@ -5,10 +5,10 @@ from typing import Any
 
 import click
 
-from imucal.cli import parameters
 from imucal.cli._info import SCHEMA, lines_of_log, log_document, read_topics
 from imucal.cli._printing import echo, echo_json, wrapped
 from imucal.cli._progress import download_progress
+from imucal.cli.parameters import reading_options
 from imucal.readers import LogContents, describe, logs_of
 from imucal.readers.read_options import options_of
 from imucal.readers.tables.text_source import STANDARD_INPUT
@@ -44,7 +44,7 @@ Exit codes: 0 done, 2 usage, 3 a log can't be read."""
     default=None,
     help="Read the samples too, to find gaps and what is wrong with clocks (default: logs up to 64 MB).",
 )
-@parameters
+@reading_options
 @click.option("-v", "--verbose", is_flag=True, help="List the fields of messages too.")
 def command(
     logs: tuple[str, ...],

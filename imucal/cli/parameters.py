@@ -22,7 +22,6 @@ import click
 
 from imucal.cli._printing import say
 from imucal.cli._progress import axes_progress, download_progress, reading_progress
-from imucal.cli.parameters.param_type import ParamType
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
 
@@ -31,7 +30,16 @@ if TYPE_CHECKING:
     from imucal.readers.remote_logs import LocalLogs
     from imucal.report.result import Report
 
-__all__ = ["LogRequest", "log_options", "quiet_option", "reading_options", "shown"]
+if TYPE_CHECKING:
+    from click import ParamType as ParamType
+else:
+
+    class ParamType(click.ParamType):
+        """A parameter type, generic for type checkers; click's own is generic from 8.4 on."""
+
+        def __class_getitem__(cls, _: object) -> type:
+            return cls
+
 
 #: Written like this, averaging times are a set and not a list.
 _TAU_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")

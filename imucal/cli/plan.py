@@ -9,8 +9,7 @@ import click
 
 from imucal.cli._printing import FULL, echo, echo_json, fitted, say, width
 from imucal.cli._report_input import is_report, read_report
-from imucal.cli.parameters import LEVEL, RATE, Duration, quiet_option, shown
-from imucal.cli.parameters.param_type import ParamType
+from imucal.cli.parameters import LEVEL, RATE, Duration, ParamType, quiet_option, shown
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan

@@ -8,8 +8,7 @@ from typing import Any
 import click
 
 from imucal.cli._printing import echo, echo_json, say
-from imucal.cli.parameters import RATE, Duration, Number, quiet_option, shown
-from imucal.cli.parameters.param_type import ParamType
+from imucal.cli.parameters import RATE, Duration, Number, ParamType, quiet_option, shown
 from imucal.noise import NoiseModel
 from imucal.units import G0
 

@@ -17,7 +17,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -29,9 +28,6 @@ from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
 from imucal.units import parse_sample_unit
-
-if TYPE_CHECKING:
-    import polars as pl
 
 #: Labels that mean something; other columns are kept as text.
 LABELS = ("model", "unit", "temperature_c", "started")

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.house import cycles, files_in_folders, modules, names_that_stand_twice
+from tests.house import cycles, files_in_folders, modules
 
 LOG = Path(__file__).parents[2] / "sample_logs" / "consumer_mems.mcap"
 FIT = f"""
@@ -36,7 +36,6 @@ def main() -> None:
     print(f"lines                        {sum(module.lines for module in every)}")
     print(f"largest folder               {folder}, {files} files")
     print(f"longest module               {max((m.lines, m.name) for m in every)}")
-    print(f"names that stand twice       {names_that_stand_twice() or 'none'}")
     print(f"circles of imports           {cycles() or 'none'}")
     print(f"functions of over 15 paths   {sum(count > 15 for count in paths.values())}")
     print(f"most paths                   {max(paths.items(), key=lambda item: item[1])}")

@@ -25,10 +25,11 @@ Source: Andrews (1999), "Consistent moment selection procedures for generalized 
 estimation", Econometrica 67, 543: the criteria MMSC-BIC, MMSC-HQIC and MMSC-AIC.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations, count
+from itertools import combinations
 
 import numpy as np
 
@@ -332,7 +333,7 @@ def curve_estimates(
     spread = CurveSpread.of_terms(points, laws, solution.times)
     reader = _Reader(spread, weight, _padded(solution, laws), solution.laws, level)
     symbols = in_order([*laws, *["GM"] * solution.times.size])
-    gauss_markov = count(len(laws))
+    gauss_markov = itertools.count(len(laws))
     places = [next(gauss_markov) if s == "GM" else laws.index(s) for s in symbols]
     entries = [
         (reader.estimate(place, key, symbol), place)
