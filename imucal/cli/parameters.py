@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from imucal.report.result import Report
 
 if TYPE_CHECKING:
-    from click import ParamType as ParamType
+    from click import ParamType as ParamType  # noqa: PLC0414 - offered to the commands
 else:
 
     class ParamType(click.ParamType):

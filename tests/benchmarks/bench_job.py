@@ -46,8 +46,8 @@ STAGES = {
     "two levels, steps, cycles": ("imucal/fitting/spectral/mle.py", "_disturbances"),
     "band and filter": ("imucal/fitting/spectral/band.py", "find_band"),
     "choice of the model": ("imucal/fitting/spectral/selection.py", "choose"),
-    "terms that are not in it": ("imucal/fitting/spectral/hull.py", "hull_estimates"),
-    "segments": ("imucal/fitting/spectral/segment_fit.py", "fit_segments"),
+    "terms that are not in it": ("imucal/fitting/spectral/bounds.py", "hull_estimates"),
+    "segments": ("imucal/fitting/spectral/segments.py", "fit_segments"),
     "second opinion": ("imucal/fitting/curve_opinion.py", "fit_of_curve"),
     "record length": ("imucal/planning.py", "resolution_findings"),
     "document and JSON": ("imucal/report/json_file.py", "dumps"),
@@ -59,9 +59,9 @@ STAGES = {
 #: Work that could be shared -> the functions of which the calls are counted.
 REPEATS = {
     "transforms": ("imucal/allan/dct.py", "_transform"),
-    "bins": ("imucal/fitting/spectral/transform.py", "_bin"),
+    "bins": ("imucal/fitting/spectral/blocks.py", "_bin"),
     "spike searches": ("imucal/fitting/robust.py", "find_spikes"),
-    "covariances of a curve": ("imucal/fitting/moments/av_covariance.py", "_computed"),
+    "covariances of a curve": ("imucal/fitting/moments/points.py", "_computed"),
     "likelihood evaluations": ("imucal/fitting/spectral/likelihood.py", "evaluate"),
 }
 
