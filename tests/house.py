@@ -1,14 +1,39 @@
 """What the package looks like from outside: its modules, who imports whom, how long and how branched."""
 
 import ast
+import io
+import subprocess
+import sys
+import tokenize
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import imucal
 
 ROOT = Path(imucal.__file__).parent
+
+#: What one fit of a small log loads of the package, counted in a process of its own.
+_FIT = """
+import sys
+from imucal.cli import main
+sys.argv = ["imucal", "fit", sys.argv[1], "-o", sys.argv[2], "-q"]
+try:
+    main()
+except SystemExit:
+    pass
+print(sum(name.partition(".")[0] == "imucal" for name in sys.modules))
+"""
+
+#: Tokens that layout and comments make: nobody writes less by leaving them out.
+_LAYOUT = frozenset(
+    {
+        *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
+        *(tokenize.ENCODING, tokenize.ENDMARKER),
+    }
+)
 
 #: What makes another path through a function, each counted once.
 _BRANCHES = (
@@ -36,6 +61,25 @@ class Module:
         """Whether it is a folder's `__init__`."""
         return self.path.stem == "__init__"
 
+    @property
+    def room(self) -> str:
+        """The folder of the package that it lies in, at any depth; ``top`` for none."""
+        first, *rest = self.path.relative_to(ROOT).parts
+        return first if rest else "top"
+
+    @property
+    def tokens(self) -> int:
+        """Number of names, numbers, operators and strings; comments and docstrings are free."""
+        free = {
+            line
+            for node in ast.walk(self.tree)
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+            if isinstance(node.value.value, str)
+            for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+        }
+        found = tokenize.generate_tokens(io.StringIO(self.text).readline)
+        return sum(token.type not in _LAYOUT and token.start[0] not in free for token in found)
+
     def functions(self) -> dict[str, int]:
         """Return the cyclomatic complexity of each function, those inside others left to these."""
         found: dict[str, int] = {}
@@ -44,6 +88,33 @@ class Module:
                 if isinstance(child, ast.FunctionDef):
                     found[f"{self.name}.{child.name}:{child.lineno}"] = complexity(child)
         return found
+
+
+class Size(NamedTuple):
+    """How much there is to read of a room."""
+
+    lines: int
+    tokens: int
+    modules: int
+
+
+def sizes() -> dict[str, Size]:
+    """Return the size of every room, by its name; ``top`` is the package's own folder."""
+    rooms: dict[str, list[Module]] = defaultdict(list)
+    for module in modules():
+        rooms[module.room].append(module)
+    return {
+        room: Size(sum(m.lines for m in own), sum(m.tokens for m in own), len(own))
+        for room, own in rooms.items()
+    }
+
+
+def modules_of_a_fit(log: Path, out: Path) -> int:
+    """Return how many modules of the package one fit of a log loads, its report included."""
+    run = subprocess.run(  # noqa: S603 - our own interpreter
+        [sys.executable, "-c", _FIT, str(log), str(out)], capture_output=True, text=True, check=True
+    )
+    return int(run.stdout.split()[-1])
 
 
 def complexity(function: ast.AST) -> int:

@@ -1,12 +1,73 @@
 """The house stays one that others can live in: small rooms, one name each, no circles, short paths."""
 
 import ast
+from pathlib import Path
 
 import pytest
 
-from tests.house import Module, complexity, cycles, files_in_folders, modules
+from tests.house import Module, Size, complexity, cycles, files_in_folders, modules, modules_of_a_fit, sizes
 
+SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
+
+#: Lines, tokens and modules that each room may have. Numbers go down with the room; one goes up only
+#: with a comment behind it that says what the room has got for it.
+BUDGET = {
+    "readers": Size(15078, 106056, 53),
+    "fitting": Size(10015, 71272, 34),
+    "report": Size(6537, 43239, 27),
+    "cli": Size(4002, 24800, 24),
+    "top": Size(3632, 19711, 21),
+    "fleet_report": Size(2412, 17720, 7),
+    "fleet": Size(2534, 16675, 6),
+    "allan": Size(2477, 15994, 7),
+    "screening": Size(1813, 12597, 6),
+    "fleet_run": Size(2107, 11542, 6),
+    "noise": Size(1305, 8549, 6),
+    "remote": Size(1210, 6693, 4),
+    "checking": Size(989, 5906, 4),
+}
+#: The whole package; the rooms together may have less.
+IN_ALL = Size(46_000, 315_000, 220)
+#: Modules of the package that one fit with its report may load.
+LOADED = 150
+
+SIZES = sizes()
 FOLDERS = [module for module in modules() if module.is_folder and module.name != "imucal"]
+
+
+def beyond(size: Size, budget: Size) -> dict[str, str]:
+    """Return what of a size is more than a budget has."""
+    return {
+        name: f"{have}, not {may}"
+        for name, have, may in zip(Size._fields, size, budget, strict=True)
+        if have > may
+    }
+
+
+@pytest.mark.parametrize("room", SIZES)
+def test_a_room_keeps_its_budget(room: str) -> None:
+    """More is paid for in the same room, or in a line above that says why."""
+    over = beyond(SIZES[room], BUDGET[room])
+    assert not over, f"{room} is over its budget ({over}): take away as much as you add"
+
+
+@pytest.mark.parametrize("room", BUDGET)
+def test_a_budget_follows_its_room_down(room: str) -> None:
+    """What was saved stays saved: a limit stands a hundredth above its room, or as much as a small edit."""
+    size, budget = SIZES[room], BUDGET[room]
+    slack = Size(max(size.lines // 100, 20), max(size.tokens // 100, 150), 0)
+    loose = beyond(budget, Size(*map(sum, zip(size, slack, strict=True))))
+    assert not loose, f"{room} has become smaller ({loose}): write {size} into BUDGET"
+
+
+def test_the_house_keeps_its_budget() -> None:
+    """All rooms together."""
+    assert not beyond(Size(*map(sum, zip(*SIZES.values(), strict=True))), IN_ALL)
+
+
+def test_a_fit_loads_few_modules(tmp_path: Path) -> None:
+    """Each module is a hop for whoever follows the data through the house."""
+    assert modules_of_a_fit(SAMPLE, tmp_path / "report") <= LOADED
 
 
 def test_no_folder_is_crowded() -> None:

@@ -1,0 +1,79 @@
+"""The command of the README that runs the tests installs what they import."""
+
+import ast
+import sys
+import tomllib
+from functools import cache
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+#: Benchmarks are no tests, and probes run under interpreters that their users name.
+TESTS = sorted(
+    path
+    for path in (ROOT / "tests").rglob("*.py")
+    if "benchmarks" not in path.parts and not path.name.endswith("_probe.py")
+)
+#: The distributions that each module comes with.
+HOMES = packages_distributions()
+#: Modules of extras that a test skips without, with `importorskip`.
+OPTIONAL = frozenset({"adlfs", "gcsfs"})
+#: A method that imports a module of another distribution when it is called.
+BEHIND = {"cssselect": "cssselect"}
+
+
+@cache
+def named(extra: str) -> frozenset[str]:
+    """Return the distributions that an extra names, those of its own extras and of the project included."""
+    found = set()
+    for text in PROJECT["optional-dependencies"][extra] if extra else PROJECT["dependencies"]:
+        requirement = Requirement(text)
+        if requirement.name == PROJECT["name"]:
+            found |= named("").union(*map(named, requirement.extras))
+        else:
+            found.add(normal(requirement.name))
+    return frozenset(found)
+
+
+def normal(name: str) -> str:
+    """Return a distribution's name as the package index compares it."""
+    return name.lower().replace("_", "-").replace(".", "-")
+
+
+def imported(tree: ast.AST) -> set[str]:
+    """Return the first names of the modules that a test imports, asks for, or reaches by a method."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            if node.func.attr == "importorskip" and isinstance(node.args[0], ast.Constant):
+                found.add(str(node.args[0].value))
+            elif node.func.attr in BEHIND:
+                found.add(BEHIND[node.func.attr])
+    firsts = {name.partition(".")[0] for name in found}
+    return firsts - sys.stdlib_module_names - {"imucal", "tests"} - OPTIONAL
+
+
+@pytest.mark.parametrize("path", TESTS, ids=lambda path: str(path.relative_to(ROOT / "tests")))
+def test_what_a_test_imports_is_installed_with_the_tests(path: Path) -> None:
+    """A module that only another extra brings is missing on a fresh machine."""
+    for module in imported(ast.parse(path.read_text(encoding="utf-8"))):
+        having = {normal(name) for name in HOMES.get(module, ())}
+        assert having & named("test"), (
+            f"{module} comes with {having or 'nothing installed'}; name it in [test]"
+        )
+
+
+def test_a_module_that_no_extra_names_is_told() -> None:
+    """Also one that only a method needs."""
+    tree = ast.parse("import numpy.random\nfrom mypy import api\npage.cssselect('a')\nimport ast")
+    assert imported(tree) == {"numpy", "mypy", "cssselect"}
+    assert "mypy" not in named("test")
+    assert {"numpy", "cssselect", "dask", "s3fs"} <= named("test")
