@@ -98,6 +98,7 @@ class Size(NamedTuple):
     modules: int
 
 
+@cache
 def sizes() -> dict[str, Size]:
     """Return the size of every room, by its name; ``top`` is the package's own folder."""
     rooms: dict[str, list[Module]] = defaultdict(list)

@@ -7,7 +7,6 @@ from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
-import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
@@ -18,8 +17,6 @@ TESTS = sorted(
     for path in (ROOT / "tests").rglob("*.py")
     if "benchmarks" not in path.parts and not path.name.endswith("_probe.py")
 )
-#: The distributions that each module comes with.
-HOMES = packages_distributions()
 #: Modules of extras that a test skips without, with `importorskip`.
 OPTIONAL = frozenset({"adlfs", "gcsfs"})
 #: A method that imports a module of another distribution when it is called.
@@ -61,14 +58,14 @@ def imported(tree: ast.AST) -> set[str]:
     return firsts - sys.stdlib_module_names - {"imucal", "tests"} - OPTIONAL
 
 
-@pytest.mark.parametrize("path", TESTS, ids=lambda path: str(path.relative_to(ROOT / "tests")))
-def test_what_a_test_imports_is_installed_with_the_tests(path: Path) -> None:
+def test_what_tests_import_is_installed_with_them() -> None:
     """A module that only another extra brings is missing on a fresh machine."""
-    for module in imported(ast.parse(path.read_text(encoding="utf-8"))):
-        having = {normal(name) for name in HOMES.get(module, ())}
-        assert having & named("test"), (
-            f"{module} comes with {having or 'nothing installed'}; name it in [test]"
-        )
+    homes = packages_distributions()
+    for path in TESTS:
+        for module in imported(ast.parse(path.read_text(encoding="utf-8"))):
+            having = {normal(name) for name in homes.get(module, ())}
+            brings = f"{module} comes with {having or 'nothing'}"
+            assert having & named("test"), f"{path.name}: {brings}; name it in the extra [test]"
 
 
 def test_a_module_that_no_extra_names_is_told() -> None:

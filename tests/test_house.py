@@ -3,9 +3,7 @@
 import ast
 from pathlib import Path
 
-import pytest
-
-from tests.house import Module, Size, complexity, cycles, files_in_folders, modules, modules_of_a_fit, sizes
+from tests.house import Size, complexity, cycles, files_in_folders, modules, modules_of_a_fit, sizes
 
 SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 
@@ -31,7 +29,28 @@ IN_ALL = Size(46_000, 315_000, 220)
 #: Modules of the package that one fit with its report may load.
 LOADED = 150
 
-SIZES = sizes()
+#: Lines, tokens and modules that each room may have. Numbers go down with the room; one goes up only
+#: with a comment behind it that says what the room has got for it.
+BUDGET = {
+    "readers": Size(15078, 106056, 53),
+    "fitting": Size(10015, 71272, 34),
+    "report": Size(6537, 43239, 27),
+    "cli": Size(4002, 24800, 24),
+    "top": Size(3632, 19711, 21),
+    "fleet_report": Size(2412, 17720, 7),
+    "fleet": Size(2534, 16675, 6),
+    "allan": Size(2477, 15994, 7),
+    "screening": Size(1813, 12597, 6),
+    "fleet_run": Size(2107, 11542, 6),
+    "noise": Size(1305, 8549, 6),
+    "remote": Size(1210, 6693, 4),
+    "checking": Size(989, 5906, 4),
+}
+#: The whole package; the rooms together may have less.
+IN_ALL = Size(46_000, 315_000, 220)
+#: Modules of the package that one fit with its report may load.
+LOADED = 150
+
 FOLDERS = [module for module in modules() if module.is_folder and module.name != "imucal"]
 
 
@@ -44,25 +63,26 @@ def beyond(size: Size, budget: Size) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("room", SIZES)
-def test_a_room_keeps_its_budget(room: str) -> None:
+def test_every_room_keeps_its_budget() -> None:
     """More is paid for in the same room, or in a line above that says why."""
-    over = beyond(SIZES[room], BUDGET[room])
-    assert not over, f"{room} is over its budget ({over}): take away as much as you add"
+    over = {room: beyond(size, BUDGET[room]) for room, size in sizes().items()}
+    over = {room: each for room, each in over.items() if each}
+    assert not over, f"over budget: {over}; take away as much as you add"
 
 
-@pytest.mark.parametrize("room", BUDGET)
-def test_a_budget_follows_its_room_down(room: str) -> None:
+def test_budgets_follow_their_rooms_down() -> None:
     """What was saved stays saved: a limit stands a hundredth above its room, or as much as a small edit."""
-    size, budget = SIZES[room], BUDGET[room]
-    slack = Size(max(size.lines // 100, 20), max(size.tokens // 100, 150), 0)
-    loose = beyond(budget, Size(*map(sum, zip(size, slack, strict=True))))
-    assert not loose, f"{room} has become smaller ({loose}): write {size} into BUDGET"
+    loose = {}
+    for room, size in sizes().items():
+        slack = Size(max(size.lines // 100, 20), max(size.tokens // 100, 150), 0)
+        if beyond(BUDGET[room], Size(*map(sum, zip(size, slack, strict=True)))):
+            loose[room] = size
+    assert not loose, f"rooms have become smaller; write these into BUDGET: {loose}"
 
 
 def test_the_house_keeps_its_budget() -> None:
     """All rooms together."""
-    assert not beyond(Size(*map(sum, zip(*SIZES.values(), strict=True))), IN_ALL)
+    assert not beyond(Size(*map(sum, zip(*sizes().values(), strict=True))), IN_ALL)
 
 
 def test_a_fit_loads_few_modules(tmp_path: Path) -> None:
@@ -81,22 +101,27 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     assert cycles() == []
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
-def test_a_folder_offers_a_handful_of_names(folder: Module) -> None:
+def test_folders_offer_a_handful_of_names() -> None:
     """What other rooms use, in `__all__`; its other modules are its own business."""
-    offered = [
-        ast.literal_eval(node.value)
-        for node in folder.tree.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
-    ]
-    assert offered, f"{folder.name} has no __all__; name what other folders use of it"
-    assert 1 <= len(offered[0]) <= 8, f"{folder.name} offers {len(offered[0])} names; 3 to 8 are a handful"
+    for folder in modules():
+        if not folder.is_folder or folder.name == "imucal":
+            continue
+        offered = [
+            ast.literal_eval(node.value)
+            for node in folder.tree.body
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+        ]
+        assert offered, f"{folder.name} has no __all__; name what other folders use of it"
+        assert 1 <= len(offered[0]) <= 8, (
+            f"{folder.name} offers {len(offered[0])} names; 3 to 8 are a handful"
+        )
 
 
-@pytest.mark.parametrize("module", modules(), ids=lambda module: module.name)
-def test_no_function_has_too_many_paths(module: Module) -> None:
+def test_no_function_has_too_many_paths() -> None:
     """Fifteen; a chain of cases that is longer wants a table or a name for its steps."""
-    tangled = {name: paths for name, paths in module.functions().items() if paths > 15}
+    tangled = {
+        name: paths for module in modules() for name, paths in module.functions().items() if paths > 15
+    }
     assert not tangled
 
 

@@ -3,8 +3,6 @@
 import ast
 from pathlib import Path
 
-import pytest
-
 import imucal
 
 ROOT = Path(imucal.__file__).parent
@@ -74,20 +72,21 @@ def imported_parts(path: Path) -> set[str]:
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_imports_point_down(path: Path) -> None:
+def test_imports_point_down() -> None:
     """A module sees only its own part and those below it."""
-    part = part_of(path)
-    assert imported_parts(path) <= BELOW[part] | {part}
+    for path in MODULES:
+        part = part_of(path)
+        above = imported_parts(path) - BELOW[part] - {part}
+        assert not above, f"{path.relative_to(ROOT)} imports {above}, which stands above or beside it"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_only_the_command_line_prints(path: Path) -> None:
+def test_only_the_command_line_prints() -> None:
     """Below `cli` nothing prints and nothing knows click."""
-    if part_of(path) in {"cli", "__main__"}:
-        return
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    calls = {n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
-    assert "print" not in calls
-    imports = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
-    assert "click" not in imports
+    for path in MODULES:
+        if part_of(path) in {"cli", "__main__"}:
+            continue
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        calls = {n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+        imports = {a.name for n in nodes if isinstance(n, ast.Import) for a in n.names}
+        assert "print" not in calls, f"{path.relative_to(ROOT)} prints"
+        assert "click" not in imports, f"{path.relative_to(ROOT)} imports click"
