@@ -2,8 +2,6 @@
 
 Blocks are bytes of UTF-8 with line feeds. A log compressed a hundredfold takes no more memory than its
 blocks, and one cut in the middle gives what is whole.
-
-Streams behind a text log: unpacked by their first bytes, and their encoding.
 """
 
 import bz2
@@ -16,13 +14,15 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import BinaryIO, Self, cast
+from typing import Any, BinaryIO, Self, cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.read_options import Progress
 from imucal.recording import LogFileInfo
+
+#: The path that means standard input.
+STANDARD_INPUT = "-"
 
 #: First bytes -> compression.
 _MAGIC: dict[bytes, str] = {
@@ -32,18 +32,32 @@ _MAGIC: dict[bytes, str] = {
     b"\xfd7zXZ\x00": "xz",
     b"\x04\x22\x4d\x18": "lz4",
 }
+_LONGEST_MAGIC = max(map(len, _MAGIC))
 
-#: Bytes of a zstd stream unpacked at once; each may hold blocks of 128 KiB in 4 bytes.
-_PIECE = 1 << 12
+#: Byte order marks.
+_MARKS: dict[bytes, str] = {
+    codecs.BOM_UTF8: "utf-8",
+    codecs.BOM_UTF16_LE: "utf-16-le",
+    codecs.BOM_UTF16_BE: "utf-16-be",
+}
 
 #: Bytes that no text holds; zeros are what a crash leaves in one.
 _CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
 
-_MARKS: tuple[tuple[bytes, str], ...] = (
-    (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF16_LE, "utf-16-le"),
-    (codecs.BOM_UTF16_BE, "utf-16-be"),
-)
+#: Bytes looked at to find the layout.
+_HEAD = 1 << 18
+#: Bytes of text parsed at once: large enough for the parser, small enough for memory.
+_BLOCK = 2 << 20
+#: Bytes before the end of a block in which its last line is looked for first.
+_TAIL = 1 << 12
+#: A line longer than this is no row of a table.
+_LONGEST_LINE = 1 << 20
+#: Bytes of a zstd stream unpacked at once; each may hold blocks of 128 KiB in 4 bytes.
+_PIECE = 1 << 12
+
+#: Errors of a stream that is cut or damaged, and packages that have errors of their own.
+_DAMAGE = (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError)
+_PACKAGES = {"zstandard", "lz4", "backports"}
 
 
 def compression_of(start: bytes) -> str:
@@ -51,22 +65,40 @@ def compression_of(start: bytes) -> str:
     return next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), "none")
 
 
+def utf16_order(head: bytes) -> str | None:
+    """Return the encoding of UTF-16 without a mark by its zeros, every second byte; None of anything else."""
+    even, odd = head[0::2].count(0), head[1::2].count(0)
+    if even + odd <= 0.3 * len(head):
+        return None
+    if odd > 10 * even:
+        return "utf-16-le"
+    return "utf-16-be" if even > 10 * odd else None
+
+
+def find_encoding(head: bytes, name: str) -> str:
+    """Return the encoding of a text from its first bytes; a ReadError if they are no text."""
+    marked = next((encoding for mark, encoding in _MARKS.items() if head.startswith(mark)), None)
+    encoding = marked or utf16_order(head)
+    if encoding is not None:
+        return encoding
+    controls = len(head) - len(head.translate(None, _CONTROLS))
+    hollow = head.count(0) > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]
+    if controls > 0.01 * len(head) or hollow:
+        msg = f"{name}: binary data, not text; expected a table of numbers, or another format"
+        raise ReadError(msg)
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
 def read_fully(raw: BinaryIO, size: int) -> bytes:
     """Read until there are as many bytes as asked for, or no more."""
     data = b""
-    while len(data) < size:
-        piece = raw.read(size - len(data))
-        if not piece:
-            break
+    while len(data) < size and (piece := raw.read(size - len(data))):
         data += piece
     return data
-
-
-def unpacked(start: bytes, raw: BinaryIO, compression: str) -> BinaryIO:
-    """Return the stream of what a stream holds packed, its first bytes having been read."""
-    joined = cast("BinaryIO", _Joined(start, raw))
-    opener = _OPENERS.get(compression)
-    return joined if opener is None else cast("BinaryIO", opener(joined))
 
 
 class CountedStream:
@@ -105,16 +137,10 @@ class _Joined(io.RawIOBase):
     def readable(self) -> bool:
         return True
 
-    def read(self, size: int = -1) -> bytes:
-        if self._start:
-            taken = self._start if size < 0 else self._start[:size]
-            self._start = self._start[len(taken) :]
-            return taken if size >= 0 else taken + self._rest.read()
-        return self._rest.read(size)
-
     def readinto(self, buffer: object) -> int:
         view = memoryview(cast("bytearray", buffer)).cast("B")
-        data = self.read(len(view))
+        data = self._start[: len(view)] or self._rest.read(len(view))
+        self._start = self._start[len(data) :]
         view[: len(data)] = data
         return len(data)
 
@@ -129,10 +155,9 @@ class _Zstd:
         self._frame = self._new()
         self._begun = False
         self._raw = raw
-        self._packed = b""
-        self._held = b""
+        self._packed = self._held = b""
 
-    def read1(self, size: int) -> bytes:
+    def read(self, size: int) -> bytes:
         """Return up to `size` bytes, at least one before the end; an EOFError if the last frame is cut."""
         while not self._held:
             # Small pieces: a few bytes may unpack to a whole block.
@@ -150,9 +175,6 @@ class _Zstd:
         piece, self._held = self._held[:size], self._held[size:]
         return piece
 
-    #: One read gives what there is.
-    read = read1
-
 
 def _lz4(raw: BinaryIO) -> object:
     import lz4.frame
@@ -160,59 +182,13 @@ def _lz4(raw: BinaryIO) -> object:
     return lz4.frame.LZ4FrameFile(raw, "rb")
 
 
-_OPENERS: dict[str, Callable[[BinaryIO], object]] = {
+_OPENERS: dict[str, Callable[[BinaryIO], Any]] = {
     "gzip": lambda raw: gzip.GzipFile(fileobj=raw, mode="rb"),
     "bzip2": bz2.BZ2File,
     "xz": lzma.LZMAFile,
     "zstd": _Zstd,
     "lz4": _lz4,
 }
-
-
-def utf16_order(head: bytes) -> str | None:
-    """Return the encoding of UTF-16 without a mark by its zeros, every second byte; None of anything else."""
-    even, odd = head[0::2].count(0), head[1::2].count(0)
-    if even + odd <= 0.3 * len(head):
-        return None
-    if odd > 10 * even:
-        return "utf-16-le"
-    return "utf-16-be" if even > 10 * odd else None
-
-
-def find_encoding(head: bytes, name: str) -> str:
-    """Return the encoding of a text from its first bytes; a ReadError if they are no text."""
-    for mark, encoding in _MARKS:
-        if head.startswith(mark):
-            return encoding
-    order = utf16_order(head)
-    if order is not None:
-        return order
-    zeros = head.count(0)
-    controls = len(head) - len(head.translate(None, _CONTROLS))
-    hollow = zeros > 0.01 * len(head) and b"\n" not in head[: head.find(b"\0")]
-    if controls > 0.01 * len(head) or hollow:
-        msg = f"{name}: binary data, not text; expected a table of numbers, or another format"
-        raise ReadError(msg)
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(head)
-    except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8"
-
-
-#: The path that means standard input.
-STANDARD_INPUT = "-"
-
-#: Bytes looked at to find the layout.
-_HEAD = 1 << 18
-#: Bytes of text parsed at once: large enough for the parser, small enough for memory.
-_BLOCK = 2 << 20
-#: Bytes before the end of a block in which its last line is looked for first.
-_TAIL = 1 << 12
-#: Errors of a stream that is cut or damaged.
-_DAMAGE = (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError)
-#: A line longer than this is no row of a table.
-_LONGEST_LINE = 1 << 20
 
 
 class LongerError(Exception):
@@ -226,6 +202,8 @@ class TextSource:
     ----------
     name
         As the user named it.
+    size
+        Bytes of the file; None where they are not known.
     compression
         ``none``, ``gzip``, ``zstd``, ``bzip2``, ``xz`` or ``lz4``.
     encoding
@@ -245,49 +223,42 @@ class TextSource:
         name: str,
         raw: BinaryIO,
         *,
-        size: int | None,
-        progress: Progress | None,
+        size: int | None = None,
+        progress: Progress | None = None,
         most: int | None = None,
     ) -> None:
         self.name = name
         self.size = size
         self.passed = 0
-        self._most = most
         self.findings: list[Finding] = []
         self._raw = raw
         self._progress = progress
-        start = read_fully(raw, 6)
-        self.compression = compression_of(start)
-        stream = unpacked(start, raw, self.compression)
-        # What was unpacked before a damage is kept only by reads that never wait for more.
-        self._take: Callable[[int], bytes] = getattr(stream, "read1", stream.read)
+        self._most = most
         self._ended = False
-        head = self._read(_HEAD)
+        start = read_fully(raw, _LONGEST_MAGIC)
+        self.compression = compression_of(start)
+        plain = self.compression == "none"
+        stream = raw if plain else _OPENERS[self.compression](cast("BinaryIO", _Joined(start, raw)))
+        # What was unpacked before a damage is kept only by reads that never wait for more.
+        self._take: Callable[[int], bytes] = stream.read if plain else getattr(stream, "read1", stream.read)
+        head = start + self._read(_HEAD - len(start)) if plain else self._read(_HEAD)
         self.whole = self._ended
         self.encoding = find_encoding(head, name)
-        self._decode = (
-            None if self.encoding in {"utf-8", "latin-1"} else codecs.getincrementaldecoder(self.encoding)()
-        )
-        marked = head.startswith(codecs.BOM_UTF8)
-        head = self._plain(head.removeprefix(codecs.BOM_UTF8))
-        # Where the text of `_start` begins in a plain file, whose blocks can be read one by one.
-        exact = (
-            self.compression == "none"
-            and self._decode is None
-            and b"\r" not in head
-            and isinstance(raw, io.FileIO)
-        )
-        self._exact = (len(codecs.BOM_UTF8) if marked else 0) if exact else None
-        self._return_only = b"\r" in head and b"\n" not in head
-        self._start = self._line_ends(head)
+        wide = self.encoding.startswith("utf-16")
+        self._decode = codecs.getincrementaldecoder(self.encoding)() if wide else None
+        text = head.removeprefix(codecs.BOM_UTF8)
+        # Where the text begins in a plain file, whose blocks can be read one by one.
+        exact = plain and not wide and b"\r" not in text and isinstance(raw, io.FileIO)
+        self._exact = len(head) - len(text) if exact else None
+        text = self._plain(text)
+        self._return_only = b"\r" in text and b"\n" not in text
+        self._start = self._line_ends(text)
         self.head = self._head_lines(self._start)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -317,10 +288,16 @@ class TextSource:
         ReadError
             If a line is longer than any row of a table.
         """
-        rest, self._start = self._start, b""
-        if self._exact is not None and not self._ended:
-            yield from self._exact_blocks(rest)
-            return
+        start, self._start = self._start, b""
+        exact = self._exact is not None and not self._ended
+        for block in self._exact_blocks(start) if exact else self._joined_blocks(start):
+            self.passed += len(block)
+            if self._most is not None and self.passed > self._most:
+                raise LongerError
+            yield block
+
+    def _joined_blocks(self, rest: bytes) -> Iterator[bytes]:
+        """Yield the blocks of a stream: the rest of the one before and the whole lines of what comes next."""
         while True:
             data = b"" if self._ended else self._line_ends(self._plain(self._read(_BLOCK)))
             cut = len(data) if self._ended else data.rfind(b"\n") + 1
@@ -331,7 +308,7 @@ class TextSource:
                 raise self._too_long()
             self._report()
             if block:
-                yield self._counted(block)
+                yield block
             if self._ended:
                 return
 
@@ -340,7 +317,7 @@ class TextSource:
         cut = head.rfind(b"\n") + 1
         place = (self._exact or 0) + cut
         if cut:
-            yield self._counted(head[:cut])
+            yield head[:cut]
         size = self._raw.seek(0, io.SEEK_END)
         while place < size:
             stop = min(place + _BLOCK, size)
@@ -352,14 +329,7 @@ class TextSource:
                 return
             place += len(block)
             self._report()
-            yield self._counted(self._line_ends(block))
-
-    def _counted(self, block: bytes) -> bytes:
-        """Count a block; refuse it where the text is longer than wanted."""
-        self.passed += len(block)
-        if self._most is not None and self.passed > self._most:
-            raise LongerError
-        return block
+            yield self._line_ends(block)
 
     def _line_end(self, start: int, stop: int) -> int:
         """Return the end of the last line that ends between two places."""
@@ -383,17 +353,12 @@ class TextSource:
         pieces: list[bytes] = []
         missing = max(size, 1)
         try:
-            while missing > 0:
-                piece = self._take(missing)
-                if not piece:
-                    self._ended = True
-                    break
-                pieces.append(piece)
-                missing -= len(piece)
+            while missing > 0 and not self._ended:
+                pieces.append(self._take(missing))
+                missing -= len(pieces[-1])
+                self._ended = not pieces[-1]
         except Exception as error:
-            # zstandard and lz4 have error classes of their own; anything else is a bug and goes on.
-            package = type(error).__module__.partition(".")[0]
-            if not isinstance(error, _DAMAGE) and package not in {"zstandard", "lz4", "backports"}:
+            if not isinstance(error, _DAMAGE) and type(error).__module__.partition(".")[0] not in _PACKAGES:
                 raise
             self._ended = True
             text = (
@@ -442,8 +407,7 @@ def open_text(path: Path, *, progress: Progress | None = None, most: int | None 
         If the file can't be opened, is empty, or is not text.
     """
     if str(path) == STANDARD_INPUT:
-        stream = cast("BinaryIO", CountedStream(sys.stdin.buffer))
-        source = TextSource("standard input", stream, size=None, progress=None)
+        source = TextSource("standard input", cast("BinaryIO", CountedStream(sys.stdin.buffer)))
     else:
         try:
             # Unbuffered: the blocks are the buffer.

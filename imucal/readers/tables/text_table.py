@@ -1,30 +1,24 @@
-"""One text table: layout, columns, rows -> Recording.
+"""Delimited text -> Recording: CSV, TSV, blanks; a file, standard input, or an app's set of files.
 
-The layout of a text log, or the error that proposes which columns are which.
+The head gives the layout, the names of the columns give the sensors, and blocks of rows go through polars
+into columns, or through a tolerant parser where that fails. In doubt nothing is guessed: the error shows
+the columns and a text to choose them.
 
-Rows of a text table -> columns of numbers: polars for each block, a tolerant parser where it fails.
-
-Sets of text files that are one recording: a gyroscope's and an accelerometer's, perhaps with their times.
-
-Phones' apps write them as a zip or a folder (phyphox, Sensor Logger); simulators as files side by side.
-
-Delimited text: CSV, TSV, blanks; plain or compressed; a file, standard input, or an app's set of files.
-
-The head gives the layout, the names of the columns give the sensors, and blocks of rows go through
-polars into columns. In doubt nothing is guessed: the error shows the columns and a text to choose them.
+A gyroscope and an accelerometer may have a file each, perhaps with one of their times: phones' apps write
+them as a zip or a folder (phyphox, Sensor Logger), simulators as files side by side.
 """
 
-import io
 import re
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path, PurePath
-from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias, TypeVar, cast, get_args
+from typing import Any, BinaryIO, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +48,7 @@ from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, refuse_topics
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
-from imucal.recording import AxisSeries, Recording, Sensor
+from imucal.recording import Recording, Sensor
 from imucal.resources import column_limit
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
@@ -125,8 +119,6 @@ def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
 Kind: TypeAlias = Literal["integer", "float"] | TextKind
 _TEXTS: tuple[Kind, ...] = get_args(TextKind)
 
-_Number = TypeVar("_Number", int, float)
-
 _QUOTED = re.compile(rb'"[^"\n]*"')
 
 _COMMENTS = ("#", "%", "//", ";")
@@ -160,16 +152,14 @@ class BlockReader:
     counts: RowCounts = field(default_factory=RowCounts)
     columns: dict[int, GrowingColumn] = field(init=False)
     _pattern: re.Pattern[bytes] | None = field(init=False)
-    _wanted: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
+        self.kinds = dict(sorted(self.kinds.items()))
+        types = {index: np.float64 if kind == "float" else np.int64 for index, kind in self.kinds.items()}
         self.columns = {
-            index: GrowingColumn(
-                np.float64 if kind == "float" else np.int64, limit=self.limit, expected=self.expected
-            )
-            for index, kind in self.kinds.items()
+            index: GrowingColumn(dtype, limit=self.limit, expected=self.expected)
+            for index, dtype in types.items()
         }
-        self._wanted = sorted(self.kinds)
         self._pattern = _row_pattern(self.rows, self.layout.delimiter)
 
     def add(self, block: bytes) -> None:
@@ -185,32 +175,27 @@ class BlockReader:
         if values is None:
             # Blank lines are looked for only now: the search costs as much as the parsing.
             plain = re.sub(rb"\n{2,}", b"\n", plain).lstrip(b"\n")
-            values = self._by_polars(plain, last_try=True)
-        if values is None:
-            values = self._by_hand(plain)
-        rows = len(values[self._wanted[0]])
-        self.counts.good += rows
+            values = self._by_polars(plain, last_try=True) or self._by_hand(plain)
+        self.counts.good += len(next(iter(values.values())))
         for index, column in self.columns.items():
             column.append(values[index])
 
     def _plain(self, block: bytes) -> bytes:
         """Return a block that the parser takes: one delimiter, decimal points, no blank lines."""
-        if self.layout.delimiter == BLANKS:
+        delimiter = self.layout.delimiter
+        if delimiter == BLANKS:
             block = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", block)
             block = re.sub(rb"[ \t]+", b",", block)
         elif b" " in block:
-            mark = self.layout.delimiter.encode()
+            mark = delimiter.encode()
             block = block.replace(mark + b" ", mark)
             # A blank within a cell stays: without it two numbers would become one.
             if b" " in block:
                 block = re.sub(rb"(?m)^ +| *(" + re.escape(mark) + rb") *| +$", rb"\1", block)
-        if self.layout.decimal == ",":
-            block = self._with_points(block)
-        return block
-
-    def _with_points(self, block: bytes) -> bytes:
-        """Return a block with decimal points for commas; for those in quotes where commas part the cells."""
-        if self.layout.delimiter == ",":
+        if self.layout.decimal != ",":
+            return block
+        # Where commas part the cells, a decimal one stands in quotes.
+        if delimiter == ",":
             return _QUOTED.sub(lambda match: match[0].replace(b",", b"."), block)
         return block.replace(b",", b".")
 
@@ -226,13 +211,26 @@ class BlockReader:
         table = self._parsed(block)
         if table is None:
             return None
-        values = {index: self._values(table[str(index)], self.kinds[index]) for index in self._wanted}
-        empty = self._lacking(table, values)
-        if empty.any():
+        values: dict[int, NDArray[Any]] = {}
+        lacking = np.zeros(table.height, dtype=np.bool_)
+        for index in self.needed or self.kinds:
+            series = table[str(index)]
+            if series.null_count():
+                lacking |= series.is_null().to_numpy()
+        for index, kind in self.kinds.items():
+            series = table[str(index)]
+            if kind in _TEXTS:
+                values[index] = self._times(series.fill_null("").to_list(), kind)
+                lacking |= values[index] == NO_STAMP
+            else:
+                full = series.fill_null(0) if kind == "integer" and series.null_count() else series
+                values[index] = np.asarray(full.to_numpy())
+        if lacking.any():
             if not last_try:
                 return None
-            self._note_bad(int(empty.sum()), lambda: block.split(b"\n")[int(np.flatnonzero(empty)[0])])
-            values = {index: array[~empty] for index, array in values.items()}
+            first = block.split(b"\n")[int(np.argmax(lacking))]
+            self._note_bad(int(lacking.sum()), first.decode("utf-8", "replace"))
+            values = {index: array[~lacking] for index, array in values.items()}
         return values
 
     def _parsed(self, block: bytes) -> Any:  # noqa: ANN401 - polars is imported late
@@ -240,17 +238,16 @@ class BlockReader:
         import polars as pl
 
         types: dict[Kind | None, Any] = {"integer": pl.Int64, "float": pl.Float64}
-        kinds = [self.kinds.get(index) for index in range(self.layout.width)]
-        schema = {str(index): types.get(kind, pl.String) for index, kind in enumerate(kinds)}
-        looked_at = sorted(self.needed | frozenset(self._wanted))
+        width = self.layout.width
+        looked_at = sorted(self.needed | self.kinds.keys())
         try:
             table = pl.read_csv(
                 block,
                 has_header=False,
                 separator=self._separator,
                 quote_char='"' if self.layout.quoted else None,
-                schema=schema,
-                columns=looked_at if len(looked_at) < self.layout.width else None,
+                schema={str(index): types.get(self.kinds.get(index), pl.String) for index in range(width)},
+                columns=looked_at if len(looked_at) < width else None,
             )
         except (pl.exceptions.PolarsError, UnicodeDecodeError):
             return None
@@ -259,71 +256,45 @@ class BlockReader:
             return None
         return table
 
-    def _values(self, series: Any, kind: Kind) -> NDArray[Any]:  # noqa: ANN401 - polars is imported late
-        if kind in _TEXTS:
-            return self._times(series.fill_null("").to_list(), kind)
-        if kind == "integer" and series.null_count():
-            series = series.fill_null(0)
-        return np.asarray(series.to_numpy())
-
-    def _lacking(self, table: Any, values: dict[int, NDArray[Any]]) -> NDArray[np.bool_]:  # noqa: ANN401
-        """Return which rows lack a cell that each must have, or a time that can be read."""
-        lacking = np.zeros(table.height, dtype=np.bool_)
-        for index in self.needed or self._wanted:
-            series = table[str(index)]
-            if series.null_count():
-                lacking |= series.is_null().to_numpy()
-        for index in self._wanted:
-            if self.kinds[index] in _TEXTS:
-                lacking |= values[index] == NO_STAMP
-        return lacking
-
     def _by_hand(self, block: bytes) -> dict[int, NDArray[Any]]:
         """Return the wanted columns of the good rows of a block, row by row."""
-        lines = block.decode("utf-8", "replace").split("\n")
         header = self._separator.join(self.layout.headers).replace(" ", "")
-        found: dict[int, list[Any]] = {index: [] for index in self._wanted}
-        for line in lines:
+        rows = []
+        for line in block.decode("utf-8", "replace").split("\n"):
             text = line.strip("\r\n")
             if not text.strip() or text.startswith(_COMMENTS) or text.replace(" ", "") == header:
                 continue
             row = self._row(split_line(text, self._separator))
             if row is None:
-                self._note_bad(1, lambda text=text: text.encode())  # type: ignore[misc]
-                continue
-            for index, value in zip(self._wanted, row, strict=True):
-                found[index].append(value)
-        return {index: self._array(index, values) for index, values in found.items()}
+                self._note_bad(1, text)
+            else:
+                rows.append(row)
+        columns = list(zip(*rows, strict=True)) if rows else [()] * len(self.kinds)
+        return {index: self._array(columns[place], index) for place, index in enumerate(self.kinds)}
 
     def _row(self, cells: Sequence[str]) -> list[int | float | str] | None:
         """Return the wanted cells of a row as numbers; None for a bad row."""
-        if len(cells) > self.layout.width or len(cells) <= max(self.needed, default=0):
+        missing = self.layout.width - len(cells)
+        cells = [*cells, *[""] * missing]
+        if missing < 0 or any(not cells[index] for index in self.needed):
             return None
-        if any(not cells[index] for index in self.needed):
-            return None
-        row: list[int | float | str] = []
-        for index in self._wanted:
-            cell = cells[index] if index < len(cells) else ""
-            value = _number(cell, self.kinds[index])
-            if value is None:
-                return None
-            row.append(value)
-        return row
+        row = [_number(cells[index], kind) for index, kind in self.kinds.items()]
+        good = [value for value in row if value is not None]
+        return good if len(good) == len(row) else None
 
-    def _array(self, index: int, values: list[Any]) -> NDArray[Any]:
+    def _array(self, values: Sequence[Any], index: int) -> NDArray[Any]:
         kind = self.kinds[index]
         if kind in _TEXTS:
             return self._times(values, kind)
-        if kind == "integer" and all(isinstance(value, int) for value in values):
-            return np.array(values, dtype=np.int64)
-        return np.array(values, dtype=np.float64)
+        whole = kind == "integer" and not any(isinstance(value, float) for value in values)
+        return np.array(values, dtype=np.int64 if whole else np.float64)
 
     def _times(self, cells: Sequence[str], kind: Kind) -> NDArray[Any]:
         return parse_texts(cells, cast("TextKind", kind), by_day=self.by_day)
 
-    def _note_bad(self, count: int, line: Callable[[], bytes]) -> None:
+    def _note_bad(self, count: int, first: str) -> None:
         if not self.counts.bad:
-            self.counts.first_bad = line().decode("utf-8", "replace")[:120]
+            self.counts.first_bad = first[:120]
         self.counts.bad += count
 
 
@@ -335,16 +306,13 @@ def _number(cell: str, kind: Kind) -> int | float | str | None:
         return None
     if kind == "float" and not cell:
         return float("nan")
-    if kind == "integer" and (value := _converted(int, cell)) is not None:
-        return value if -(2**63) <= value < 2**63 else None
-    return _converted(float, cell)
-
-
-def _converted(number: Callable[[str], _Number], cell: str) -> _Number | None:
-    try:
-        return number(cell)
-    except ValueError:
-        return None
+    with suppress(ValueError):
+        if kind == "integer":
+            value = int(cell)
+            return value if -(2**63) <= value < 2**63 else None
+    with suppress(ValueError):
+        return float(cell)
+    return None
 
 
 def _row_pattern(rows: Rows, delimiter: str) -> re.Pattern[bytes] | None:
@@ -352,10 +320,11 @@ def _row_pattern(rows: Rows, delimiter: str) -> re.Pattern[bytes] | None:
     if rows is None:
         return None
     index, text = rows
-    blanks = delimiter == BLANKS
-    mark = rb"[ \t]" if blanks else re.escape(delimiter.encode())
-    start = rb"[ \t]*" if blanks else b""
-    cell = rb"[^\n \t]*[ \t]+" if blanks else rb"[^\n" + mark + rb"]*" + mark
+    if delimiter == BLANKS:
+        start, cell, mark = rb"[ \t]*", rb"[^\n \t]*[ \t]+", rb"[ \t]"
+    else:
+        mark = re.escape(delimiter.encode())
+        start, cell = b"", rb"[^\n" + mark + rb"]*" + mark
     before = rb"(?:" + cell + (rb")*?" if index < 0 else rb"){" + str(index).encode() + rb"}")
     tag = rb'[ \t]*"?' + re.escape(text.encode()) + rb'"?[ \t]*'
     return re.compile(rb"(?m)^" + start + before + tag + rb"(?:" + mark + rb"[^\n]*)?$")
@@ -385,11 +354,6 @@ class ExternalTime:
     choice: TimeChoice
     values: FloatArray
 
-    def replace_times(self, plan: TablePlan) -> TablePlan:
-        """Return a plan in which these are the times of all sensors."""
-        sensors = tuple(replace(sensor, time=self.choice, log_time=None) for sensor in plan.sensors)
-        return replace(plan, sensors=sensors)
-
     def of_rows(self, counts: RowCounts, path: str) -> FloatArray:
         """Return the times; a ReadError unless there is one for each row."""
         if counts.bad or counts.good != self.values.size:
@@ -402,9 +366,14 @@ class ExternalTime:
 
 
 def read_table(
-    source: TextSource, options: ReadOptions, *, name: str = "", stamps: ExternalTime | None = None
+    source: TextSource,
+    options: ReadOptions,
+    *,
+    name: str = "",
+    stamps: ExternalTime | None = None,
+    head: bool = False,
 ) -> Recording:
-    """Read the table of an opened text.
+    """Read the table of an opened text; only its first lines if `head`.
 
     `name` is the file's own, which may name the sensor; `stamps` are times of the rows that stand in a
     file of their own.
@@ -421,17 +390,20 @@ def read_table(
     # The blocks of text are as large as its chunks: freed, they are to be used again.
     keep_freed_memory()
     layout, plan = plan_of_head(source, options, name)
-    if stamps is not None:
-        plan = stamps.replace_times(plan)
-    groups = _by_rows(plan)
-    readers = [_reader(source, layout, plan, group, options) for group in groups]
-    cut = _read_blocks(source, layout, readers)
+    # Sensors of the same rows are read together.
+    groups: dict[Rows, list[SensorPlan]] = {}
+    for sensor in plan.sensors:
+        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
+        groups.setdefault(sensor.triad.rows, []).append(timed)
+    readers = [_reader(source, layout, group, plan.temperature, options) for group in groups.values()]
+    blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
+    cut = _read_blocks(blocks, layout, readers)
     if options.strict and source.findings:
         msg = f"{source.name}: {source.findings[0].text} Expected an undamaged log"
         raise ReadError(msg)
     findings = _row_findings(source.name, cut, layout, readers, options)
     sensors = []
-    for reader, group in zip(readers, groups, strict=True):
+    for reader, group in zip(readers, groups.values(), strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
         if stamps is not None:
             values[EXTERNAL] = stamps.of_rows(reader.counts, source.name)
@@ -449,13 +421,6 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, "csv", plan.topics)
-
-
-def read_head(path: str, lines: Sequence[str], options: ReadOptions, name: str) -> Recording:
-    """Read the table that the first lines of a text hold, as `read_table` would read all of it."""
-    text = io.BytesIO(("\n".join(lines) + "\n").encode())
-    with TextSource(path, text, size=None, progress=None) as source:
-        return read_table(source, options, name=name)
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
@@ -476,41 +441,27 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tu
     return layout, plan
 
 
-def _by_rows(plan: TablePlan) -> list[list[SensorPlan]]:
-    """Return the sensors in groups that are read from the same rows."""
-    groups: dict[Rows, list[SensorPlan]] = {}
-    for sensor in plan.sensors:
-        groups.setdefault(sensor.triad.rows, []).append(sensor)
-    return list(groups.values())
-
-
 def _reader(
     source: TextSource,
     layout: TextLayout,
-    plan: TablePlan,
     sensors: Sequence[SensorPlan],
+    temperature: int | None,
     options: ReadOptions,
 ) -> BlockReader:
-    """Return the reader of one group's rows."""
+    """Return the reader of the rows of some sensors."""
     rows = sensors[0].triad.rows or layout.tag
     layout = _of_rows(source.head, layout, rows)
     kinds: dict[int, Kind] = {}
-    by_day = False
+    times = [time for sensor in sensors for time in (sensor.time, sensor.log_time) if time is not None]
     for sensor in sensors:
         kinds |= dict.fromkeys(sensor.triad.indices, "float")
-        for time in (sensor.time, sensor.log_time):
-            if time is not None and EXTERNAL not in time.indices:
-                kinds |= {
-                    index: _kind(layout.cells(index), text=time.kind == "text") for index in time.indices
-                }
-                by_day |= time.by_day
-    needed = frozenset(index for index in kinds if all(layout.cells(index)))
-    if plan.temperature is not None and plan.temperature not in kinds:
-        kinds[plan.temperature] = "float"
-    last = layout.width - 1
+    for time in times:
+        text = time.kind == "text"
+        kinds |= {index: _kind(layout.cells(index), text=text) for index in time.indices if index != EXTERNAL}
     # A row that lacks its last cell was cut, perhaps within a number that stands before it.
-    if all(layout.cells(last)):
-        needed |= {last}
+    needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
+    if temperature is not None:
+        kinds.setdefault(temperature, "float")
     # Half of what may be held is for what the columns become.
     limit = (options.memory_limit or column_limit()) // (2 * max(1, len(kinds)))
     return BlockReader(
@@ -520,7 +471,7 @@ def _reader(
         rows=rows,
         limit=limit,
         expected=source.expected_rows,
-        by_day=by_day,
+        by_day=any(time.by_day for time in times),
     )
 
 
@@ -532,9 +483,8 @@ def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout
     cells = [tuple(split_line(line, layout.delimiter)) for line in lines]
     if not cells:
         return layout
-    width = Counter(len(row) for row in cells).most_common(1)[0][0]
-    same = tuple(row for row in cells if len(row) == width)
-    return replace(layout, width=width, rows=same)
+    width = Counter(map(len, cells)).most_common(1)[0][0]
+    return replace(layout, width=width, rows=tuple(row for row in cells if len(row) == width))
 
 
 def _kind(cells: Sequence[str], *, text: bool) -> Kind:
@@ -545,29 +495,29 @@ def _kind(cells: Sequence[str], *, text: bool) -> Kind:
     return "integer" if integers and all(-(2**63) <= int(cell) < 2**63 for cell in filled) else "float"
 
 
-def _read_blocks(source: TextSource, layout: TextLayout, readers: Sequence[BlockReader]) -> str:
+def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]) -> str:
     """Read all rows; returns the last line where it may be cut, else an empty text."""
     cut = ""
-    for block in without_start(source.blocks(), layout.start):
+    for block in without_start(blocks, layout.start):
         whole = block
         if not block.endswith(b"\n"):
             end = block.rfind(b"\n") + 1
-            last = block[end:]
-            if last.strip() and not _is_complete(last, layout):
-                cut, whole = last.decode("utf-8", "replace"), block[:end]
+            last = block[end:].decode("utf-8", "replace")
+            if block[end:].strip() and not _is_complete(last, layout):
+                cut, whole = last, block[:end]
         for reader in readers:
             reader.add(whole)
     return cut
 
 
-def _is_complete(line: bytes, layout: TextLayout) -> bool:
+def _is_complete(line: str, layout: TextLayout) -> bool:
     """Return whether a line without an end has all its cells, the last one as long as any other."""
-    cells = split_line(line.decode("utf-8", "replace"), layout.delimiter)
+    cells = split_line(line, layout.delimiter)
     if len(cells) != layout.width:
         return False
     lengths = [len(cell.partition(".")[2]) for cell in layout.cells(layout.width - 1)]
-    point = layout.decimal
-    return point in cells[-1] and len(cells[-1].partition(point)[2]) >= max(lengths, default=0)
+    _, point, digits = cells[-1].partition(layout.decimal)
+    return bool(point) and len(digits) >= max(lengths, default=0)
 
 
 def _row_findings(
@@ -577,19 +527,19 @@ def _row_findings(
     findings = []
     good = sum(reader.counts.good for reader in readers)
     bad = sum(reader.counts.bad for reader in readers)
-    first = next((reader.counts.first_bad for reader in readers if reader.counts.bad), "")
     if bad:
+        first = next(reader.counts.first_bad for reader in readers if reader.counts.bad)
         found = f"{bad} of {good + bad} rows are no rows of {layout.width} numbers, the first is {first!r}"
         if options.strict or bad > good:
             msg = f"{path}: {found}; expected a table with a row per sample"
             raise ReadError(msg)
-        text = f"{found}; they were dropped."
-        findings.append(Finding(level="warning", code="bad-rows", text=text))
-    if cut and options.strict:
-        msg = f"{path}: the last line has no line end and may be cut ({cut[:60]!r}); expected whole lines"
-        raise ReadError(msg)
+        findings.append(Finding(level="warning", code="bad-rows", text=f"{found}; they were dropped."))
     if cut:
-        text = f"The last line has no line end and may be cut ({cut[:60]!r}); it was dropped."
+        found = f"the last line has no line end and may be cut ({cut[:60]!r})"
+        if options.strict:
+            msg = f"{path}: {found}; expected whole lines"
+            raise ReadError(msg)
+        text = f"T{found[1:]}; it was dropped."
         findings.append(Finding(level="info", code="cut-line", text=text))
     return findings
 
@@ -597,18 +547,21 @@ def _row_findings(
 def _columns(
     reader: BlockReader, sensor: SensorPlan, values: dict[int, Any], temperature: int | None
 ) -> SensorColumns:
+    def of(time: TimeChoice | None) -> tuple[Any, ...]:
+        return tuple(values[index] for index in time.indices) if time else ()
+
+    indices = sensor.triad.indices
     return SensorColumns(
         plan=sensor,
-        axes=[values[index] for index in sensor.triad.indices],
-        time=tuple(values[index] for index in sensor.time.indices) if sensor.time else (),
-        log_time=tuple(values[index] for index in sensor.log_time.indices) if sensor.log_time else (),
+        axes=[values[index] for index in indices],
+        time=of(sensor.time),
+        log_time=of(sensor.log_time),
         temperature=values.get(temperature) if temperature is not None else None,
-        sparse=not set(sensor.triad.indices) <= reader.needed,
+        sparse=not reader.needed.issuperset(indices),
     )
 
 
 _ZIP = b"PK\x03\x04"
-
 _SUFFIXES = (".csv", ".tsv", ".txt")
 
 #: Names of files that are no raw sensor: an app's own estimates, other sensors, notes.
@@ -616,12 +569,15 @@ _LEFT_OUT = re.compile(
     r"linear|gravity|orientation|meta|annotation|magnet|baro|location|heart|pedo|step|light"
 )
 
+#: Names of files in the order in which they are taken.
+_PREFERRED = {
+    Sensor.GYROSCOPE: ("gyroscope", "raw data", "gyroscopeuncalibrated"),
+    # Sensor Logger: Accelerometer.csv is without gravity, TotalAcceleration.csv is what the sensor measured.
+    Sensor.ACCELEROMETER: ("totalacceleration", "accelerometer", "accelerometeruncalibrated"),
+}
 
-class _Member(NamedTuple):
-    """A file of a set: its name and how to open it."""
-
-    name: str
-    open: Callable[[], TextSource]
+#: The tables of a set: the name of each, its size unpacked, and how to open it.
+_Members: TypeAlias = dict[str, tuple[int, Callable[[], TextSource]]]
 
 
 def is_set(path: Path) -> bool:
@@ -635,112 +591,66 @@ def is_set(path: Path) -> bool:
         return False
 
 
-def unpacked_size(path: Path) -> int:
-    """Return how many bytes the tables of a zip, or of a folder, hold unpacked, as they state it.
-
-    Raises
-    ------
-    ReadError
-        If the zip can't be read.
-    """
-    if path.is_dir():
-        return sum(entry.stat().st_size for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return sum(info.file_size for info in archive.infolist() if _is_table(info.filename))
-    except (zipfile.BadZipFile, OSError, ValueError, RuntimeError) as error:
-        msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
-        raise ReadError(msg) from error
-
-
-def read_set(path: Path, options: ReadOptions, *, heads: bool = False) -> Recording:
-    """Read the gyroscope and the accelerometer of a zip or a folder; of `heads` only the first lines.
-
-    Raises
-    ------
-    ChoiceError
-        If it is not clear which files hold them.
-    ReadError
-        If a file can't be read.
-    """
+@contextmanager
+def _members(path: Path) -> Iterator[_Members]:
+    """Give the text tables of a zip or a folder; whatever is wrong with a zip becomes a ReadError."""
     if path.is_dir():
         entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
-        members = [_Member(entry.name, partial(open_text, entry)) for entry in entries]
-        return _read_members(str(path), members, options, heads=heads)
+        yield {entry.name: (entry.stat().st_size, partial(open_text, entry)) for entry in entries}
+        return
+
+    def opened(info: zipfile.ZipInfo) -> TextSource:
+        return TextSource(f"{path}:{info.filename}", cast("BinaryIO", archive.open(info)))
+
     try:
         with zipfile.ZipFile(path) as archive:
-            infos = [info for info in archive.infolist() if _is_table(info.filename)]
-            members = [_Member(info.filename, partial(_open_member, path, archive, info)) for info in infos]
-            return _read_members(str(path), members, options, heads=heads)
+            yield {
+                info.filename: (info.file_size, partial(opened, info))
+                for info in archive.infolist()
+                if info.filename.lower().endswith(_SUFFIXES) and not info.filename.startswith("__MACOSX")
+            }
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
         msg = f"{path}: the zip can't be read: {error}; expected the export of a phone's app"
         raise ReadError(msg) from error
 
 
-def _is_table(name: str) -> bool:
-    return name.lower().endswith(_SUFFIXES) and not name.startswith("__MACOSX")
-
-
-def _open_member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> TextSource:
-    raw = cast("BinaryIO", archive.open(info))
-    return TextSource(f"{path}:{info.filename}", raw, size=None, progress=None)
-
-
-def _read_members(path: str, members: Sequence[_Member], options: ReadOptions, *, heads: bool) -> Recording:
-    chosen = members
-    if len(members) != 1:
-        both = [_choose(path, members, sensor) for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER)]
-        chosen = [member for member in both if member is not None]
-    if not chosen:
-        msg = (
-            f"{path}: no file is named as a gyroscope or an accelerometer; "
-            f"found {_names(members) or 'no text files'}; name the file to read"
-        )
-        raise ChoiceError(msg)
-    parts = []
-    for member in chosen:
-        name = PurePath(member.name).name
-        with member.open() as source:
-            lines = source.head
-            parts.append(
-                read_head(source.name, lines, options, name)
-                if heads
-                else read_table(source, options, name=name)
+def _read_set(path: Path, options: ReadOptions, *, head: bool = False) -> Recording:
+    """Read the gyroscope and the accelerometer of a zip or a folder; only the first lines if `head`."""
+    with _members(path) as members:
+        chosen = list(members)
+        if len(members) != 1:
+            both = [_choose(path, chosen, sensor) for sensor in (Sensor.GYROSCOPE, Sensor.ACCELEROMETER)]
+            chosen = [name for name in both if name is not None]
+        if not chosen:
+            msg = (
+                f"{path}: no file is named as a gyroscope or an accelerometer; "
+                f"found {', '.join(members) or 'no text files'}; name the file to read"
             )
-    return _merged(parts, [member.name for member in chosen], path)
+            raise ChoiceError(msg)
+        parts = []
+        for name in chosen:
+            with members[name][1]() as source:
+                parts.append(read_table(source, options, name=PurePath(name).name, head=head))
+        return merge(parts, chosen, str(path))
 
 
-def _names(members: Sequence[_Member]) -> str:
-    return ", ".join(member.name for member in members)
-
-
-def _choose(path: str, members: Sequence[_Member], sensor: Sensor) -> _Member | None:
+def _choose(path: Path, names: Sequence[str], sensor: Sensor) -> str | None:
     """Return the file of a sensor by its name; raw before corrected, with gravity before without."""
-    stems = [(PurePath(member.name).stem.lower(), member) for member in members]
+    stems = {name: PurePath(name).stem.lower() for name in names}
     found = [
-        (stem, member)
-        for stem, member in stems
-        if sensor_of_name(stem) is sensor and not _LEFT_OUT.search(stem)
+        name for name, stem in stems.items() if sensor_of_name(stem) is sensor and not _LEFT_OUT.search(stem)
     ]
     if len(found) <= 1:
-        return found[0][1] if found else None
+        return found[0] if found else None
     for preferred in _PREFERRED[sensor]:
-        exact = [member for stem, member in found if stem == preferred]
+        exact = [name for name in found if stems[name] == preferred]
         if len(exact) == 1:
             return exact[0]
     msg = (
-        f"{path}: several files hold a {sensor} ({_names([member for _, member in found])}) "
-        f"of {_names(members)}; unpack it and name the files to read"
+        f"{path}: several files hold a {sensor} ({', '.join(found)}) of {', '.join(names)}; "
+        "unpack it and name the files to read"
     )
     raise ChoiceError(msg)
-
-
-#: Names of files in the order in which they are taken.
-_PREFERRED = {
-    Sensor.GYROSCOPE: ("gyroscope", "raw data", "gyroscopeuncalibrated"),
-    # Sensor Logger: Accelerometer.csv is without gravity, TotalAcceleration.csv is what the sensor measured.
-    Sensor.ACCELEROMETER: ("totalacceleration", "accelerometer", "accelerometeruncalibrated"),
-}
 
 
 def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
@@ -762,7 +672,7 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
     for path in tables:
         with open_text(path, progress=options.progress) as source:
             parts.append(read_table(source, options, stamps=stamps))
-    return _merged(parts, [path.name for path in tables], ", ".join(map(str, paths)))
+    return merge(parts, [path.name for path in tables], ", ".join(map(str, paths)))
 
 
 def _sensors_of(path: Path, options: ReadOptions) -> tuple[Sensor, ...]:
@@ -774,26 +684,14 @@ def _sensors_of(path: Path, options: ReadOptions) -> tuple[Sensor, ...]:
     return tuple(sensor.triad.sensor for sensor in plan.sensors)
 
 
-def _merged(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
-    """Return the sensors of several recordings as one; each keeps its own clock."""
+def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
+    """Return the sensors of the recordings of some files as one; each keeps its own clock.
+
+    A ChoiceError where their stamps share no time: a gyroscope and an accelerometer of different days.
+    """
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)
-    _refuse_other_times(path, names, parts)
-    topics = chain.from_iterable(part.source.topics for part in parts)
-    decisions = chain([("files", ", ".join(names))], *(part.source.decisions for part in parts))
-    findings = chain.from_iterable(part.findings for part in parts)
-    return replace(
-        parts[0],
-        source=replace(source, topics=tuple(topics), decisions=tuple(dict.fromkeys(decisions))),
-        series=_all_series(parts),
-        temperature=next((part.temperature for part in parts if part.temperature is not None), None),
-        findings=tuple(dict.fromkeys(findings)),
-    )
-
-
-def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
-    """Refuse files whose stamps share no time: a gyroscope and an accelerometer of different days."""
     clocks = [part.series[0].clock for part in parts]
     spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
     if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
@@ -802,15 +700,20 @@ def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recordi
             "read one file at a time"
         )
         raise ChoiceError(msg)
-
-
-def _all_series(parts: Sequence[Recording]) -> tuple[AxisSeries, ...]:
-    """Return the axes of all parts, the gyroscope's first; clocks that are equal become one."""
     every = chain.from_iterable(part.series for part in parts)
     series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
     if all(one.clock == series[0].clock for one in series):
         series = [replace(one, clock=series[0].clock) for one in series]
-    return tuple(series)
+    topics = chain.from_iterable(part.source.topics for part in parts)
+    decisions = chain([("files", ", ".join(names))], *(part.source.decisions for part in parts))
+    findings = chain.from_iterable(part.findings for part in parts)
+    return replace(
+        parts[0],
+        source=replace(source, topics=tuple(topics), decisions=tuple(dict.fromkeys(decisions))),
+        series=tuple(series),
+        temperature=next((part.temperature for part in parts if part.temperature is not None), None),
+        findings=tuple(dict.fromkeys(findings)),
+    )
 
 
 def _is_time_file(path: Path) -> bool:
@@ -820,16 +723,14 @@ def _is_time_file(path: Path) -> bool:
             lines = [line.strip() for line in source.head if line.strip()]
     except ImucalError:
         return False
-    if len(lines) < 3 or parse_column(lines[0], 0).role is not Role.TIME:
-        return False
-    return all(is_number(line) for line in lines[1:])
+    named = len(lines) > 2 and parse_column(lines[0], 0).role is Role.TIME
+    return named and all(map(is_number, lines[1:]))
 
 
 def _read_times(path: Path) -> ExternalTime:
     with open_text(path) as source:
-        text = b"".join(source.blocks()).split()
+        cells = b"".join(source.blocks()).decode("utf-8", "replace").split()
         column = parse_column(next(line for line in source.head if line.strip()), 0)
-    values = [float(cell) for cell in text if is_number(cell.decode("utf-8", "replace"))]
     unit = parse_time_unit(column.unit) if column.unit else None
     choice = TimeChoice(
         kind="stamp",
@@ -838,7 +739,9 @@ def _read_times(path: Path) -> ExternalTime:
         ns=TIME_UNITS_NS[unit] if unit else None,
         ns_source=f"from the header of {path.name}" if unit else "",
     )
-    return ExternalTime(path=str(path), choice=choice, values=np.array(values, dtype=np.float64))
+    return ExternalTime(
+        path=str(path), choice=choice, values=np.array([float(c) for c in cells if is_number(c)])
+    )
 
 
 #: Texts up to this size, unpacked, are read to be described: they take less than half a second.
@@ -859,7 +762,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
     """
     refuse_topics(path, options, "a table of text")
     if is_set(path):
-        return read_set(path, options)
+        return _read_set(path, options)
     with open_text(path, progress=options.progress) as source:
         recording = read_table(source, options)
         return replace(recording, source=replace(recording.source, files=source.files()))
@@ -876,20 +779,23 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
         If it can't be opened, or is no table.
     """
     if is_set(path):
-        compression, unpacked = "zip" if path.is_file() else "none", unpacked_size(path)
+        with _members(path) as members:
+            unpacked = sum(size for size, _ in members.values())
         whole = unpacked <= _SMALL
-        contents = _described(path, None, compression, partial(read_set, path, options, heads=not whole))
+        compression = "zip" if path.is_file() else "none"
+        contents = _described(path, None, compression, partial(_read_set, path, options, head=not whole))
         return replace(contents if whole else _of_a_part(contents), unpacked_bytes=unpacked)
     size = path.stat().st_size if str(path) != STANDARD_INPUT and path.is_file() else None
-    with open_text(path) as source:
-        compression, lines = source.compression, source.head
     if size is not None and size <= _SMALL:
         try:
-            return _described(path, size, compression, partial(_read_short, path, options))
+            with open_text(path, progress=options.progress, most=_SMALL) as source:
+                return _described(path, size, source.compression, partial(read_table, source, options))
         except LongerError:
             # A few bytes may unpack to very many.
             pass
-    contents = _described(path, size, compression, partial(read_head, str(path), lines, options, path.name))
+    with open_text(path) as source:
+        reading = partial(read_table, source, options, name=path.name, head=True)
+        contents = _described(path, size, source.compression, reading)
     return replace(_of_a_part(contents), unpacked_bytes=max(size or 0, _SMALL + 1))
 
 
@@ -897,11 +803,6 @@ def _of_a_part(contents: LogContents) -> LogContents:
     """Return what the head tells: rate and columns, but not how many rows there are."""
     topics = tuple(replace(topic, count=None, duration_s=None) for topic in contents.topics)
     return replace(contents, topics=topics, duration_s=None)
-
-
-def _read_short(path: Path, options: ReadOptions) -> Recording:
-    with open_text(path, progress=options.progress, most=_SMALL) as source:
-        return read_table(source, options)
 
 
 def _described(

@@ -8,7 +8,7 @@ import pytest
 
 from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.readers.tables.text_table import _is_time_file, _merged, _read_times
+from imucal.readers.tables.text_table import _is_time_file, _read_times, merge
 from imucal.recording import AxisSeries, Recording, Sensor, Source, Temperature
 
 
@@ -61,7 +61,7 @@ def test_recordings_of_two_files_become_one() -> None:
     """The gyroscope first; what both say is said once; the first temperature there is."""
     accel = recording(Sensor.ACCELEROMETER, 5, "both", "accel")
     gyro = recording(Sensor.GYROSCOPE, 7, "both", "gyro", temperature=True)
-    whole = _merged([accel, gyro], ["a.csv", "g.csv"], "folder")
+    whole = merge([accel, gyro], ["a.csv", "g.csv"], "folder")
     assert [series.sensor for series in whole.series] == [Sensor.GYROSCOPE, Sensor.ACCELEROMETER]
     assert [series.clock.start_ns for series in whole.series] == [7, 5]
     assert whole.source.path == "folder"
@@ -77,7 +77,7 @@ def test_recordings_of_two_files_become_one() -> None:
 def test_a_recording_of_one_file_is_itself() -> None:
     """Under the name of the set."""
     gyro = recording(Sensor.GYROSCOPE, 7, "one")
-    whole = _merged([gyro], ["g.csv"], "folder")
+    whole = merge([gyro], ["g.csv"], "folder")
     assert whole.source.path == "folder"
     assert (whole.series, whole.findings) == (gyro.series, gyro.findings)
     assert whole.source.decisions == gyro.source.decisions
@@ -86,8 +86,8 @@ def test_a_recording_of_one_file_is_itself() -> None:
 def test_clocks_that_are_equal_become_one() -> None:
     """So that what is found about them is found once."""
     parts = [recording(Sensor.ACCELEROMETER, 5), recording(Sensor.GYROSCOPE, 5)]
-    first, second = _merged(parts, ["a", "g"], "folder").series
+    first, second = merge(parts, ["a", "g"], "folder").series
     assert first.clock is second.clock
     parts = [recording(Sensor.ACCELEROMETER, 5), recording(Sensor.GYROSCOPE, 6)]
-    first, second = _merged(parts, ["a", "g"], "folder").series
+    first, second = merge(parts, ["a", "g"], "folder").series
     assert (first.clock.start_ns, second.clock.start_ns) == (6, 5)

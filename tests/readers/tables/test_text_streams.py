@@ -1,7 +1,10 @@
 """The first bytes of a text say how it is packed and encoded, its size about how many lines there are."""
 
+import bz2
 import gzip
 import io
+import lzma
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,7 +16,6 @@ from imucal.readers.tables.text_source import (
     find_encoding,
     open_text,
     read_fully,
-    unpacked,
 )
 
 
@@ -91,19 +93,19 @@ class Drops(io.BytesIO):
         return super().read(2 if size is None or size < 0 else min(size, 2))
 
 
-def test_bytes_put_back() -> None:
-    """What was looked at is read again, in any pieces."""
-    raw = Drops(b"abcdefgh")
-    assert read_fully(raw, 3) == b"abc"
-    stream = unpacked(b"abc", raw, "none")
-    assert stream.readable()
-    assert [stream.read(2), stream.read(2), stream.read(2)] == [b"ab", b"c", b"de"]
-    assert unpacked(b"abc", io.BytesIO(b"def"), "none").read() == b"abcdef"
+@pytest.mark.parametrize("pack", [bytes, gzip.compress, bz2.compress, lzma.compress])
+def test_a_slow_pipe_is_read_whole(pack: Callable[[bytes], bytes]) -> None:
+    """What was looked at to tell the compression is read again, however few bytes come at a time."""
+    text = b"1,2\n" * 50
+    assert read_fully(Drops(text), 3) == text[:3]
     assert read_fully(Drops(b"abc"), 9) == b"abc"
+    source = TextSource("log", Drops(pack(text)))
+    assert (source.head, source.findings) == (["1,2"] * 50, [])
+    assert b"".join(source.blocks()) == text
 
 
 def opened(data: bytes, size: int | None) -> TextSource:
-    return TextSource("log", io.BytesIO(data), size=size, progress=None)
+    return TextSource("log", io.BytesIO(data), size=size)
 
 
 @pytest.mark.parametrize(
