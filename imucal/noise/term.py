@@ -41,8 +41,9 @@ class Words:
 class NoiseTerm(ABC):
     """One term of a noise model. A subclass and its line in `TERMS` are all that a new term needs.
 
-    Its dataclass fields are its parameters, the coefficient first; they name themselves in a model's
-    text: ``N=1e-3`` for one, ``GM(sigma=1e-4, T=50)`` for several. Three methods define the noise:
+    Its dataclass fields are its parameters, the coefficient first, to which the noise is proportional;
+    they name themselves in a model's text: ``N=1e-3`` for one, ``GM(sigma=1e-4, T=50)`` for several. A
+    fit can estimate a coefficient by itself or with a time ``T`` in s. Three methods define the noise:
     `structure`, `psd` and `simulate`; the others follow from them, and are overridden where there is
     a closed form.
 
@@ -205,12 +206,50 @@ class NoiseTerm(ABC):
         """
         frequency = (first + (count - 1) / 2) / (2 * n * tau0)
         expectation = self.psd(frequency, tau0) / tau0
-        slopes = []
-        for name in self.parameters():
+        slopes = [2 * expectation]
+        for name in self.parameters()[1:]:
             value = getattr(self, name)
             above, below = (replace(self, **{name: value * np.exp(s)}) for s in (_STEP, -_STEP))
             slopes.append((above.psd(frequency, tau0) - below.psd(frequency, tau0)) / (2 * _STEP * tau0))
         return expectation, np.array(slopes)
+
+    @classmethod
+    def dct_shapes(
+        cls, log_time: FloatArray, lam: FloatArray, length: FloatArray, sign: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return `dct_slopes` of many terms of unit deviation per sample at once, for the fits.
+
+        Parameters
+        ----------
+        log_time
+            Logs of the times in samples, shape (c, 1); of no matter to a term without one.
+        lam
+            4 sin²(theta_k / 2), averaged over each bin, shape (b,).
+        length
+            Number of samples of the series each bin belongs to, shape (b,).
+        sign
+            (-1)^k for bins of a single ordinate, 0 for wider ones, shape (b,).
+
+        Returns
+        -------
+        expectation, slope
+            Shapes (c, b): the mean of E[X_k²], and its derivative in the log of the time. Term by term
+            here; where that is too slow, overridden.
+        """
+        omega = 2 * np.arcsin(np.sqrt(np.minimum(lam, 4.0)) / 2)
+        # A bin's middle is what matters of a wide one, and which ordinate it is of a single one.
+        middle = length * omega / np.pi
+        count = np.where(sign == 0, 2, 1)
+        first = np.where(sign == 0, middle - 0.5, np.rint(middle))
+        expectation, slope = np.zeros((2, log_time.size, lam.size))
+        timed = len(cls.parameters()) > 1
+        for row, time in enumerate(np.exp(log_time[:, 0]).tolist()):
+            term = cls.of(1 / cls.per_sample(1.0), *[time] * timed)
+            for n in np.unique(length).tolist():
+                own = length == n
+                expectation[row, own], slopes = term.dct_slopes(round(n), first[own], count[own], 1.0)
+                slope[row, own] = slopes[1] if timed else 0.0
+        return expectation, slope
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

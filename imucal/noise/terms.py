@@ -260,6 +260,12 @@ class GaussMarkov(NoiseTerm):
         # The hump: 0.437 q sqrt(T) = 0.617 sigma at 1.89 T, where q² = 2 sigma²/T drives it.
         return 1.89 * self.T, 0.617 * self.sigma
 
+    @classmethod
+    def dct_shapes(
+        cls, log_time: FloatArray, lam: FloatArray, length: FloatArray, sign: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        return gauss_markov_dct(log_time, lam, length, sign)
+
     def dct_slopes(
         self, n: int, first: IntArray, count: IntArray, tau0: float
     ) -> tuple[FloatArray, FloatArray]:
@@ -314,8 +320,13 @@ def require_fittable(symbols: Iterable[str], method: str) -> None:
     """
     for symbol in symbols:
         term = TERMS[symbol]
+        refusal = f"method {method!r} can't fit {symbol} ({term.names[0]})"
         if method not in term.fitted_by:
             others = " or ".join(repr(name) for name in sorted(term.fitted_by))
-            msg = f"method {method!r} can't fit {symbol} ({term.names[0]}); leave {symbol} out"
+            msg = f"{refusal}; leave {symbol} out"
             msg += f" or use method {others}" if others else ", no other method can fit it either"
+            raise ValueError(msg)
+        if term.parameters()[1:] not in {(), ("T",)}:
+            found, wanted = ", ".join(term.parameters()), "a coefficient and at most a time T"
+            msg = f"{refusal}: it has {found}, expected {wanted}; leave {symbol} out"
             raise ValueError(msg)

@@ -191,7 +191,7 @@ def _maximum(samples: FloatArray, model: str, key: str) -> float:
     )
     if key == "R":
         return float(abs(choice.maximum.beta[0, 0])) * view.blocks.scale
-    column = dict(parameter_columns(structure, choice.candidates.room_markov))[
+    column = dict(parameter_columns(structure, choice.candidates.room))[
         f"{key}.sigma" if key.startswith("GM") else key
     ]
     return float(np.exp(choice.maximum.theta[0, column] / 2)) * view.blocks.scale

@@ -28,10 +28,10 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.estimates import Fitted
 from imucal.fitting.spectral.likelihood import Candidates
-from imucal.fitting.spectral.ordinates import MARKOV, Ordinates, coarser
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, coarser
 from imucal.fitting.spectral.scoring import Maximum, covariance, maximize, misfit
 from imucal.fitting.spectral.starts import find_starts
-from imucal.fitting.spectral.structures import Structure, candidates_of
+from imucal.fitting.spectral.structures import Structure, candidates_of, shaped_symbols
 
 _NUMBER = ("no", "one", "two", "three", "four", "five")
 #: Largest difference of |H|² from a Butterworth filter's that is called one.
@@ -83,7 +83,7 @@ def _power(ordinates: Ordinates, fitted: Fitted, frequency: FloatArray) -> Float
     """Return |H|² at fractions of Nyquist."""
     lam = 4 * np.sin(np.pi / 2 * frequency) ** 2
     poles, zeros = int(fitted.candidate.poles[0]), int(fitted.candidate.zeros[0])
-    first = MARKOV + 2 * fitted.candidate.room_markov
+    first = fitted.candidate.response
     response = fitted.maximum.theta[0, first : first + poles]
     denominator = 1 + (lam[:, None] / ordinates.top) ** np.arange(1, poles + 1) @ response
     power: FloatArray = (1 - lam / 4) ** zeros / denominator
@@ -249,15 +249,15 @@ def find_band(
         Terms of a model that holds all the candidates; Q counts only where the response is flat,
         because both bend the top of the spectrum.
     shortest
-        Shortest correlation time of its Gauss-Markov terms, in samples.
+        Shortest correlation time of its terms, in samples.
     common
         Regressors that are in every model.
     given
-        Terms that the caller gave: where its Gauss-Markov terms of any length describe the whole
+        Terms that the caller gave: where those with a time of any length describe the whole
         band beside white noise, they are believed.
     """
     coarse = coarser(ordinates.below(1.0), singles=48, merge=3)
-    if given is not None and "GM" in given:
+    if given is not None and shaped_symbols(given):
         own = _BandSearch(coarse, given, 2.0, common)
         flat = own.flat()
         if flat and (own.white_at_the_top() or "N" not in given):
@@ -277,7 +277,7 @@ class _BandSearch:
     ) -> None:
         self.ordinates, self.structure = ordinates, structure
         self.shortest, self.common = shortest, common
-        self.width = MARKOV + 2 * structure.count("GM")
+        self.width = SHAPED + 2 * len(shaped_symbols(structure))
 
     def candidates(self, orders: list[Order]) -> Candidates:
         return candidates_of(

@@ -20,10 +20,10 @@ import numpy as np
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, quantile
 from imucal.fitting.spectral.likelihood import Candidates
-from imucal.fitting.spectral.ordinates import LAWS, MARKOV
+from imucal.fitting.spectral.ordinates import LAWS, SHAPED
 from imucal.fitting.spectral.scoring import bounds, maximize
 from imucal.fitting.spectral.selection import RankedModels
-from imucal.fitting.spectral.structures import Structure, candidates_of
+from imucal.fitting.spectral.structures import Structure, candidates_of, shaped_symbols
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 
 #: Symbol of a power-law term -> its column in a row of parameters.
@@ -63,13 +63,13 @@ def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
 def _can_not_stay(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> list[Estimate]:
     """Return the terms of which one must go before the others' estimates mean something.
 
-    Gauss-Markov terms without power, whose time means nothing but makes others unsure; else terms
+    Terms with a time but without power, whose time means nothing but makes others unsure; else terms
     that may stand for one another: each may be zero, but not all together.
     """
     gone = [e for e in estimates if e.status == "bounded"]
-    markov = [e for e in gone if e.symbol == "GM"]
-    if markov or len(gone) < 2 or _may_all_be_absent(problem, fitted, gone):
-        return markov
+    timed = [e for e in gone if len(TERMS[e.symbol].parameters()) > 1]
+    if timed or len(gone) < 2 or _may_all_be_absent(problem, fitted, gone):
+        return timed
     return gone
 
 
@@ -86,17 +86,15 @@ def _may_all_be_absent(problem: Problem, fitted: Fitted, gone: list[Estimate]) -
 def numbered(
     estimates: tuple[Estimate, ...], names: tuple[str, ...]
 ) -> tuple[tuple[Estimate, ...], tuple[str, ...]]:
-    """Return estimates and parameters where each of several Gauss-Markov terms has a number.
+    """Return estimates and parameters where each of several terms of one kind has a number.
 
-    One that stayed when others were dropped was called ``GM``; it comes first.
+    One that stayed when others were dropped was called by its symbol alone; it comes first.
     """
-    if sum(e.symbol == "GM" for e in estimates) < 2 or all(e.key != "GM" for e in estimates):
-        return estimates, names
-    others = (e.key for e in estimates if e.symbol == "GM" and e.key != "GM")
-    keys = {"GM": "GM1"} | {key: f"GM{index + 2}" for index, key in enumerate(sorted(others))}
-    result = [replace(e, key=keys[e.key]) if e.symbol == "GM" else e for e in estimates]
-    result.sort(key=lambda e: (list(TERMS).index(e.symbol), e.key))
-    return tuple(result), tuple(name.replace("GM.", "GM1.") for name in names)
+    every = sorted(estimates, key=lambda e: (list(TERMS).index(e.symbol), e.key))
+    keys = term_keys(e.symbol for e in every)
+    new = {e.key: key for e, key in zip(every, keys, strict=True)}
+    result = tuple(replace(e, key=new[e.key]) for e in every)
+    return result, tuple(".".join((new[key], *rest)) for key, *rest in (n.split(".") for n in names))
 
 
 def _without_least(problem: Problem, fitted: Fitted, gone: list[Estimate]) -> tuple[Fitted, Estimate]:
@@ -107,7 +105,7 @@ def _without_least(problem: Problem, fitted: Fitted, gone: list[Estimate]) -> tu
 
 
 def fitted_model(choice: RankedModels, index: int) -> Fitted:
-    """Return one of the ranked models, its Gauss-Markov terms by rising time."""
+    """Return one of the ranked models, terms of one kind by rising time."""
     row = np.array([index])
     return Fitted(
         structure=choice.structures[index],
@@ -120,16 +118,13 @@ def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
     """Return the fit of the structure without some of its terms, started where it stands."""
     terms = list(zip(term_keys(fitted.structure), fitted.structure, strict=True))
     structure = tuple(symbol for key, symbol in terms if key not in keys)
-    candidate = _like(problem, fitted, structure, structure.count("GM"))
-    start = np.zeros((1, candidate.width))
-    start[0, :MARKOV] = fitted.maximum.theta[0, :MARKOV]
-    old_room, room = fitted.candidate.room_markov, candidate.room_markov
-    markov = [key for key, symbol in terms if symbol == "GM"]
-    places = [i for i, key in enumerate(markov) if key not in keys]
-    for new, old in enumerate(places):
-        start[0, MARKOV + new] = fitted.maximum.theta[0, MARKOV + old]
-        start[0, MARKOV + room + new] = fitted.maximum.theta[0, MARKOV + old_room + old]
-    start[0, MARKOV + 2 * room :] = fitted.maximum.theta[0, MARKOV + 2 * old_room :]
+    old = fitted.candidate
+    shaped = [key for key, symbol in terms if symbol in shaped_symbols(fitted.structure)]
+    places = [i for i, key in enumerate(shaped) if key not in keys]
+    candidate = _like(problem, fitted, structure, len(places))
+    times = [old.variances + i for i in places]
+    columns = [*range(SHAPED), *(SHAPED + i for i in places), *times, *range(old.response, old.width)]
+    start = fitted.maximum.theta[:, columns]
     maximum = maximize(problem.ordinates, candidate, start, shortest=problem.shortest)
     return Fitted(structure=structure, candidate=candidate, maximum=maximum)
 
@@ -142,14 +137,14 @@ def _like(problem: Problem, fitted: Fitted, structure: Structure, room: int) -> 
         poles=int(fitted.candidate.poles[0]),
         zeros=int(fitted.candidate.zeros[0]),
         common=problem.common,
-        room_markov=room,
+        room_shaped=room,
     )
 
 
 def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
     """Return the fit with a power-law term added, started from almost none of it."""
     structure = in_order((*fitted.structure, symbol))
-    candidate = _like(problem, fitted, structure, fitted.candidate.room_markov)
+    candidate = _like(problem, fitted, structure, fitted.candidate.room)
     low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
     column = COLUMN[symbol]
     starts = np.repeat(fitted.maximum.theta, 2, axis=0)

@@ -10,6 +10,7 @@ Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1
 of freedom: Satterthwaite (1946), Biometrics Bulletin 2, 110.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval
 from imucal.fitting.spectral.likelihood import Candidates
-from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
+from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximize, misfit_factors
 from imucal.fitting.spectral.structures import Structure, parameter_columns
 from imucal.noise.model import NoiseModel
@@ -108,8 +109,7 @@ class _ProfileSearch:
         self.theta = maximum.theta[rows].copy()
         self.peak = maximum.objective[rows]
         self.ramp = columns == RAMP
-        room = candidates.room_markov
-        self.variance = (columns >= 0) & (columns < MARKOV + room)
+        self.variance = (columns >= 0) & (columns < candidates.variances)
         self.free = candidates.free.copy()
         plain = np.flatnonzero(~self.ramp)
         self.free[plain, columns[plain]] = False
@@ -213,16 +213,20 @@ class Fitted:
     candidate: Candidates
     maximum: Maximum
 
+    def columns(self, beside: Iterable[str] = ()) -> list[tuple[str, int]]:
+        """Return name and column of each parameter but R, those of power laws `beside` it too."""
+        return parameter_columns(in_order((*self.structure, *beside)), self.candidate.room)
+
     def by_time(self) -> "Fitted":
-        """Return the same with its Gauss-Markov terms by rising correlation time."""
-        count, room = self.structure.count("GM"), self.candidate.room_markov
-        if count < 2:
-            return self
-        order = np.argsort(self.maximum.theta[0, MARKOV + room : MARKOV + room + count])
-        index = np.arange(self.candidate.width)
-        index[MARKOV : MARKOV + count] = MARKOV + order
-        index[MARKOV + room : MARKOV + room + count] = MARKOV + room + order
-        old = self.maximum
+        """Return the same with terms of one kind by rising correlation time."""
+        old, candidate = self.maximum, self.candidate
+        first, stop = candidate.variances, candidate.response
+        # What is no term stays behind them.
+        kind = np.where(candidate.shaped[0] < 0, len(candidate.kinds), candidate.shaped[0])
+        order = np.lexsort((old.theta[0, first:stop], kind))
+        index = np.arange(candidate.width)
+        index[first - order.size : first] = first - order.size + order
+        index[first:stop] = first + order
         information = old.information[:, index][:, :, index]
         return replace(self, maximum=replace(old, theta=old.theta[:, index], information=information))
 
@@ -265,7 +269,7 @@ class Problem:
         """Return the limits of some parameters of a fit, shape (k,) each; see `profile_limits`."""
         rows, places = np.zeros(len(columns), dtype=np.int64), np.array(columns)
         reach = np.full(places.size, quantile(self.level))
-        variances = (places >= 0) & (places < MARKOV + fitted.candidate.room_markov)
+        variances = (places >= 0) & (places < fitted.candidate.variances)
         inverse = covariance(fitted.maximum.information[0], fitted.candidate.free[0])
         deviation = np.sqrt(np.diag(inverse)[places[variances]])
         reach[variances] = student_quantile(self.level, deviation)
@@ -281,7 +285,7 @@ class Problem:
 
 def estimate(problem: Problem, fitted: Fitted) -> tuple[Estimate, ...]:
     """Return an estimate of each term of a fitted structure; those whose interval holds 0 bounded."""
-    columns = parameter_columns(fitted.structure, fitted.candidate.room_markov)
+    columns = fitted.columns()
     if "R" in fitted.structure:
         columns.append(("R", RAMP))
     lows, highs = problem.limits(fitted, [column for _, column in columns])
@@ -312,7 +316,7 @@ def _term(problem: Problem, key: str, symbol: str, table: dict[str, tuple[float,
         return Estimate.bounded(key, symbol, float(unit * np.exp(high / 2)))
     low = value - widening * (value - low)
     ends = [float(unit * np.exp(x / 2)) for x in (value, low, high)]
-    time = _time(table[f"{key}.T"], problem.tau0) if symbol == "GM" else None
+    time = _time(table[f"{key}.T"], problem.tau0) if f"{key}.T" in table else None
     return Estimate(
         key=key,
         symbol=symbol,
@@ -334,7 +338,7 @@ def covariance_of(
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the names of the parameters and their covariance in SI, from the expected information."""
     known = {e.key: e for e in estimates if e.value is not None}
-    every = parameter_columns(fitted.structure, fitted.candidate.room_markov)
+    every = fitted.columns()
     columns = [(name, column) for name, column in every if name.partition(".")[0] in known]
     places = [column for _, column in columns]
     inverse = covariance(fitted.maximum.information[0], fitted.candidate.free[0])
@@ -365,7 +369,7 @@ def misfits_of(problem: Problem, fitted: Fitted, found: Goodness) -> dict[str, f
         return {}
     factors = misfit_factors(problem.ordinates, fitted.candidate, fitted.maximum.theta)
     missing = [symbol for symbol in ALWAYS if symbol not in fitted.structure]
-    columns = parameter_columns(in_order((*fitted.structure, *missing)), fitted.candidate.room_markov)
+    columns = fitted.columns(missing)
     largest: dict[str, float] = {}
     for name, column in columns:
         if column < factors.size:

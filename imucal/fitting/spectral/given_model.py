@@ -36,10 +36,10 @@ from imucal.fitting.spectral.blocks import joined, ordinates_of
 from imucal.fitting.spectral.bounds import add_term, estimate_or_bound, fitted_model, numbered, with_absent
 from imucal.fitting.spectral.estimates import Fitted, Problem, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import derivatives
-from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
+from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximize, misfit
 from imucal.fitting.spectral.selection import choose
-from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, parameter_columns, richest
+from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, richest
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS
 
@@ -182,11 +182,10 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
     if len(fit.records) < 2:
         return ()
     records = [_Record(one, fit) for one in fit.records]
-    room = fit.whole.candidate.room_markov
     terms = [
         (name.partition(".")[0], column)
-        for name, column in parameter_columns(fit.whole.structure, room)
-        if column < MARKOV + room
+        for name, column in fit.whole.columns()
+        if column < fit.whole.candidate.variances
     ]
     columns = np.array([column for _, column in terms])
     peaks = np.array([record.deviations(columns) for record in records])
@@ -249,7 +248,7 @@ class _Record:
         own = np.einsum("iib->i", ordinates.gram) > 0
         joint = fit.whole.candidate
         self.candidate = replace(joint, regressors=joint.regressors & own)
-        variances = np.arange(self.candidate.width) < MARKOV + self.candidate.room_markov
+        variances = np.arange(self.candidate.width) < self.candidate.variances
         self.free = self.candidate.free & variances
         self.low, _ = bounds(ordinates, self.candidate, shortest=self.shortest)
         start = fit.whole.maximum.theta
@@ -348,13 +347,10 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     """
     problem, fitted = found.problem, found.whole
     ordinates, candidate = problem.ordinates, fitted.candidate
-    room = candidate.room_markov
-    columns = [
-        (name, column) for name, column in parameter_columns(fitted.structure, room) if column < MARKOV + room
-    ]
+    columns = [(name, column) for name, column in fitted.columns() if column < candidate.variances]
     places = [column for _, column in columns]
     unit = fitted.maximum.theta.copy()
-    unit[:, : MARKOV + room] = 0.0
+    unit[:, : candidate.variances] = 0.0
     slopes = derivatives(ordinates, candidate, unit)
     power = _rest(ordinates, fitted.maximum.beta[0])
     start = np.exp(fitted.maximum.theta[0, places])
@@ -433,11 +429,14 @@ def _nuisance(
 ) -> FloatArray:
     """Return the derivatives of the spectrum in correlation times and response, shape (j, b)."""
     candidate = fitted.candidate
-    room, markov = candidate.room_markov, fitted.structure.count("GM")
-    times = [variance[MARKOV + i] * slopes[MARKOV + room + i] for i in range(markov)]
-    first = MARKOV + 2 * room
-    whole = slopes[: MARKOV + room].sum(axis=0)
-    response = [slopes[first + i] / whole * spectrum for i in range(int(candidate.poles[0]))]
+    room = candidate.response - candidate.variances
+    times = [
+        variance[place - room] * slopes[place]
+        for place in range(candidate.variances, candidate.response)
+        if candidate.free[0, place]
+    ]
+    whole = slopes[: candidate.variances].sum(axis=0)
+    response = [slopes[candidate.response + i] / whole * spectrum for i in range(int(candidate.poles[0]))]
     return np.array([*times, *response]).reshape(-1, spectrum.size)
 
 

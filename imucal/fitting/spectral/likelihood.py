@@ -11,7 +11,7 @@ likelihood", on the DCT instead of the Fourier transform, which removes its leak
 
 Parameters of a candidate stand in one row, the same place for every candidate:
 
-    log variances of Q, N, B, K | log variances of GM 1 … g | logs of their times | response a_1 … a_j
+    log variances of Q, N, B, K | log variances of g other terms | logs of their times | response a_1 … a_j
 
 with the response of the output filter |H|² = (1 - lam/4)^zeros / (1 + sum a_i (lam/top)^i).
 """
@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
-from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
-from imucal.noise.term import gauss_markov_dct
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
+from imucal.noise.term import NoiseTerm
 
 #: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10
@@ -41,40 +41,59 @@ class Candidates:
     ----------
     laws
         Whether Q, N, B, K are in it, shape (c, 4).
-    markov
-        Number of Gauss-Markov terms, shape (c,).
+    shaped
+        Which of `kinds` each of its other terms is, -1 for none, shape (c, g).
+    kinds
+        Terms whose shape is no power law: a spectrum with a time in it.
     poles, zeros
         Order of the response's denominator and numerator, shape (c,).
     regressors
         Which of the ordinates' regressors are in it, shape (c, r).
-    room_markov, room_poles
-        Columns kept for each: the greatest of `markov` and `poles`, or more.
+    room_poles
+        Columns kept for the response: the greatest of `poles`, or more.
     """
 
     laws: BoolArray
-    markov: IntArray
+    shaped: IntArray
+    kinds: tuple[type[NoiseTerm], ...]
     poles: IntArray
     zeros: IntArray
     regressors: BoolArray
-    room_markov: int
     room_poles: int
 
     @property
     def count(self) -> int:
         """Number of candidates, c."""
-        return self.markov.size
+        return len(self.laws)
+
+    @property
+    def room(self) -> int:
+        """Most terms of other shapes, g."""
+        size: int = self.shaped.shape[1]
+        return size
+
+    @property
+    def variances(self) -> int:
+        """Number of variances, with which a row begins; the times follow."""
+        return SHAPED + self.room
+
+    @property
+    def response(self) -> int:
+        """Where in a row the response begins."""
+        return SHAPED + 2 * self.room
 
     @property
     def width(self) -> int:
         """Number of parameters in a row, p."""
-        return MARKOV + 2 * self.room_markov + self.room_poles
+        return self.response + self.room_poles
 
     @property
     def free(self) -> BoolArray:
         """Which parameters each candidate has, shape (c, p)."""
-        has_markov = np.arange(self.room_markov) < self.markov[:, None]
+        # The last one is that of no term, which stands as -1.
+        timed = np.array([*(len(kind.parameters()) > 1 for kind in self.kinds), False])
         has_pole = np.arange(self.room_poles) < self.poles[:, None]
-        return np.concatenate([self.laws, has_markov, has_markov, has_pole], axis=1)
+        return np.concatenate([self.laws, self.shaped >= 0, timed[self.shaped], has_pole], axis=1)
 
     @property
     def parameters(self) -> IntArray:
@@ -84,7 +103,7 @@ class Candidates:
 
     def take(self, index: IntArray | BoolArray) -> "Candidates":
         """Return some of the candidates; an index may stand more than once."""
-        rows = ("laws", "markov", "poles", "zeros", "regressors")
+        rows = ("laws", "shaped", "poles", "zeros", "regressors")
         return replace(self, **{name: getattr(self, name)[index] for name in rows})
 
 
@@ -154,7 +173,7 @@ def contributions(ordinates: Ordinates, candidate: Candidates, theta: FloatArray
     A row for each variance parameter, the response included, shape (4 + g, b); 0 for terms that the
     candidate does not have.
     """
-    return derivatives(ordinates, candidate, theta)[: MARKOV + candidate.room_markov]
+    return derivatives(ordinates, candidate, theta)[: candidate.variances]
 
 
 def derivatives(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> FloatArray:
@@ -168,23 +187,24 @@ def _spectrum(
     ordinates: Ordinates, candidates: Candidates, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return S, shape (c, b), and its logarithmic derivatives, shape (c, p, b)."""
-    room, bins = candidates.room_markov, ordinates.size.size
+    count, bins = candidates.variances, ordinates.size.size
     slopes = np.zeros((candidates.count, candidates.width, bins))
-    variance = np.where(candidates.laws, np.exp(theta[:, :MARKOV]), 0.0)
-    np.multiply(variance[:, :, None], ordinates.basis, out=slopes[:, :MARKOV])
-    # The Gauss-Markov terms of all candidates, as many at a time as stay in the cache.
-    rows, terms = np.nonzero(np.arange(room) < candidates.markov[:, None])
+    variance = np.where(candidates.laws, np.exp(theta[:, :SHAPED]), 0.0)
+    np.multiply(variance[:, :, None], ordinates.basis, out=slopes[:, :SHAPED])
+    # The terms of one kind of all candidates, as many at a time as stay in the cache.
     step = max(_CACHED // bins, 1)
-    for start in range(0, rows.size, step):
-        row, term = rows[start : start + step], terms[start : start + step]
-        shape, slope = gauss_markov_dct(
-            theta[row, MARKOV + room + term][:, None], ordinates.lam, ordinates.length, ordinates.sign
-        )
-        level = np.exp(theta[row, MARKOV + term])[:, None]
-        slopes[row, MARKOV + term] = level * shape
-        slopes[row, MARKOV + room + term] = level * slope
-    spectrum = slopes[:, : MARKOV + room].sum(axis=1)
-    slopes[:, : MARKOV + 2 * room] /= spectrum[:, None, :]
+    for index, kind in enumerate(candidates.kinds):
+        rows, terms = np.nonzero(candidates.shaped == index)
+        for start in range(0, rows.size, step):
+            row, term = rows[start : start + step], terms[start : start + step]
+            shape, slope = kind.dct_shapes(
+                theta[row, count + term][:, None], ordinates.lam, ordinates.length, ordinates.sign
+            )
+            level = np.exp(theta[row, SHAPED + term])[:, None]
+            slopes[row, SHAPED + term] = level * shape
+            slopes[row, count + term] = level * slope
+    spectrum = slopes[:, :count].sum(axis=1)
+    slopes[:, : candidates.response] /= spectrum[:, None, :]
     if candidates.room_poles:
         _filter(ordinates, candidates, theta, spectrum, slopes)
     return spectrum, slopes
@@ -198,7 +218,7 @@ def _filter(
     slopes: FloatArray,
 ) -> None:
     """Multiply the spectrum by the response and add its slopes, in place."""
-    first = MARKOV + 2 * candidates.room_markov
+    first = candidates.response
     rows = np.flatnonzero((candidates.poles > 0) | (candidates.zeros > 0))
     if not rows.size:
         return

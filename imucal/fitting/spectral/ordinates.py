@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 #: The power-law terms, in the order of a rising slope.
 LAWS = tuple(PowerLaw)
-#: Where in a row of parameters, which begins with their variances, the Gauss-Markov terms begin.
-MARKOV = len(LAWS)
+#: Where in a row of parameters, which begins with their variances, the terms of other shapes begin.
+SHAPED = len(LAWS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

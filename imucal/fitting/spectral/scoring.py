@@ -11,7 +11,7 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Goodness
 from imucal.fitting.spectral.likelihood import Candidates, Evaluation, contributions, evaluate
-from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 
 #: A term whose share of every bin is below exp(-_ABSENT) is absent.
 _ABSENT = 18.0
@@ -91,17 +91,17 @@ def bounds(ordinates: Ordinates, candidates: Candidates, *, shortest: float) -> 
     A variance may fall until its term is invisible in every bin; a correlation time lies between
     `shortest` samples and twice the record.
     """
-    room = candidates.room_markov
+    times = slice(candidates.variances, candidates.response)
     eighths = np.arange(0, ordinates.size.size, 8)
     power = np.add.reduceat(ordinates.power, eighths) + 1e-300
     level = power / np.add.reduceat(ordinates.size, eighths)
     visible = np.log(np.min(level / ordinates.basis[:, eighths], axis=1))
     low = np.full(candidates.width, -np.inf)
     high = np.full(candidates.width, np.inf)
-    low[:MARKOV] = visible - _ABSENT
-    low[MARKOV : MARKOV + room] = np.log(level.min()) - _ABSENT - np.log(ordinates.samples)
-    low[MARKOV + room : MARKOV + 2 * room] = np.log(shortest)
-    high[MARKOV + room : MARKOV + 2 * room] = np.log(2 * ordinates.samples)
+    low[:SHAPED] = visible - _ABSENT
+    low[SHAPED : candidates.variances] = np.log(level.min()) - _ABSENT - np.log(ordinates.samples)
+    low[times] = np.log(shortest)
+    high[times] = np.log(2 * ordinates.samples)
     return low, high
 
 

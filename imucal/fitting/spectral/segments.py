@@ -36,7 +36,7 @@ from imucal.fitting.spectral.estimates import Fitted, Problem, quantile
 from imucal.fitting.spectral.likelihood import contributions
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
 from imucal.fitting.spectral.scoring import bounds
-from imucal.fitting.spectral.structures import candidates_of, parameter_columns
+from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, in_order
 from imucal.recording import AxisSeries
@@ -412,7 +412,7 @@ class _Tests:
             (),
             poles=int(old.poles[0]),
             zeros=int(old.zeros[0]),
-            room_markov=old.room_markov,
+            room_shaped=old.room,
         )
         theta = fitted.maximum.theta.copy()
         theta[:, self.absent] = bounds(problem.ordinates, candidate, shortest=problem.shortest)[0][
@@ -422,7 +422,7 @@ class _Tests:
         self.whole = np.delete(self.spectra, self.absent, axis=0).sum(axis=0)
         for column in self.absent:
             self.spectra[column] *= _SHARE / np.max(self.spectra[column] / self.whole)
-        self.columns = dict(parameter_columns(self.structure, old.room_markov))
+        self.columns = dict(fitted.columns(missing))
         self.spans = np.stack([segments.start_s, segments.end_s], axis=1)
 
     def terms(self) -> tuple[TermHomogeneity, ...]:

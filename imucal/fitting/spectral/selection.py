@@ -64,7 +64,7 @@ def choose(
     Parameters
     ----------
     shortest
-        Shortest correlation time of a Gauss-Markov term, in samples.
+        Shortest correlation time of a term, in samples.
     band
         The output filter's response: its order, and coefficients to start from.
     common
@@ -204,10 +204,11 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
 def _difference(choice: RankedModels, count: int) -> str:
     """Return which terms are in some of the near models only, in words."""
     sets = [set(structure) for structure in choice.structures[:count]]
-    numbers = [structure.count("GM") for structure in choice.structures[:count]]
     unsure = sorted({s for one in sets for s in one if not all(s in other for other in sets)})
     if not unsure:
-        return f"between {min(numbers)} and {max(numbers)} GM terms"
+        counts = {s: {structure.count(s) for structure in choice.structures[:count]} for s in sets[0]}
+        symbol, numbers = next((s, found) for s, found in counts.items() if len(found) > 1)
+        return f"between {min(numbers)} and {max(numbers)} {symbol} terms"
     if len(unsure) == 1:
         return f"{unsure[0]} may or may not be there"
     return f"{', '.join(unsure[:-1])} and {unsure[-1]} may stand for one another"

@@ -1,7 +1,7 @@
 """Blind starting values: a non-negative mixture of fixed spectra, on coarse bins.
 
-Every set of terms is a mixture of a dictionary: the four power laws and Gauss-Markov spectra on a
-grid of correlation times. Multiplicative updates of the Itakura-Saito divergence, which is the
+Every set of terms is a mixture of a dictionary: the four power laws, and the spectra of the other
+terms on a grid of correlation times. Multiplicative updates of the Itakura-Saito divergence, which is the
 likelihood, find the weights of all sets at once, without a starting guess and without chance.
 
 Source: Févotte & Idier (2011), Neural Computation 23, "Algorithms for NMF with the
@@ -9,14 +9,14 @@ beta-divergence" (the majorisation-minimisation update, exponent 1/2).
 """
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, groupby, product
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.likelihood import Candidates
-from imucal.fitting.spectral.ordinates import MARKOV, Ordinates, coarser
-from imucal.noise.term import gauss_markov_dct
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, coarser
+from imucal.noise.term import NoiseTerm
 
 _GRID = 16
 #: Rounds of updates, and how many of the best mixtures of each candidate so far they are of.
@@ -44,15 +44,16 @@ def find_starts(
     keep: tuple[int, int, int],
     quick: bool = False,
 ) -> tuple[IntArray, FloatArray]:
-    """Return the best starts of each candidate: `keep` of them for 0, 1, 2 Gauss-Markov terms.
+    """Return the best starts of each candidate: `keep` of them for 0, 1, 2 terms with a time.
 
     That is which candidate each start belongs to, shape (s,), and its parameters, shape (s, p). A
-    candidate with more than two has a single start, its times spread evenly. `quick` judges mixtures after
-    half as many rounds: enough where many candidates start side by side, and the best of them matters.
+    candidate with more than two of a kind has a single start, their times spread evenly. `quick` judges
+    mixtures after half as many rounds: enough where many candidates start side by side, and the best of
+    them matters.
     """
     times = time_grid(ordinates, shortest)
-    plans = [_combinations(int(count)) for count in candidates.markov]
-    every = np.concatenate([_padded(plan, candidates.room_markov) for plan in plans])
+    plans = [_plan([int(kind) for kind in row if kind >= 0]) for row in candidates.shaped]
+    every = np.concatenate([_padded(plan, candidates.room) for plan in plans])
     owner = np.repeat(np.arange(candidates.count), [len(plan) for plan in plans])
     theta = np.empty((owner.size, candidates.width))
     score = np.empty(owner.size)
@@ -64,10 +65,8 @@ def find_starts(
                 coarser(seen), sought, times, candidates, _QUICK if quick else _THOROUGH
             )
     best = [
-        start + np.argsort(score[start : start + len(plan)], kind="stable")[: keep[min(int(count), 2)]]
-        for start, plan, count in zip(
-            np.cumsum([0, *(len(plan) for plan in plans[:-1])]), plans, candidates.markov, strict=True
-        )
+        start + np.argsort(score[start : start + len(plan)], kind="stable")[: keep[min(len(plan[0]), 2)]]
+        for start, plan in zip(np.cumsum([0, *(len(plan) for plan in plans[:-1])]), plans, strict=True)
     ]
     index = np.concatenate(best)
     return owner[index], theta[index]
@@ -80,7 +79,14 @@ def _padded(combos: list[tuple[int, ...]], room: int) -> IntArray:
     return places
 
 
+def _plan(kinds: list[int]) -> list[tuple[int, ...]]:
+    """Return sets of places in the dictionary for terms of these kinds, those of one kind neighbours."""
+    own = [[(kind, place) for place in _combinations(len(list(terms)))] for kind, terms in groupby(kinds)]
+    return [tuple(kind * _GRID + place for kind, places in one for place in places) for one in product(*own)]
+
+
 def _combinations(count: int) -> list[tuple[int, ...]]:
+    """Return sets of places in the grid of one kind."""
     if count > 2:
         return [tuple(np.linspace(0, _GRID - 1, count).round().astype(int).tolist())]
     return list(combinations(range(_GRID), count))
@@ -109,13 +115,12 @@ def _mixtures(
     places = sought.places
     row, column = np.nonzero(places >= 0)
     place = places[row, column]
-    shapes, _ = gauss_markov_dct(
-        np.log(times)[:, None], ordinates.lam, ordinates.length, np.zeros(ordinates.lam.shape)
+    dictionary = np.concatenate(
+        [ordinates.basis, *(_spectra(ordinates, kind, times) for kind in candidates.kinds)]
     )
-    dictionary = np.concatenate([ordinates.basis, shapes])
-    use = np.zeros((len(places), MARKOV + times.size))
-    use[:, :MARKOV] = sought.laws
-    use[row, MARKOV + place] = 1.0
+    use = np.zeros((len(places), len(dictionary)))
+    use[:, :SHAPED] = sought.laws
+    use[row, SHAPED + place] = 1.0
     level = np.maximum(ordinates.power, _TINY) / ordinates.size
     weights = use * np.quantile(level / dictionary, 0.2, axis=1) / use.sum(axis=1, keepdims=True)
     objective = np.zeros(len(places))
@@ -126,10 +131,30 @@ def _mixtures(
         objective[rows] = found
     theta = np.zeros((len(places), candidates.width))
     logs = np.log(weights + _TINY)
-    theta[:, :MARKOV] = logs[:, :MARKOV]
-    theta[row, MARKOV + column] = logs[row, MARKOV + place]
-    theta[row, MARKOV + candidates.room_markov + column] = np.log(times[place])
+    theta[:, :SHAPED] = logs[:, :SHAPED]
+    theta[row, SHAPED + column] = logs[row, SHAPED + place]
+    theta[row, candidates.variances + column] = np.log(times[place % _GRID])
     return theta, objective
+
+
+def _spectra(ordinates: Ordinates, kind: type[NoiseTerm], times: FloatArray) -> FloatArray:
+    """Return a term's spectra at the times of the grid, shape (t, b).
+
+    Raises
+    ------
+    ValueError
+        If it has no density there to be told by.
+    """
+    shapes, _ = kind.dct_shapes(
+        np.log(times)[:, None], ordinates.lam, ordinates.length, np.zeros(ordinates.lam.shape)
+    )
+    if not (np.all(shapes >= 0) and np.all(np.isfinite(shapes)) and np.all(shapes.max(axis=1) > 0)):
+        msg = (
+            f"method 'mle' can't fit {kind.symbol} ({kind.names[0]}): its psd is 0, negative or not finite, "
+            f"expected a density that a spectrum shows; leave {kind.symbol} out"
+        )
+        raise ValueError(msg)
+    return np.maximum(shapes, _TINY)
 
 
 def _best_of_each(objective: FloatArray, owner: IntArray, most: int) -> IntArray:

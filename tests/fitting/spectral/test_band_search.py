@@ -20,7 +20,7 @@ from imucal.fitting.spectral.band import (
     start_response,
 )
 from imucal.fitting.spectral.likelihood import evaluate
-from imucal.fitting.spectral.ordinates import MARKOV, Ordinates
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from imucal.fitting.spectral.scoring import Maximum
 from imucal.fitting.spectral.structures import candidates_of
 from tests.fitting.fits import ordinates_of, simulated
@@ -28,7 +28,7 @@ from tests.fitting.fits import ordinates_of, simulated
 
 def _maximum(objective: float, information: FloatArray) -> Maximum:
     return Maximum(
-        theta=np.zeros((1, MARKOV)),
+        theta=np.zeros((1, SHAPED)),
         objective=np.array([objective]),
         information=information[None],
         beta=np.zeros((1, 0)),
@@ -38,7 +38,7 @@ def _maximum(objective: float, information: FloatArray) -> Maximum:
 
 
 def _trial(order: Order, objective: float, statistic: float = 0.0) -> _Trial:
-    maximum = _maximum(objective, np.zeros((MARKOV, MARKOV)))
+    maximum = _maximum(objective, np.zeros((SHAPED, SHAPED)))
     return _Trial(fraction=1.0, order=order, maximum=maximum, statistic=statistic, deviation=0.1)
 
 
@@ -172,8 +172,8 @@ def test_the_blind_fit_is_the_best_of_its_starts(monkeypatch: pytest.MonkeyPatch
     """By its objective, whichever start it came from."""
     data = ordinates_of(simulated("N=1", 500, 1))
     found = replace(
-        _maximum(0.0, np.eye(MARKOV)),
-        theta=np.arange(12.0).reshape(3, MARKOV),
+        _maximum(0.0, np.eye(SHAPED)),
+        theta=np.arange(12.0).reshape(3, SHAPED),
         objective=np.array([5.0, 3.0, 4.0]),
     )
     monkeypatch.setattr(band, "maximize", lambda *_, **__: found)
@@ -186,7 +186,7 @@ def test_the_slow_terms_are_found_below_a_32nd_of_the_band(monkeypatch: pytest.M
 
     def blind(_: _BandSearch, data: Ordinates) -> FloatArray:
         seen.append(data)
-        return np.zeros((1, MARKOV))
+        return np.zeros((1, SHAPED))
 
     monkeypatch.setattr(_BandSearch, "blind", blind)
     monkeypatch.setattr(_BandSearch, "responses", lambda *_: [_trial((0, 0), 1.0)])
@@ -211,7 +211,7 @@ def _scripted(
         asked.append((orders, starts))
         return answers[len(asked) - 1]
 
-    start = np.full((1, MARKOV + 5), 2.0) if theta is None else theta
+    start = np.full((1, SHAPED + 5), 2.0) if theta is None else theta
     monkeypatch.setattr(_BandSearch, "fit", fit)
     monkeypatch.setattr(_BandSearch, "blind", lambda *_: start)
     return asked
@@ -224,7 +224,7 @@ def _flat_trials(
         _trial((0, 0), 100.0, statistic),
         *(_trial((k + 1, 0), 100 - g / 2) for k, g in enumerate(gains)),
     ]
-    row = np.full((1, MARKOV + 5), 3.0) if theta is None else theta
+    row = np.full((1, SHAPED + 5), 3.0) if theta is None else theta
     return [replace(trial, maximum=replace(trial.maximum, theta=row)) for trial in trials]
 
 
@@ -236,7 +236,7 @@ def test_a_flat_band_needs_one_look_where_it_is_sound(monkeypatch: pytest.Monkey
     assert (found.fraction, found.order, found.poles, found.response.size) == (1.0, (0, 0), 0, 0)
     ((orders, starts),) = asked
     assert orders == [(0, 0), (1, 0), (2, 0)]
-    npt.assert_array_equal(starts, np.full((3, MARKOV + 5), 2.0))
+    npt.assert_array_equal(starts, np.full((3, SHAPED + 5), 2.0))
 
 
 @pytest.mark.parametrize(("better", "sound"), [(96.5, True), (99.0, False)])
@@ -250,8 +250,8 @@ def test_a_flat_band_is_fitted_again_from_where_the_others_went(
     assert (found is not None) == sound
     orders, starts = asked[1]
     assert orders == [(0, 0)] * 3
-    npt.assert_array_equal(starts[:, :MARKOV], 3.0)
-    npt.assert_array_equal(starts[:, MARKOV:], 0.0)
+    npt.assert_array_equal(starts[:, :SHAPED], 3.0)
+    npt.assert_array_equal(starts[:, SHAPED:], 0.0)
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_quantization_that_bends_the_top_is_no_filter(
     """Where it makes a fifth of the power there, a filter must gain 30 and 33 instead of 12 and 15."""
     data = ordinates_of(simulated("N=1", 2000, 1))
     search = _BandSearch(data, tuple(structure), 10.0, ())
-    theta = np.zeros((1, MARKOV + 5))
+    theta = np.zeros((1, SHAPED + 5))
     theta[0, 0] = np.log(share * search.level_at_the_top() / data.basis[0, -1])
     trials = _flat_trials((29.0, 32.0), 0.0, theta)
     _scripted(monkeypatch, trials, trials[:1] * 3)

@@ -71,7 +71,7 @@ def test_information_is_the_expected_curvature() -> None:
         cross=np.zeros((0, data.size.size)),
         gram=np.zeros((0, 0, data.size.size)),
     )
-    plain = candidates_of([("N", "GM", "K")], (), room_markov=2, room_poles=2)
+    plain = candidates_of([("N", "GM", "K")], (), room_shaped=2, room_poles=2)
     information = evaluate(expected, plain, theta[[1]]).information[0]
     step = 1e-5
     for column in np.flatnonzero(plain.free[0]):
@@ -142,7 +142,7 @@ def test_columns_that_a_candidate_does_not_use_change_nothing() -> None:
     """One pole and one Gauss-Markov term in wider rooms, whatever stands in the others' columns."""
     data = ordinates()
     own = candidates_of([("N", "GM")], data.names, poles=1)
-    roomy = candidates_of([("N", "GM")], data.names, poles=1, room_markov=2, room_poles=3)
+    roomy = candidates_of([("N", "GM")], data.names, poles=1, room_shaped=2, room_poles=3)
     narrow = np.array([[0.0, 0.3, 0.0, 0.0, -1.0, 2.0, 0.7]])
     wide = np.array([[5.0, 0.3, 5.0, 5.0, -1.0, 9.0, 2.0, 4.0, 0.7, 3.0, 2.0]])
     one, other = evaluate(data, own, narrow), evaluate(data, roomy, wide)

@@ -7,7 +7,7 @@ from scipy import optimize
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.given_model import BinFit, fit_bins, record_tests
 from imucal.fitting.spectral.likelihood import evaluate
-from imucal.fitting.spectral.ordinates import MARKOV
+from imucal.fitting.spectral.ordinates import SHAPED
 from imucal.fitting.spectral.scoring import bounds
 from imucal.fitting.spectral.structures import parameter_columns
 from tests.fleet.records import bins_from, simulated
@@ -15,7 +15,7 @@ from tests.fleet.records import bins_from, simulated
 
 def _least(fit: BinFit, shared: int | None) -> float:
     """Return the least -log L of all records, with one variance for all in the column `shared`."""
-    columns = [c for _, c in parameter_columns(fit.whole.structure, 0) if c < MARKOV]
+    columns = [c for _, c in parameter_columns(fit.whole.structure, 0) if c < SHAPED]
     low = [bounds(one, fit.whole.candidate, shortest=fit.problem.shortest)[0][columns] for one in fit.records]
     begin = fit.whole.maximum.theta[0]
     own = [column for column in columns if column != shared]

@@ -1,0 +1,162 @@
+"""A term of a shape that imucal does not know fits when its class is written, and nothing else."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import imucal
+from imucal.arrays import FloatArray
+from imucal.fitting import METHODS, NoiseFit
+from imucal.noise.model import NoiseModel
+from imucal.noise.term import NoiseTerm, Stroke, Words
+from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.recording import AxisSeries
+
+RATE_HZ = 100.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SquaredExponential(NoiseTerm):
+    """A bias without corners: autocovariance sigma² exp(-(t/T)²)."""
+
+    symbol = "SE"
+    names = ("squared exponential", "squared exponential")
+    units = ("rad/s", "m/s^2")
+    datasheet = ("deg/h", "mg")
+    divisors: ClassVar[dict[str, float]] = {"": 1.0}
+    fitted_by = frozenset({"mle", "gmwm"})
+    stroke = Stroke("#333333", "#cccccc", (2, 2))
+    words = Words("a hump", "a bias that forgets without corners", "Gaussian process")
+    sigma: float
+    T: float
+
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:
+        fall: FloatArray = -2 * np.expm1(-((np.asarray(k, dtype=np.float64) * tau0 / self.T) ** 2))
+        return self.sigma**2 * fall
+
+    def psd(self, f: FloatArray, tau0: float) -> FloatArray:
+        aliases = np.asarray(f)[..., np.newaxis] + np.arange(-2, 3) / tau0
+        density = np.exp(-((np.pi * aliases * self.T) ** 2)).sum(axis=-1)
+        return np.asarray(self.sigma**2 * self.T * np.sqrt(np.pi) * density)
+
+    def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:
+        reach = int(np.ceil(4 * self.T / tau0))
+        kernel = np.exp(-2 * (np.arange(-reach, reach + 1) * tau0 / self.T) ** 2)
+        drawn = np.convolve(rng.standard_normal(n + 2 * reach), kernel, "valid")
+        return np.asarray(self.sigma * drawn / np.linalg.norm(kernel))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Smoothed(NoiseTerm):
+    """White noise through y[t] = (x[t] + x[t-1]) / 2: a coefficient and no time."""
+
+    symbol = "P"
+    names = ("smoothed white noise", "smoothed white noise")
+    units = ("rad/s", "m/s^2")
+    datasheet = ("deg/h", "mg")
+    fitted_by = frozenset({"mle", "gmwm"})
+    stroke = Stroke("#333333", "#cccccc", (2, 2))
+    words = Words("slope −1/2", "white noise of means of two", "MA(1)")
+    value: float
+
+    def structure(self, k: FloatArray, tau0: float) -> FloatArray:  # noqa: ARG002 - samples, not seconds
+        k = np.abs(np.asarray(k, dtype=np.float64))
+        return self.value**2 * np.where(k == 0, 0.0, np.where(k == 1, 0.5, 1.0))
+
+    def psd(self, f: FloatArray, tau0: float) -> FloatArray:
+        return self.value**2 * tau0 * np.cos(np.pi * np.asarray(f) * tau0) ** 2
+
+    def simulate(self, n: int, tau0: float, rng: np.random.Generator) -> FloatArray:  # noqa: ARG002
+        drawn = rng.standard_normal(n + 1)
+        return np.asarray(self.value * (drawn[1:] + drawn[:-1]) / 2)
+
+
+@pytest.fixture(autouse=True)
+def _added(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write the terms' lines in the table."""
+    for term in (SquaredExponential, Smoothed):
+        monkeypatch.setitem(TERMS, term.symbol, term)
+
+
+def fit_of(truth: str, model: str, method: str = "mle", *, n: int = 100_000, seed: int = 3) -> NoiseFit:
+    """Return the fit of samples of `truth`."""
+    drawn = NoiseModel.parse(truth).simulate(n, rate_hz=RATE_HZ, rng=np.random.default_rng(seed))
+    return imucal.fit(AxisSeries.from_samples(drawn, rate_hz=RATE_HZ), model=model, method=method)
+
+
+def covers(found: NoiseFit, key: str, sigma: float, time: float) -> bool:
+    """Whether both of a term's intervals hold the truth, and are no wider than that tells something."""
+    estimate = found[key]
+    told = estimate.correlation_time
+    assert told is not None
+    assert estimate.high < 2 * estimate.low
+    return estimate.low <= sigma <= estimate.high and told.low <= time <= told.high
+
+
+@pytest.mark.parametrize("method", ["mle"])
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_its_coefficient_and_time_are_recovered(method: str, seed: int) -> None:
+    """Both within their 95 % intervals; the model holds them, and the covariance names them."""
+    found = fit_of("N=1e-3 + SE(sigma=5e-3, T=2.0)", "N + SE", method, seed=seed)
+    assert str(found.model) == "N + SE"
+    assert covers(found, "SE", 5e-3, 2.0)
+    assert found["N"].low <= 1e-3 <= found["N"].high
+    assert {"SE.sigma", "SE.T"} <= set(found.parameters)
+    assert found.goodness.statistic < 3
+
+
+@pytest.mark.parametrize("method", ["mle"])
+def test_it_stands_beside_a_term_of_another_shape(method: str) -> None:
+    """Each has its own time; Gauss-Markov's spectrum falls far more slowly."""
+    text = "N=1e-3 + GM(sigma=5e-3, T=0.2) + SE(sigma=1e-2, T=4.0)"
+    found = fit_of(text, "N + GM + SE", method, seed=5)
+    assert covers(found, "GM", 5e-3, 0.2)
+    assert covers(found, "SE", 1e-2, 4.0)
+
+
+def test_a_choice_may_fall_on_it() -> None:
+    """``auto`` tries every term that the method fits: this one explains its own samples best."""
+    drawn = NoiseModel.parse("N=1e-3 + SE(sigma=5e-3, T=2.0)")
+    samples = drawn.simulate(30_000, rate_hz=RATE_HZ, rng=np.random.default_rng(3))
+    found = imucal.fit(AxisSeries.from_samples(samples, rate_hz=RATE_HZ), max_gm=0)
+    assert "SE" in str(found.model)
+
+
+def test_a_coefficient_without_a_time_is_fitted_too() -> None:
+    """One parameter, one interval."""
+    found = fit_of("N=1e-3 + P=1e-2", "N + P")
+    assert found["P"].low <= 1e-2 <= found["P"].high
+    assert found["P"].correlation_time is None
+    assert found.parameters[-1] == "P"
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if name != "slope"])
+def test_a_term_of_other_parameters_is_refused(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a sentence, before anything is computed."""
+    monkeypatch.setattr(SquaredExponential, "parameters", classmethod(lambda _: ("sigma", "period")))
+    with pytest.raises(ValueError, match="SE") as refusal:
+        fit_of("N=1e-3", "N + SE", method)
+    assert str(refusal.value) == (
+        f"method '{method}' can't fit SE (squared exponential): it has sigma, period, "
+        "expected a coefficient and at most a time T; leave SE out"
+    )
+
+
+def test_a_term_without_density_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All its power at one frequency, for instance: a spectrum does not tell it."""
+    monkeypatch.setattr(SquaredExponential, "psd", lambda _self, f, _tau0: np.zeros_like(f))
+    with pytest.raises(ValueError, match=r"^method 'mle' can't fit SE .* its psd is 0.*; leave SE out$"):
+        fit_of("N=1e-3", "N + SE")
+
+
+def test_the_quick_form_is_the_plain_one() -> None:
+    """Gauss-Markov has both: many at once for the fits, and one from its class."""
+    k = np.arange(1, 200)
+    lam, length = 4 * np.sin(np.pi * k / 400) ** 2, np.full(k.size, 200.0)
+    sign = np.where(k > 100, 0.0, np.where(k % 2 == 0, 1.0, -1.0))
+    logs = np.log([[3.0], [50.0], [4000.0]])
+    quick = GaussMarkov.dct_shapes(logs, lam, length, sign)
+    plain = super(GaussMarkov, GaussMarkov).dct_shapes(logs, lam, length, sign)
+    np.testing.assert_allclose(plain, quick, rtol=1e-9)
