@@ -26,7 +26,7 @@ BEHIND = {"cssselect": "cssselect"}
 @cache
 def named(extra: str) -> frozenset[str]:
     """Return the distributions that an extra names, those of its own extras and of the project included."""
-    found = set()
+    found: set[str] = set()
     for text in PROJECT["optional-dependencies"][extra] if extra else PROJECT["dependencies"]:
         requirement = Requirement(text)
         if requirement.name == PROJECT["name"]:

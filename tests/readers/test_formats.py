@@ -18,7 +18,12 @@ from imucal.readers.formats import Format, detect, load_opener
 from tests.readers.logs import CONTAINERS, samples
 
 #: Formats of messages, as `imucal.recording.Source` documents them.
-SOURCE_FORMATS = {"mcap", "rosbag1", "rosbag2-sqlite3", "rosbag2-mcap"}
+SOURCE_FORMATS = {
+    "mcap",
+    "rosbag1",
+    "rosbag2-sqlite3",
+    "rosbag2-mcap",
+}
 
 
 ROOT = Path(__file__).parents[2]
