@@ -6,7 +6,7 @@ noise over time has heights relative to the record's value: one scale for every 
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import count
 from typing import TypeAlias
 
@@ -75,35 +75,31 @@ def _summary_caption(axes: list[AxisReport]) -> str:
 
 
 def _summary_rows(axes: list[AxisReport], units: SheetUnits) -> Iterator[dict[str, object]]:
-    sensor = axes[0].sensor
-    estimates = [{estimate.key: estimate for estimate in axis.fit.estimates} for axis in axes]
-    keys = dict.fromkeys(
-        e.key for symbol in TERMS for own in estimates for e in own.values() if e.symbol == symbol
-    )
-    for key in keys:
-        found = [own.get(key) for own in estimates]
-        symbol = next(e.symbol for e in found if e)
-        cells: list[_Cell] = [
-            ((numbers.si(e, sensor), units.estimate(e, sensor)), numbers.alternatives(e)) if e else None
-            for e in found
-        ]
-        if symbol != "GM":
-            yield _quantities(key, TERMS[symbol].name(sensor), cells)
-            continue
-        yield _quantities(f"{key} σ", "Gauss-Markov, standard deviation", cells)
-        yield _quantities(f"{key} T", "its correlation time", [_time(e) for e in found])
-        states = [_state(axis, e) for axis, e in zip(axes, found, strict=True)]
-        yield {"key": f"{key} φ, q", "note": "x[t+1] = φ x[t] + q w[t], SI", "texts": states}
-    lowest: list[_Cell] = [
-        (
-            (numbers.minimum(axis)[0], units.minimum(axis)),
-            f"at {numbers.seconds(axis.fit.curve.minimum[1])}",
-        )
-        for axis in axes
-    ]
-    yield _quantities("minimum", "of the curve", lowest)
+    estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
+    for key in dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol):
+        yield from _term_rows(key, axes, units)
+    lowest = [(numbers.minimum(axis)[0], units.minimum(axis)) for axis in axes]
+    times = [f"at {numbers.seconds(axis.fit.curve.minimum[1])}" for axis in axes]
+    yield _quantities("minimum", "of the curve", list(zip(lowest, times, strict=True)))
     yield {"key": "model", "texts": [str(axis.fit.model) or "none shown" for axis in axes]}
     yield {"key": "misfit score", "texts": [_score(axis.fit.goodness.statistic) for axis in axes]}
+
+
+def _term_rows(key: str, axes: list[AxisReport], units: SheetUnits) -> Iterator[dict[str, object]]:
+    sensor = axes[0].sensor
+    found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
+    symbol = next(e.symbol for e in found if e)
+    cells = [
+        ((numbers.si(e, sensor), units.estimate(e, sensor)), numbers.alternatives(e)) if e else None
+        for e in found
+    ]
+    if symbol != "GM":
+        yield _quantities(key, TERMS[symbol].name(sensor), cells)
+        return
+    yield _quantities(f"{key} σ", "Gauss-Markov, standard deviation", cells)
+    yield _quantities(f"{key} T", "its correlation time", [_time(e) for e in found])
+    states = [_state(axis, e) for axis, e in zip(axes, found, strict=True)]
+    yield {"key": f"{key} φ, q", "note": "x[t+1] = φ x[t] + q w[t], SI", "texts": states}
 
 
 def _time(estimate: Estimate | None) -> _Cell:
@@ -129,7 +125,7 @@ def _score(score: float) -> str:
     return f"{text} ({'the model does not fit' if score > 3 else 'the model fits'})"
 
 
-def _quantities(key: str, name: str, cells: list[_Cell]) -> dict[str, object]:
+def _quantities(key: str, name: str, cells: Sequence[_Cell]) -> dict[str, object]:
     """Return a row of quantities, each unit with one power of ten for all axes."""
     units, columns = [], []
     for index in (1, 0):
