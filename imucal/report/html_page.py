@@ -39,18 +39,18 @@ from imucal.report.figure import (
     smooth_spectrum,
 )
 from imucal.report.json_file import plain
-from imucal.report.markup import Markup, both_units, element, join, labelled, render, row, table
+from imucal.report.markup import Markup, render
 from imucal.report.page_parts import (
+    axis_section,
     downstream_section,
     findings_section,
     glossary_section,
     method_section,
-    segments_figure,
     summary_section,
 )
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.report.sheet_units import SheetUnits, sheet_units
-from imucal.units import DatasheetUnit, duration, pretty
+from imucal.units import duration, pretty
 
 #: Anchor, title and body of a section.
 Section = tuple[str, str, Markup]
@@ -317,7 +317,7 @@ def render_page(report: Report, *, pictures: Mapping[str, bytes] | None = None) 
             (
                 axis.name,
                 axis_title(axis),
-                join([_static(report, axis, drawn.get(axis.name)), _axis_section(report, axis)]),
+                _static(report, axis, drawn.get(axis.name)) + axis_section(report, axis),
             )
             for axis in report.axes
         ),
@@ -356,52 +356,6 @@ def _lead(report: Report) -> str:
     return " · ".join(texts) or "No axis could be analysed."
 
 
-def _axis_section(report: Report, axis: AxisReport) -> Markup:
-    """Return the plots of one axis, each with a caption, and the curve as a table."""
-    where = axis_title(axis)
-    tau = axis.fit.curve.minimum[1]
-    units = sheet_units(report, axis.sensor)
-    sheet, plain = units.minimum(axis), numbers.minimum(axis)[0]
-    curve = join(
-        [
-            f"Allan deviation of {where.lower()}: its minimum is ",
-            both_units(numbers.with_interval(sheet), numbers.with_interval(plain)),
-            f" at {numbers.seconds(tau)}. Model {str(axis.fit.model) or 'without a term'}.",
-        ]
-    )
-    goodness = axis.fit.goodness
-    psd = (
-        f"Root of the two-sided power spectral density of {where.lower()}: white noise lies at the height N."
-    )
-    if goodness.lines:
-        psd += (
-            f" Lines left out at {', '.join(f'{line.frequency_hz:.4g} Hz' for line in goodness.lines[:6])}."
-        )
-    gaps = f"{len(axis.gaps) or 'no'} gap{'' if len(axis.gaps) == 1 else 's'}."
-    raw = join(
-        [
-            f"Raw signal of {where.lower()}, lowest to highest sample of each stretch: ",
-            both_units(_moments(axis, units.level), _moments(axis, DatasheetUnit(axis.unit, 1.0))),
-            f", {gaps}",
-        ]
-    )
-    return join(
-        [
-            element("div", _figure(axis, "allan", curve), _figure(axis, "psd", psd), class_="pair"),
-            _figure(axis, "raw", raw),
-            segments_figure(axis),
-            element("details", element("summary", "The curve as a table"), _curve_table(axis)),
-        ]
-    )
-
-
-def _moments(axis: AxisReport, unit: DatasheetUnit) -> str:
-    """Return ``mean 420 deg/h, standard deviation 350 deg/h``."""
-    name = pretty(unit.name)
-    mean, std = axis.mean * unit.factor, axis.std * unit.factor
-    return f"mean {mean:.6g} {name}, standard deviation {std:.4g} {name}"
-
-
 def _static(report: Report, axis: AxisReport, drawn: bytes | None) -> Markup:
     """Return the picture of an axis that stands in for its plots where scripts are off."""
     where = axis_title(axis).lower()
@@ -412,51 +366,10 @@ def _static(report: Report, axis: AxisReport, drawn: bytes | None) -> Markup:
         code="not-drawn",
     )
     if picture is None:
-        return element("noscript", *(element("p", finding.text, class_="notice") for finding in failed))
-    source = f"data:image/webp;base64,{base64.b64encode(picture).decode('ascii')}"
-    name = f"Allan deviation and power spectral density of {where}"
-    return element("noscript", element("img", src=source, alt=name, width="1100", class_="static"))
-
-
-def _figure(axis: AxisReport, kind: str, caption: str | Markup) -> Markup:
-    anchor = f"{axis.name}-{kind}"
-    plot = element(
-        "div",
-        class_=f"plot {kind}",
-        id=anchor,
-        data_axis=axis.name,
-        data_plot=kind,
-        tabindex="0",
-        role="group",
-        aria_labelledby=f"{anchor}-caption",
-        aria_describedby="plot-help",
-    )
-    return element("figure", plot, element("figcaption", caption, id=f"{anchor}-caption"))
-
-
-def _curve_table(axis: AxisReport) -> Markup:
-    fit = axis.fit
-    low, high = fit.curve.confidence_interval(fit.level)
-    model, used = fit.model_adev(), set(fit.used.tolist())
-    titles = ("τ (s)", "m", "deviation", "low", "high", "model", "degrees of freedom", "used by the fit")
-    body = []
-    for i in shown_points(fit.curve).tolist():
-        values = (fit.curve.adev[i], low[i], high[i], model[i])
-        body.append(
-            row(
-                element("th", f"{fit.curve.tau[i]:.6g}", scope="row"),
-                *labelled(
-                    titles[1:],
-                    (
-                        str(fit.curve.m[i]),
-                        *(f"{value:.4g}" for value in values),
-                        f"{fit.curve.edf[i]:.3g}",
-                        "yes" if i in used else "no",
-                    ),
-                ),
-            )
+        return Markup("<noscript>{}</noscript>").format(
+            Markup().join(Markup('<p class="notice">{}</p>').format(finding.text) for finding in failed)
         )
-    caption = f"{axis_title(axis)}: Allan deviation in {pretty(axis.unit)}, {100 * fit.level:.4g} % interval"
-    return table(
-        caption, [row(*(element("th", title, scope="col") for title in titles))], body, class_="cards"
+    return Markup('<noscript><img src="{}" alt="{}" width="1100" class="static"></noscript>').format(
+        f"data:image/webp;base64,{base64.b64encode(picture).decode('ascii')}",
+        f"Allan deviation and power spectral density of {where}",
     )

@@ -1,24 +1,16 @@
-"""`report.json`: written with stable key order, and read back into the same report.
+"""`report.json`: SI units, keys in a stable order, NaN as null; written, and read back into the same report.
 
-A cursor over a JSON document that says where something is wrong.
-
-``node["fit"]["method"].text()`` raises `ReadError` with the place, what was found and what was
-expected, so that no caller needs to check types.
-
-The bins of a fit as JSON values, and back without losing a digit.
-
-A report as a JSON document: the layout of `report.json`, SI units, NaN as null.
-
-The layout is pinned by ``schema/report-1.schema.json``; a change that an old reader would
-misunderstand raises the number in `SCHEMA`. Reading is in `json_file`.
+The layout is pinned by ``schema/report-1.schema.json``; a change that an old reader would misunderstand
+raises the number in `SCHEMA`. A value of the document knows its place: ``node["fit"]["method"].text()``
+raises `ReadError` with the place, what was found and what was expected, so no caller needs to check types.
 """
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePath
-from typing import NoReturn, TypeVar
+from typing import Generic, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +40,13 @@ from imucal.recording import Axis, LogFileInfo, ReadRange, Sensor, Source
 from imucal.report import numbers
 from imucal.report.result import AxisReport, Overview, Report
 
+#: Name and number of the layout.
+SCHEMA = "imucal/report/1"
+#: Most signs of a wrong value that a message shows.
 _SHOWN = 40
 
 A = TypeVar("A")
+B = TypeVar("B")
 T = TypeVar("T", bound=np.generic)
 
 
@@ -69,6 +65,10 @@ class Node:
             keys = ", ".join(table) or "no keys"
             self.fail(f"found {keys}", f"the key {key!r}")
         return Node(table[key], self.file, f"{self.place}.{key}".lstrip("."))
+
+    def get(self, key: str, read: Callable[["Node"], A], default: B) -> A | B:
+        """Return what `read` makes of the value under `key`; `default` where it is not there."""
+        return read(self[key]) if key in self.table() else default
 
     def __iter__(self) -> Iterator["Node"]:
         """Yield the items of a list."""
@@ -167,33 +167,115 @@ class Node:
         self.fail(f"found {shown}", expected)
 
 
-def bins_document(bins: Bins) -> dict[str, object]:
+@dataclass(frozen=True, slots=True)
+class Layout(Generic[A]):
+    """An object of the document that is one value of ours: each key is an attribute, with how it is read."""
+
+    make: Callable[..., A]
+    keys: Mapping[str, Callable[[Node], object]]
+
+    def read(self, node: Node, **known: object) -> A:
+        """Return the value of an object; `known` are attributes that do not stand in it."""
+        return self.make(**{key: read(node[key]) for key, read in self.keys.items()}, **known)
+
+    def write(self, value: A) -> dict[str, object]:
+        """Return the value as an object."""
+        return {key: getattr(value, key) for key in self.keys}
+
+    def read_all(self, node: Node) -> tuple[A, ...]:
+        """Return the values of a list of objects."""
+        return tuple(self.read(item) for item in node)
+
+    def write_all(self, values: Iterable[A]) -> list[dict[str, object]]:
+        """Return the values as a list of objects."""
+        return [self.write(value) for value in values]
+
+
+def _one_of(*allowed: str) -> Callable[[Node], str]:
+    return lambda node: node.text(*allowed)
+
+
+def _maybe(read: Callable[[Node], A]) -> Callable[[Node], A | None]:
+    return lambda node: node.maybe(read)
+
+
+def _or_nan(node: Node) -> float:
+    return node.number(null=math.nan)
+
+
+_FINDING = Layout(
+    Finding,
+    {
+        "level": _one_of("info", "warning", "error"),
+        "code": Node.text,
+        "axis": _maybe(Node.text),
+        "text": Node.text,
+        "advice": Node.text,
+        "keep_s": _maybe(Node.pair),
+    },
+)
+_RANGE = Layout(
+    ReadRange,
+    {
+        "from_s": Node.number,
+        "duration_s": Node.number,
+        "start_ns": _maybe(Node.integer),
+        "end_ns": _maybe(Node.integer),
+    },
+)
+_FILE = Layout(LogFileInfo, {"path": Node.text, "size_bytes": Node.count, "blake2b": _maybe(Node.text)})
+_GAP = Layout(Gap, {"start_s": Node.number, "duration_s": Node.number, "missing": Node.count})
+_LINE = Layout(Line, {"frequency_hz": Node.number, "amplitude": _or_nan})
+_RESPONSE = Layout(Response, {"kind": Node.text, "cutoff_hz": Node.number})
+_GOODNESS = Layout(
+    Goodness,
+    {
+        "statistic": _or_nan,
+        "p_value": _or_nan,
+        "chi2_per_bin": _or_nan,
+        "band_hz": _maybe(Node.pair),
+        "tau_s": _maybe(Node.pair),
+        "lines": _LINE.read_all,
+    },
+)
+_HOMOGENEITY = Layout(
+    TermHomogeneity,
+    {
+        "symbol": _one_of(*TERMS),
+        "statistic": Node.number,
+        "dof": Node.count,
+        "p_value": Node.number,
+        "spread": Node.number,
+        "factor": Node.number,
+        "highest_s": Node.pair,
+        "lowest_s": Node.pair,
+    },
+)
+_INTERVAL = Layout(
+    Interval, {"value": Node.number, "low": _or_nan, "high": lambda node: node.number(null=math.inf)}
+)
+
+
+def _bins_document(bins: Bins) -> dict[str, object]:
     """Return the JSON values of bins; of the symmetric `gram` the rows of its lower triangle."""
-    rows = range(len(bins.names))
     return {
         "version": bins.version,
         "scale": bins.scale,
         "tau0_s": bins.tau0,
         "widening": bins.widening,
-        "n": bins.n.tolist(),
-        "start": bins.start.tolist(),
-        "first": bins.first.tolist(),
-        "size": bins.size.tolist(),
-        "power": bins.power.tolist(),
-        "regressors": list(bins.names),
-        "cross": bins.cross.tolist(),
-        "gram": [bins.gram[i, j].tolist() for i in rows for j in rows[: i + 1]],
+        "n": bins.n,
+        "start": bins.start,
+        "first": bins.first,
+        "size": bins.size,
+        "power": bins.power,
+        "regressors": bins.names,
+        "cross": bins.cross,
+        "gram": bins.gram[np.tril_indices(len(bins.names))],
     }
 
 
-def read_bins(node: Node) -> Bins:
-    """Return the bins of a document.
-
-    Raises
-    ------
-    ReadError
-        If they are of another version, or their lists do not belong together.
-    """
+def _bins(node: Node) -> Bins:
+    """Return the bins of a document, whose lists must belong together."""
     version = node["version"].count()
     if version != BINS_VERSION:
         node["version"].fail(f"found {version}", f"{BINS_VERSION}, as this version of imucal writes")
@@ -229,27 +311,24 @@ def read_bins(node: Node) -> Bins:
     )
 
 
-#: Name and number of the layout.
-SCHEMA = "imucal/report/1"
-
-
 def to_document(report: Report) -> dict[str, object]:
     """Return the whole report as JSON values, keys in a stable order."""
-    return {
-        **_header(report),
-        "axes": [_document_axis(axis, bins=_with_bins(report)) for axis in report.axes],
-        "findings": [_document_finding(f) for f in report.findings],
-    }
+    axes = [_axis_entry(axis, bins=_with_bins(report)) for axis in report.axes]
+    return _object({**_header(report), "axes": axes, "findings": _FINDING.write_all(report.findings)})
 
 
 def axis_document(report: Report, axis: AxisReport) -> dict[str, object]:
     """Return the document of one axis: the header of the report and the axis's own entry."""
-    return {**_header(report), **_document_axis(axis, bins=_with_bins(report))}
+    return _object({**_header(report), **_axis_entry(axis, bins=_with_bins(report))})
 
 
 def _with_bins(report: Report) -> bool:
     """Whether the report was asked to hold the bins of its fits."""
     return report.settings.get("bins") is True
+
+
+def _object(document: Mapping[str, object]) -> dict[str, object]:
+    return {key: plain(value) for key, value in document.items()}
 
 
 def plain(value: object) -> object:
@@ -277,106 +356,82 @@ def plain(value: object) -> object:
 
 
 def _header(report: Report) -> dict[str, object]:
-    verdict = report.verdict
+    source, verdict = report.source, report.verdict
     return {
         "schema": SCHEMA,
         "version": report.version,
         "verdict": verdict.grade,
         "verdict_sentence": verdict.sentence,
-        "source": _document_source(report.source),
-        "settings": plain(report.settings),
+        "source": {
+            "path": source.path,
+            "format": source.format,
+            "topics": source.topics,
+            "message_types": source.message_types,
+            "decisions": [{"choice": choice, "reason": reason} for choice, reason in source.decisions],
+            "files": [
+                _FILE.write(f) | ({"etag": f.etag} if f.etag is not None else {}) for f in source.files
+            ],
+            "range": source.read and _RANGE.write(source.read),
+        },
+        "settings": report.settings,
     }
 
 
-def _document_source(source: Source) -> dict[str, object]:
-    return {
-        "path": source.path,
-        "format": source.format,
-        "topics": list(source.topics),
-        "message_types": list(source.message_types),
-        "decisions": [{"choice": choice, "reason": reason} for choice, reason in source.decisions],
-        "files": [
-            {"path": file.path, "size_bytes": file.size_bytes, "blake2b": file.blake2b}
-            | ({} if file.etag is None else {"etag": file.etag})
-            for file in source.files
-        ],
-        "range": None if source.read is None else _document_range(source.read),
-    }
-
-
-def _document_range(read: ReadRange) -> dict[str, object]:
-    return {
-        "from_s": plain(read.from_s),
-        "duration_s": plain(read.duration_s),
-        "start_ns": read.start_ns,
-        "end_ns": read.end_ns,
-    }
-
-
-def _document_axis(axis: AxisReport, *, bins: bool) -> dict[str, object]:
+def _axis_entry(axis: AxisReport, *, bins: bool) -> dict[str, object]:
     # The file holds deviations. Squaring them first makes reading and writing again change nothing,
     # because the square root of a squared float is that float, while the converse does not hold.
     curve = replace(axis.fit.curve, avar=axis.fit.curve.adev**2)
-    axis = replace(axis, fit=replace(axis.fit, curve=curve))
+    fit = replace(axis.fit, curve=curve)
+    axis = replace(axis, fit=fit)
     floor, sheet = numbers.minimum(axis)
+    low, high = curve.confidence_interval(fit.level)
     return {
         "name": axis.name,
         "sensor": str(axis.sensor),
         "axis": axis.axis,
         "unit": axis.unit,
         "samples": axis.samples,
-        "rate_hz": plain(axis.rate_hz),
-        "duration_s": plain(axis.duration_s),
-        "mean": plain(axis.mean),
-        "std": plain(axis.std),
-        "gaps": [{"start_s": g.start_s, "duration_s": g.duration_s, "missing": g.missing} for g in axis.gaps],
-        "curve": _document_curve(axis.fit),
+        "rate_hz": axis.rate_hz,
+        "duration_s": axis.duration_s,
+        "mean": axis.mean,
+        "std": axis.std,
+        "gaps": _GAP.write_all(axis.gaps),
+        "curve": {
+            "level": fit.level,
+            "estimator": curve.estimator,
+            "computed": curve.computed,
+            "edf_method": curve.edf_method,
+            "n": curve.n,
+            "tau_s": curve.tau,
+            "m": curve.m,
+            "adev": curve.adev,
+            "low": low,
+            "high": high,
+            "edf": curve.edf,
+            "model_adev": fit.model_adev(),
+            "used": fit.used,
+        },
         "minimum": {
-            "adev": plain(floor.value),
-            "tau_s": plain(curve.minimum[1]),
-            "low": plain(floor.low),
-            "high": plain(floor.high),
-            "datasheet": _quantity(sheet),
+            "adev": floor.value,
+            "tau_s": curve.minimum[1],
+            "low": floor.low,
+            "high": floor.high,
+            "datasheet": asdict(sheet),
         },
         "spectrum": {
             "sides": 2,
-            "frequency_hz": plain(axis.spectrum.frequency),
-            "psd": plain(axis.spectrum.psd),
-            "count": plain(axis.spectrum.count),
-            "model_psd": plain(axis.fit.model.psd(axis.spectrum.frequency, rate_hz=axis.fit.rate_hz)),
+            "frequency_hz": axis.spectrum.frequency,
+            "psd": axis.spectrum.psd,
+            "count": axis.spectrum.count,
+            "model_psd": fit.model.psd(axis.spectrum.frequency, rate_hz=fit.rate_hz),
         },
-        "overview": {
-            "time_s": plain(axis.overview.time_s),
-            "low": plain(axis.overview.low),
-            "high": plain(axis.overview.high),
-        },
-        "fit": _document_fit(axis.fit, axis.sensor, bins=bins),
-        "findings": [_document_finding(f) for f in axis.findings],
+        "overview": {"time_s": axis.overview.time_s, "low": axis.overview.low, "high": axis.overview.high},
+        "fit": _fit_entry(fit, axis.sensor, bins=bins),
+        "findings": _FINDING.write_all(axis.findings),
     }
 
 
-def _document_curve(fit: NoiseFit) -> dict[str, object]:
-    curve = fit.curve
-    low, high = curve.confidence_interval(fit.level)
-    return {
-        "level": fit.level,
-        "estimator": curve.estimator,
-        "computed": curve.computed,
-        "edf_method": curve.edf_method,
-        "n": curve.n,
-        "tau_s": plain(curve.tau),
-        "m": plain(curve.m),
-        "adev": plain(curve.adev),
-        "low": plain(low),
-        "high": plain(high),
-        "edf": plain(curve.edf),
-        "model_adev": plain(fit.model_adev()),
-        "used": plain(fit.used),
-    }
-
-
-def _document_fit(fit: NoiseFit, sensor: Sensor, *, bins: bool) -> dict[str, object]:
-    response = fit.response
+def _fit_entry(fit: NoiseFit, sensor: Sensor, *, bins: bool) -> dict[str, object]:
     return {
         "method": fit.method,
         "model": str(fit.model),
@@ -384,121 +439,55 @@ def _document_fit(fit: NoiseFit, sensor: Sensor, *, bins: bool) -> dict[str, obj
         "rate_hz": fit.rate_hz,
         "level": fit.level,
         "criterion": fit.criterion,
-        "goodness": _document_goodness(fit.goodness),
-        "terms": _terms(fit, sensor),
-        "parameters": list(fit.parameters),
-        "covariance": plain(fit.covariance),
-        "response": response and {"kind": response.kind, "cutoff_hz": plain(response.cutoff_hz)},
-        "candidates": [{"model": c.structure, "delta": plain(c.delta)} for c in fit.candidates],
-        "segments": fit.segments and _document_segments(fit.segments, fit, sensor),
-        "settings": plain(fit.settings),
-        "findings": [_document_finding(f) for f in fit.findings],
-        **({"bins": bins_document(fit.bins)} if bins and fit.bins else {}),
+        "goodness": _GOODNESS.write(fit.goodness) | {"lines": _LINE.write_all(fit.goodness.lines)},
+        "terms": {estimate.key: _term_entry(estimate, fit, sensor) for estimate in fit.estimates},
+        "parameters": fit.parameters,
+        "covariance": fit.covariance,
+        "response": fit.response and _RESPONSE.write(fit.response),
+        "candidates": [{"model": c.structure, "delta": c.delta} for c in fit.candidates],
+        "segments": fit.segments and _segments_entry(fit.segments, fit.level, sensor),
+        "settings": fit.settings,
+        "findings": _FINDING.write_all(fit.findings),
+        **({"bins": _bins_document(fit.bins)} if bins and fit.bins else {}),
     }
 
 
-def _document_goodness(goodness: Goodness) -> dict[str, object]:
-    return {
-        "statistic": plain(goodness.statistic),
-        "p_value": plain(goodness.p_value),
-        "chi2_per_bin": plain(goodness.chi2_per_bin),
-        "band_hz": plain(goodness.band_hz),
-        "tau_s": plain(goodness.tau_s),
-        "lines": [
-            {"frequency_hz": plain(line.frequency_hz), "amplitude": plain(line.amplitude)}
-            for line in goodness.lines
-        ],
-    }
-
-
-def _terms(fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
-    found: dict[str, object] = {}
-    for estimate in fit.estimates:
-        entry = _term(estimate, sensor)
-        if estimate.symbol == "GM":
-            entry |= _gauss_markov(estimate, fit)
-        found[estimate.key] = entry
-    return found
-
-
-def _term(estimate: Estimate, sensor: Sensor) -> dict[str, object]:
-    plain_si, sheet = numbers.si(estimate, sensor), numbers.datasheet(estimate, sensor)
-    return {
+def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
+    entry: dict[str, object] = {
         "symbol": estimate.symbol,
         "name": TERMS[estimate.symbol].name(sensor),
         "status": estimate.status,
-        "value": plain(estimate.value),
-        "low": plain(estimate.low),
-        "high": plain(estimate.high),
-        "unit": plain_si.unit,
-        "datasheet": _quantity(sheet),
-        "alternatives": list(estimate.alternatives),
-        "widening": plain(estimate.widening),
+        "value": estimate.value,
+        "low": estimate.low,
+        "high": estimate.high,
+        "unit": TERMS[estimate.symbol].unit(sensor),
+        "datasheet": asdict(numbers.datasheet(estimate, sensor)),
+        "alternatives": estimate.alternatives,
+        "widening": estimate.widening,
     }
+    if estimate.symbol == "GM":
+        # What a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t].
+        time, term = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate)
+        entry["correlation_time"] = time and asdict(numbers.correlation_time(time))
+        entry["phi"] = term and term.phi(1 / fit.rate_hz)
+        entry["q"] = term and term.q(1 / fit.rate_hz)
+    return entry
 
 
-def _gauss_markov(estimate: Estimate, fit: NoiseFit) -> dict[str, object]:
-    """Return what a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t]."""
-    time, term, tau0 = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate), 1 / fit.rate_hz
+def _segments_entry(segments: Segments, level: float, sensor: Sensor) -> dict[str, object]:
+    white, floor = segments.white, segments.floor
     return {
-        "correlation_time": time and _quantity(numbers.correlation_time(time)),
-        "phi": term and plain(term.phi(tau0)),
-        "q": term and plain(term.q(tau0)),
+        "level": level,
+        "start_s": segments.start_s,
+        "end_s": segments.end_s,
+        "N": white and _trace_entry(white, TERMS["N"].unit(sensor)),
+        "floor": floor and {"tau_s": segments.floor_tau_s, **_trace_entry(floor, sensor.unit)},
+        "terms": {term.key: _HOMOGENEITY.write(term) for term in segments.terms},
     }
 
 
-def _document_segments(segments: Segments, fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
-    return {
-        "level": fit.level,
-        "start_s": plain(segments.start_s),
-        "end_s": plain(segments.end_s),
-        "N": segments.white and _document_trace(segments.white, TERMS["N"].unit(sensor)),
-        "floor": segments.floor
-        and {"tau_s": plain(segments.floor_tau_s), **_document_trace(segments.floor, sensor.unit)},
-        "terms": {term.key: _document_homogeneity(term) for term in segments.terms},
-    }
-
-
-def _document_trace(trace: Trace, unit: str) -> dict[str, object]:
-    return {
-        "value": plain(trace.value),
-        "low": plain(trace.low),
-        "high": plain(trace.high),
-        "unit": unit,
-    }
-
-
-def _document_homogeneity(term: TermHomogeneity) -> dict[str, object]:
-    return {
-        "symbol": term.symbol,
-        "statistic": plain(term.statistic),
-        "dof": term.dof,
-        "p_value": plain(term.p_value),
-        "spread": plain(term.spread),
-        "factor": plain(term.factor),
-        "highest_s": plain(term.highest_s),
-        "lowest_s": plain(term.lowest_s),
-    }
-
-
-def _quantity(quantity: numbers.Quantity) -> dict[str, object]:
-    return {
-        "value": plain(quantity.value),
-        "low": plain(quantity.low),
-        "high": plain(quantity.high),
-        "unit": quantity.unit,
-    }
-
-
-def _document_finding(finding: Finding) -> dict[str, object]:
-    return {
-        "level": finding.level,
-        "code": finding.code,
-        "axis": finding.axis,
-        "text": finding.text,
-        "advice": finding.advice,
-        "keep_s": plain(finding.keep_s),
-    }
+def _trace_entry(trace: Trace, unit: str) -> dict[str, object]:
+    return {"value": trace.value, "low": trace.low, "high": trace.high, "unit": unit}
 
 
 _INDENT = "  "
@@ -558,7 +547,7 @@ def from_document(document: object, *, file: str = "report") -> Report:
         source=_source(root["source"]),
         axes=tuple(_axis(node) for node in root["axes"]),
         settings=root["settings"].table(),
-        findings=_findings(root["findings"]),
+        findings=_FINDING.read_all(root["findings"]),
         version=root["version"].text(),
     )
 
@@ -586,27 +575,13 @@ def _source(node: Node) -> Source:
         topics=node["topics"].texts(),
         message_types=node["message_types"].texts(),
         decisions=tuple((d["choice"].text(), d["reason"].text()) for d in node["decisions"]),
-        files=tuple(map(_file, node["files"])) if "files" in node.table() else (),
-        read=node["range"].maybe(_range) if "range" in node.table() else None,
+        files=node.get("files", lambda files: tuple(map(_file, files)), ()),
+        read=node.get("range", _maybe(_RANGE.read), None),
     )
 
 
 def _file(node: Node) -> LogFileInfo:
-    return LogFileInfo(
-        path=node["path"].text(),
-        size_bytes=node["size_bytes"].count(),
-        blake2b=node["blake2b"].maybe(Node.text),
-        etag=node["etag"].text() if "etag" in node.table() else None,
-    )
-
-
-def _range(node: Node) -> ReadRange:
-    return ReadRange(
-        from_s=node["from_s"].number(),
-        duration_s=node["duration_s"].number(),
-        start_ns=node["start_ns"].maybe(Node.integer),
-        end_ns=node["end_ns"].maybe(Node.integer),
-    )
+    return _FILE.read(node, etag=node.get("etag", Node.text, None))
 
 
 def _axis(node: Node) -> AxisReport:
@@ -617,21 +592,13 @@ def _axis(node: Node) -> AxisReport:
         samples=node["samples"].count(),
         rate_hz=node["rate_hz"].positive(),
         duration_s=node["duration_s"].number(),
-        mean=node["mean"].number(null=math.nan),
-        std=node["std"].number(null=math.nan),
-        gaps=tuple(_gap(gap) for gap in node["gaps"]),
+        mean=_or_nan(node["mean"]),
+        std=_or_nan(node["std"]),
+        gaps=_GAP.read_all(node["gaps"]),
         spectrum=_spectrum(node["spectrum"]),
         overview=_overview(node["overview"]),
         fit=_fit(node["fit"], node["curve"], sensor),
-        findings=_findings(node["findings"]),
-    )
-
-
-def _gap(node: Node) -> Gap:
-    return Gap(
-        start_s=node["start_s"].number(),
-        duration_s=node["duration_s"].number(),
-        missing=node["missing"].count(),
+        findings=_FINDING.read_all(node["findings"]),
     )
 
 
@@ -680,25 +647,22 @@ def _fit(node: Node, curve_node: Node, sensor: Sensor) -> NoiseFit:
         estimates=_estimates(node["terms"]),
         parameters=parameters,
         covariance=node["covariance"].matrix(len(parameters)),
-        goodness=_goodness(node["goodness"]),
+        goodness=_GOODNESS.read(node["goodness"]),
         curve=curve,
         used=used,
-        response=node["response"].maybe(_response),
+        response=node["response"].maybe(_RESPONSE.read),
         candidates=tuple(
-            Candidate(structure=c["model"].text(), delta=c["delta"].number(null=math.nan))
-            for c in node["candidates"]
+            Candidate(structure=c["model"].text(), delta=_or_nan(c["delta"])) for c in node["candidates"]
         ),
         criterion=node["criterion"].text(),
-        findings=_findings(node["findings"]),
+        findings=_FINDING.read_all(node["findings"]),
         settings=node["settings"].table(),
-        segments=_segments(node["segments"]) if "segments" in node.table() else None,
-        bins=read_bins(node["bins"]) if "bins" in node.table() else None,
+        segments=node.get("segments", _maybe(_segments), None),
+        bins=node.get("bins", _bins, None),
     )
 
 
-def _segments(node: Node) -> Segments | None:
-    if node.value is None:
-        return None
+def _segments(node: Node) -> Segments:
     start = node["start_s"].array()
     floor = node["floor"]
     return Segments(
@@ -707,31 +671,13 @@ def _segments(node: Node) -> Segments | None:
         white=node["N"].maybe(lambda white: _trace(white, start.size)),
         floor=floor.maybe(lambda floor: _trace(floor, start.size)),
         floor_tau_s=math.nan if floor.value is None else floor["tau_s"].positive(),
-        terms=tuple(_homogeneity(node["terms"][key], key) for key in node["terms"].table()),
+        terms=tuple(_HOMOGENEITY.read(node["terms"][key], key=key) for key in node["terms"].table()),
     )
 
 
 def _trace(node: Node, size: int) -> Trace:
     value, low, high = (node[name].array(like=size) for name in ("value", "low", "high"))
     return Trace(value=value, low=low, high=high)
-
-
-def _homogeneity(node: Node, key: str) -> TermHomogeneity:
-    return TermHomogeneity(
-        key=key,
-        symbol=node["symbol"].text(*TERMS),
-        statistic=node["statistic"].number(),
-        dof=node["dof"].count(),
-        p_value=node["p_value"].number(),
-        spread=node["spread"].number(),
-        factor=node["factor"].number(),
-        highest_s=node["highest_s"].pair(),
-        lowest_s=node["lowest_s"].pair(),
-    )
-
-
-def _response(node: Node) -> Response:
-    return Response(kind=node["kind"].text(), cutoff_hz=node["cutoff_hz"].number())
 
 
 def _level(node: Node) -> float:
@@ -762,55 +708,14 @@ def _estimate(node: Node, key: str) -> Estimate:
     value = node["value"].maybe(Node.number)
     if (value is None) != (status == "bounded"):
         node["value"].fail(f"found {json.dumps(node['value'].value)}", f"a value that fits {status!r}")
-    keys = node.table().keys()
     return Estimate(
         key=key,
         symbol=node["symbol"].text(*TERMS),
         status="bounded" if value is None else "estimated",
         value=value,
-        low=node["low"].number(null=math.nan),
+        low=_or_nan(node["low"]),
         high=node["high"].number(null=math.inf),
-        correlation_time=node["correlation_time"].maybe(_interval) if "correlation_time" in keys else None,
-        alternatives=tuple(i.text(*TERMS) for i in node["alternatives"]) if "alternatives" in keys else (),
-        widening=node["widening"].number() if "widening" in keys else 1.0,
-    )
-
-
-def _interval(node: Node) -> Interval:
-    return Interval(
-        value=node["value"].number(),
-        low=node["low"].number(null=math.nan),
-        high=node["high"].number(null=math.inf),
-    )
-
-
-def _goodness(node: Node) -> Goodness:
-    return Goodness(
-        statistic=node["statistic"].number(null=math.nan),
-        p_value=node["p_value"].number(null=math.nan),
-        chi2_per_bin=node["chi2_per_bin"].number(null=math.nan),
-        band_hz=node["band_hz"].maybe(Node.pair),
-        tau_s=node["tau_s"].maybe(Node.pair),
-        lines=tuple(
-            Line(
-                frequency_hz=line["frequency_hz"].number(), amplitude=line["amplitude"].number(null=math.nan)
-            )
-            for line in node["lines"]
-        ),
-    )
-
-
-def _findings(node: Node) -> tuple[Finding, ...]:
-    return tuple(_finding(item) for item in node)
-
-
-def _finding(node: Node) -> Finding:
-    level = node["level"].text("info", "warning", "error")
-    return Finding(
-        level="info" if level == "info" else "warning" if level == "warning" else "error",
-        code=node["code"].text(),
-        axis=node["axis"].maybe(Node.text),
-        text=node["text"].text(),
-        advice=node["advice"].text(),
-        keep_s=node["keep_s"].maybe(Node.pair),
+        correlation_time=node.get("correlation_time", _maybe(_INTERVAL.read), None),
+        alternatives=node.get("alternatives", lambda found: tuple(map(_one_of(*TERMS), found)), ()),
+        widening=node.get("widening", Node.number, 1.0),
     )

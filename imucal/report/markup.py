@@ -51,6 +51,11 @@ def _shown(value: object) -> object:
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
+def both_units(sheet: str, plain: str) -> Markup:
+    """Return a text in data-sheet units and in SI, of which the page shows one."""
+    return Markup('<span class="sheet">{}</span><span class="si">{}</span>').format(sheet, plain)
+
+
 _VOID = frozenset({"br", "hr", "img", "input", "link", "meta"})
 Child: TypeAlias = "str | Markup | None"
 
@@ -70,11 +75,6 @@ def element(tag: str, *children: Child, **attributes: str | bool | None) -> Mark
 def join(children: Iterable[Child]) -> Markup:
     """Return the children one after the other, plain text escaped."""
     return Markup("".join(_escaped(child) for child in children if child is not None))  # noqa: S704
-
-
-def both_units(sheet: str | Markup, plain: str | Markup) -> Markup:
-    """Return a text in data-sheet units and in SI, of which the page shows one."""
-    return join([element("span", sheet, class_="sheet"), element("span", plain, class_="si")])
 
 
 def row(*cells: Markup) -> Markup:

@@ -17,10 +17,10 @@ from imucal.clock import Gap
 from imucal.fitting.noise_fit import Candidate, Line
 from imucal.report.exports import TARGETS
 from imucal.report.figure import estimate_text
-from imucal.report.html_page import _axis_section, page_data, render_page, standing_out
+from imucal.report.html_page import page_data, render_page, standing_out
 from imucal.report.markup import Markup, element
 from imucal.report.numbers import with_interval
-from imucal.report.page_parts import method_section, summary_section
+from imucal.report.page_parts import axis_section, method_section, summary_section
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.report.sheet_units import sheet_units
 from tests.report.browser import Browser
@@ -279,7 +279,7 @@ def test_the_caption_of_the_raw_signal_counts_the_gaps(count: int, text: str) ->
 def _page(axis: AxisReport) -> html.HtmlElement:
     """Return the sections of one axis, without the megabytes of the script."""
     report = replace(consumer_report(), axes=(axis,))
-    sections = (summary_section(report), _axis_section(report, axis), method_section(report))
+    sections = (summary_section(report), axis_section(report, axis), method_section(report))
     return html.document_fromstring("".join(sections))
 
 

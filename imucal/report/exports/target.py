@@ -259,6 +259,8 @@ DENSITY_SQUARED = Formula(lambda c, f: c * c, "({u})^2/Hz")  # noqa: ARG005
 #: Discrete: of one sample (N), or of a step as code sees it that multiplies it by dt (K); and its square.
 SAMPLE = Formula(lambda c, f: c * math.sqrt(f), "{u}")
 SAMPLE_SQUARED = Formula(lambda c, f: c * c * f, "({u})^2")
+#: Of one sample, for VINS: it averages two samples but takes half of the variance twice.
+HALVED_TWICE = Formula(lambda c, f: c * math.sqrt(2 * f), "{u}")
 
 
 def at_period(seconds: float) -> Formula:

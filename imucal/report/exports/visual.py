@@ -6,7 +6,6 @@ white variance twice (mid-point integration), so that the wanted value is ``N sq
 divides K by, the root of ``IMU.Frequency``: a wrong frequency moves them in opposite directions.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,9 +16,9 @@ from imucal.report.exports.target import (
     ACCEL,
     DENSITY_SQUARED,
     GYRO,
+    HALVED_TWICE,
     SAMPLE,
     Body,
-    Formula,
     Key,
     Target,
     beside_json,
@@ -39,8 +38,6 @@ from imucal.report.exports.target import (
 from imucal.units import G0
 
 _PLAIN = "no factor of the rate"
-#: VINS averages two samples but takes half of the variance twice.
-_HALVED_TWICE = Formula(lambda c, f: c * math.sqrt(2 * f), "{u}")
 _OWN_KEYS = "the other keys of this section are yours: the program refuses a file that lacks one"
 
 
@@ -147,7 +144,7 @@ TARGETS = (
             "acc_w, gyr_w = K * sqrt(f)",
         ),
         body=yaml_body(
-            four("acc_n acc_w gyr_n gyr_w", _HALVED_TWICE, SAMPLE),
+            four("acc_n acc_w gyr_n gyr_w", HALVED_TWICE, SAMPLE),
             below=lambda numbers: (_gravity("g_norm"),),  # noqa: ARG005
         ),
         layout=opencv_yaml,
