@@ -1,21 +1,49 @@
-"""decompose: what the parts of a fitted model did in a record, each with its standard error."""
+"""decompose: what the parts of a fitted model did in a record, each with its standard error.
 
+The conditional mean of the states given all samples, in O(n). Given the states at its start and at
+its end, a block of samples is independent of the others. So a filter and a smoother run from block
+to block (`imucal.fitting.state_space`), and each block's inside is a linear map of its samples and
+its ends, the same for all blocks that miss the same samples. Nothing is approximated: the result is
+that of one dense conditioning of the whole record.
+
+Source: Rauch, Tung & Striebel (1965), AIAA J. 3, 1445 (the smoother); Anderson & Moore (1979),
+"Optimal filtering", sec. 7.3. It is the E-step of EM for these models, Shumway & Stoffer (1982),
+J. Time Ser. Anal. 3, 253.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
-from imucal.arrays import BoolArray, FloatArray, read_only
+from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.robust import find_spikes
-from imucal.fitting.state_space import BIAS, LatentStates, Progress, Smoothed, smooth
+from imucal.fitting.state_space import (
+    BIAS,
+    BlockLaw,
+    Blocks,
+    StateSpace,
+    Step,
+    Told,
+    filtered,
+    inverse_of,
+    on_grid,
+)
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 
+#: Blocks whose insides are computed at once; so few that each is computed by itself.
+_AT_ONCE, _FEW = 512, 4
 #: Rates of samples and model that differ by more belong to two records.
 _SAME_RATE = 0.01
 #: Most places on the clock's grid for each sample: beyond, the record is mostly a gap.
 _SPARSE = 20
+
+#: Called with the number of samples done and of all.
+Progress: TypeAlias = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -133,11 +161,6 @@ def decompose(
     DataError
         If there are fewer than 2 finite samples, the model has no terms, or gaps are 20 times as
         long as the samples.
-
-    Notes
-    -----
-    Source: the fixed-interval smoother of Rauch, Tung & Striebel (1965), AIAA J. 3, 1445; it is the
-    E-step of EM for these models, Shumway & Stoffer (1982), J. Time Ser. Anal. 3, 253.
     """
     model = fit.model if isinstance(fit, NoiseFit) else fit
     if isinstance(fit, NoiseFit) and abs(fit.rate_hz / series.rate_hz - 1) > _SAME_RATE:
@@ -146,49 +169,219 @@ def decompose(
     if not any(term.coefficient for term in model.terms):
         msg = f"{series.name}: the model has no terms, so there is nothing to tell apart; fit a longer record"
         raise DataError(msg)
-    samples, seen, start_s = _on_grid(series, clean=clean)
-    states = LatentStates.of(model, rate_hz=series.rate_hz, n=samples.size)
-    # The mean and the unit cost no digits.
-    mean = float(samples[seen].mean())
-    found = smooth(states, np.where(seen, samples - mean, 0.0), seen, progress=progress)
-    return Decomposition(
-        series=series,
-        model=model,
-        start_s=start_s,
-        samples=np.where(seen, samples, np.nan),
-        components=tuple(_component(found, key, mean, states) for key in found.mean if key != BIAS),
-        bias=_component(found, BIAS, mean, states),
-    )
-
-
-def _component(found: Smoothed, key: str, mean: float, states: LatentStates) -> Component:
-    """Return a component; what holds the level holds the mean that was taken off."""
-    holder = "level" if "level" in states.flat else "K"
-    value = found.mean[key] + mean if key in (BIAS, holder) else found.mean[key]
-    return Component(key=key, value=value, error=found.error[key])
-
-
-def _on_grid(series: AxisSeries, *, clean: bool) -> tuple[FloatArray, BoolArray, float]:
-    """Return the samples on the clock's even grid, where there are any, and the time of the first, in s."""
-    finite = series.finite()
-    if clean and finite.n:
-        spike, _, _ = find_spikes(finite.samples)
-        finite = finite.keeping(~spike)
-    if finite.n < 2:
-        msg = f"{series.name}: a decomposition needs at least 2 samples, got {finite.n}"
-        raise DataError(msg)
-    size = finite.clock.grid_size
-    if size > _SPARSE * finite.n:
+    good = series.finite()
+    if clean and good.n:
+        good = good.keeping(~find_spikes(good.samples)[0])
+    size = good.clock.grid_size if good.n else 0
+    if good.n > 1 and size > _SPARSE * good.n:
         msg = (
-            f"{series.name}: {finite.n} samples in {finite.duration_s:.4g} s at {finite.rate_hz:.6g} Hz "
+            f"{series.name}: {good.n} samples in {good.duration_s:.4g} s at {good.rate_hz:.6g} Hz "
             "are mostly gaps; take a part of the record with fewer"
         )
         raise DataError(msg)
-    samples, seen = np.zeros(size), np.zeros(size, dtype=bool)
-    place = finite.clock.grid()
-    samples[place], seen[place] = finite.samples, True
-    return (
-        samples,
-        seen,
-        float((finite.clock.segments[0].offset - series.clock.segments[0].offset) * series.tau0),
+    samples, seen = on_grid(good, "a decomposition")
+    states = StateSpace.of(model, rate_hz=series.rate_hz, n=samples.size)
+    # The mean costs no digits; what holds the level holds it.
+    mean = float(samples[seen].mean())
+    found = smooth(states, np.where(seen, samples - mean, 0.0), seen, progress=progress)
+    holders = {BIAS, "level" if "level" in states.flat else "K"}
+    parts = [
+        Component(key=key, value=value + mean if key in holders else value, error=error)
+        for key, (value, error) in found.items()
+    ]
+    return Decomposition(
+        series=series,
+        model=model,
+        start_s=float((good.clock.segments[0].offset - series.clock.segments[0].offset) * series.tau0),
+        samples=np.where(seen, samples, np.nan),
+        components=tuple(part for part in parts if part.key != BIAS),
+        bias=next(part for part in parts if part.key == BIAS),
     )
+
+
+def smooth(
+    states: StateSpace, samples: FloatArray, seen: BoolArray, *, progress: Progress | None = None
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return the components given the samples: key -> conditional means and standard errors, shapes (n,).
+
+    Parameters
+    ----------
+    states
+        What the samples are made of.
+    samples
+        Shape (n,); any value where `seen`, shape (n,), is false. The first is seen.
+    progress
+        Called after some blocks.
+
+    Returns
+    -------
+    dict
+        In the order ``level``, the groups of states, ``R`` (the slope times the time since the first
+        sample), as far as they are there, and ``bias``, their sum.
+    """
+    n, scale = samples.size, float(np.sqrt(states.white))
+    blocks = Blocks.of(samples / scale, seen)
+    unit = states.in_unit_of_white()
+    block = BlockLaw.of(unit, blocks.length, 1 / blocks.count)
+    parts = _parts(unit, block)
+    ends = _Ends.smoothed(list(filtered(unit, blocks, block)), states.size)
+    level, slope = ([name for name in states.flat if name == key] for key in ("level", "R"))
+    keys = (*level, *states.groups, *slope, BIAS)
+    found = {key: np.empty((2, *blocks.samples.shape)) for key in keys}
+    done = 0
+    for members, holes in blocks.alike():
+        inside = _insides(parts, block, holes)
+        for some in np.array_split(members, -(-members.size // _AT_ONCE)):
+            for key, value, variance in _components(unit, inside, blocks, ends, some):
+                found[key][0, some] = scale * value
+                found[key][1, some] = scale * np.sqrt(np.maximum(variance, 0.0))
+            done += some.size
+            if progress:
+                progress(min(done * blocks.length, n), n)
+    return {key: (both[0].reshape(-1)[:n], both[1].reshape(-1)[:n]) for key, both in found.items()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Part:
+    """What a component's covariances are, given the states at a block's start of B samples.
+
+    Attributes
+    ----------
+    variance
+        Of the component at each sample, shape (B,).
+    with_samples, with_end
+        Covariance with each sample, shape (B, B), and with each state at the block's end, (B, d).
+    trace
+        What the extended start adds to it, shape (B, d + 2).
+    """
+
+    variance: FloatArray
+    with_samples: FloatArray
+    with_end: FloatArray
+    trace: FloatArray
+
+
+def _parts(states: StateSpace, block: BlockLaw) -> dict[str, _Part]:
+    """Return the covariances of each component, and of their sum."""
+    d, B = states.size, block.trace.shape[0]
+    left = states.decay ** np.arange(B)[:, np.newaxis]
+    parts = {}
+    for key, group in (*states.groups.items(), (BIAS, states.everything)):
+        trace = np.zeros((B, d + 2))
+        trace[:, :d] = np.where(group, left, 0.0)
+        if key == BIAS:
+            trace[:, d:] = block.trace[:, d:]
+        parts[key] = _Part(
+            variance=np.einsum("dii->i", block.own[group])[:B],
+            with_samples=block.sampled[group][:, :, :B].sum(axis=0).T,
+            with_end=np.where(group, block.own[:, :B, B].T, 0.0),
+            trace=trace,
+        )
+    return parts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Inside:
+    """A component inside blocks that miss the same samples, given their samples and their ends.
+
+    Its mean is of_samples @ samples + of_ends @ (extended start, end); `left` is the variance that is left
+    when all of these are known.
+    """
+
+    key: str
+    of_samples: FloatArray
+    of_ends: FloatArray
+    left: FloatArray
+
+
+def _insides(parts: dict[str, _Part], block: BlockLaw, seen: BoolArray) -> list[_Inside]:
+    """Return every component's inside of the blocks of which the samples `seen`, shape (B,), are there."""
+    told = Told.of(block, seen)
+    inverse_rest = inverse_of(told.rest)
+    insides = []
+    for key, part in parts.items():
+        cross = part.with_samples[:, seen]
+        alone = cross @ told.inverse
+        to_end = (part.with_end - alone @ block.with_end[seen]) @ inverse_rest
+        to_samples = alone - to_end @ told.gain
+        start = part.trace - to_samples @ block.trace[seen] - to_end @ block.passed
+        known = np.sum(to_samples * cross, axis=1) + np.sum(to_end * part.with_end, axis=1)
+        of_ends = np.concatenate([start, to_end], axis=1)
+        insides.append(_Inside(key=key, of_samples=to_samples, of_ends=of_ends, left=part.variance - known))
+    return insides
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Ends:
+    """What all samples tell of each block's ends.
+
+    Attributes
+    ----------
+    mean, covariance
+        Of the states at the start, the states at the end, level and slope: shapes (b, 2d + p) and
+        (b, 2d + p, 2d + p).
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def smoothed(cls, steps: Sequence[Step], d: int) -> "_Ends":
+        """Smooth: each block's start given its end, whose mean and covariance are known from the last on."""
+        size = d + steps[-1].mean.size
+        means, covariances = np.empty((len(steps), size)), np.empty((len(steps), size, size))
+        end_mean, end_covariance = steps[-1].predicted, steps[-1].ahead
+        for block in range(len(steps) - 1, -1, -1):
+            step = steps[block]
+            gain = step.cross.T @ step.inverse
+            start_mean = step.mean + gain @ (end_mean - step.predicted)
+            start_covariance = step.covariance + gain @ (end_covariance - step.ahead) @ gain.T
+            joint = gain @ end_covariance
+            # Level and slope are the same at both ends, to the last digit.
+            start_mean[d:], start_covariance[d:, d:] = end_mean[d:], end_covariance[d:, d:]
+            start_covariance[:d, d:], start_covariance[d:, :d] = joint[:d, d:], joint[:d, d:].T
+            means[block] = np.concatenate([start_mean[:d], end_mean])
+            covariances[block, :d, :d] = start_covariance[:d, :d]
+            covariances[block, :d, d:], covariances[block, d:, :d] = joint[:d], joint[:d].T
+            covariances[block, d:, d:] = end_covariance
+            end_mean, end_covariance = start_mean, start_covariance
+        return cls(mean=means, covariance=covariances)
+
+    def extended(self, states: StateSpace, members: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and covariance of some blocks' extended starts and their ends, shape (b, 2d + 2)."""
+        d = states.size
+        maps = np.zeros((members.size, 2 * d + 2, self.mean.shape[1]))
+        for map_, place in zip(maps, members.tolist(), strict=True):
+            extension = states.extension(place / len(self.mean))
+            map_[: d + 2, :d], map_[: d + 2, 2 * d :] = extension[:, :d], extension[:, d:]
+        maps[:, d + 2 :, d : 2 * d] = np.eye(d)
+        mean = np.einsum("bij,bj->bi", maps, self.mean[members])
+        return mean, maps @ self.covariance[members] @ np.swapaxes(maps, 1, 2)
+
+
+def _components(
+    states: StateSpace, insides: list[_Inside], blocks: Blocks, ends: _Ends, members: IntArray
+) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    """Yield each component's key, means and variances in some blocks, shapes (b, length)."""
+    own = blocks.samples[members][:, blocks.seen[members[0]]]
+    extended, covariance = ends.extended(states, members)
+    for inside in insides:
+        mean = own @ inside.of_samples.T + extended @ inside.of_ends.T
+        yield inside.key, mean, _spread(covariance, inside.of_ends) + inside.left
+    for i, name in enumerate(states.flat, start=2 * states.size):
+        time = np.ones((members.size, blocks.length))
+        if name == "R":
+            time = (members[:, np.newaxis] + np.arange(blocks.length) / blocks.length) / blocks.count
+        mean, variance = ends.mean[members, i], ends.covariance[members, i, i]
+        yield name, mean[:, np.newaxis] * time, variance[:, np.newaxis] * time**2
+
+
+def _spread(covariance: FloatArray, of_ends: FloatArray) -> FloatArray:
+    """Return the variances, shape (b, length), of `of_ends`, shape (length, e), times the blocks' ends."""
+    if covariance.shape[0] < _FEW:
+        return np.asarray(np.sum(of_ends @ covariance * of_ends, axis=2))
+    # One product for all blocks: of the pairs of columns with the covariances' upper halves.
+    row, column = np.triu_indices(of_ends.shape[1])
+    pairs = of_ends[:, row] * of_ends[:, column] * np.where(row == column, 1.0, 2.0)
+    spread: FloatArray = covariance[:, row, column] @ pairs.T
+    return spread

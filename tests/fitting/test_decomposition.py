@@ -10,7 +10,8 @@ import pytest
 from imucal import DataError, Decomposition, NoiseModel, decompose, fit
 from imucal.arrays import BoolArray, FloatArray
 from imucal.fitting import state_space
-from imucal.fitting.state_space import LatentStates
+from imucal.fitting.decomposition import smooth
+from imucal.fitting.state_space import StateSpace
 from imucal.recording import AxisSeries
 
 N = 300
@@ -30,7 +31,7 @@ MODELS = [
 
 
 def dense(
-    states: LatentStates, samples: FloatArray, seen: BoolArray
+    states: StateSpace, samples: FloatArray, seen: BoolArray
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return each part's conditional mean and standard error by the n × n covariance; O(n³).
 
@@ -96,12 +97,12 @@ def test_it_is_one_dense_conditioning(
     rng = np.random.default_rng(41)
     model = NoiseModel.parse(text)
     samples, seen = model.simulate(N, rate_hz=1.0, rng=rng), _missing(kind, rng)
-    states = LatentStates.of(model, rate_hz=1.0, n=N)
-    found, expected = state_space.smooth(states, samples, seen), dense(states, samples, seen)
-    assert set(found.mean) == set(expected)
+    states = StateSpace.of(model, rate_hz=1.0, n=N)
+    found, expected = smooth(states, samples, seen), dense(states, samples, seen)
+    assert set(found) == set(expected)
     for key, (mean, error) in expected.items():
-        npt.assert_allclose(found.mean[key], mean, atol=1e-8)
-        npt.assert_allclose(found.error[key], error, atol=1e-8)
+        npt.assert_allclose(found[key][0], mean, atol=1e-8)
+        npt.assert_allclose(found[key][1], error, atol=1e-8)
 
 
 def _decomposed(text: str, n: int, seed: int, *, rate_hz: float = 10.0) -> Decomposition:

@@ -93,7 +93,7 @@ def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = model.simulate(1000, rate_hz=1.0, rng=np.random.default_rng(19))
     series = AxisSeries.from_samples(samples, rate_hz=1.0)
     whole = log_likelihood(model, series)
-    monkeypatch.setattr(module, "_BLOCK", 64)
+    monkeypatch.setattr(module, "_WHOLE", 64)
     assert log_likelihood(model, series) == pytest.approx(whole, abs=1e-8)
 
 

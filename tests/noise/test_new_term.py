@@ -16,7 +16,7 @@ from imucal.cli import imucal as command
 from imucal.fitting import METHODS
 from imucal.fitting.noise_fit import Estimate
 from imucal.fitting.spectral.precision import relative_deviations
-from imucal.fitting.state_space import state_space
+from imucal.fitting.state_space import StateSpace
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.noise.term import NoiseTerm, Stroke, Words
 from imucal.noise.terms import TERMS, term_keys
@@ -186,7 +186,7 @@ def test_planning_knows_how_well_it_can_be_told() -> None:
 def test_the_exact_likelihood_refuses_it() -> None:
     """It has no state for it, and says so."""
     with pytest.raises(ValueError, match=r"no state for S \(sinusoid\); leave it out"):
-        state_space(NoiseModel.parse(f"N=1 + {NEW['S']}"), rate_hz=1.0, n=100)
+        StateSpace.of(NoiseModel.parse(f"N=1 + {NEW['S']}"), rate_hz=1.0, n=100)
 
 
 def test_units_page_and_pictures_take_it_from_the_class() -> None:
