@@ -1,7 +1,4 @@
-"""What every container of messages offers: channels, and tasks that load batches of their messages.
-
-Whether many gathered records hold the same bytes where they must: all of them in one pass of words.
-"""
+"""What every container of messages offers: channels, and tasks that load batches of their messages."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -13,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.findings import Finding
-from imucal.readers.files import DamagedError, Scratch
+from imucal.readers.files import DamagedError, LogFile, Scratch
 
 #: A position from the start of a record, and the bytes that every record has there.
 Guard = tuple[int, bytes]
@@ -149,6 +146,12 @@ class Batch:
         """Return where each payload starts, shape (n,)."""
         return self.starts + np.int64(self.header)
 
+    def first(self) -> bytes:
+        """Return the payload of the first message of a checked batch."""
+        start = int(self.starts[0]) + self.header
+        size = self.sizes if isinstance(self.sizes, int) else int(self.sizes[0])
+        return bytes(memoryview(self.buffer)[start : start + size])
+
 
 def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
     """Copy `width` bytes from each place in `at`, shape (n,), into one array of n items.
@@ -244,3 +247,48 @@ class Container(Protocol):
 
     def close(self) -> None:
         """Close the file."""
+
+
+class MessageFile:
+    """A container that is read by the bytes of its one file.
+
+    Parameters
+    ----------
+    file
+        What reads it; by default the file at `path`.
+    """
+
+    format: str
+    compression: str
+    channels: list[Channel]
+    start_ns: int | None = None
+    end_ns: int | None = None
+    parallel = True
+
+    def __init__(self, path: Path, file: LogFile | None = None) -> None:
+        self.path = path
+        self.findings: list[Finding] = []
+        self._file = file or LogFile(path)
+        self.size = self._file.size
+        try:
+            self._read_index()
+        except BaseException:
+            self.close()
+            raise
+
+    def _read_index(self) -> None:
+        """Read all that the file says of itself."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def scan_finding(reason: DamagedError, end: int, size: int) -> Finding:
+    """Return the finding of a file of `size` bytes whose records were scanned up to `end`."""
+    text = f"The index can't be used ({reason}); all records were scanned instead."
+    if end < size:
+        text += f" The last {size - end} of {size} bytes are cut or damaged."
+    code = "truncated" if end < size else reason.code
+    return Finding(level="warning", code=code, text=text)

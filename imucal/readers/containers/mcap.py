@@ -1,16 +1,13 @@
 """MCAP: ROS 2, ROS 1 and JSON messages, chunks uncompressed or in lz4 or zstd.
 
-An intact file is read by the index at its end; a cut, unindexed or damaged one by scanning its records.
-
-The chunks of an MCAP file: loaded by their message index, walked record by record where it fails.
-
-An MCAP file without a good index, scanned record by record.
-
-A cut file keeps everything before the cut, of its last chunk too; the zeros that a crash leaves end it.
+An intact file is read by the index at its end; a cut, unindexed or damaged one by scanning its records. A
+cut file keeps everything before the cut, of its last chunk too; the zeros that a crash leaves end it.
 """
 
 import struct
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
@@ -23,8 +20,18 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS, check_crc, crc32, decompress, decompress_prefix
 from imucal.readers.containers import mcap_records as records
-from imucal.readers.containers.container import Batch, Bytes, Channel, Container, Loss, Task, gather
-from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChannelRecord, ChunkIndex, Schema
+from imucal.readers.containers.container import (
+    Batch,
+    Bytes,
+    Channel,
+    Container,
+    Loss,
+    MessageFile,
+    Task,
+    gather,
+    scan_finding,
+)
+from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChannelRecord, ChunkIndex, Schema, each_record
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from imucal.readers.read_options import Progress
 
@@ -33,6 +40,29 @@ _MESSAGE = 31
 _RECORD = struct.Struct("<BQH")
 #: A chunk's message index has this many bytes in front of its entries of 16.
 _INDEX_HEAD = 15
+_FOOTER_SIZE = 9 + 20 + 8
+#: Ids of channels and schemas have 16 bits; a summary larger than this can only be damage, in bytes.
+_MAX_SUMMARY = 1 << 31
+#: Messages outside chunks are loaded in parts of this many bytes.
+_PART = 1 << 22
+#: Schemas and channels are read whole; a longer one is damage.
+_MAX_DEFINITION = 1 << 24
+#: Bytes that a scan reads at once.
+_WINDOW = 1 << 20
+#: Bytes in which the head of a chunk is looked for: names of compressions are short.
+_HEAD_BLOCK = 128
+
+
+def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
+    """Open an MCAP file; also return the name of its format.
+
+    Raises
+    ------
+    ReadError
+        If it can't be read.
+    """
+    del progress
+    return [McapFile(path)], McapFile.format
 
 
 class ChunkTask:
@@ -42,25 +72,11 @@ class ChunkTask:
         self._file = file
         self._chunk = chunk
         self.size = chunk.length + chunk.index_length
-        self._indexed = bool(chunk.indexes)
-        if self._indexed:
-            try:
-                counts = {
-                    key: index_count(file, key, chunk.indexes[key]) for key in keys if key in chunk.indexes
-                }
-            except DamagedError:
-                self._indexed = False
-        if not self._indexed:
+        counts = index_counts(file, chunk, keys)
+        self._indexed = counts is not None
+        if counts is None:
             counts = self._walked_counts(keys)
         self.counts = {key: count for key, count in counts.items() if count}
-
-    @staticmethod
-    def times(file: LogFile, chunk: ChunkIndex, key: int) -> IntArray:
-        """Return the log times of a channel in a chunk, by its index, shape (n,)."""
-        position = chunk.indexes[key]
-        count = index_count(file, key, position)
-        data = file.read(position + _INDEX_HEAD, 16 * count)
-        return np.frombuffer(data, "<i8").reshape(-1, 2)[:, 0]
 
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
         """Yield the messages of each wanted channel; see `Task`."""
@@ -68,44 +84,22 @@ class ChunkTask:
         region = scratch.buffer(self.size)
         self._file.into(chunk.start, region)
         raw = unpack(region[: chunk.length])
-        if not self._indexed:
-            walked = walk_records(raw)
-            for key in self.counts:
-                yield key, batch_of(raw, walked.get(key, []))
-            return
+        walked = {} if self._indexed else walk_records(raw)
         for key, count in self.counts.items():
-            at = chunk.indexes[key] - chunk.start + _INDEX_HEAD
-            offsets = np.frombuffer(region, "<i8", 2 * count, at).reshape(count, 2)[:, 1]
-            yield key, self._batch(raw, np.ascontiguousarray(offsets), key)
-
-    def _batch(self, raw: memoryview, starts: IntArray, key: int) -> Batch:
-        def check() -> Batch:
-            return _checked(raw, starts, key)
-
-        try:
-            # What else the first record may be is no matter: the guards compare it with a message.
-            length: int = _RECORD.unpack_from(raw, int(starts[0]))[1]
-        except struct.error:
-            return check()
-        return Batch(
-            buffer=raw,
-            starts=starts,
-            header=_MESSAGE,
-            sizes=length - (_MESSAGE - 9),
-            log_ns=starts[:0],
-            log_at=15,
-            guards=((0, _RECORD.pack(records.MESSAGE, length, key)),),
-            check=check,
-        )
+            if self._indexed:
+                at = chunk.indexes[key] - chunk.start + _INDEX_HEAD
+                offsets = np.frombuffer(region, "<i8", 2 * count, at).reshape(count, 2)[:, 1]
+                yield key, _indexed(raw, np.ascontiguousarray(offsets), key)
+            else:
+                yield key, batch_of(raw, walked.get(key, []))
 
     def _walked_counts(self, keys: frozenset[int]) -> dict[int, int]:
         """Count messages by walking; a damaged chunk counts none, and is reported when it is loaded."""
         try:
-            raw = unpack(memoryview(self._file.read(self._chunk.start, self._chunk.length)))
+            walked = walk_records(_read_chunk(self._file, self._chunk))
         except DamagedError:
             # One message at least, so that the chunk is tried, and its loss is told.
             return dict.fromkeys(keys, 1)
-        walked = walk_records(raw)
         return {key: len(walked[key]) for key in keys if key in walked}
 
 
@@ -115,12 +109,12 @@ class LooseTask:
 
     Attributes
     ----------
-    file
-        The file; None where `data` holds the records.
     position, size
         The part of the file.
     starts
         Channel -> positions of records from the start of that part.
+    data
+        What is left of the chunk; None where the records lie in the file.
     """
 
     file: LogFile
@@ -136,31 +130,21 @@ class LooseTask:
 
     def only(self, keys: frozenset[int]) -> "LooseTask":
         """Return the same part with some channels only."""
-        chosen = {key: positions for key, positions in self.starts.items() if key in keys}
-        return LooseTask(self.file, self.position, self.size, chosen, self.data)
+        return replace(self, starts={key: starts for key, starts in self.starts.items() if key in keys})
 
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
         """Yield the messages of each channel; see `Task`."""
-        raw = self._bytes(scratch)
+        if self.data is not None:
+            raw = memoryview(self.data)
+        else:
+            raw = scratch.buffer(self.size)
+            self.file.into(self.position, raw)
         for key, positions in self.starts.items():
             yield key, batch_of(raw, positions)
 
-    def spans(self) -> dict[int, tuple[int, int]]:
-        """Return first and last log time of each channel, in ns."""
-        raw = self._bytes(Scratch())
-        times = {key: batch_of(raw, positions).log_ns for key, positions in self.starts.items()}
-        return {key: (int(values.min()), int(values.max())) for key, values in times.items()}
-
-    def _bytes(self, scratch: Scratch) -> memoryview:
-        if self.data is not None:
-            return memoryview(self.data)
-        region = scratch.buffer(self.size)
-        self.file.into(self.position, region)
-        return region
-
 
 def index_count(file: LogFile, key: int, position: int) -> int:
-    """Return the number of entries of a message index.
+    """Return the number of messages of a channel in a chunk, by its message index.
 
     Raises
     ------
@@ -175,6 +159,32 @@ def index_count(file: LogFile, key: int, position: int) -> int:
         msg = "a message index is damaged"
         raise DamagedError(msg, code="index")
     return size // 16
+
+
+def index_counts(
+    file: LogFile, chunk: ChunkIndex, keys: frozenset[int] | None = None
+) -> dict[int, int] | None:
+    """Return the messages of some channels in a chunk, or of all; None where its indexes don't tell."""
+    if not chunk.indexes:
+        return None
+    chosen = [key for key in (chunk.indexes if keys is None else keys) if key in chunk.indexes]
+    try:
+        return {key: index_count(file, key, chunk.indexes[key]) for key in chosen}
+    except DamagedError:
+        return None
+
+
+def index_times(file: LogFile, chunk: ChunkIndex, key: int) -> list[int]:
+    """Return the log times of a channel in a chunk, by its index; raises DamagedError."""
+    position = chunk.indexes[key]
+    data = file.read(position + _INDEX_HEAD, 16 * index_count(file, key, position))
+    times: list[int] = np.frombuffer(data, "<i8")[::2].tolist()
+    return times
+
+
+def _read_chunk(file: LogFile, chunk: ChunkIndex) -> memoryview:
+    """Return what a chunk holds; raises DamagedError."""
+    return unpack(memoryview(file.read(chunk.start, chunk.length)))
 
 
 def unpack(record: memoryview, *, cut: bool = False) -> memoryview:
@@ -195,15 +205,9 @@ def unpack(record: memoryview, *, cut: bool = False) -> memoryview:
 def walk_records(raw: Bytes) -> dict[int, list[int]]:
     """Return channel -> positions of its Message records, up to the first that is not whole."""
     positions: dict[int, list[int]] = {}
-    at, end, head = 0, len(raw), _RECORD.unpack_from
-    while at + _MESSAGE <= end:
-        opcode, length, channel = head(raw, at)
-        after = at + 9 + length
-        if after > end or not opcode:
-            break
+    for opcode, at, length in each_record(raw):
         if opcode == records.MESSAGE and length >= _MESSAGE - 9:
-            positions.setdefault(channel, []).append(at)
-        at = after
+            positions.setdefault(_RECORD.unpack_from(raw, at)[2], []).append(at)
     return positions
 
 
@@ -211,41 +215,52 @@ def batch_of(raw: Bytes, positions: Sequence[int]) -> Batch:
     """Return the messages whose whole records start at `positions`."""
     starts = np.array(positions, dtype=np.int64)
     heads = gather(raw, starts, _MESSAGE)
-    sizes = _field(heads, 1, "<i8") - (_MESSAGE - 9)
-    return Batch.of(raw, starts, sizes, _field(heads, 15, "<i8"), header=_MESSAGE)
+    sizes = _column(heads, 1, "<i8") - (_MESSAGE - 9)
+    return Batch.of(raw, starts, sizes, _column(heads, 15, "<i8"), header=_MESSAGE)
+
+
+def _indexed(raw: memoryview, starts: IntArray, key: int) -> Batch:
+    """Return the messages of an index, whose records are taken to be like the first."""
+
+    def check() -> Batch:
+        return _checked(raw, starts, key)
+
+    try:
+        # What else the first record may be is no matter: the guards compare it with a message.
+        length: int = _RECORD.unpack_from(raw, int(starts[0]))[1]
+    except struct.error:
+        return check()
+    return Batch(
+        buffer=raw,
+        starts=starts,
+        header=_MESSAGE,
+        sizes=length - (_MESSAGE - 9),
+        log_ns=starts[:0],
+        log_at=15,
+        guards=((0, _RECORD.pack(records.MESSAGE, length, key)),),
+        check=check,
+    )
 
 
 def _checked(raw: memoryview, starts: IntArray, key: int) -> Batch:
     """Check every record of an index; where one is none of the channel's, walk the chunk."""
-    try:
+    with suppress(DamagedError):
         heads = gather(raw, starts, _MESSAGE)
-        length = _field(heads, 1, "<i8")
-        right = (_field(heads, 0, "u1") == records.MESSAGE) & (_field(heads, 9, "<u2") == key)
+        length = _column(heads, 1, "<i8")
+        right = (_column(heads, 0, "u1") == records.MESSAGE) & (_column(heads, 9, "<u2") == key)
         right &= (length >= _MESSAGE - 9) & (length <= len(raw) - starts - 9)
-        whole = bool(right.all())
-    except DamagedError:
-        whole = False
-    if whole:
-        return batch_of(raw, starts.tolist())
+        if right.all():
+            return batch_of(raw, starts.tolist())
     loss = Loss(code="index", text="a message index points to other records; its chunk was walked instead")
     return replace(batch_of(raw, walk_records(raw).get(key, [])), loss=loss)
 
 
-def _field(heads: NDArray[np.void], at: int, dtype: str) -> IntArray:
+def _column(heads: NDArray[np.void], at: int, dtype: str) -> IntArray:
     """Return a field of gathered heads, shape (n,), as int64."""
     if not heads.size:
         return np.zeros(0, dtype=np.int64)
     view: IntArray = np.ndarray(heads.shape, dtype, buffer=heads, offset=at, strides=heads.strides)
     return view.astype(np.int64)
-
-
-#: Messages outside chunks are loaded in parts of this many bytes.
-_PART = 1 << 22
-#: Schemas and channels are read whole; a longer one is damage.
-_MAX_DEFINITION = 1 << 24
-_WINDOW = 1 << 20
-#: Bytes in which the head of a chunk is looked for: names of compressions are short.
-_HEAD_BLOCK = 128
 
 
 @dataclass(slots=True)
@@ -256,12 +271,12 @@ class Bookkeeping:
     channels: dict[int, ChannelRecord] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
     loose: list[LooseTask] = field(default_factory=list)
-    counts: dict[int, int] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
     start_ns: int | None = None
     end_ns: int | None = None
     findings: list[Finding] = field(default_factory=list)
 
-    def define(self, opcode: int, body: memoryview) -> None:
+    def define(self, opcode: int, body: Bytes) -> None:
         """Take a Schema or Channel record, unless its number is known."""
         if opcode == records.SCHEMA:
             schema = records.schema(body)
@@ -272,22 +287,10 @@ class Bookkeeping:
 
     def define_all(self, raw: memoryview) -> None:
         """Take all definitions among the records of a chunk, up to the first that is damaged."""
-        at = 0
-        while at + 9 <= len(raw):
-            opcode, length = HEAD.unpack_from(raw, at)
-            if at + 9 + length > len(raw):
-                return
-            if opcode in {records.SCHEMA, records.CHANNEL}:
-                try:
+        with suppress(DamagedError):
+            for opcode, at, length in each_record(raw):
+                if opcode in records.DEFINITIONS:
                     self.define(opcode, raw[at + 9 : at + 9 + length])
-                except DamagedError:
-                    return
-            at += 9 + length
-
-    def count(self, counts: dict[int, int]) -> None:
-        """Add messages to those of each channel."""
-        for key, count in counts.items():
-            self.counts[key] = self.counts.get(key, 0) + count
 
 
 def scan(file: LogFile, reason: DamagedError) -> Bookkeeping:
@@ -300,16 +303,16 @@ def scan(file: LogFile, reason: DamagedError) -> Bookkeeping:
     """
     found = _Scan(file)
     end, book = found.visit_records(), found.book
-    found.find_channels()
+    found.define_from_chunks()
     if not book.channels:
         msg = f"{file.path}: {reason}, and no whole record was found; expected an MCAP file"
         raise ReadError(msg)
-    found.count()
-    lost = file.size - end
-    text = f"The index can't be used ({reason}); all records were scanned instead."
-    if lost:
-        text += f" The last {lost} of {file.size} bytes are cut or damaged."
-    book.findings.append(Finding(level="warning", code="truncated" if lost else reason.code, text=text))
+    known = frozenset(book.channels)
+    for chunk in book.chunks:
+        book.counts.update(index_counts(file, chunk) or ChunkTask(file, chunk, known).counts)
+    for loose in book.loose:
+        book.counts.update(loose.counts)
+    book.findings.append(scan_finding(reason, end, file.size))
     return book
 
 
@@ -328,48 +331,29 @@ class _Scan:
             self._data = self._file.read(at, min(max(size, _WINDOW), self._file.size - at))
         return memoryview(self._data)[at - self._start : at - self._start + size]
 
-    def _head(self, at: int) -> tuple[int, int]:
-        """Return opcode and length of the record at `at`."""
-        opcode, length = HEAD.unpack_from(self._take(at, HEAD.size))
-        return opcode, length
-
     def visit_records(self) -> int:
         """Visit the records of the file; return where the last whole one ends."""
-        file, at = self._file, len(MAGIC)
-        while at + 9 <= file.size:
-            opcode, length = self._head(at)
-            after = at + 9 + length
-            if not opcode or opcode == records.FOOTER:
-                return file.size if opcode else at
-            if after > file.size:
-                if opcode == records.CHUNK:
-                    self._salvage(at)
-                return at
-            if opcode == records.DATA_END:
-                self._define_from_summary(after)
-                return file.size
-            try:
+        at, size = len(MAGIC), self._file.size
+        with suppress(DamagedError):
+            while at + 9 <= size:
+                opcode, length = HEAD.unpack_from(self._take(at, HEAD.size))
+                after = at + 9 + length
+                if opcode == records.FOOTER:
+                    return size
+                if not opcode or after > size:
+                    if opcode == records.CHUNK:
+                        self._salvage(at)
+                    return at
+                if opcode == records.DATA_END:
+                    self._define_from_summary(after)
+                    return size
                 self._visit(opcode, at, length)
-            except DamagedError:
-                return at
-            at = after
+                at = after
         return at
-
-    def _define_from_summary(self, at: int) -> None:
-        """Take definitions that the summary repeats, though its checksum is wrong."""
-        while at + 9 <= self._file.size:
-            opcode, length = self._head(at)
-            if at + 9 + length > self._file.size or opcode not in {records.SCHEMA, records.CHANNEL}:
-                return
-            try:
-                self.book.define(opcode, self._take(at + 9, length))
-            except DamagedError:
-                return
-            at += 9 + length
 
     def _visit(self, opcode: int, at: int, length: int) -> None:
         chunks = self.book.chunks
-        if opcode in {records.SCHEMA, records.CHANNEL} and length <= _MAX_DEFINITION:
+        if opcode in records.DEFINITIONS and length <= _MAX_DEFINITION:
             self.book.define(opcode, self._take(at + 9, length))
         elif opcode == records.CHUNK:
             head = records.chunk_head(self._take(at, min(HEAD.size + length, _HEAD_BLOCK)))
@@ -381,91 +365,54 @@ class _Scan:
                 chunk.index_length += 9 + length
                 if length > 6:
                     chunk.indexes[key] = at
-        elif opcode == records.MESSAGE and length >= 22:
-            self._add_loose(int.from_bytes(self._take(at + 9, 2), "little"), at, length)
+        elif opcode == records.MESSAGE and length >= _MESSAGE - 9:
+            self._add_loose(int.from_bytes(self._take(at + 9, 2), "little"), at, at + 9 + length)
 
-    def _add_loose(self, key: int, at: int, length: int) -> None:
+    def _add_loose(self, key: int, at: int, end: int) -> None:
         """Take a message that lies outside chunks."""
         loose = self.book.loose
-        part = loose[-1] if loose else None
-        if part is None or part.data is not None or at + 9 + length - part.position > _PART:
-            part = LooseTask(self._file, at)
-            loose.append(part)
+        if not loose or end - loose[-1].position > _PART:
+            loose.append(LooseTask(self._file, at))
+        part = loose[-1]
         part.starts.setdefault(key, []).append(at - part.position)
-        part.size = at + 9 + length - part.position
+        part.size = end - part.position
 
     def _salvage(self, at: int) -> None:
         """Keep the whole messages of a chunk that the end of the file cuts."""
         size = self._file.size - at
-        try:
+        with suppress(DamagedError):
             raw = unpack(memoryview(self._file.read(at, size)), cut=True)
-        except DamagedError:
-            return
-        self.book.define_all(raw)
-        starts = walk_records(raw)
-        if starts:
-            self.book.loose.append(LooseTask(self._file, at, size, starts, bytes(raw)))
+            self.book.define_all(raw)
+            if starts := walk_records(raw):
+                self.book.loose.append(LooseTask(self._file, at, size, starts, bytes(raw)))
 
-    def find_channels(self) -> None:
+    def _define_from_summary(self, at: int) -> None:
+        """Take definitions that the summary repeats, though its checksum is wrong."""
+        with suppress(DamagedError):
+            while at + 9 <= self._file.size:
+                opcode, length = HEAD.unpack_from(self._take(at, HEAD.size))
+                if at + 9 + length > self._file.size or opcode not in records.DEFINITIONS:
+                    return
+                self.book.define(opcode, self._take(at + 9, length))
+                at += 9 + length
+
+    def define_from_chunks(self) -> None:
         """Read definitions from chunks until every indexed channel is known.
 
         Without a summary, a channel is defined in the first chunk that has messages of it.
         """
         for chunk in self.book.chunks:
-            if chunk.indexes and self.book.channels.keys() >= chunk.indexes.keys():
-                continue
-            try:
-                raw = unpack(memoryview(self._file.read(chunk.start, chunk.length)))
-            except DamagedError:
-                continue
-            self.book.define_all(raw)
-
-    def count(self) -> None:
-        """Count the messages of each channel."""
-        for chunk in self.book.chunks:
-            try:
-                counts = {key: index_count(self._file, key, at) for key, at in chunk.indexes.items()}
-            except DamagedError:
-                counts = {}
-            self.book.count(counts or ChunkTask(self._file, chunk, frozenset(self.book.channels)).counts)
-        for loose in self.book.loose:
-            self.book.count(loose.counts)
+            if not chunk.indexes or not self.book.channels.keys() >= chunk.indexes.keys():
+                with suppress(DamagedError):
+                    self.book.define_all(_read_chunk(self._file, chunk))
 
 
-_FOOTER_SIZE = 9 + 20 + 8
-#: Ids of channels and schemas have 16 bits; a summary larger than this can only be damage, in bytes.
-_MAX_SUMMARY = 1 << 31
-
-
-def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open an MCAP file; also return the name of its format.
-
-    Raises
-    ------
-    ReadError
-        If it can't be read.
-    """
-    del progress
-    return [McapFile(path)], McapFile.format
-
-
-class McapFile:
+class McapFile(MessageFile):
     """A container of the messages of an MCAP file."""
 
     format = "mcap"
-    parallel = True
 
-    def __init__(self, path: Path, file: LogFile | None = None) -> None:
-        self.path = path
-        self._file = file or LogFile(path)
-        self.size = self._file.size
-        try:
-            self._prepare()
-        except BaseException:
-            self.close()
-            raise
-
-    def _prepare(self) -> None:
+    def _read_index(self) -> None:
         try:
             self._book = self._summary()
         except DamagedError as error:
@@ -480,10 +427,6 @@ class McapFile:
             raise ReadError(msg)
         self.channels = self._channels()
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         """Yield the chunks that hold messages of some channels."""
         for chunk in self._book.chunks:
@@ -492,7 +435,7 @@ class McapFile:
                 yield cast("Task", task)
         for loose in self._book.loose:
             part = loose.only(keys)
-            if part.counts:
+            if part.starts:
                 yield cast("Task", part)
 
     def _summary(self) -> Bookkeeping:
@@ -503,7 +446,7 @@ class McapFile:
         DamagedError
             If it is missing, damaged, or does not index all messages.
         """
-        size = self._file.size
+        size = self.size
         if size < len(MAGIC) + _FOOTER_SIZE or self._file.read(0, len(MAGIC)) != MAGIC:
             msg = "the file does not start and end as an MCAP file"
             raise DamagedError(msg)
@@ -511,10 +454,8 @@ class McapFile:
         if tail[-8:] != MAGIC:
             msg = "the end of the file is missing"
             raise DamagedError(msg, code="truncated")
-        opcode, length = HEAD.unpack_from(tail, 0)
-        start = int.from_bytes(tail[9:17], "little")
-        crc = int.from_bytes(tail[25:29], "little")
-        if opcode != records.FOOTER or length != 20:
+        start, _, crc = struct.unpack_from("<QQI", tail, HEAD.size)
+        if HEAD.unpack_from(tail, 0) != (records.FOOTER, 20):
             msg = "the footer is damaged"
             raise DamagedError(msg)
         if not start:
@@ -527,29 +468,24 @@ class McapFile:
         if crc and crc32(tail[:25], crc32(summary)) != crc:
             msg = "the index's checksum does not match"
             raise DamagedError(msg, code="crc")
-        return self._parse(summary)
+        return self._parse(memoryview(summary))
 
-    def _parse(self, summary: bytearray) -> Bookkeeping:
+    def _parse(self, summary: memoryview) -> Bookkeeping:
         book = Bookkeeping()
-        view, at = memoryview(summary), 0
-        total = chunks = 0
-        while at + 9 <= len(view):
-            opcode, length = HEAD.unpack_from(view, at)
-            body = view[at + 9 : at + 9 + length]
-            if len(body) != length:
-                msg = "the index is cut"
-                raise DamagedError(msg)
-            if opcode == records.SCHEMA:
-                parsed = records.schema(body)
-                book.schemas[parsed.id] = parsed
-            elif opcode == records.CHANNEL:
-                channel = records.channel(body)
-                book.channels[channel.id] = channel
+        end = total = chunks = 0
+        for opcode, at, length in each_record(summary):
+            end = at + 9 + length
+            body = summary[at + 9 : end]
+            if opcode in records.DEFINITIONS:
+                book.define(opcode, body)
             elif opcode == records.CHUNK_INDEX:
                 book.chunks.append(records.chunk_index(body))
             elif opcode == records.STATISTICS:
-                total, chunks, book.start_ns, book.end_ns, book.counts = records.statistics(body)
-            at += 9 + length
+                total, chunks, book.start_ns, book.end_ns, counts = records.statistics(body)
+                book.counts = Counter(counts)
+        if end + 9 <= len(summary):
+            msg = "the index is cut"
+            raise DamagedError(msg)
         self._check(book, total, chunks)
         return book
 
@@ -558,21 +494,22 @@ class McapFile:
         if len(book.chunks) < chunks or (total and not book.chunks) or not book.channels:
             msg = "the index leaves out chunks"
             raise DamagedError(msg, code="unindexed")
-        if sum(chunk.length + chunk.index_length for chunk in book.chunks) > self._file.size:
+        if sum(chunk.length + chunk.index_length for chunk in book.chunks) > self.size:
             msg = "the index lists chunks twice"
             raise DamagedError(msg)
         for chunk in book.chunks:
             end = chunk.start + chunk.length + chunk.index_length
-            if chunk.start < len(MAGIC) or end > self._file.size:
+            if chunk.start < len(MAGIC) or end > self.size:
                 msg = "the index points beyond the file"
                 raise DamagedError(msg)
         if not book.counts:
             for chunk in book.chunks:
-                book.count({key: index_count(self._file, key, at) for key, at in chunk.indexes.items()})
+                book.counts.update(
+                    {key: index_count(self._file, key, at) for key, at in chunk.indexes.items()}
+                )
 
     def _channels(self) -> list[Channel]:
-        book = self._book
-        spans = self._spans()
+        book, spans = self._book, self._spans()
         channels = []
         for key, record in sorted(book.channels.items()):
             described = book.schemas.get(record.schema, Schema(0, "", "", ""))
@@ -586,7 +523,7 @@ class McapFile:
                     definition=described.text,
                     definition_kind=described.encoding,
                     schema=described.raw,
-                    count=book.counts.get(key, 0),
+                    count=book.counts[key],
                     first_ns=first,
                     last_ns=last,
                 )
@@ -594,25 +531,16 @@ class McapFile:
         return channels
 
     def _spans(self) -> dict[int, tuple[int, int]]:
-        """Return first and last time of each channel, from the indexes of its first and last chunk."""
-        first: dict[int, ChunkIndex] = {}
-        last: dict[int, ChunkIndex] = {}
+        """Return first and last time of each channel: of its first and last chunk, and outside of chunks."""
+        ends: dict[int, tuple[ChunkIndex, ChunkIndex]] = {}
         for chunk in self._book.chunks:
             for key in chunk.indexes:
-                first.setdefault(key, chunk)
-                last[key] = chunk
-        spans = {}
-        for key, chunk in first.items():
-            try:
-                times = [
-                    time for c in (chunk, last[key]) for time in ChunkTask.times(self._file, c, key).tolist()
-                ]
-            except DamagedError:
-                continue
-            if times:
-                spans[key] = (min(times), max(times))
+                ends[key] = (ends[key][0] if key in ends else chunk, chunk)
+        times: dict[int, list[int]] = {}
+        for key, chunks in ends.items():
+            with suppress(DamagedError):
+                times[key] = [time for chunk in chunks for time in index_times(self._file, chunk, key)]
         for loose in self._book.loose:
-            for key, (begin, end) in loose.spans().items():
-                held = spans.get(key, (begin, end))
-                spans[key] = (min(held[0], begin), max(held[1], end))
-        return spans
+            for key, batch in loose.load(Scratch()):
+                times.setdefault(key, []).extend([int(batch.log_ns.min()), int(batch.log_ns.max())])
+        return {key: (min(values), max(values)) for key, values in times.items() if values}

@@ -1,6 +1,7 @@
 """The chunks of a ROS 1 bag: loaded by their index records, walked where there are none."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import NamedTuple
@@ -11,7 +12,7 @@ from imucal.arrays import IntArray
 from imucal.readers.compression import decompress, decompress_prefix
 from imucal.readers.containers import ros1_records as records
 from imucal.readers.containers.container import Alike, Batch, Guard, Loss, gather
-from imucal.readers.containers.ros1_records import Record, number, record
+from imucal.readers.containers.ros1_records import number, record, time_ns, walk
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
 
@@ -56,30 +57,25 @@ class BagChunkTask:
         region = scratch.buffer(self.size)
         self._file.into(self._chunk.start, region)
         raw, end = unpack(region, cut=self._chunk.cut)
-        indexes = self._indexes(region, end) if self._chunk.indexed else {}
+        indexes = self._indexes(region[end:]) if self._chunk.indexed else {}
         for key in self.counts:
-            entries = indexes.get(key)
-            if entries is None:
+            if key in indexes:
+                yield key, _indexed(raw, key, indexes[key])
+            else:
                 loss = Loss(code="index", text="an index record is missing; its chunk was walked instead")
                 yield key, _walked(raw, key, loss if self._chunk.indexed else None)
-            else:
-                yield key, _indexed(raw, key, entries)
 
-    def _indexes(self, region: memoryview, at: int) -> dict[int, memoryview]:
-        """Return connection -> entries of its index record, up to the last wanted one."""
+    def _indexes(self, behind: memoryview) -> dict[int, memoryview]:
+        """Return connection -> entries of its index record behind the chunk, up to the last wanted one."""
         found: dict[int, memoryview] = {}
-        try:
-            while at < len(region) and not self.counts.keys() <= found.keys():
-                entry = record(region, at)
-                if entry.opcode != records.INDEX:
+        with suppress(DamagedError):
+            for opcode, entry in walk(behind):
+                size = entry.end - entry.start
+                if opcode != records.INDEX or size != 12 * number(entry.head, b"count", 4):
                     break
-                key, count = number(entry.head, b"conn", 4), number(entry.head, b"count", 4)
-                if entry.end - entry.start != 12 * count or entry.end > len(region):
+                found[entry.key] = behind[entry.start : entry.end]
+                if self.counts.keys() <= found.keys():
                     break
-                found[key] = region[entry.start : entry.end]
-                at = entry.end
-        except DamagedError:
-            pass
         return found
 
 
@@ -92,33 +88,17 @@ def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
         If it is damaged.
     """
     entry = record(region, 0)
-    head, data = entry.head, region[entry.start : entry.end]
-    if head.get(b"op") != bytes([records.CHUNK]):
+    data = region[entry.start : entry.end]
+    if entry.head.get(b"op") != bytes([records.CHUNK]):
         msg = "a chunk's head is damaged"
         raise DamagedError(msg)
-    kind = head.get(b"compression", b"none").decode("ascii", "replace")
-    size = number(head, b"size", 4)
+    size = number(entry.head, b"size", 4)
     if cut:
-        return memoryview(decompress_prefix(kind, data, size)), entry.end
+        return memoryview(decompress_prefix(entry.compression, data, size)), entry.end
     if entry.end > len(region):
         msg = "a chunk is cut"
         raise DamagedError(msg, code="truncated")
-    return decompress(kind, data, size), entry.end
-
-
-def walk(raw: memoryview) -> Iterator[tuple[int, Record]]:
-    """Yield opcode and record of each whole record in a chunk."""
-    at = 0
-    while True:
-        try:
-            entry = record(raw, at)
-            opcode = entry.opcode
-        except DamagedError:
-            return
-        if entry.end > len(raw):
-            return
-        yield opcode, entry
-        at = entry.end
+    return decompress(entry.compression, data, size), entry.end
 
 
 def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
@@ -168,13 +148,11 @@ class _Head(NamedTuple):
 def _message_head(head: bytes) -> _Head | None:
     """Return what a header says, its time blank: the same in every chunk; None where it is no message's."""
     guards = _guards(head)
-    try:
+    with suppress(DamagedError):
         entry = record(head, 0)
-        if guards is None or entry.opcode != records.MESSAGE or entry.start != len(head):
-            return None
-        return _Head(number(entry.head, b"conn", 4), entry.end - entry.start, guards)
-    except DamagedError:
-        return None
+        if guards is not None and entry.opcode == records.MESSAGE and entry.start == len(head):
+            return _Head(entry.key, entry.end - entry.start, guards)
+    return None
 
 
 def _guards(head: bytes) -> tuple[Guard, ...] | None:
@@ -205,12 +183,12 @@ def _take_alike(raw: memoryview, key: int, payloads: IntArray, sizes: IntArray) 
     DamagedError
         If the last is no message of the connection.
     """
-    payload, _ = _message(raw, key, int(payloads[-1]))
-    head = bytes(raw[int(payloads[-1]) : payload])
+    last = int(payloads[-1])
+    head = bytes(raw[last : _message(raw, key, last)[0]])
     guards = _guards(head[:-4])
-    rows = np.flatnonzero((payloads >= 0) & (payloads <= len(raw) - len(head)))
     if guards is None:
         return np.arange(payloads.size)
+    rows = np.flatnonzero((payloads >= 0) & (payloads <= len(raw) - len(head)))
     heads = gather(raw, payloads[rows], len(head))
     length = np.ndarray(heads.shape, "<u4", buffer=heads, offset=len(head) - 4, strides=heads.strides).copy()
     alike = Alike(guards, len(head)).each(heads) & (payloads[rows] + len(head) + length <= len(raw))
@@ -223,7 +201,7 @@ def _take_alike(raw: memoryview, key: int, payloads: IntArray, sizes: IntArray) 
 def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
     """Return payload and size of the message at `at`, or behind the connection records there."""
     while (entry := record(raw, at)).end <= len(raw):
-        if entry.opcode == records.MESSAGE and number(entry.head, b"conn", 4) == key:
+        if entry.opcode == records.MESSAGE and entry.key == key:
             return entry.start, entry.end - entry.start
         if entry.opcode != records.CONNECTION:
             break
@@ -234,18 +212,10 @@ def _message(raw: memoryview, key: int, at: int) -> tuple[int, int]:
 
 def _walked(raw: memoryview, key: int, loss: Loss | None) -> Batch:
     """Return the messages of a connection in a chunk, found by walking it."""
-    starts, sizes, times = [], [], []
-    for opcode, entry in walk(raw):
-        if opcode == records.MESSAGE and int.from_bytes(entry.head.get(b"conn", b""), "little") == key:
-            time = entry.head.get(b"time", b"").ljust(8, b"\0")
-            times.append(int.from_bytes(time[:4], "little") * 10**9 + int.from_bytes(time[4:8], "little"))
-            starts.append(entry.start)
-            sizes.append(entry.end - entry.start)
-    return Batch(
-        buffer=raw,
-        starts=np.array(starts, dtype=np.int64),
-        header=0,
-        sizes=np.array(sizes, dtype=np.int64),
-        log_ns=np.array(times, dtype=np.int64),
-        loss=loss,
-    )
+    found = [
+        (entry.start, entry.end - entry.start, time_ns(entry.head, b"time"))
+        for opcode, entry in walk(raw)
+        if opcode == records.MESSAGE and int.from_bytes(entry.head.get(b"conn", b""), "little") == key
+    ]
+    starts, sizes, times = np.array(found, dtype=np.int64).reshape(-1, 3).T.copy()
+    return Batch(buffer=raw, starts=starts, header=0, sizes=sizes, log_ns=times, loss=loss)

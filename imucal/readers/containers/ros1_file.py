@@ -1,8 +1,9 @@
 """ROS 1 bags of version 2.0, chunks uncompressed or in lz4 or bz2; by their index section, or by a scan."""
 
-import contextlib
 import struct
+from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import cast
@@ -11,15 +12,24 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS
 from imucal.readers.containers import ros1_records as records
-from imucal.readers.containers.container import Bytes, Channel, Container, Task
-from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack, walk
-from imucal.readers.containers.ros1_records import MAGIC, U32, Connection, connection, number, record
-from imucal.readers.files import DamagedError, LogFile
+from imucal.readers.containers.container import Bytes, Channel, Container, MessageFile, Task, scan_finding
+from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack
+from imucal.readers.containers.ros1_records import (
+    MAGIC,
+    PAIR,
+    U32,
+    Connection,
+    connection,
+    number,
+    record,
+    time_ns,
+    walk,
+)
+from imucal.readers.files import DamagedError
 from imucal.readers.read_options import Progress
 
 #: The index section has a few bytes for each chunk and connection; a larger one is damage.
 _MAX_INDEX = 1 << 31
-_PAIR = struct.Struct("<II")
 #: Bytes in which the head of the bag, and that of a chunk, is looked for.
 _HEAD_BLOCK = 1 << 12
 
@@ -36,33 +46,27 @@ def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Conta
     return [BagFile(path)], BagFile.format
 
 
-class BagFile:
+class BagFile(MessageFile):
     """A container of the messages of a ROS 1 bag."""
 
     format = "rosbag1"
-    parallel = True
 
-    def __init__(self, path: Path, file: LogFile | None = None) -> None:
-        self.path = path
-        self._file = file or LogFile(path)
-        self.size = self._file.size
-        self.findings: list[Finding] = []
+    def _read_index(self) -> None:
         self._connections: dict[int, Connection] = {}
         self._chunks: list[BagChunk] = []
+        magic = bytes(self._file.read(0, min(len(MAGIC), self.size)))
+        if magic != MAGIC:
+            _refuse(self.path, magic)
         try:
-            self._open()
-            self.compression = self._compression()
-        except BaseException:
-            self.close()
-            raise
+            self._read_section()
+        except (DamagedError, struct.error) as error:
+            self._connections.clear()
+            self._chunks.clear()
+            self._scan(error if isinstance(error, DamagedError) else DamagedError("it is damaged"))
+        self.compression = self._compression()
         self.channels = self._channels()
-        firsts = [chunk.first_ns for chunk in self._chunks if chunk.first_ns]
-        lasts = [chunk.last_ns for chunk in self._chunks if chunk.last_ns]
-        self.start_ns, self.end_ns = min(firsts, default=None), max(lasts, default=None)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        self.start_ns = min((chunk.first_ns for chunk in self._chunks if chunk.first_ns), default=None)
+        self.end_ns = max((chunk.last_ns for chunk in self._chunks if chunk.last_ns), default=None)
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         """Yield the chunks that hold messages of some connections."""
@@ -71,19 +75,7 @@ class BagFile:
             if task.counts:
                 yield cast("Task", task)
 
-    def _open(self) -> None:
-        magic = bytes(self._file.read(0, min(len(MAGIC), self.size)))
-        if magic != MAGIC:
-            _refuse(self.path, magic)
-        try:
-            self._index()
-        except (DamagedError, struct.error) as error:
-            self._connections.clear()
-            self._chunks.clear()
-            reason = error if isinstance(error, DamagedError) else DamagedError("it is damaged")
-            self._scan(reason)
-
-    def _index(self) -> None:
+    def _read_section(self) -> None:
         """Read the index section.
 
         Raises
@@ -106,14 +98,14 @@ class BagFile:
         section = memoryview(self._file.read(start, self.size - start))
         at = 0
         while at < len(section):
-            at = self._index_record(section, at)
+            at = self._read_entry(section, at)
         chunks, connections = number(head, b"chunk_count", 4), number(head, b"conn_count", 4)
         if len(self._chunks) < chunks or len(self._connections) < connections:
             msg = "the index is cut"
             raise DamagedError(msg, code="truncated")
         self._set_ends(start)
 
-    def _index_record(self, section: memoryview, at: int) -> int:
+    def _read_entry(self, section: memoryview, at: int) -> int:
         """Take one record of the index section; return where it ends."""
         entry = record(section, at)
         head, data, opcode = entry.head, section[entry.start : entry.end], entry.opcode
@@ -124,16 +116,16 @@ class BagFile:
             found = connection(head, data)
             self._connections[found.id] = found
         elif opcode == records.CHUNK_INFO:
-            if len(data) % 8:
+            if len(data) % PAIR.size:
                 msg = "a chunk's entry in the index is damaged"
                 raise DamagedError(msg)
             self._chunks.append(
                 BagChunk(
                     start=number(head, b"chunk_pos", 8),
                     size=0,
-                    counts=dict(_PAIR.iter_unpack(data)),
-                    first_ns=_time(head.get(b"start_time", b"")),
-                    last_ns=_time(head.get(b"end_time", b"")),
+                    counts=dict(PAIR.iter_unpack(data)),
+                    first_ns=time_ns(head, b"start_time"),
+                    last_ns=time_ns(head, b"end_time"),
                 )
             )
         return entry.end
@@ -155,17 +147,11 @@ class BagFile:
 
     def _scan(self, reason: DamagedError) -> None:
         """Visit the records of the file."""
-        at = self._visit_all()
+        end = self._visit_all()
         if not self._connections:
             msg = f"{self.path}: {reason}, and no whole chunk was found; expected a ROS 1 bag"
             raise ReadError(msg)
-        lost = self.size - at
-        text = f"The index can't be used ({reason}); all records were scanned instead."
-        code = reason.code
-        if lost:
-            text += f" The last {lost} of {self.size} bytes are cut or damaged."
-            code = "truncated"
-        self.findings.append(Finding(level="warning", code=code, text=text))
+        self.findings.append(scan_finding(reason, end, self.size))
 
     def _visit_all(self) -> int:
         """Visit records up to the first that is not whole; return where that is."""
@@ -177,19 +163,17 @@ class BagFile:
                 opcode, after = entry.opcode, at + entry.end
             except DamagedError:
                 return at
-            if after > self.size:
-                if opcode == records.CHUNK:
-                    self._add_chunk(at, self.size - at, cut=True)
-                return at
             if opcode == records.CHUNK:
-                self._add_chunk(at, after - at, cut=False)
-            elif opcode == records.CONNECTION:
+                self._add_chunk(at, min(after, self.size) - at, cut=after > self.size)
+            if after > self.size:
+                return at
+            if opcode == records.CONNECTION:
                 self._add_connection(entry.head, self._file.read(at + entry.start, entry.end - entry.start))
             at = after
 
     def _add_connection(self, head: Mapping[bytes, bytes], data: Bytes) -> None:
         """Take a connection record; a damaged one is as good as none."""
-        with contextlib.suppress(DamagedError):
+        with suppress(DamagedError):
             found = connection(head, data)
             self._connections.setdefault(found.id, found)
 
@@ -203,7 +187,7 @@ class BagFile:
                 if opcode == records.CONNECTION:
                     self._add_connection(entry.head, raw[entry.start : entry.end])
                 elif opcode == records.MESSAGE:
-                    key, time = number(entry.head, b"conn", 4), _time(entry.head.get(b"time", b""))
+                    key, time = entry.key, time_ns(entry.head, b"time")
                     chunk.counts[key] = chunk.counts.get(key, 0) + 1
                     chunk.first_ns = min(chunk.first_ns or time, time)
                     chunk.last_ns = max(chunk.last_ns, time)
@@ -213,27 +197,30 @@ class BagFile:
                 self.findings.append(Finding(level="warning", code=error.code, text=text))
 
     def _channels(self) -> list[Channel]:
-        counts: dict[int, int] = {}
+        counts: Counter[int] = Counter()
         spans: dict[int, tuple[int, int]] = {}
         for chunk in self._chunks:
-            for key, count in chunk.counts.items():
-                counts[key] = counts.get(key, 0) + count
+            counts.update(chunk.counts)
+            for key in chunk.counts:
                 first, last = spans.get(key, (chunk.first_ns, chunk.last_ns))
                 spans[key] = (min(first, chunk.first_ns), max(last, chunk.last_ns))
-        return [
-            Channel(
-                key=key,
-                topic=found.topic,
-                type=found.type,
-                encoding="ros1",
-                definition=found.definition,
-                definition_kind="ros1msg" if found.definition else "",
-                count=counts.get(key, 0),
-                first_ns=spans[key][0] if key in spans else None,
-                last_ns=spans[key][1] if key in spans else None,
+        channels = []
+        for key, found in sorted(self._connections.items()):
+            span = spans.get(key, (None, None))
+            channels.append(
+                Channel(
+                    key=key,
+                    topic=found.topic,
+                    type=found.type,
+                    encoding="ros1",
+                    definition=found.definition,
+                    definition_kind="ros1msg" if found.definition else "",
+                    count=counts[key],
+                    first_ns=span[0],
+                    last_ns=span[1],
+                )
             )
-            for key, found in sorted(self._connections.items())
-        ]
+        return channels
 
     def _compression(self) -> str:
         """Return how the first chunk is compressed; all chunks of a bag are written alike."""
@@ -241,22 +228,13 @@ class BagFile:
             return "none"
         try:
             at = self._chunks[0].start
-            window = self._file.read(at, min(_HEAD_BLOCK, self.size - at))
-            kind = record(window, 0).head.get(b"compression", b"none").decode("ascii", "replace")
+            kind = record(self._file.read(at, min(_HEAD_BLOCK, self.size - at)), 0).compression
         except DamagedError:
             return "unknown"
         if kind not in KINDS:
             msg = f"{self.path}: chunks are compressed by {kind!r}; expected none, lz4 or bz2"
             raise ReadError(msg)
         return kind
-
-
-def _time(value: bytes) -> int:
-    """Return a time in ns; 0 where it is not eight bytes."""
-    if len(value) != 8:
-        return 0
-    seconds, rest = _PAIR.unpack(value)
-    return int(seconds) * 1_000_000_000 + int(rest)
 
 
 def _refuse(path: Path, magic: bytes) -> None:

@@ -5,7 +5,7 @@ refuses unindexed and cut ones, and builds an object for each message when it op
 """
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from imucal.readers.files import DamagedError
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 U32 = struct.Struct("<I")
+PAIR = struct.Struct("<II")
 #: Longest header of a record; a connection's is its topic's length.
 _MAX_HEADER = 1 << 20
 
@@ -42,6 +43,16 @@ class Record(NamedTuple):
         """What it is; raises DamagedError where the header doesn't say."""
         return number(self.head, b"op", 1)
 
+    @property
+    def key(self) -> int:
+        """Its connection; raises DamagedError where the header doesn't say."""
+        return number(self.head, b"conn", 4)
+
+    @property
+    def compression(self) -> str:
+        """How a chunk is compressed."""
+        return self.head.get(b"compression", b"none").decode("ascii", "replace")
+
 
 def record(buffer: Bytes, at: int) -> Record:
     """Return the record at `at`; its data may reach beyond the buffer.
@@ -59,6 +70,21 @@ def record(buffer: Bytes, at: int) -> Record:
         return Record(head, end + 4, end + 4 + U32.unpack_from(buffer, end)[0])
     except struct.error as error:
         raise _broken() from error
+
+
+def walk(raw: Bytes) -> Iterator[tuple[int, Record]]:
+    """Yield opcode and record of each whole record, up to the first that is not."""
+    at = 0
+    while True:
+        try:
+            entry = record(raw, at)
+            opcode = entry.opcode
+        except DamagedError:
+            return
+        if entry.end > len(raw):
+            return
+        yield opcode, entry
+        at = entry.end
 
 
 @lru_cache(maxsize=128)
@@ -88,6 +114,15 @@ def number(found: Mapping[bytes, bytes], name: bytes, size: int) -> int:
     return int.from_bytes(value, "little")
 
 
+def time_ns(found: Mapping[bytes, bytes], name: bytes) -> int:
+    """Return a field that holds seconds and nanoseconds, in ns; 0 where it is not eight bytes."""
+    value = found.get(name, b"")
+    if len(value) != PAIR.size:
+        return 0
+    seconds, rest = PAIR.unpack(value)
+    return int(seconds) * 1_000_000_000 + int(rest)
+
+
 def connection(found: Mapping[bytes, bytes], data: Bytes) -> Connection:
     """Parse a connection record: its header, and the connection's own header as data."""
     inner = fields(bytes(data))
@@ -100,5 +135,4 @@ def connection(found: Mapping[bytes, bytes], data: Bytes) -> Connection:
 
 
 def _broken() -> DamagedError:
-    msg = "a record header is damaged"
-    return DamagedError(msg)
+    return DamagedError("a record header is damaged")

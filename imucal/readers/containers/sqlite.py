@@ -1,15 +1,7 @@
-"""A ROS 2 bag's SQLite file opened: its topics, and its messages in ranges of rows.
+"""A ROS 2 bag's SQLite file: its topics by SQLite, its messages from the pages of the file.
 
-Connections to a SQLite file that is only read: with its write-ahead log, without, or its start.
-
-Rows of the `messages` table from leaf pages of SQLite, all at once.
-
-Source: https://www.sqlite.org/fileformat2.html, sections 1.6 (b-tree pages) and 2.1 (records).
-
-The `messages` table of a ROS 2 bag, read from the pages of the SQLite file.
-
-Half the time of SQLite's own rows, in several threads, and what is left of a cut file can be read. What
-does not fit (overflow pages, a write-ahead log) is left to SQLite.
+Reading the pages takes half the time of SQLite's own rows, runs in several threads, and reads what is left
+of a cut file. What does not fit (overflow pages, a write-ahead log) is left to SQLite.
 Source: https://www.sqlite.org/fileformat2.html, sections 1.6 (b-tree pages) and 2.1 (records).
 """
 
@@ -18,6 +10,7 @@ import sqlite3
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
@@ -30,28 +23,70 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
-from imucal.readers.containers.container import Batch, Channel, Loss, Task, gather
+from imucal.readers.containers.container import Batch, Bytes, Channel, Loss, Task, gather
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
 #: A bag's topics and definitions are written first: they lie in the first pages, in bytes.
 _START = 1 << 22
 #: Longest file that a cut database is made up to, in bytes; it is sparse.
 _LONGEST = 1 << 40
+#: Types of the pages that hold rows of a table, and the tree above them.
+LEAF, _INTERIOR = 0x0D, 0x05
+#: Bytes of a column by its serial type, up to 9; blobs and texts have 12 and more.
+_SIZES = np.array([0, 1, 2, 3, 4, 6, 8, 8, 0, 0, 0, 0], dtype=np.int64)
+#: Leaf pages of one task: about 2 MB of the usual 4 kB pages.
+_GROUP = 512
+#: A b-tree deeper than this is damage.
+_DEEP = 20
+#: Smallest message with its head: what one page can hold is bounded by it, in bytes.
+_SMALLEST = 16
+#: Rows of one task that SQLite reads.
+_RANGE = 1 << 14
+#: Columns of `messages`, in the order that the pages are read in.
+_COLUMNS = ["id", "topic_id", "timestamp", "data"]
+#: Rows fetched at once; more is slower.
+_FETCH = 1024
+#: Rows up to which messages are counted one by one when the bag doesn't say how many there are.
+_COUNTED = 2_000_000
+#: Errors of a database whose pages hold what they should not.
+_ERRORS = (sqlite3.Error, TypeError, ValueError, OverflowError)
 
 
 def connect(path: Path, findings: list[Finding]) -> sqlite3.Connection:
-    """Open a database for reading; its write-ahead log is read too where it lies beside it."""
-    uri = "file:" + quote(os.fsencode(path.absolute()))
-    base = _open(uri + "?mode=ro")
+    """Open a database for reading, with its write-ahead log unless no file may be made beside it."""
     try:
-        _look(base)
+        return _open(path, "mode=ro")
     except sqlite3.OperationalError:
-        base.close()
-        return _connect_alone(uri, path, findings)
+        return connect_alone(path, findings)
+
+
+def connect_alone(path: Path, findings: list[Finding]) -> sqlite3.Connection:
+    """Open a database without its write-ahead log; a finding says so where there is one."""
+    base = _open(path, "mode=ro&immutable=1")
+    wal = _write_ahead_log(path)
+    if wal is not None:
+        text = f"{wal.name} can't be read here, so messages that are only in it are left out."
+        advice = "Copy the bag to a folder that can be written to."
+        findings.append(Finding(level="warning", code="wal-ignored", text=text, advice=advice))
+    return base
+
+
+def _open(path: Path, options: str) -> sqlite3.Connection:
+    """Open a database and look whether it can be read."""
+    uri = "file:" + quote(os.fsencode(path.absolute())) + "?" + options
+    base = sqlite3.connect(uri, uri=True, check_same_thread=False)
+    try:
+        base.execute("select count(*) from sqlite_master").fetchone()
     except sqlite3.Error:
         base.close()
         raise
     return base
+
+
+def _write_ahead_log(path: Path) -> Path | None:
+    """Return the write-ahead log of a database; None where there is none, or nothing in it."""
+    wal = path.with_name(path.name + "-wal")
+    return wal if wal.exists() and wal.stat().st_size else None
 
 
 def connect_to_start(file: LogFile) -> sqlite3.Connection:
@@ -61,24 +96,31 @@ def connect_to_start(file: LogFile) -> sqlite3.Connection:
     file of the right length, and the small tables are taken from there.
     """
     head = file.read(0, min(_START, file.size))
-    pages, size = int.from_bytes(head[28:32], "big"), int.from_bytes(head[16:18], "big")
-    size = 65536 if size == 1 else size
+    stated = stated_size(head)
     result = sqlite3.connect(":memory:", check_same_thread=False)
     try:
         with tempfile.TemporaryDirectory(prefix="imucal-") as folder:
             copy = Path(folder) / "start.db3"
             with copy.open("wb") as target:
                 target.write(head)
-                target.truncate(max(min(pages * size, _LONGEST), len(head)))
-            source = _open("file:" + quote(os.fsencode(copy)) + "?mode=ro&immutable=1")
-            try:
+                target.truncate(max(min(stated, _LONGEST), len(head)))
+            with closing(_open(copy, "mode=ro&immutable=1")) as source:
                 _copy_tables(source, result)
-            finally:
-                source.close()
     except BaseException:
         result.close()
         raise
     return result
+
+
+def stated_size(head: Bytes) -> int:
+    """Return how many bytes a database has by its first page."""
+    return int.from_bytes(head[28:32], "big") * _page_bytes(head)
+
+
+def _page_bytes(head: Bytes) -> int:
+    """Return the size of a page; 65536 does not fit in two bytes and stands as 1."""
+    size = int.from_bytes(head[16:18], "big")
+    return 65536 if size == 1 else size
 
 
 def _copy_tables(source: sqlite3.Connection, target: sqlite3.Connection) -> None:
@@ -94,36 +136,6 @@ def _copy_tables(source: sqlite3.Connection, target: sqlite3.Connection) -> None
     except sqlite3.DatabaseError:
         return
     target.executemany("insert into message_definitions values (?, ?, ?)", rows)
-
-
-def _open(uri: str) -> sqlite3.Connection:
-    return sqlite3.connect(uri, uri=True, check_same_thread=False)
-
-
-def _look(base: sqlite3.Connection) -> None:
-    base.execute("select count(*) from sqlite_master").fetchone()
-
-
-def _connect_alone(uri: str, path: Path, findings: list[Finding]) -> sqlite3.Connection:
-    """Open a database where no file may be made beside it: without its write-ahead log."""
-    base = _open(uri + "?mode=ro&immutable=1")
-    try:
-        _look(base)
-    except sqlite3.Error:
-        base.close()
-        raise
-    wal = path.with_name(path.name + "-wal")
-    if wal.exists() and wal.stat().st_size:
-        text = f"{wal.name} can't be read here, so messages that are only in it are left out."
-        advice = "Copy the bag to a folder that can be written to."
-        findings.append(Finding(level="warning", code="wal-ignored", text=text, advice=advice))
-    return base
-
-
-#: Type of a page that holds rows of a table.
-LEAF = 0x0D
-#: Bytes of a column by its serial type, up to 9; blobs and texts have 12 and more.
-_SIZES = np.array([0, 1, 2, 3, 4, 6, 8, 8, 0, 0, 0, 0], dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -185,7 +197,7 @@ def parse_rows(buffer: memoryview, page: int, usable: int) -> Rows:
 def _cells(data: NDArray[np.uint8], page: int) -> tuple[IntArray, IntArray, int]:
     """Return where the cells of leaf pages start, where the page of each ends, and pages that are none."""
     pages = data.reshape(-1, page)
-    counts = (pages[:, 3].astype(np.int64) << 8) | pages[:, 4]
+    counts = _pair(pages[:, 3], pages[:, 4])
     wrong = (pages[:, 0] != LEAF) | (counts > (page - 8) // 2)
     counts[wrong] = 0
     firsts = np.arange(counts.size, dtype=np.int64) * page
@@ -193,8 +205,12 @@ def _cells(data: NDArray[np.uint8], page: int) -> tuple[IntArray, IntArray, int]
     within = np.arange(total) - np.repeat(np.cumsum(counts) - counts, counts)
     base = np.repeat(firsts, counts)
     words = base + 8 + 2 * within
-    within_page = (data[words].astype(np.int64) << 8) | data[words + 1]
-    return base + within_page, base + page, int(np.count_nonzero(wrong))
+    return base + _pair(data[words], data[words + 1]), base + page, int(np.count_nonzero(wrong))
+
+
+def _pair(high: NDArray[np.uint8], low: NDArray[np.uint8]) -> IntArray:
+    """Return the big-endian numbers of two bytes."""
+    return (high.astype(np.int64) << 8) | low
 
 
 def varint(data: NDArray[np.uint8], at: IntArray) -> tuple[IntArray, IntArray]:
@@ -239,15 +255,6 @@ def _integers(data: NDArray[np.uint8], at: IntArray, kinds: IntArray) -> IntArra
     return result
 
 
-_INTERIOR = 0x05
-#: Leaf pages of one task: about 2 MB of the usual 4 kB pages.
-_GROUP = 512
-#: A b-tree deeper than this is damage.
-_DEEP = 20
-#: Smallest message with its head: what one page can hold is bounded by it, in bytes.
-_SMALLEST = 16
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Leaves:
     """Leaf pages of a table, in the order of its rows.
@@ -279,8 +286,7 @@ class Leaves:
 def page_size(file: LogFile) -> tuple[int, int]:
     """Return the size of a page, and how much of it holds data, in bytes."""
     head = file.read(0, 100)
-    size = int.from_bytes(head[16:18], "big")
-    size = 65536 if size == 1 else size
+    size = _page_bytes(head)
     if size < 512 or size & (size - 1):
         msg = "the page size is damaged"
         raise DamagedError(msg)
@@ -324,7 +330,7 @@ def scan_leaves(file: LogFile) -> list[tuple[IntArray, int]]:
         data = np.frombuffer(file.read(first * size, part * size), dtype=np.uint8).reshape(part, size)
         chosen = np.flatnonzero(data[:, 0] == LEAF)
         if chosen.size:
-            cells = (data[chosen, 3].astype(np.int64) << 8) | data[chosen, 4]
+            cells = _pair(data[chosen, 3], data[chosen, 4])
             most = int(np.minimum(cells, size // _SMALLEST).sum())
             groups.append((chosen + first + 1, most))
     return groups
@@ -362,20 +368,15 @@ class PageTask:
         rows = parse_rows(buffer, self._page, self._usable)
         loss = None
         if rows.damaged and self._fetch is not None:
-            text = "rows of the database are damaged"
-            loss = Loss(code="damaged", text=text, messages=rows.damaged)
-        long = self._long_rows(rows)
+            loss = Loss(code="damaged", text="rows of the database are damaged", messages=rows.damaged)
+        wanted = rows.long_ids[np.isin(rows.long_topics, list(self.counts))]
+        long = self._fetch(wanted.tolist()) if self._fetch is not None and wanted.size else []
         for key in self.counts:
             chosen = np.flatnonzero(rows.topics == key)
             batch = Batch.of(buffer, rows.starts[chosen], rows.sizes[chosen], rows.times[chosen])
-            batch = replace(batch, loss=loss)
             more = [(time, data) for topic, time, data in long if topic == key]
+            yield key, replace(_with(batch, more) if more else batch, loss=loss)
             loss = None
-            yield key, _with(batch, more) if more else batch
-
-    def _long_rows(self, rows: Rows) -> list[tuple[int, int, bytes]]:
-        wanted = rows.long_ids[np.isin(rows.long_topics, list(self.counts))]
-        return self._fetch(wanted.tolist()) if self._fetch is not None and wanted.size else []
 
     def _read(self, scratch: Scratch) -> memoryview:
         """Read the pages side by side into a buffer: in one go where they are neighbours."""
@@ -390,19 +391,16 @@ class PageTask:
 
 def _with(batch: Batch, more: list[tuple[int, bytes]]) -> Batch:
     """Return a batch with further messages, in order of time."""
-    sizes = np.broadcast_to(batch.sizes, batch.starts.shape)
-    joined = bytes(batch.buffer) + b"".join(data for _, data in more)
-    lengths = np.array([len(data) for _, data in more], dtype=np.int64)
-    starts = np.concatenate([batch.starts, len(batch.buffer) + np.cumsum(lengths) - lengths])
-    times = np.concatenate([batch.log_ns, np.array([time for time, _ in more], dtype=np.int64)])
+    others = batch_of_blobs([data for _, data in more], [time for time, _ in more])
+    sizes = [np.broadcast_to(part.sizes, part.n) for part in (batch, others)]
+    times = np.concatenate([batch.log_ns, others.log_ns])
     order = np.argsort(times, kind="stable")
     return Batch(
-        buffer=joined,
-        starts=starts[order],
+        buffer=bytes(batch.buffer) + bytes(others.buffer),
+        starts=np.concatenate([batch.starts, len(batch.buffer) + others.starts])[order],
         header=0,
-        sizes=np.concatenate([sizes, lengths])[order],
+        sizes=np.concatenate(sizes)[order],
         log_ns=times[order],
-        loss=batch.loss,
     )
 
 
@@ -423,24 +421,13 @@ def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray
     if data[0] != _INTERIOR or 12 + 2 * count > size:
         msg = "an interior page is damaged"
         raise DamagedError(msg)
-    words = data[12 : 12 + 2 * count].astype(np.int64).reshape(-1, 2)
-    cells = (words[:, 0] << 8) | words[:, 1]
+    cells = _pair(data[12 : 12 + 2 * count : 2], data[13 : 13 + 2 * count : 2])
     if count and int(cells.max()) > size - 5:
         msg = "an interior page is damaged"
         raise DamagedError(msg)
     pages = gather(data.data, np.append(cells, 8), 4).view(">u4").astype(np.int64)
     keys, _ = varint(data, cells + 4)
     return pages, np.append(keys, bound)
-
-
-#: Rows of one task.
-_RANGE = 1 << 14
-#: Columns of `messages`, in the order that the pages are read in.
-_COLUMNS = ["id", "topic_id", "timestamp", "data"]
-#: Rows fetched at once; more is slower.
-_FETCH = 1024
-#: Rows up to which messages are counted one by one when the bag doesn't say how many there are.
-_COUNTED = 2_000_000
 
 
 class SqliteFile:
@@ -464,9 +451,12 @@ class SqliteFile:
         self._base: sqlite3.Connection | None = None
         self._lock = threading.Lock()
         self._cut = False
+        self.first_id, self.last_id = 1, 0
+        self.start_ns: int | None = None
+        self.end_ns: int | None = None
         try:
             self._open(counts)
-        except (sqlite3.Error, OverflowError, TypeError, ValueError, DamagedError) as error:
+        except (*_ERRORS, DamagedError) as error:
             self.close()
             msg = (
                 f"{path}: the SQLite database can't be read: {error}; expected a ROS 2 bag, "
@@ -477,8 +467,10 @@ class SqliteFile:
     def _open(self, counts: Mapping[str, int] | None) -> None:
         try:
             self._base = connect(self.path, self.findings)
-            self.first_id, self.last_id = self._ids()
-            self.start_ns, self.end_ns = self._span()
+            first, last = self._ends("id")
+            if first is not None and last is not None:
+                self.first_id, self.last_id = int(first), int(last)
+            self.start_ns, self.end_ns = self._ends("timestamp")
             self.channels = self._channels(counts)
         except sqlite3.DatabaseError as error:
             if self._base is not None:
@@ -489,13 +481,9 @@ class SqliteFile:
             self.start_ns = self.end_ns = None
             self.channels = self._channels({})
             text = f"SQLite can't read the database ({error}); its pages were scanned for whole messages."
-            code = "truncated" if self._is_cut() else "damaged"
+            page_size(self._file)
+            code = "truncated" if stated_size(self._file.read(0, 100)) > self.size else "damaged"
             self.findings.append(Finding(level="warning", code=code, text=text))
-
-    def _is_cut(self) -> bool:
-        """Say whether the file has fewer pages than its first one says."""
-        head = self._file.read(0, 100)
-        return int.from_bytes(head[28:32], "big") * page_size(self._file)[0] > self.size
 
     def close(self) -> None:
         """Close the database."""
@@ -526,9 +514,8 @@ class SqliteFile:
 
     def _needs_sqlite(self) -> bool:
         """Say whether the pages of the file alone don't hold the messages, or hold them in another order."""
-        wal = self.path.with_name(self.path.name + "-wal")
         columns = [row[1] for row in self._database.execute("pragma table_info(messages)")]
-        needs = (wal.exists() and wal.stat().st_size > 0) or columns != _COLUMNS
+        needs = _write_ahead_log(self.path) is not None or columns != _COLUMNS
         # SQLite takes a lock that several threads would wait for.
         self.parallel = not needs
         return needs
@@ -584,13 +571,6 @@ class SqliteFile:
             return b""
         return bytes(row[0]) if row and isinstance(row[0], bytes) else b""
 
-    def _ids(self) -> tuple[int, int]:
-        first, last = self._ends("id")
-        return (int(first), int(last)) if first is not None and last is not None else (1, 0)
-
-    def _span(self) -> tuple[int | None, int | None]:
-        return self._ends("timestamp")
-
     def _ends(self, column: str) -> tuple[int | None, int | None]:
         """Return the smallest and the largest value of an indexed column of the messages."""
         # Two statements: each takes one step in the index, together they would scan the table.
@@ -605,20 +585,23 @@ class SqliteFile:
         # A damaged page gives rows of other types.
         topics = [row for row in rows if [type(value) for value in row] == [int, str, str, str]]
         by_key = self._count(counts, topics)
-        return [
-            Channel(
-                key=key,
-                topic=name,
-                type=kind,
-                encoding=encoding,
-                definition=definitions.get(kind, ("", ""))[1],
-                definition_kind=definitions.get(kind, ("", ""))[0],
-                count=by_key.get(key) if by_key is not None else None,
-                first_ns=self.start_ns,
-                last_ns=self.end_ns,
+        channels = []
+        for key, name, kind, encoding in topics:
+            definition_kind, definition = definitions.get(kind, ("", ""))
+            channels.append(
+                Channel(
+                    key=key,
+                    topic=name,
+                    type=kind,
+                    encoding=encoding,
+                    definition=definition,
+                    definition_kind=definition_kind,
+                    count=by_key.get(key, 0) if by_key is not None else None,
+                    first_ns=self.start_ns,
+                    last_ns=self.end_ns,
+                )
             )
-            for key, name, kind, encoding in topics
-        ]
+        return channels
 
     def _count(self, counts: Mapping[str, int] | None, topics: list[Any]) -> dict[int, int] | None:
         """Return messages of each topic; None where only reading all would tell."""
@@ -631,10 +614,8 @@ class SqliteFile:
             return {topics[0][0]: max(rows, 0)}
         if rows > _COUNTED:
             return None
-        found = dict(
-            self._database.execute("select topic_id, count(*) from messages group by topic_id").fetchall()
-        )
-        return {key: found.get(key, 0) for key, _, _, _ in topics}
+        query = "select topic_id, count(*) from messages group by topic_id"
+        return dict(self._database.execute(query).fetchall())
 
     def _definitions(self) -> dict[str, tuple[str, str]]:
         """Return type -> kind and text of its definition; bags older than ROS 2 Iron hold none."""
@@ -660,10 +641,11 @@ class SqliteTask:
         del scratch
         for key in self.counts:
             try:
-                yield key, self._fetch(key)
-            except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+                batch = self._fetch(key)
+            except _ERRORS as error:
                 msg = f"the SQLite database is damaged: {error}"
                 raise DamagedError(msg) from error
+            yield key, batch
 
     def _fetch(self, key: int) -> Batch:
         # No `order by`: it would go through the index of times instead of the table.

@@ -1,15 +1,14 @@
 """Message definitions: `.msg` text -> the flat list of fields, in the order of their bytes.
 
-Definitions of message types in the user's own `.msg` files, as packages hold them, or in their folders.
-
-The definition of a channel's message type: the log's own, one that is given, or the standard one.
+The definition of a channel's type is the log's own, one in the user's files, or the standard one.
+`rosbags` parses definitions too, but takes longer to import than a small log to read.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
 
 from imucal.errors import ReadError
 from imucal.readers.containers import Channel
@@ -49,18 +48,8 @@ class Field:
 
 
 _NUMBERS = {
-    "bool": "u1",
-    "byte": "u1",
-    "octet": "u1",
-    "char": "u1",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "int64": "i8",
-    "uint64": "u8",
+    **dict.fromkeys(("bool", "byte", "octet", "char"), "u1"),
+    **{f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
     "float32": "f4",
     "float64": "f8",
 }
@@ -69,35 +58,23 @@ _FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(<=)?(\d*)\])?\s+(\w+)\s*(.*)$")
 _SEPARATOR = re.compile(r"^=+\s*$", re.MULTILINE)
 #: A definition that nests deeper than this, or has more fields, is refused.
 _DEEP, _MANY = 16, 20_000
+#: A folder with more files is none of message definitions.
+_MANY_FILES = 20_000
 
 #: Definitions of types that logs don't always carry. Source: common_interfaces, PX4 1.14 msg/.
-_HEADER = "\n===\nMSG: std_msgs/Header\n{seq}{time} stamp\nstring frame_id"
-_VECTOR = "\n===\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z"
-_QUATERNION = "\n===\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w"
-_TWIST = "\n===\nMSG: geometry_msgs/Twist\nVector3 linear\nVector3 angular" + _VECTOR
-BUILT_IN: dict[str, str] = {
+_BUILT_IN: dict[str, str] = {
     "sensor_msgs/Imu": (
         "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
         "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
         "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance"
-        + _HEADER
-        + _QUATERNION
-        + _VECTOR
     ),
-    "geometry_msgs/Vector3Stamped": "std_msgs/Header header\nVector3 vector" + _HEADER + _VECTOR,
+    "geometry_msgs/Vector3Stamped": "std_msgs/Header header\nVector3 vector",
     "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/TwistStamped": "std_msgs/Header header\nTwist twist" + _HEADER + _TWIST,
-    "geometry_msgs/Twist": "Vector3 linear\nVector3 angular" + _VECTOR,
-    "geometry_msgs/TwistWithCovarianceStamped": (
-        "std_msgs/Header header\nTwistWithCovariance twist\n===\nMSG: geometry_msgs/TwistWithCovariance\n"
-        "Twist twist\nfloat64[36] covariance" + _HEADER + _TWIST
-    ),
-    "geometry_msgs/AccelStamped": (
-        "std_msgs/Header header\nAccel accel\n===\nMSG: geometry_msgs/Accel\nVector3 linear\nVector3 angular"
-        + _HEADER
-        + _VECTOR
-    ),
-    "sensor_msgs/Temperature": "std_msgs/Header header\nfloat64 temperature\nfloat64 variance" + _HEADER,
+    "geometry_msgs/TwistStamped": "std_msgs/Header header\nTwist twist",
+    "geometry_msgs/Twist": "Vector3 linear\nVector3 angular",
+    "geometry_msgs/TwistWithCovarianceStamped": "std_msgs/Header header\nTwistWithCovariance twist",
+    "geometry_msgs/AccelStamped": "std_msgs/Header header\nAccel accel",
+    "sensor_msgs/Temperature": "std_msgs/Header header\nfloat64 temperature\nfloat64 variance",
     "px4_msgs/SensorCombined": (
         "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 gyro_integral_dt\n"
         "int32 accelerometer_timestamp_relative\nfloat32[3] accelerometer_m_s2\n"
@@ -111,6 +88,15 @@ BUILT_IN: dict[str, str] = {
         "uint8 gyro_calibration_count"
     ),
 }
+#: Types in these.
+_INNER = {
+    "std_msgs/Header": "{seq}{time} stamp\nstring frame_id",
+    "geometry_msgs/Vector3": _BUILT_IN["geometry_msgs/Vector3"],
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    "geometry_msgs/Twist": _BUILT_IN["geometry_msgs/Twist"],
+    "geometry_msgs/TwistWithCovariance": "Twist twist\nfloat64[36] covariance",
+    "geometry_msgs/Accel": "Vector3 linear\nVector3 angular",
+}
 
 
 def plain_type(name: str) -> str:
@@ -120,21 +106,25 @@ def plain_type(name: str) -> str:
 
 def built_in(name: str, *, ros1: bool) -> str | None:
     """Return the definition of a well-known type, or None."""
-    text = BUILT_IN.get(plain_type(name))
-    if text is None:
+    own = _BUILT_IN.get(plain_type(name))
+    if own is None:
         return None
+    text = own + "".join(f"\n===\nMSG: {inner}\n{body}" for inner, body in _INNER.items())
     seq, time = ("uint32 seq\n", "time") if ros1 else ("", "builtin_interfaces/Time")
     return text.replace("{seq}", seq).replace("{time}", time)
 
 
-class Line(NamedTuple):
-    """A line of a definition: one field."""
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line of a definition: one field, and how many there are of it where it is an array.
+
+    `count` is None for a sequence, whose length each message says.
+    """
 
     kind: str
-    array: str | None
-    bounded: str | None
-    elements: str | None
     name: str
+    array: bool
+    count: int | None
 
     @property
     def is_number(self) -> bool:
@@ -147,16 +137,6 @@ class Line(NamedTuple):
     @property
     def is_time(self) -> bool:
         return plain_type(self.kind) in _TIMES
-
-    @property
-    def fixed(self) -> int | None:
-        """Elements of an array of a fixed size."""
-        return int(self.elements) if self.array is not None and self.elements and not self.bounded else None
-
-    @property
-    def brackets(self) -> str:
-        """``[3]`` of an array, ``[]`` of a sequence, nothing of a single field."""
-        return "" if self.array is None else f"[{self.fixed if self.fixed is not None else ''}]"
 
 
 class Definitions:
@@ -172,31 +152,44 @@ class Definitions:
 
     def __init__(self, name: str, text: str, *, ros1: bool, more: Mapping[str, str] | None = None) -> None:
         self.name = plain_type(name)
-        self._ros1 = ros1
+        self.ros1 = ros1
         self._standard = more is not None
-        self._defined = _split(self.name, text)
+        self._defined: dict[str, list[Line]] = {}
+        self._add(self.name, text)
         for other, body in (more or {}).items():
-            for known, lines in _split(other, body).items():
-                self._defined.setdefault(known, lines)
+            self._add(other, body)
 
-    def lines(self, name: str | None = None) -> list[Line]:
-        """Return the fields of a type, that of the messages by default."""
-        return self._defined[name or self.name]
+    def _add(self, name: str, text: str) -> None:
+        """Add the types of a definition that are not known yet."""
+        for index, part in enumerate(_SEPARATOR.split(text)):
+            own, body = name, part
+            if index:
+                match = re.match(r"\s*MSG:\s*(\S+)", part)
+                if match is None:
+                    continue
+                own, body = plain_type(match[1]), part[match.end() :]
+            self._defined.setdefault(
+                own, [line for raw in body.splitlines() if (line := _line(raw)) is not None]
+            )
 
-    def resolve(self, owner: str | None, kind: str) -> str:
+    def lines(self, name: str) -> list[Line]:
+        """Return the fields of a type."""
+        return self._defined[name]
+
+    def resolve(self, owner: str, kind: str) -> str:
         """Return the type that a field of `owner` is of; a DefinitionError where it is not defined."""
         name = plain_type(kind)
-        package = (owner or self.name).partition("/")[0]
-        candidates = [name] if "/" in name else [f"{package}/{name}", f"std_msgs/{name}"]
+        last = "/" + name.rpartition("/")[2]
+        candidates = [name] if "/" in name else [f"{owner.partition('/')[0]}/{name}", f"std_msgs/{name}"]
         candidates += [known for known in self._defined if known.endswith("/" + name)]
         # A file outside of its package.
-        candidates.append("/" + name.rpartition("/")[2])
+        candidates.append(last)
         for candidate in candidates:
             if candidate in self._defined or (self._standard and self._take_standard(candidate)):
                 return candidate
         msg = f"type {kind} is not defined"
         if self._standard:
-            msg += f"; give its .msg file too, {name.rpartition('/')[2]}.msg"
+            msg += f"; give its .msg file too, {last[1:]}.msg"
         raise DefinitionError(msg)
 
     def _take_standard(self, name: str) -> bool:
@@ -206,14 +199,54 @@ class Definitions:
 
         if name.startswith("/"):
             return False
-        store = get_typestore(Stores.ROS1_NOETIC if self._ros1 else Stores.LATEST)
+        store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.LATEST)
         try:
-            text, _ = store.generate_msgdef(name.replace("/", "/msg/"), ros_version=1 if self._ros1 else 2)
+            text, _ = store.generate_msgdef(name.replace("/", "/msg/"), ros_version=1 if self.ros1 else 2)
         except (TypesysError, KeyError):
             return False
-        for known, lines in _split(name, text).items():
-            self._defined.setdefault(known, lines)
+        self._add(name, text)
         return True
+
+    def fields(self, name: str, prefix: str = "", depth: int = 0) -> Iterator[Field]:
+        """Yield the fields of a type, nested ones in their place."""
+        if depth > _DEEP:
+            raise _too_large(name)
+        lines = self._defined[name]
+        if not lines and not self.ros1:
+            # A ROS 2 structure without members takes one byte: rosidl adds a member.
+            yield Field(prefix + "structure_needs_at_least_one_member", "number", "u1")
+        for line in lines:
+            path = prefix + line.name
+            if line.is_number:
+                yield self._numbers(path, line)
+            elif line.is_text:
+                yield Field(path, "other" if line.array or line.kind == "wstring" else "string")
+            elif line.is_time and line.array:
+                yield Field(path, "other")
+            elif line.is_time:
+                yield Field(path + ".sec", "number", "u4" if self.ros1 else "i4")
+                yield Field(path + ".nanosec", "number", "u4")
+            else:
+                yield from self._structures(self.resolve(name, line.kind), path, line, depth + 1)
+
+    def _numbers(self, path: str, line: Line) -> Field:
+        code = "i1" if self.ros1 and line.kind == "byte" else _NUMBERS[line.kind]
+        if not line.array:
+            return Field(path, "number", code)
+        return Field(path, "sequence", code) if line.count is None else Field(path, "array", code, line.count)
+
+    def _structures(self, nested: str, path: str, line: Line, depth: int) -> Iterator[Field]:
+        """Yield the fields of a structure, of each in an array, or one for a sequence of them."""
+        if not line.array:
+            yield from self.fields(nested, path + ".", depth)
+        elif line.count is None:
+            yield _sequence(path, _laid_out(nested, self.fields(nested, path + "[].", depth)))
+        elif line.count > _MANY:
+            msg = f"{path} has {line.count} elements"
+            raise DefinitionError(msg)
+        else:
+            for i in range(line.count):
+                yield from self.fields(nested, f"{path}[{i}].", depth)
 
 
 def flatten(name: str, text: str, *, ros1: bool, more: Mapping[str, str] | None = None) -> tuple[Field, ...]:
@@ -227,94 +260,32 @@ def flatten(name: str, text: str, *, ros1: bool, more: Mapping[str, str] | None 
     DefinitionError
         If a line can't be read, or a type is not defined.
     """
-    return tuple(_Flattener(Definitions(name, text, ros1=ros1, more=more), ros1=ros1).fields)
+    known = Definitions(name, text, ros1=ros1, more=more)
+    return tuple(_laid_out(known.name, known.fields(known.name)))
 
 
-class _Flattener:
-    """Walks the definitions of a message and of the types in it."""
-
-    def __init__(self, definitions: Definitions, *, ros1: bool) -> None:
-        self.ros1 = ros1
-        self.numbers = {**_NUMBERS, "byte": "i1"} if ros1 else _NUMBERS
-        self.sec = "u4" if ros1 else "i4"
-        self.definitions = definitions
-        self.fields: list[Field] = []
-        self._walk(definitions.name, "", 0)
-
-    def _walk(self, name: str, prefix: str, depth: int) -> bool:
-        """Append the fields of a type; False where the layout ends being known."""
-        if depth > _DEEP or len(self.fields) > _MANY:
-            msg = f"{name} nests too deeply or has too many fields"
-            raise DefinitionError(msg)
-        lines = self.definitions.lines(name)
-        if not lines and not self.ros1:
-            # A ROS 2 structure without members takes one byte: rosidl adds a member.
-            self.fields.append(Field(prefix + "structure_needs_at_least_one_member", "number", "u1"))
-        return all(self._field(name, line, prefix, depth) for line in lines)
-
-    def _field(self, owner: str, line: Line, prefix: str, depth: int) -> bool:
-        kind, array, fixed = line.kind, line.array, line.fixed
-        path = prefix + line.name
-        if kind in self.numbers:
-            self._number(path, self.numbers[kind], array, fixed)
-            return True
-        if line.is_text:
-            plain = array is None and kind == "string"
-            self.fields.append(Field(path, "string" if plain else "other"))
-            return plain
-        repeat = 1 if array is None else fixed
-        if line.is_time:
-            return self._times(path, array)
-        nested = self.definitions.resolve(owner, kind)
-        if repeat is None:
-            return self._structures(nested, path, depth)
-        if repeat > _MANY:
-            msg = f"{path} has {repeat} elements"
-            raise DefinitionError(msg)
-        paths = [path] if array is None else [f"{path}[{i}]" for i in range(repeat)]
-        return all(self._walk(nested, path + ".", depth + 1) for path in paths)
-
-    def _number(self, path: str, code: str, array: str | None, fixed: int | None) -> None:
-        if array is None:
-            self.fields.append(Field(path, "number", code))
-        elif fixed is not None:
-            self.fields.append(Field(path, "array", code, fixed))
-        else:
-            self.fields.append(Field(path, "sequence", code))
-
-    def _times(self, path: str, array: str | None) -> bool:
-        if array is not None:
-            self.fields.append(Field(path, "other"))
-            return False
-        self.fields += [Field(path + ".sec", "number", self.sec), Field(path + ".nanosec", "number", "u4")]
-        return True
-
-    def _structures(self, nested: str, path: str, depth: int) -> bool:
-        """Lay out a sequence of structures that hold numbers of one size only."""
-        start = len(self.fields)
-        whole = self._walk(nested, path + "[].", depth + 1)
-        inner, self.fields[start:] = self.fields[start:], []
-        codes = {field.size for field in inner}
-        if whole and len(codes) == 1 and all(field.kind in {"number", "array"} for field in inner):
-            count = sum(field.count for field in inner)
-            self.fields.append(Field(path, "sequence", inner[0].code, count))
-            return True
-        self.fields.append(Field(path, "other"))
-        return False
+def _laid_out(name: str, fields: Iterator[Field]) -> list[Field]:
+    """Return the fields of a type up to the first whose size is not known."""
+    found = []
+    for field in fields:
+        found.append(field)
+        if len(found) > _MANY:
+            raise _too_large(name)
+        if field.kind == "other":
+            break
+    return found
 
 
-def _split(name: str, text: str) -> dict[str, list[Line]]:
-    """Return the lines of each type in a definition."""
-    defined: dict[str, list[Line]] = {}
-    for index, part in enumerate(_SEPARATOR.split(text)):
-        own, body = name, part
-        if index:
-            match = re.match(r"\s*MSG:\s*(\S+)", part)
-            if match is None:
-                continue
-            own, body = plain_type(match[1]), part[match.end() :]
-        defined.setdefault(own, [line for raw in body.splitlines() if (line := _line(raw)) is not None])
-    return defined
+def _sequence(path: str, inner: list[Field]) -> Field:
+    """Return a sequence of structures; it can be laid out where they hold numbers of one size only."""
+    sizes = {field.size for field in inner}
+    if len(sizes) == 1 and all(field.kind in {"number", "array"} for field in inner):
+        return Field(path, "sequence", inner[0].code, sum(field.count for field in inner))
+    return Field(path, "other")
+
+
+def _too_large(name: str) -> DefinitionError:
+    return DefinitionError(f"{name} nests too deeply or has too many fields")
 
 
 def _line(raw: str) -> Line | None:
@@ -326,19 +297,18 @@ def _line(raw: str) -> Line | None:
     if match is None:
         msg = f"line {line[:60]!r} is not a field"
         raise DefinitionError(msg)
-    if match[6].startswith("="):
+    kind, array, bounded, elements, name, rest = match.groups()
+    if rest.startswith("="):
         return None
-    return Line(*match.group(1, 2, 3, 4, 5))
-
-
-#: A folder with more files is none of message definitions.
-_DEFINITION_FILES_MANY = 20_000
+    count = int(elements) if elements and not bounded else None
+    return Line(kind, name, array=array is not None, count=count)
 
 
 def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
     """Return the definitions in files and folders: ``package/Name`` -> text.
 
-    The name is that of the file; the package that of the folder above ``msg/``, and empty elsewhere.
+    The name is that of the file, in which packages and versions may stand too; the package that of the
+    folder above ``msg/``, and empty elsewhere.
 
     Raises
     ------
@@ -347,7 +317,7 @@ def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
     """
     found = {}
     for path in paths:
-        files = sorted(path.rglob("*.msg"))[:_DEFINITION_FILES_MANY] if path.is_dir() else [path]
+        files = sorted(path.rglob("*.msg"))[:_MANY_FILES] if path.is_dir() else [path]
         if not files:
             msg = f"{path}: no .msg files in this folder; expected the definitions of message types"
             raise ReadError(msg)
@@ -359,13 +329,9 @@ def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
                 raise ReadError(msg) from error
             folder = file.resolve().parent
             package = folder.parent.name if folder.name == "msg" else ""
-            found[f"{package}/{_stem(file)}"] = text
+            name = re.split(r"[/.]|__", file.name.removesuffix(".msg"))[-1]
+            found[f"{package}/{name}"] = text
     return found
-
-
-def _stem(file: Path) -> str:
-    """Return the name of the type that a file defines; packages and versions may stand in its name."""
-    return re.split(r"[/.]|__", file.name.removesuffix(".msg"))[-1]
 
 
 def definition_of(kind: str, given: dict[str, str]) -> str | None:

@@ -14,28 +14,25 @@ _DEEP, _MANY = 8, 4000
 
 def leaves_of(name: str, text: str, more: dict[str, str] | None, *, ros1: bool) -> list[Leaf]:
     """Return the numbers in messages of a type; a DefinitionError where its definition can't be read."""
-    leaves: list[Leaf] = []
-    _collect(Definitions(name, text, ros1=ros1, more=more), None, ("", 0), leaves, count())
-    return leaves
+    known = Definitions(name, text, ros1=ros1, more=more)
+    return list(_leaves(known, known.name, "", 0, count()))
 
 
-def _collect(
-    known: Definitions, name: str | None, place: tuple[str, int], leaves: list[Leaf], steps: Iterator[int]
-) -> None:
-    """Add the numbers of a type at a prefix and a depth; `steps` counts the lines that were looked at."""
-    prefix, depth = place
+def _leaves(known: Definitions, name: str, prefix: str, depth: int, steps: Iterator[int]) -> Iterator[Leaf]:
+    """Yield the numbers of a type at a prefix; `steps` counts the lines that were looked at."""
     for line in known.lines(name):
         if next(steps) >= _MANY:
             return
         path = prefix + line.name
+        own = f"{path}[0]" if line.array else path
         if line.is_number:
-            leaves.append(Leaf(path, line.kind + line.brackets))
+            brackets = f"[{'' if line.count is None else line.count}]" if line.array else ""
+            yield Leaf(path, line.kind + brackets)
         elif line.is_time:
-            own = f"{path}[0]" if line.brackets else path
-            leaves += [Leaf(f"{own}.sec", "int32"), Leaf(f"{own}.nanosec", "uint32")]
+            yield Leaf(f"{own}.sec", "int32")
+            yield Leaf(f"{own}.nanosec", "uint32")
         elif not line.is_text and depth < _DEEP:
-            own = f"{path}[0]." if line.brackets else f"{path}."
-            _collect(known, known.resolve(name, line.kind), (own, depth + 1), leaves, steps)
+            yield from _leaves(known, known.resolve(name, line.kind), f"{own}.", depth + 1, steps)
 
 
 def parser_of(name: str, text: str, more: dict[str, str] | None, *, ros1: bool) -> Parse:

@@ -17,7 +17,6 @@ from imucal.readers.containers.container import Batch
 from imucal.readers.files import DamagedError, Scratch
 from imucal.readers.messages import protobuf_messages, ros_trees
 from imucal.readers.messages.definitions import (
-    BUILT_IN,
     DefinitionError,
     Field,
     built_in,
@@ -218,7 +217,7 @@ def _temperature_stream(topic: Topic) -> Stream:
     decoders: dict[tuple[int, int], Decoder] = {}
     for number, channel in topic.channels:
         ros1 = channel.encoding == "ros1"
-        text = built_in(_TEMPERATURE, ros1=ros1) or BUILT_IN[_TEMPERATURE]
+        text = built_in(_TEMPERATURE, ros1=ros1) or ""
         shape = Shape(flatten(_TEMPERATURE, text, ros1=ros1), _TEMPERATURE_FIELDS)
         decoders[number, channel.key] = BinaryDecoder([shape], ros1=ros1, exact=True)
     return Stream(imu=_TEMPERATURE_FIELDS, decoders=decoders)

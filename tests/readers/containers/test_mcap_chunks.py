@@ -6,7 +6,14 @@ from collections.abc import Callable
 import pytest
 
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.mcap import ChunkTask, LooseTask, index_count, unpack, walk_records
+from imucal.readers.containers.mcap import (
+    ChunkTask,
+    LooseTask,
+    index_count,
+    index_times,
+    unpack,
+    walk_records,
+)
 from imucal.readers.containers.mcap_records import ChunkIndex
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from tests.readers.containers.mcap_bytes import channel, chunk, index, message, record
@@ -143,7 +150,7 @@ def test_the_times_of_an_index(held: Held) -> None:
     """As it says, whatever the messages say."""
     file = held(b"??", index(9, (5, 0), (7, 1), (6, 2)))
     entry = ChunkIndex(start=0, length=2, compression="", indexes={9: 2})
-    assert ChunkTask.times(file, entry, 9).tolist() == [5, 7, 6]
+    assert index_times(file, entry, 9) == [5, 7, 6]
 
 
 def _with_u32(data: bytes, at: int, value: int) -> bytes:
@@ -218,7 +225,8 @@ def test_messages_outside_chunks_know_their_times(held: Held) -> None:
         LooseTask(file, 3, len(RECORDS), starts, data=RECORDS),
     ):
         assert part.counts == {1: 2, 2: 2}
-        assert part.spans() == {1: (10, 30), 2: (20, 40)}
+        times = {key: batch.log_ns.tolist() for key, batch in part.load(Scratch())}
+        assert times == {1: [10, 30], 2: [20, 40]}
         assert {key: payloads(batch) for key, batch in part.load(Scratch())} == {
             1: [b"abcd", b"efgh"],
             2: [b"", b""],

@@ -49,8 +49,6 @@ def test_the_index_of_a_chunk() -> None:
         compression="zstd",
         index_length=44,
         indexes={1: 500, 2: 600},
-        first_ns=5,
-        last_ns=9,
     )
     for size in (len(pairs) - 1, len(pairs) + 1, 100):
         with pytest.raises(DamagedError, match=r"^a chunk index record is damaged$"):

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from imucal.readers.containers.container import Batch
-from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack, walk
+from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack
+from imucal.readers.containers.ros1_records import walk
 from imucal.readers.files import DamagedError, LogFile, Scratch
 from tests.readers.containers.ros1_bytes import chunk, connection, index, message, record, stamp
 
@@ -183,9 +184,9 @@ def test_a_walk_ends_at_the_first_record_that_is_not_whole(end: bytes) -> None:
     assert [opcode for opcode, _ in walk(memoryview(RAW + end))] == [7, 2, 2, 2]
 
 
-def test_a_walk_knows_times_that_are_short(held: Held) -> None:
-    """What is missing of one is zero; a message without a time is one of the year 1970."""
+def test_a_walk_takes_a_time_that_is_short_for_none(held: Held) -> None:
+    """As where a scan counts it; a message without a time is one of the year 1970."""
     odd = record(2, {b"conn": b"\x01\0\0\0", b"time": stamp(3 * SECOND)[:4]}, b"x")
     bare = record(2, {b"conn": b"\x01\0\0\0"}, b"yz")
     batch = loaded(held, chunk(odd + bare + record(9, {b"conn": b"\x01\0\0\0"})), indexed=False)[1]
-    assert (payloads(batch), batch.log_ns.tolist()) == ([b"x", b"yz"], [3 * SECOND, 0])
+    assert (payloads(batch), batch.log_ns.tolist()) == ([b"x", b"yz"], [0, 0])

@@ -8,6 +8,7 @@ import pytest
 from imucal.errors import ReadError
 from imucal.readers.containers import ros1_file
 from imucal.readers.containers.ros1_file import BagFile
+from imucal.readers.containers.ros1_records import time_ns
 from imucal.readers.files import LogFile
 from tests.readers.containers.ros1_bytes import (
     MAGIC,
@@ -190,6 +191,6 @@ def test_a_bag_whose_compression_is_not_known_is_refused(held: Held) -> None:
 
 def test_a_time_has_eight_bytes() -> None:
     """Seconds and nanoseconds; anything else is none."""
-    assert ros1_file._time(stamp(3 * SECOND + 4)) == 3 * SECOND + 4
-    assert ros1_file._time(bytes(7)) == ros1_file._time(b"") == 0
+    assert time_ns({b"time": stamp(3 * SECOND + 4)}, b"time") == 3 * SECOND + 4
+    assert time_ns({b"time": bytes(7)}, b"time") == time_ns({}, b"time") == 0
     assert ros1_file._MAX_INDEX == 2**31

@@ -16,9 +16,9 @@ from imucal.readers.containers.container import Batch
 from imucal.readers.containers.sqlite import (
     Leaves,
     PageTask,
-    _connect_alone,
     _integers,
     _with,
+    connect_alone,
     find_leaves,
     page_size,
     parse_rows,
@@ -289,7 +289,7 @@ def test_a_write_ahead_log_that_has_to_be_left_out_is_said(log: bytes | None, tm
     if log is not None:
         path.with_name("log.db3-wal").write_bytes(log)
     findings = list[Finding]()
-    with closing(_connect_alone("file:" + str(path), path, findings)) as base:
+    with closing(connect_alone(path, findings)) as base:
         assert base.execute("select count(*) from messages").fetchone() == (1,)
     assert [(found.code, found.text.partition(" ")[0]) for found in findings] == (
         [("wal-ignored", "log.db3-wal")] if log else []
