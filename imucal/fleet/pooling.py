@@ -4,22 +4,14 @@ The records' likelihoods multiply, as those of the blocks of one record between 
 tested for being the same in all of them; where it is not, what one would expect of yet another record is
 the mean of the records with their spread, and never the narrow interval of one coefficient.
 
-Source: Bakalli et al. (2018), IEEE/ION PLANS, "A computational multivariate-based technique for inertial
-sensor calibration" (several records of one sensor).
-
-Which fits may be pooled: they carry bins, and are of one sensor, one rate and one output filter.
-
-What one log says of each noise term, from the bins of its fit: for populations, where weak terms count.
-
-The estimate of a term in which records differ: the mean over records, with their spread.
-
-Hartung & Knapp (2001), Statistics in Medicine 20, 1771, give the interval of the mean.
+Bakalli et al. (2018), IEEE/ION PLANS, "A computational multivariate-based technique for inertial sensor
+calibration", fit several records of one sensor; Hartung & Knapp (2001), Statistics in Medicine 20, 1771, give
+the interval of the mean.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
@@ -43,237 +35,12 @@ from imucal.noise.model import NoiseModel, structure_text
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 
-#: Relative difference of two sampling rates, and of two filters' corners, that is none.
-_SAME_RATE, _SAME_CORNER = 1e-3, 0.15
-
-
-def structure_of(model: str, level: float) -> tuple[str, ...]:
-    """Return the symbols of a sum of terms, the same for every record.
-
-    Raises
-    ------
-    ValueError
-        If the model is chosen by the record, or is no sum of terms.
-    """
-    structure = FitSettings(model=model, level=level).structure
-    if structure is None:
-        msg = "pool: model 'auto' would choose by the record; give the terms, such as 'N + B + K'"
-        raise ValueError(msg)
-    return structure
-
-
-def bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
-    """Return the bins that fits carry.
-
-    Raises
-    ------
-    DataError
-        If one has none.
-    ValueError
-        If there is no fit.
-    """
-    if not fits:
-        msg = "pool: found no fits, expected at least one"
-        raise ValueError(msg)
-    every = []
-    for number, fit in enumerate(fits, 1):
-        if fit.bins is None:
-            msg = (
-                f"fit {number} of {len(fits)} ({fit.method}): found no bins, expected those of method 'mle'; "
-                "fit the log again, and write its report with imucal fit --bins"
-            )
-            raise DataError(msg)
-        every.append(fit.bins)
-    return every
-
-
-def refuse_different(fits: Sequence[NoiseFit]) -> None:
-    """Refuse what is not of one sensor, one rate and one filter.
-
-    Raises
-    ------
-    DataError
-        That says which fit differs in what.
-    """
-    first = fits[0]
-    for number, fit in enumerate(fits[1:], 2):
-        where = f"fit {number} of {len(fits)}"
-        if fit.sensor != first.sensor:
-            msg = (
-                f"{where}: found {_named(fit)}, expected {_named(first)} as in fit 1; pool one axis at a time"
-            )
-            raise DataError(msg)
-        if abs(fit.rate_hz / first.rate_hz - 1) > _SAME_RATE:
-            msg = (
-                f"{where}: found {fit.rate_hz:.6g} Hz, expected {first.rate_hz:.6g} Hz as in fit 1; "
-                "pool records of one sampling rate"
-            )
-            raise DataError(msg)
-        if not _same_filter(first, fit):
-            msg = (
-                f"{where}: found {_filter(fit)}, expected {_filter(first)} as in fit 1; "
-                "pool records of one setting of the sensor"
-            )
-            raise DataError(msg)
-
-
-def _same_filter(one: NoiseFit, other: NoiseFit) -> bool:
-    """Whether neither has an output filter, or both have one at about the same corner."""
-    if one.response is None or other.response is None:
-        return one.response is other.response
-    return abs(math.log(one.response.cutoff_hz / other.response.cutoff_hz)) <= _SAME_CORNER
-
-
-def _named(fit: NoiseFit) -> str:
-    return "no sensor's name" if fit.sensor is None else f"the {fit.sensor}"
-
-
-def _filter(fit: NoiseFit) -> str:
-    if fit.response is None:
-        return "no output filter"
-    return f"an output filter at {fit.response.cutoff_hz:.4g} Hz"
-
-
-def log_values(
-    unit: str,
-    fit: NoiseFit,
-    *,
-    model: str = "N + B + K",
-    level: float = 0.95,
-    temperature_c: float = math.nan,
-    days: float = math.nan,
-) -> dict[str, LogValue]:
-    """Return what one log says of each term, for `imucal.population`; from the bins of its fit.
-
-    Every term has its value and limits, from a fit of the same `model` for every log, and its squared
-    coefficient in SI squared with its law: an estimate without bias that may be negative, so that many weak
-    logs together are right. A ramp has limits only.
-
-    Raises
-    ------
-    DataError, ValueError
-        As `pool`.
-    """
-    found = fit_bins(bins_of([fit]), structure_of(model, level), level=level)
-    squares = squared_coefficients(found)
-    values = {}
-    for e in found.estimates:
-        square = squares.get(e.key)
-        values[e.key] = LogValue(
-            unit=unit,
-            value=e.value,
-            low=e.low,
-            high=e.high,
-            variance=square.value if square else None,
-            variance_sd=square.deviation if square else None,
-            variance_growth=square.growth if square else 0.0,
-            temperature_c=temperature_c,
-            days=days,
-            level=level,
-            correlation_time=e.correlation_time.value if e.correlation_time else None,
-        )
-    return values
-
-
-#: Standard error of a logarithm below which each record tells a term by itself.
-_TOLD = 0.3
-
-
-def means_over_records(
-    every: Sequence[Bins],
-    structure: tuple[str, ...],
-    tests: Sequence[tuple[RecordTest, Estimate, bool]],
-    level: float,
-) -> dict[str, tuple[Estimate, float]]:
-    """Return the mean over records of each term, with its relative spread between them.
-
-    Parameters
-    ----------
-    every
-        Bins of the records.
-    structure
-        The terms that are fitted to each.
-    tests
-        The test of each term, its estimate where it is one for all records, and whether the records differ
-        in it.
-    level
-        Confidence level of the limits.
-    """
-
-    @cache
-    def squares() -> list[dict[str, SquaredCoefficient]]:
-        return [_squares(one, structure, level) for one in every]
-
-    return {
-        test.key: _widened(test, joint, squares, level, differs=differs) for test, joint, differs in tests
-    }
-
-
-def _squares(bins: Bins, structure: tuple[str, ...], level: float) -> dict[str, SquaredCoefficient]:
-    """Return the squared coefficients of one record by itself."""
-    return squared_coefficients(fit_bins([bins], structure, level=level))
-
-
-def _widened(
-    test: RecordTest,
-    joint: Estimate,
-    squares: Callable[[], list[dict[str, SquaredCoefficient]]],
-    level: float,
-    *,
-    differs: bool,
-) -> tuple[Estimate, float]:
-    """Return the estimate of a term where records differ, in it or in another one; and its spread.
-
-    The interval is never inside that of one common coefficient.
-    """
-    if np.all((test.log_deviations < _TOLD) & (test.values > 0)):
-        mean, low, high, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
-        value, low, high = math.exp(mean), math.exp(low), math.exp(high)
-    else:
-        told = [record[test.key] for record in squares()]
-        values = np.array([square.value for square in told])
-        # At one place for all: at its own, a large square has a large deviation, and the small more weight.
-        common = max(float(values.mean()), 0.0)
-        deviations = np.array([square.deviation + square.growth * common for square in told])
-        if differs:
-            deviations = np.full(len(told), np.sqrt(np.mean(deviations**2)))
-        mean, low, high, spread = _mean(values, deviations, level, random=differs)
-        value, low, high = (math.sqrt(max(x, 0.0)) for x in (mean, low, high))
-        # Of the square, relative to the upper end where the mean is not told from zero; that of the common
-        # coefficient where all limits of the mean are below it.
-        spread = 0.5 * spread / max(value, 0.5 * max(high, joint.high)) ** 2
-    low, high = min(low, joint.low), max(high, joint.high)
-    widening = joint.widening * max((high - low) / (joint.high - joint.low), 1.0)
-    if low <= 0 or value <= 0:
-        return replace(Estimate.bounded(test.key, test.symbol, high), widening=widening), spread
-    estimate = replace(joint, status="estimated", value=value, low=low, high=high, widening=widening)
-    return estimate, spread
-
-
-def _mean(
-    values: FloatArray, deviations: FloatArray, level: float, *, random: bool
-) -> tuple[float, float, float, float]:
-    """Return the mean of r values, shape (r,), its limits, and their spread beyond their deviations."""
-    from scipy.special import ndtri, stdtrit
-
-    weight = deviations**-2.0
-    dof = values.size - 1
-    spread = 0.0
-    if random:
-        spread = math.sqrt(variance_between(values, deviations))
-        weight = 1 / (deviations**2 + spread**2)
-    mean = float(np.average(values, weights=weight))
-    error = math.sqrt(1 / float(weight.sum()))
-    wide = float(ndtri((1 + level) / 2))
-    if random:
-        scatter = float(np.sum(weight * (values - mean) ** 2)) / dof
-        error *= math.sqrt(max(scatter, 1.0))
-        wide = float(stdtrit(dof, (1 + level) / 2))
-    return mean, mean - wide * error, mean + wide * error, spread
-
-
 #: Chance, for each term, that records of one coefficient are found to differ.
 CHANCE = 0.05
+#: Relative difference of two sampling rates, and of two filters' corners, that is none.
+_SAME_RATE, _SAME_CORNER = 1e-3, 0.15
+#: Standard error of a logarithm below which each record tells a term by itself.
+_TOLD = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -385,9 +152,9 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
     tails and spikes are judged by record, and an output filter that no record shows by itself is none. A
     ramp, where `model` has one, is common to all records.
     """
-    structure = structure_of(model, level)
-    every = bins_of(fits)
-    refuse_different(fits)
+    structure = _structure_of(model, level)
+    every = _bins_of(fits)
+    _refuse_different(fits)
     return pool_bins(every, structure, sensor=fits[0].sensor, rate_hz=fits[0].rate_hz, level=level)
 
 
@@ -397,11 +164,9 @@ def pool_bins(
     """Return the fit of records of one unit, one rate and one output filter; as `pool` from there on."""
     found = fit_bins(every, structure, level=level)
     tests = record_tests(found)
-    differs = {test.key for test in tests if test.p_value < CHANCE}
-
-    joint = {e.key: e for e in found.estimates}
-    asked = [(t, joint[t.key], t.key in differs) for t in tests if differs and t.key in joint]
-    widened = means_over_records(every, structure, asked, level)
+    # Where records differ in one term, the others are means over them, too.
+    differ = any(test.p_value < CHANCE for test in tests)
+    widened = _means(every, structure, tests, found.estimates, level) if differ else {}
     estimates = tuple(widened.get(e.key, (e, 0.0))[0] for e in found.estimates)
     homogeneity = tuple(
         Homogeneity(
@@ -410,9 +175,9 @@ def pool_bins(
             statistic=test.statistic,
             dof=test.dof,
             p_value=test.p_value,
-            spread=widened[test.key][1] if test.key in differs & widened.keys() else 0.0,
+            spread=widened[test.key][1] if test.p_value < CHANCE and test.key in widened else 0.0,
             values=tuple(test.values.tolist()),
-            differs=test.key in differs,
+            differs=test.p_value < CHANCE,
         )
         for test in tests
     )
@@ -425,8 +190,75 @@ def pool_bins(
         estimates=estimates,
         homogeneity=homogeneity,
         goodness=found.goodness,
-        findings=_findings(homogeneity, found.goodness, structure_text(structure)),
+        findings=tuple(_findings(homogeneity, found.goodness, structure_text(structure))),
     )
+
+
+def _means(
+    every: Sequence[Bins],
+    structure: tuple[str, ...],
+    tests: Sequence[RecordTest],
+    estimates: Sequence[Estimate],
+    level: float,
+) -> dict[str, tuple[Estimate, float]]:
+    """Return the mean over records of each term, with its relative spread between them.
+
+    The interval is never inside that of one common coefficient.
+    """
+    joint = {e.key: e for e in estimates}
+    alone: list[dict[str, SquaredCoefficient]] = []
+    means = {}
+    for test in tests:
+        if test.key not in joint:
+            continue
+        differs = test.p_value < CHANCE
+        if np.all((test.log_deviations < _TOLD) & (test.values > 0)):
+            *limits, spread = _mean(np.log(test.values), test.log_deviations, level, random=differs)
+            value, low, high = map(math.exp, limits)
+        else:
+            alone = alone or [squared_coefficients(fit_bins([one], structure, level=level)) for one in every]
+            squares = [record[test.key] for record in alone]
+            values = np.array([square.value for square in squares])
+            # At one place for all: at its own, a large square has a large deviation, the small more weight.
+            common = max(float(values.mean()), 0.0)
+            deviations = np.array([square.deviation + square.growth * common for square in squares])
+            if differs:
+                deviations = np.full(len(squares), np.sqrt(np.mean(deviations**2)))
+            *limits, spread = _mean(values, deviations, level, random=differs)
+            value, low, high = (math.sqrt(max(limit, 0.0)) for limit in limits)
+            # Of the square, relative to the upper end where the mean is not told from zero; that of the
+            # common coefficient where all limits of the mean are below it.
+            spread = 0.5 * spread / max(value, 0.5 * max(high, joint[test.key].high)) ** 2
+        means[test.key] = _widened(joint[test.key], value, low, high), spread
+    return means
+
+
+def _widened(joint: Estimate, value: float, low: float, high: float) -> Estimate:
+    """Return the estimate of a mean with limits that are not inside those of one common coefficient."""
+    low, high = min(low, joint.low), max(high, joint.high)
+    widening = joint.widening * max((high - low) / (joint.high - joint.low), 1.0)
+    if low <= 0 or value <= 0:
+        return replace(Estimate.bounded(joint.key, joint.symbol, high), widening=widening)
+    return replace(joint, status="estimated", value=value, low=low, high=high, widening=widening)
+
+
+def _mean(
+    values: FloatArray, deviations: FloatArray, level: float, *, random: bool
+) -> tuple[float, float, float, float]:
+    """Return the mean of r values, shape (r,), its limits, and their spread beyond their deviations."""
+    from scipy.special import ndtri, stdtrit
+
+    dof = values.size - 1
+    spread = math.sqrt(variance_between(values, deviations)) if random else 0.0
+    weight = 1 / (deviations**2 + spread**2)
+    mean = float(np.average(values, weights=weight))
+    error = math.sqrt(1 / float(weight.sum()))
+    wide = float(ndtri((1 + level) / 2))
+    if random:
+        scatter = float(np.sum(weight * (values - mean) ** 2)) / dof
+        error *= math.sqrt(max(scatter, 1.0))
+        wide = float(stdtrit(dof, (1 + level) / 2))
+    return mean, mean - wide * error, mean + wide * error, spread
 
 
 def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:
@@ -438,32 +270,128 @@ def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:
     return NoiseModel(terms=tuple(sorted((*others, *kept), key=lambda term: list(TERMS).index(term.symbol))))
 
 
-def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: str) -> tuple[Finding, ...]:
-    findings = []
-    changing = [test for test in homogeneity if test.differs]
-    if changing:
-        said = "; ".join(f"{t.key} by {100 * t.spread:.2g} % (p = {t.p_value:.2g})" for t in changing)
-        findings.append(
-            Finding(
-                level="warning",
-                code="records-differ",
-                axis=None,
-                text=f"The records differ from one another by more than chance: {said}; "
-                "intervals are those of the mean over records.",
-                advice="Look for what changed between them (temperature, mounting, supply); another record "
-                "may differ as much.",
-            )
+def _findings(homogeneity: tuple[Homogeneity, ...], goodness: Goodness, model: str) -> Iterator[Finding]:
+    said = "; ".join(
+        f"{t.key} by {100 * t.spread:.2g} % (p = {t.p_value:.2g})" for t in homogeneity if t.differs
+    )
+    if said:
+        yield Finding(
+            level="warning",
+            code="records-differ",
+            text=f"The records differ from one another by more than chance: {said}; "
+            "intervals are those of the mean over records.",
+            advice="Look for what changed between them (temperature, mounting, supply); another record "
+            "may differ as much.",
         )
     if goodness.statistic > MISFIT:
-        findings.append(
-            Finding(
-                level="warning",
-                code="model-misfit",
-                axis=None,
-                text=f"{model} does not describe these records: the squared residuals of their spectra are "
-                f"{goodness.chi2_per_bin:.3g} on average where 1 is expected (score "
-                f"{goodness.statistic:.1f}).",
-                advice="Give a model with the terms that the single fits found.",
-            )
+        yield Finding(
+            level="warning",
+            code="model-misfit",
+            text=f"{model} does not describe these records: the squared residuals of their spectra are "
+            f"{goodness.chi2_per_bin:.3g} on average where 1 is expected (score "
+            f"{goodness.statistic:.1f}).",
+            advice="Give a model with the terms that the single fits found.",
         )
-    return tuple(findings)
+
+
+def log_values(
+    unit: str,
+    fit: NoiseFit,
+    *,
+    model: str = "N + B + K",
+    level: float = 0.95,
+    temperature_c: float = math.nan,
+    days: float = math.nan,
+) -> dict[str, LogValue]:
+    """Return what one log says of each term, for `imucal.population`; from the bins of its fit.
+
+    Every term has its value and limits, from a fit of the same `model` for every log, and its squared
+    coefficient in SI squared with its law: an estimate without bias that may be negative, so that many weak
+    logs together are right. A ramp has limits only.
+
+    Raises
+    ------
+    DataError, ValueError
+        As `pool`.
+    """
+    found = fit_bins(_bins_of([fit]), _structure_of(model, level), level=level)
+    squares = squared_coefficients(found)
+    values = {}
+    for e in found.estimates:
+        square = squares.get(e.key)
+        values[e.key] = LogValue(
+            unit=unit,
+            value=e.value,
+            low=e.low,
+            high=e.high,
+            variance=square.value if square else None,
+            variance_sd=square.deviation if square else None,
+            variance_growth=square.growth if square else 0.0,
+            temperature_c=temperature_c,
+            days=days,
+            level=level,
+            correlation_time=e.correlation_time.value if e.correlation_time else None,
+        )
+    return values
+
+
+def _structure_of(model: str, level: float) -> tuple[str, ...]:
+    """Return the symbols of a sum of terms, the same for every record."""
+    structure = FitSettings(model=model, level=level).structure
+    if structure is None:
+        msg = "pool: model 'auto' would choose by the record; give the terms, such as 'N + B + K'"
+        raise ValueError(msg)
+    return structure
+
+
+def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
+    """Return the bins that fits carry."""
+    if not fits:
+        msg = "pool: found no fits, expected at least one"
+        raise ValueError(msg)
+    every = []
+    for number, fit in enumerate(fits, 1):
+        if fit.bins is None:
+            msg = (
+                f"fit {number} of {len(fits)} ({fit.method}): found no bins, expected those of method 'mle'; "
+                "fit the log again, and write its report with imucal fit --bins"
+            )
+            raise DataError(msg)
+        every.append(fit.bins)
+    return every
+
+
+def _refuse_different(fits: Sequence[NoiseFit]) -> None:
+    """Refuse what is not of one sensor, one rate and one filter."""
+    first = fits[0]
+    for number, fit in enumerate(fits[1:], 2):
+        if fit.sensor != first.sensor:
+            what, advice = _named, "pool one axis at a time"
+        elif abs(fit.rate_hz / first.rate_hz - 1) > _SAME_RATE:
+            what, advice = _rate, "pool records of one sampling rate"
+        elif not _same_filter(first, fit):
+            what, advice = _filter, "pool records of one setting of the sensor"
+        else:
+            continue
+        where = f"fit {number} of {len(fits)}"
+        msg = f"{where}: found {what(fit)}, expected {what(first)} as in fit 1; {advice}"
+        raise DataError(msg)
+
+
+def _same_filter(one: NoiseFit, other: NoiseFit) -> bool:
+    """Whether neither has an output filter, or both have one at about the same corner."""
+    if one.response is None or other.response is None:
+        return one.response is other.response
+    return abs(math.log(one.response.cutoff_hz / other.response.cutoff_hz)) <= _SAME_CORNER
+
+
+def _named(fit: NoiseFit) -> str:
+    return "no sensor's name" if fit.sensor is None else f"the {fit.sensor}"
+
+
+def _rate(fit: NoiseFit) -> str:
+    return f"{fit.rate_hz:.6g} Hz"
+
+
+def _filter(fit: NoiseFit) -> str:
+    return f"an output filter at {fit.response.cutoff_hz:.4g} Hz" if fit.response else "no output filter"

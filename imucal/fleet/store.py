@@ -4,7 +4,6 @@ A part is written under another name, forced to disk and then renamed: it is the
 the three parts of a batch of logs the one in ``logs`` comes last and commits the others: what it does not
 name never happened. Nothing is ever changed in place, so several runs on one store add up.
 
-The columns of a fleet's tables, with their types.
 """
 
 import io
@@ -44,16 +43,18 @@ LOGS = {
     **dict.fromkeys(("cpu_s", "wall_s", "finished"), _REAL),
     **dict.fromkeys(("report", "version"), _TEXT),
 }
-#: One row a log, axis and term; the fields of `imucal.LogValue`, in SI.
+#: Fields of a `imucal.LogValue` that are kept.
+OF_VALUE = (
+    *("value", "low", "high", "variance", "variance_sd", "variance_growth"),
+    *("level", "correlation_time"),
+)
+#: One row a log, axis and term; in SI.
 RESULTS = {
     **dict.fromkeys(("key", "sensor", "axis", "term", "unit_si"), _TEXT),
-    **dict.fromkeys(("value", "low", "high", "variance", "variance_sd", "variance_growth"), _REAL),
-    **dict.fromkeys(("level", "correlation_time"), _REAL),
+    **dict.fromkeys(OF_VALUE, _REAL),
 }
 #: One row a log and axis: its binned spectrum.
 BINS = {"key": _TEXT, "sensor": _TEXT, "axis": _TEXT, "bins": pl.Binary()}
-
-
 _TABLES = {"bins": BINS, "results": RESULTS, "logs": LOGS}
 _MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"
 #: Begins and ends every parquet file. Source: Apache Parquet, file format.
@@ -103,7 +104,10 @@ class FleetStore:
         with _translated(self.folder):
             for name in _TABLES:
                 (self.folder / name).mkdir(parents=True, exist_ok=True)
-                self._sweep(self.folder / name)
+                for path in (self.folder / name).glob(".part-*"):
+                    with suppress(OSError):
+                        if time.time() - path.stat().st_mtime > _ABANDONED_S:
+                            shutil.rmtree(path)
 
     def clear(self) -> None:
         """Remove every part and the manifest: start anew. The settings stay, and tell whose folder it is.
@@ -219,13 +223,12 @@ class FleetStore:
         A content counts once (the newest success, else the newest failure), and so does a path (its newest
         content). Labels are those of the manifest where it has them.
         """
-        whole = set(self._whole())
-        found = self._read("logs").filter(pl.col("part").is_in(list(whole)))
-        newest = found.sort(pl.col("status") == "ok", "finished", "part", descending=True)
-        newest = newest.unique("key", keep="first", maintain_order=True)
-        newest = newest.sort("finished", "part", descending=True)
-        newest = newest.unique("path", keep="first", maintain_order=True)
-        return self._with_labels(newest).sort("path")
+        found = self._read("logs", self._whole())
+        found = found.sort(pl.col("status") == "ok", "finished", "part", descending=True)
+        found = found.unique("key", keep="first", maintain_order=True)
+        found = found.sort("finished", "part", descending=True)
+        found = found.unique("path", keep="first", maintain_order=True)
+        return self._with_labels(found).sort("path")
 
     def results(self) -> pl.DataFrame:
         """Return one row a log, axis and term: `RESULTS`, and path, model, unit, temperature_c, days.
@@ -233,28 +236,27 @@ class FleetStore:
         `days` since 1970 are those of `started`; nan where it is not known, as the temperature.
         """
         logs = self.logs()
-        labels = logs.select("part", "key", "path", "model", "unit", _nan_for_null("temperature_c"))
-        labels = labels.with_columns(pl.Series("days", [*map(_days, logs["started"])], dtype=pl.Float64))
-        found = self._read("results").join(labels, on=["part", "key"], how="inner")
+        labels = logs.select(
+            *("part", "key", "path", "model", "unit"),
+            pl.col("temperature_c").fill_null(math.nan),
+            pl.Series("days", [*map(_days, logs["started"])], dtype=pl.Float64),
+        )
+        found = self._read("results", logs["part"].unique()).join(labels, on=["part", "key"])
         first = ("key", "path", "model", "unit", "temperature_c", "days")
         order = ("path", "sensor", "axis", "term")
         return found.select(*first, *(name for name in RESULTS if name not in first)).sort(order)
 
-    def bins(self, keys: Collection[str] | None = None) -> pl.DataFrame:
-        """Return the binned spectra of some logs, or of all: the columns of `BINS`."""
-        logs = self.logs()
-        return next(self._bins_of(logs, [logs["key"].to_list() if keys is None else keys]))
+    def bins(self) -> pl.DataFrame:
+        """Return the binned spectra of all logs: the columns of `BINS`."""
+        return next(self.bins_in_turn([self.logs()["key"].to_list()]))
 
     def bins_in_turn(self, groups: Iterable[Collection[str]]) -> Iterator[pl.DataFrame]:
         """Yield the binned spectra of groups of logs, given by their keys; only one group's are in memory."""
-        return self._bins_of(self.logs(), groups)
-
-    def _bins_of(self, logs: pl.DataFrame, groups: Iterable[Collection[str]]) -> Iterator[pl.DataFrame]:
-        places = logs.select("part", "key")
+        places = self.logs().select("part", "key")
         for keys in groups:
             own = places.filter(pl.col("key").is_in(list(keys)))
-            found = self._read("bins", own["part"].unique().to_list(), own["key"])
-            yield found.join(own, on=["part", "key"], how="inner").select(*BINS).sort("key", "sensor", "axis")
+            found = self._read("bins", own["part"].unique(), own["key"])
+            yield found.join(own, on=["part", "key"]).select(*BINS).sort("key", "sensor", "axis")
 
     def damaged(self) -> list[Path]:
         """Return the parts that are not whole, as after a loss of power; their logs are not done."""
@@ -271,22 +273,17 @@ class FleetStore:
         names = sorted(path.name for path in (self.folder / "logs").glob("part-*.parquet"))
         return [name for name in names if all(_is_whole(self.folder / table / name) for table in _TABLES)]
 
-    def _read(
-        self, table: str, parts: Iterable[str] | None = None, keys: pl.Series | None = None
-    ) -> pl.DataFrame:
-        """Return the rows of the whole parts of a table, or of some parts and keys, with the part of each."""
-        folder, schema = self.folder / table, _TABLES[table]
-        names = self._whole() if parts is None else parts
-        empty = pl.DataFrame(schema={**schema, "part": pl.String})
-        paths = [folder / name for name in names]
+    def _read(self, table: str, parts: Iterable[str], keys: pl.Series | None = None) -> pl.DataFrame:
+        """Return the rows of some parts of a table, or of some keys in them, with the part of each."""
+        empty = pl.DataFrame(schema={**_TABLES[table], "part": pl.String})
+        paths = [self.folder / table / name for name in parts]
         if not paths:
             return empty
         try:
             rows = pl.scan_parquet(paths, include_file_paths="part", glob=False)
+            rows = rows if keys is None else rows.filter(pl.col("key").is_in(keys.implode()))
             # In pieces: of large parts with bins only those that are asked for are ever held.
-            found = (rows if keys is None else rows.filter(pl.col("key").is_in(keys.implode()))).collect(
-                engine="streaming"
-            )
+            found = rows.collect(engine="streaming")
         except (OSError, pl.exceptions.PolarsError):
             # Parts of an earlier version may lack a column.
             found = pl.concat(map(_read_part, paths), how="diagonal")
@@ -298,13 +295,10 @@ class FleetStore:
         if not self.exists:
             return logs
         manifest = self.manifest()
-        own = manifest.select("path", *LABELS)
         # A log that was moved since is known to the manifest by its new path.
-        moved = manifest.filter(pl.col("copy_of").is_not_null()).select(
-            pl.col("copy_of").alias("path"), *LABELS
-        )
-        labels = pl.concat([own, moved]).unique("path", keep="first", maintain_order=True)
-        joined = logs.join(labels, on="path", how="left", suffix="_new")
+        moved = manifest.filter(pl.col("copy_of").is_not_null()).with_columns(path="copy_of")
+        labels = pl.concat([manifest, moved]).unique("path", keep="first", maintain_order=True)
+        joined = logs.join(labels.select("path", *LABELS), on="path", how="left", suffix="_new")
         kept = [pl.coalesce(f"{name}_new", name).alias(name) for name in LABELS]
         return joined.with_columns(kept).select(logs.columns)
 
@@ -324,13 +318,6 @@ class FleetStore:
 
                 fcntl.flock(lock, fcntl.LOCK_EX)
             yield
-
-    @staticmethod
-    def _sweep(folder: Path) -> None:
-        for path in folder.glob(".part-*"):
-            with suppress(OSError):
-                if time.time() - path.stat().st_mtime > _ABANDONED_S:
-                    shutil.rmtree(path)
 
 
 def _read_part(path: Path) -> pl.DataFrame:
@@ -364,10 +351,6 @@ def _translated(folder: Path) -> Iterator[None]:
             f"{folder}: can't be written: {error.strerror or error}; free some space or choose another folder"
         )
         raise WriteError(msg) from error
-
-
-def _nan_for_null(name: str) -> pl.Expr:
-    return pl.col(name).fill_null(float("nan"))
 
 
 def _days(started: str | None) -> float:

@@ -246,7 +246,7 @@ def test_a_walk_that_each_log_barely_shows_is_pooled_without_bias() -> None:
         imucal.log_values(f"u{i}", quick_fit(simulated("N=9e-5 + K=1e-4", 4000, 91, i)))["K"]
         for i in range(60)
     ]
-    squares = LogValues.of(logs).squares()
+    squares = LogValues.of(logs).squares
     one = squares.mean_by(np.zeros(60, dtype=np.int64), truth**2)
     error = float(one.deviation(truth**2)[0])
     assert 1 < truth**2 / (error * np.sqrt(60)) < 2

@@ -9,18 +9,8 @@ from scipy import integrate, stats
 from scipy.special import ndtr, ndtri
 
 from imucal.fleet import LogValue, population
-from imucal.fleet.population import (
-    _blurs,
-    _log_posterior,
-    adjusted,
-    leave_one_out,
-    only_bounded,
-    place_of,
-    posterior_of,
-    rms_bound,
-    share_bound,
-    unit_likelihoods,
-)
+from imucal.fleet.population import adjusted, leave_one_out, only_bounded, rms_bound, share_bound
+from imucal.fleet.posterior import place_of, posterior_of, unit_likelihoods
 from imucal.fleet.values import LogValues, Squares
 from tests.fleet.simulated import strong_fleet, weak_fleet
 
@@ -77,13 +67,16 @@ def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
     told = strong_fleet(rng, units=2, logs=2, tau=0.3, error=0.05, omega=0.2)
     weak = weak_fleet(rng, units=3, tau=0.3, error=0.8)
     values = LogValues.of([*told, *(replace(log, unit=f"w{log.unit}") for log in weak)])
-    units = unit_likelihoods(values, omega, place_of(values))
-    # Also medians from which a wide spread reaches beyond the grid of the units' own likelihoods.
-    taus, mus = np.array([0.2, 0.5, 1.5]), np.array([-0.2, 0.0, 0.3, 3.0])
-    grids = np.tile(mus, (taus.size, 1))
-    fast = _log_posterior(units, taus, grids, _blurs(units, taus, grids))
-    slow = np.array([[_slow_log_posterior(values, omega, t, m) for m in mus] for t in taus])
-    assert fast - fast[0, 0] == pytest.approx(slow - slow[0, 0], abs=0.03)
+    found = posterior_of(values, np.array([omega]), place_of(values))
+    tau, mu, weight = found.tau.ravel(), found.mu[0], found.weight[0]
+    # A density in mu, of which each tau has a grid of its own. Also medians from which a wide spread
+    # reaches beyond the grid of the units' own likelihoods.
+    fast = np.log(weight / (mu[:, 1] - mu[:, 0])[:, None])
+    points = [(t, m) for t in (0, 20, 35, 47) for m in (10, 25, 30, 50)]
+    slow = [_slow_log_posterior(values, omega, float(tau[t]), float(mu[t, m])) for t, m in points]
+    differences = np.array([fast[point] for point in points]) - slow
+    assert mu[47, 50] + tau[47] > 2
+    assert np.ptp(differences) < 0.03
 
 
 def test_a_median_lies_among_units_that_are_told() -> None:

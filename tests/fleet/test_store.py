@@ -62,7 +62,6 @@ def test_what_was_committed_is_read_back(tmp_path: Path) -> None:
     assert logs["findings"].to_list() == [["gaps"], ["gaps"], []]
     assert store.results()["value"].to_list() == [1e-4, 1e-4]
     assert store.bins()["bins"].to_list() == [b"a", b"b"]
-    assert store.bins(["key-b"])["bins"].to_list() == [b"b"]
     assert store.damaged() == []
 
 

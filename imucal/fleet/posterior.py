@@ -1,0 +1,324 @@
+"""The posterior of a fleet's median, of the spread between its units and of the scatter within them.
+
+In the logarithm of a coefficient, each log of unit u has ``mu + tau b_u + omega c_ul`` with b and c standard
+normal, known through its own likelihood. Logs of a unit scatter by omega: temperature, mounting and the day
+are never the same. A unit whose logs are all well told is a normal law; any other stands on a grid, to which
+a bound is as welcome as an estimate.
+
+Where the units are well told mu is flat and tau has Jeffreys' prior: where all are exact, the tolerance bound
+is then the noncentral-t factor. Where they are only bounded, flat would be an answer: the likelihood does not
+fall towards zero, nor for a wide spread about a small median. There the square of the median is flat instead,
+as a measured variance asks for, and tau is as likely as units of one model are alike. omega is on a short
+grid. Each tau has a grid of mu of its own, and both are narrowed until they fit the support.
+
+Hardy & Thompson (1996), Statistics in Medicine 15, p. 619, give the likelihood of random effects; Tiao & Tan
+(1965), Biometrika 52, p. 37, the prior for a one-way layout; Krishnamoorthy & Mathew (2009), Statistical
+Tolerance Regions, chapters 2 and 5, the bound.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucal.arrays import BoolArray, FloatArray
+from imucal.fleet.values import LogValues, Squares
+
+#: Grid points of the coefficient of weakly told units, of mu, of tau and of omega.
+_POINTS, _MUS, _TAUS, _OMEGAS = 301, 61, 48, 12
+#: How often a grid is narrowed at most.
+_ROUNDS = 6
+#: How far below the first guess of the median the grid of units reaches, and how far from it that of mu, in
+#: the logarithm: a coefficient 50 times smaller shows nowhere.
+_DEEPEST = 4.0
+#: Spread of units of one model where the data do not tell it, also between logs of a unit; and the largest
+#: that is thought of; in the logarithm.
+_USUAL, _WIDEST = 0.5, 2.0
+#: A scatter within a unit that the logs show so rarely is not considered.
+_RARE = 1e-3
+#: A scatter that is less probable than this, against the most probable, is left out at second sight.
+_LITTLE = 1e-4
+#: What lies so far below the posterior's peak, in the logarithm, weighs nothing.
+_NOTHING = 16.0
+#: They keep finite the logarithm of a probability that underflows, and the exponential of what is larger.
+_TINY, _LARGEST = math.exp(-690), 600.0
+#: Units whose terms are added at a time.
+_CHUNK = 2048
+#: Points of the predictive law that a weak unit is judged by.
+_DRAWS = 4000
+#: Its multiples fill the unit interval evenly, in an order that has nothing to do with theirs.
+_GOLDEN = (math.sqrt(5) - 1) / 2
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a fleet lies: the median's logarithm, and a scale of the spread about it."""
+
+    centre: float
+    scale: float
+
+
+def place_of(logs: LogValues) -> Place:
+    """Return a robust first guess of where the units lie."""
+    centre = float(np.median(logs.centre))
+    mad = 1.4826 * float(np.median(np.abs(logs.centre - centre)))
+    return Place(centre, max(mad, float(np.std(logs.centre)) / 2, 0.02))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnitLikelihoods:
+    """Likelihoods of the units' coefficients, where logs of one unit scatter by `omega`.
+
+    Attributes
+    ----------
+    about
+        Where the deviations of weak units hold, in the logarithm.
+    normal
+        Which units are a normal law, shape (units,).
+    centre, deviation
+        Of the normal law; of the others the same from curvature, for weights only.
+    constant
+        Logarithm of what the normal law leaves out: the scatter of logs about their units.
+    theta
+        Grid of logarithms of the coefficient for the others, shape (points,).
+    weak
+        Their log-likelihoods on it, shape (weak units, points).
+    """
+
+    omega: float
+    about: float
+    normal: BoolArray
+    centre: FloatArray
+    deviation: FloatArray
+    constant: float
+    theta: FloatArray
+    weak: FloatArray
+
+
+def unit_likelihoods(logs: LogValues, omega: float, place: Place) -> UnitLikelihoods:
+    """Return the likelihood of each unit, where logs of one unit scatter by `omega`."""
+    n = len(logs.names)
+    normal = np.bincount(logs.unit, ~logs.narrow, minlength=n) == 0
+    weights = 1 / (logs.log_deviation(place.centre) ** 2 + omega**2)
+    total = np.bincount(logs.unit, weights, minlength=n)
+    centre = np.bincount(logs.unit, weights * logs.centre, minlength=n) / np.maximum(total, 1e-300)
+    own = normal[logs.unit]
+    constant = 0.5 * float(
+        np.sum(np.log(weights[own]) - weights[own] * (logs.centre - centre[logs.unit])[own] ** 2)
+        - np.sum(np.log(total[normal]))
+    )
+    reach = min(9 * place.scale, _DEEPEST)
+    theta = np.linspace(place.centre - _DEEPEST - reach, place.centre + reach + 3 * place.scale, _POINTS)
+    return UnitLikelihoods(
+        omega=omega,
+        about=place.centre,
+        normal=normal,
+        centre=centre,
+        deviation=1 / np.sqrt(np.maximum(total, 1e-300)),
+        constant=constant,
+        theta=theta,
+        weak=_on_grid(logs, ~normal, theta, omega),
+    )
+
+
+def _on_grid(logs: LogValues, units: BoolArray, theta: FloatArray, omega: float) -> FloatArray:
+    """Return the log-likelihoods of some units, shape (such units, theta), their logs multiplied."""
+    which = units[logs.unit]
+    each = logs.log_likelihood(which, theta)
+    if omega > 0 and each.size:
+        top = each.max(axis=1, keepdims=True)
+        each = np.log(np.exp(each - top) @ _blur(theta, theta, omega).T + _TINY) + top
+    result = np.zeros((int(np.count_nonzero(units)), theta.size))
+    np.add.at(result, (np.cumsum(units) - 1)[logs.unit[which]], each)
+    return result
+
+
+def _blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
+    """Return the matrix that takes the mean of a function on `theta` over a normal law about `theta_to`.
+
+    Beyond the ends of the grid the function is what it is there.
+    """
+    from scipy.special import ndtr
+
+    step = float(theta[1] - theta[0])
+    wide = max(width, step / 2)
+    kernel = np.exp(-0.5 * ((theta_to[:, None] - theta) / wide) ** 2)
+    cell = math.sqrt(2 * math.pi) * wide / step
+    kernel[:, 0] = cell * ndtr((theta[0] + step / 2 - theta_to) / wide)
+    kernel[:, -1] = cell * ndtr((theta_to - theta[-1] + step / 2) / wide)
+    result: FloatArray = kernel / kernel.sum(axis=1, keepdims=True)
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Weights on a grid of omega, tau and mu, broadcast against each other; they add up to one."""
+
+    omega: FloatArray
+    tau: FloatArray
+    mu: FloatArray
+    weight: FloatArray
+
+    def quantiles(self, values: FloatArray, at: Sequence[float]) -> FloatArray:
+        """Return quantiles of a function of the grid."""
+        keep = self.weight > math.exp(-_NOTHING) * self.weight.max()
+        every, weights = np.broadcast_to(values, self.weight.shape)[keep], self.weight[keep]
+        order = np.argsort(every)
+        total = np.cumsum(weights[order])
+        result: FloatArray = np.interp(np.asarray(at) * total[-1], total - weights[order] / 2, every[order])
+        return result
+
+    def prediction(self, at: Sequence[float] | FloatArray) -> FloatArray:
+        """Return quantiles of the logarithm of a unit that was not seen."""
+        from scipy.special import ndtr
+
+        weight = self.weight.sum(axis=0)
+        keep = weight > math.exp(-_NOTHING) * weight.max()
+        mu, tau = (np.broadcast_to(x, self.weight.shape)[0][keep] for x in (self.mu, self.tau))
+        reach = 6 * float(tau.max())
+        grid = np.linspace(float(mu.min()) - reach, float(mu.max()) + reach, 801)
+        below = ndtr((grid[:, None] - mu) / tau) @ weight[keep] / weight[keep].sum()
+        return np.interp(at, below, grid)
+
+    def p_value(self, centre: FloatArray, variance: FloatArray) -> float:
+        """Return the two-sided chance of a new unit's logarithm `centre`, known with a normal error.
+
+        Both, shape (omega,), are what its logs make at each scatter within a unit.
+        """
+        from scipy.special import ndtr
+
+        apart = centre[:, None, None] - self.mu
+        above = float(np.sum(self.weight * ndtr(apart / np.sqrt(self.tau**2 + variance[:, None, None]))))
+        return 2 * min(above, 1 - above)
+
+    def p_values(self, units: Squares, scatter: FloatArray) -> FloatArray:
+        """Return the two-sided chance of estimates of squared coefficients like these.
+
+        `scatter`, shape (units,), is that of the mean of a unit's logs about the unit, in the logarithm.
+        """
+        from scipy.special import ndtri
+
+        at = (np.arange(_DRAWS) + 0.5) / _DRAWS
+        log, moved = self.prediction(at), ndtri((at * _DRAWS * _GOLDEN) % 1)
+        below = units.below(np.exp(2 * (log + scatter[:, None] * moved))).mean(axis=1)
+        result: FloatArray = 2 * np.minimum(below, 1 - below)
+        return result
+
+
+def whole_posterior(values: LogValues, place: Place) -> Posterior:
+    """Return the posterior over all scatters within a unit; of weak logs on a finer grid, at second sight."""
+    found = posterior_of(values, scatters(values), place)
+    if values.narrow.all() or len(found.omega) < 2:
+        return found
+    omega, weight = found.omega.ravel(), found.weight.sum(axis=(1, 2))
+    return posterior_of(values, np.linspace(*support(omega, weight > _LITTLE * weight.max()), _OMEGAS), place)
+
+
+def scatters(values: LogValues) -> FloatArray:
+    """Return the scatters within a unit to consider, evenly spaced; only 0 where no unit has two logs."""
+    from scipy.special import chdtri
+
+    counts = np.bincount(values.unit)
+    degrees = values.unit.size - counts.size
+    if degrees == 0:
+        return np.zeros(1)
+    means = np.bincount(values.unit, values.centre) / counts
+    squares = float(np.sum((values.centre - means[values.unit]) ** 2))
+    if not values.narrow.all():
+        return np.linspace(0.0, min(3 * math.sqrt(squares / degrees) + 0.3, _WIDEST), _OMEGAS)
+    known = float(np.mean(values.deviation**2))
+    low, high = (squares / float(chdtri(degrees, tail)) for tail in (_RARE, 1 - _RARE))
+    most = 10 * math.sqrt(squares / degrees) + 1e-6
+    return np.linspace(math.sqrt(max(low - known, 0.0)), min(math.sqrt(high), most), _OMEGAS)
+
+
+def posterior_of(values: LogValues, omegas: FloatArray, place: Place) -> Posterior:
+    """Return the posterior for some scatters, on a grid that is narrowed until it fits its support."""
+    units = [unit_likelihoods(values, omega, place) for omega in omegas.tolist()]
+    taus = (math.log(0.01 * place.scale), math.log(max(_WIDEST, 2 * place.scale)))
+    for _ in range(_ROUNDS):
+        tau = np.exp(np.linspace(*taus, _TAUS))
+        mu, height = _over_mu(units, tau, place)
+        height -= height.max()
+        narrower = support(np.log(tau), np.any(height > -_NOTHING, axis=(0, 2)))
+        if 2 * (narrower[1] - narrower[0]) > taus[1] - taus[0]:
+            break
+        taus = narrower
+    weight = np.exp(height)
+    return Posterior(omegas[:, None, None], tau[None, :, None], mu[None], weight / weight.sum())
+
+
+def support(grid: FloatArray, likely: BoolArray) -> tuple[float, float]:
+    """Return the range of the likely points of a grid and one more to each side."""
+    places = np.flatnonzero(likely)
+    return float(grid[max(places[0] - 1, 0)]), float(grid[min(places[-1] + 1, grid.size - 1)])
+
+
+def _over_mu(units: list[UnitLikelihoods], tau: FloatArray, place: Place) -> tuple[FloatArray, FloatArray]:
+    """Return for each tau the grid of mu that fits it, (tau, mu), and the posterior, (omega, tau, mu).
+
+    The less the spread, the better the median is known.
+    """
+    reach = min(9 * place.scale, _DEEPEST) + 6 * tau
+    ends = np.column_stack([place.centre - reach, place.centre + reach])
+    for _ in range(_ROUNDS):
+        mu = np.linspace(ends[:, 0], ends[:, 1], _MUS, axis=1)
+        # The same for every omega, and what takes the time where units are weak.
+        weak = units[0].weak.size > 0
+        blurs = [_blur(row, units[0].theta, t) for t, row in zip(tau.tolist(), mu, strict=True) if weak]
+        height = np.array([_log_posterior(of_omega, tau, mu, blurs) for of_omega in units])
+        own = height - height.max(axis=(0, 2), keepdims=True)
+        narrower = np.array(list(map(support, mu, np.any(own > -_NOTHING, axis=0))))
+        if np.all(2 * np.diff(narrower) > np.diff(ends)):
+            break
+        ends = narrower
+    return mu, height + np.log(mu[:, 1] - mu[:, 0])[:, None]
+
+
+def _log_posterior(
+    units: UnitLikelihoods, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]
+) -> FloatArray:
+    """Return the logarithm of the posterior, shape (tau, mu), for a flat measure in log tau."""
+    v = units.deviation[units.normal] ** 2 + tau[:, None] ** 2
+    y, offset = units.centre[units.normal] - mu[:, :1], mu - mu[:, :1]
+    first, second = (np.sum(part, axis=1)[:, None] for part in (y / v, 1 / v))
+    squares = np.sum(y * y / v, axis=1)[:, None] - 2 * offset * first + offset**2 * second
+    result = units.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
+    if blurs:
+        result += [_weak_part(units, matrix) for matrix in blurs]
+    posterior: FloatArray = result + _prior(units, tau)[:, None] + _prior_of_median(units, mu)
+    return posterior
+
+
+def _weak_part(units: UnitLikelihoods, matrix: FloatArray) -> FloatArray:
+    """Return what the units on the grid say of mu, at one tau."""
+    total = np.zeros(matrix.shape[0])
+    for start in range(0, len(units.weak), _CHUNK):
+        some = units.weak[start : start + _CHUNK]
+        top = some.max(axis=1, keepdims=True)
+        total += np.log(matrix @ np.exp(some - top).T + _TINY).sum(axis=1) + top.sum()
+    return total
+
+
+def _prior(units: UnitLikelihoods, tau: FloatArray) -> FloatArray:
+    """Return the logarithm of the prior of log tau and of the scatter within units: Jeffreys' where told."""
+    t2, variance = tau**2, units.deviation**2
+    told = 0.5 * np.log(np.sum(1 / (variance + t2[:, None]) ** 2, axis=1)) + np.log(t2)
+    usual = np.log(tau) - 0.5 * (t2 + units.omega**2) / _USUAL**2
+    untold = float(np.mean((variance / (variance + _USUAL**2)) ** 2))
+    result: FloatArray = (1 - untold) * told + untold * usual
+    return result
+
+
+def _prior_of_median(units: UnitLikelihoods, mu: FloatArray) -> FloatArray:
+    """Return the logarithm of Jeffreys' prior of mu at a usual spread: flat where told, else in exp(2 mu)."""
+    if not units.weak.size:
+        return np.zeros_like(mu)
+    told = float(np.sum(1 / (units.deviation[units.normal] ** 2 + _USUAL**2)))
+    # One deviation for all: a prior need not be more exact.
+    weak = np.count_nonzero(~units.normal)
+    precision = float(np.mean(units.deviation[~units.normal] ** -2.0))
+    at = np.exp(np.minimum(-4 * (mu - units.about), _LARGEST)) / precision
+    result: FloatArray = 0.5 * np.log((told + weak / (at + _USUAL**2)) / (told + weak / _USUAL**2))
+    return result
