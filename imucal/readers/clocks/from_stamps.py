@@ -1,12 +1,10 @@
-"""Stamps -> clock: the rate, what is missing, and what the stamps look like.
+"""Stamps -> clock: the rate, what is missing, and what the stamps look like, as findings.
 
 Samples keep the order of the log: it is the order in which the sensor gave them, while stamps jitter.
-The rate comes from `imucal.readers.clocks.placing`, each sample's place on the even grid from
-`imucal.readers.clocks.placing`.
-
-What stamps look like, as findings.
+The rate and each sample's place on the even grid come from `imucal.readers.clocks.placing`.
 """
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -17,7 +15,6 @@ from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.readers.clocks.placing import (
-    NO_BREAKS,
     Breaks,
     Period,
     Steps,
@@ -37,89 +34,59 @@ _MOST = 100_000
 _SHORTEST, _DRIFT = 60.0, 5e-4
 
 
-def zero_note(zeros: int, n: int) -> Finding:
-    """Return the finding of a few stamps that are zero."""
-    text = f"{zeros} of {n} stamps are zero; those samples are placed between their neighbours."
-    return Finding(level="info", code="zero-stamps", text=text)
-
-
-def rate_note(given: float, measured: float) -> Finding:
-    """Return the finding of a given rate, in Hz, that the stamps contradict."""
-    text = f"The rate given, {given:g} Hz, is not the one the stamps show, {measured:.6g} Hz."
-    return Finding(level="warning", code="rate-given", text=text)
-
-
-def log_time_note(why: str) -> Finding:
-    """Return the finding of stamps that can't be used, which `why` says."""
-    text = f"{why}; the time at which messages were recorded is used instead."
-    advice = "Log time carries the delays of the computer; let the driver stamp the messages."
-    return Finding(level="warning", code="log-time-used", text=text, advice=advice)
-
-
-def repeated_note(count: int, n: int) -> Finding:
-    """Return the finding of messages recorded twice."""
-    text = f"{count} of {n} samples repeat the stamp and the values of the one before; they are dropped."
-    return Finding(level="warning", code="duplicate-stamps", text=text)
-
-
-def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
-    """Return what the stamps show apart from gaps and jumps."""
-    notes = []
-    same, back, tau = steps.same, steps.back, period.tau_ns
+def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> Iterator[Finding]:
+    """Yield what the stamps of `n` samples show apart from gaps and jumps."""
+    same, extra, tau = steps.same, breaks.doubled.size, period.tau_ns
+    fine = period.resolution_ns < tau / 50
     if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
         text = (
             f"Stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling period of "
             f"{tau / 1e6:.4g} ms; the rate is measured over many samples."
         )
-        notes.append(Finding(level="info", code="coarse-stamps", text=text))
+        yield Finding(level="info", code="coarse-stamps", text=text)
     if period.burst > 1:
         text = (
             f"Samples arrive in bursts of about {period.burst}; they are taken as evenly spaced at "
             f"{1e9 / tau:.6g} Hz."
         )
-        notes.append(Finding(level="info", code="bursts", text=text))
-    elif same and (breaks.doubled.size or period.resolution_ns < tau / 50):
-        fate = (
-            f"{breaks.doubled.size} that are one too many are dropped"
-            if breaks.doubled.size
-            else "all are kept"
-        )
+        yield Finding(level="info", code="bursts", text=text)
+    elif same and (extra or fine):
+        fate = f"{extra} that are one too many are dropped" if extra else "all are kept"
         text = f"{same} of {n} samples carry the stamp of the one before; {fate}."
-        notes.append(Finding(level="warning", code="duplicate-stamps", text=text))
-    elif breaks.doubled.size:
-        text = f"{breaks.doubled.size} of {n} samples are one too many for the clock and are dropped."
-        notes.append(Finding(level="warning", code="extra-samples", text=text))
-    if back:
-        text = f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
-        notes.append(Finding(level="info", code="stamps-out-of-order", text=text))
-    return notes
+        yield Finding(level="warning", code="duplicate-stamps", text=text)
+    elif extra:
+        text = f"{extra} of {n} samples are one too many for the clock and are dropped."
+        yield Finding(level="warning", code="extra-samples", text=text)
+    if steps.back:
+        text = f"{steps.back} of {n} stamps are earlier than the one before; samples keep the log's order."
+        yield Finding(level="info", code="stamps-out-of-order", text=text)
 
 
-def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
-    """Return a finding for the settings of the clock, with the largest."""
-    if not jumps:
-        return []
-    steps = {at: (int(stamps[at]) - int(stamps[at - 1])) / 1e9 for at in jumps}
-    largest = max(steps, key=lambda at: abs(steps[at]))
-    text = (
-        f"The clock was set {_times(len(jumps))}, at most by {steps[largest]:+.6g} s "
-        f"at sample {largest}; samples before and after are kept apart."
-    )
-    return [Finding(level="warning", code="clock-jump", text=text)]
+def jump_notes(stamps: IntArray, jumps: Mapping[int, int]) -> Iterator[Finding]:
+    """Yield a finding for the settings of the clock, with the largest."""
+    if jumps:
+        steps = {at: (int(stamps[at]) - int(stamps[at - 1])) / 1e9 for at in jumps}
+        largest = max(steps, key=lambda at: abs(steps[at]))
+        often = "once" if len(jumps) == 1 else f"{len(jumps)} times"
+        text = (
+            f"The clock was set {often}, at most by {steps[largest]:+.6g} s "
+            f"at sample {largest}; samples before and after are kept apart."
+        )
+        yield Finding(level="warning", code="clock-jump", text=text)
 
 
-def gap_notes(clock: Clock) -> list[Finding]:
-    """Return a finding for the missing samples, with the longest gap."""
-    gaps = clock.gaps
-    if not gaps:
-        return []
-    longest = max(gaps, key=lambda gap: gap.missing)
-    share = clock.missing / clock.grid_size
-    text = (
-        f"{_samples(clock.missing, share)} missing in {_gaps(len(gaps))}; "
-        f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
-    )
-    return [Finding(level="warning" if share > _FEW else "info", code="gaps", text=text)]
+def gap_notes(clock: Clock) -> Iterator[Finding]:
+    """Yield a finding for the missing samples, with the longest gap."""
+    if gaps := clock.gaps:
+        longest = max(gaps, key=lambda gap: gap.missing)
+        share = clock.missing / clock.grid_size
+        lost = f"{clock.missing} sample{'' if clock.missing == 1 else 's'} ({share:.2g} of all)"
+        text = (
+            f"{lost} {'is' if clock.missing == 1 else 'are'} missing in "
+            f"{'one gap' if len(gaps) == 1 else f'{len(gaps)} gaps'}; "
+            f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
+        )
+        yield Finding(level="warning" if share > _FEW else "info", code="gaps", text=text)
 
 
 def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
@@ -140,19 +107,6 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
         text = f"The stamps span {own:.6g} s, the log time {other:.6g} s: the clocks differ by {ratio}."
         findings.append(Finding(level="warning", code="clocks-differ", text=text))
     return findings
-
-
-def _samples(count: int, share: float) -> str:
-    """Return ``12 samples (0.003 of all) are``."""
-    return f"{count} sample{'' if count == 1 else 's'} ({share:.2g} of all) {'is' if count == 1 else 'are'}"
-
-
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
-
-
-def _gaps(count: int) -> str:
-    return "one gap" if count == 1 else f"{count} gaps"
 
 
 def part_between(recording: Recording, start_s: float, end_s: float) -> Recording:
@@ -278,7 +232,9 @@ class _Stamps:
         return ClockReading(clock=clock, order=self.order, findings=tuple(self.notes))
 
     def _drop(self, repeated: BoolArray, twice: int) -> None:
-        self.notes.append(repeated_note(twice, self.stamps.size))
+        of = f"{twice} of {self.stamps.size} samples"
+        text = f"{of} repeat the stamp and the values of the one before; they are dropped."
+        self.notes.append(Finding(level="warning", code="duplicate-stamps", text=text))
         keep = self.room.made(repeated.size, np.bool_, lambda part: ~repeated[part], repeated)
         self.order = self.room.places(keep)
         self.stamps = self.room.chosen(self.stamps, keep)
@@ -294,11 +250,15 @@ class _Stamps:
             self._use(self.log_ns, "are all zero" if zeros == n else what)
         elif 0 < zeros <= _ZEROS * n:
             self.stamps = _filled(stamps, self.room)
-            self.notes.append(zero_note(zeros, n))
+            text = f"{zeros} of {n} stamps are zero; those samples are placed between their neighbours."
+            self.notes.append(Finding(level="info", code="zero-stamps", text=text))
 
     def _use(self, log_ns: IntArray, why: str) -> None:
         """Take log time instead of the stamps."""
-        self.notes.append(log_time_note(f"The stamps ({self.source}) {why}"))
+        found = f"The stamps ({self.source}) {why}"
+        text = f"{found}; the time at which messages were recorded is used instead."
+        advice = "Log time carries the delays of the computer; let the driver stamp the messages."
+        self.notes.append(Finding(level="warning", code="log-time-used", text=text, advice=advice))
         self.stamps, self.source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
 
     def _clock(self, period: Period, rate_hz: float | None) -> Clock:
@@ -311,10 +271,12 @@ class _Stamps:
             msg = f"the stamps ({self.source}) go back {times}; expected a clock"
             raise DataError(msg)
         edges = [0, *resets.tolist(), stamps.size]
-        breaks = NO_BREAKS
+        breaks = Breaks.joined([])
         # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
         for longest in (10,) if steps.even else (10, 1000):
-            breaks = breaks if steps.even else _all_breaks(stamps, edges, period)
+            if not steps.even:
+                parts = ((first, find_breaks(stamps[first:last], period)) for first, last in pairwise(edges))
+                breaks = Breaks.joined(parts)
             tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
             if 0.5 < tau / period.tau_ns < 2:
                 period = replace(period, tau_ns=tau)
@@ -324,7 +286,8 @@ class _Stamps:
         notes += jump_notes(stamps, jumps)
         measured = 1e9 / period.tau_ns
         if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
-            notes.append(rate_note(rate_hz, measured))
+            text = f"The rate given, {rate_hz:g} Hz, is not the one the stamps show, {measured:.6g} Hz."
+            notes.append(Finding(level="warning", code="rate-given", text=text))
         clock = Clock(
             source=self.source,
             rate_hz=rate_hz or measured,
@@ -359,19 +322,6 @@ def _filled(stamps: IntArray, room: Room) -> IntArray:
     filled = room.copied(stamps)
     filled[bad] = stamps[first] + np.round(between).astype(np.int64)
     return filled
-
-
-def _all_breaks(stamps: IntArray, edges: list[int], period: Period) -> Breaks:
-    """Find breaks in each stretch between two settings of the clock."""
-    parts = []
-    for first, last in pairwise(edges):
-        part = find_breaks(stamps[first:last], period)
-        parts.append(replace(part, at=part.at + first, doubled=part.doubled + first))
-    return Breaks(
-        at=np.concatenate([part.at for part in parts]),
-        missing=np.concatenate([part.missing for part in parts]),
-        doubled=np.concatenate([part.doubled for part in parts]),
-    )
 
 
 def _believable(

@@ -1,19 +1,17 @@
-"""Each sample's place on the even grid: where samples are missing, doubled, or the clock was set.
+"""The sampling period of stamps that jitter, repeat, come in bursts or skip samples, and each sample's place.
+
+Let s(W) be the median over k of (t[k+W] - t[k]) / W. A clean log has s(W) = tau0 for every W. Bursts make
+s(1) too short and s(W) right for W beyond a burst; missing samples make s(1) right and s(W) too long. The
+two are told apart by conservation: where bursts only delay samples, t[k] - k tau0 stays bounded.
 
 With x[k] = t[k]/tau - k, missing samples lift x for good, a doubled sample lowers it for good, and a late
 sample lifts it only until the next ones have caught up. So a lift at k counts only where the *lowest* x
 among the following samples, as many as could catch up, stays above the *highest* before.
 Works block by block; memory does not grow with n.
-
-The sampling period from stamps that jitter, repeat, come in bursts or skip samples.
-
-Let s(W) be the median over k of (t[k+W] - t[k]) / W. A clean log has s(W) = tau0 for every W. Bursts make
-s(1) too short and s(W) right for W beyond a burst; missing samples make s(1) right and s(W) too long. The
-two are told apart by conservation: where bursts only delay samples, t[k] - k tau0 stays bounded.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,9 +19,9 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, blocks, distinct, median, percentile
 
-#: Blocks of neighbouring samples looked at, and samples in each; all samples where there are fewer.
-_BLOCKS = 10
-_RATE_BLOCK = 4096
+#: Runs of samples that the period is taken from, and samples in each; all samples where there are fewer.
+_RUNS = 10
+_RUN = 4096
 
 #: Relative difference of two slopes that counts as the same.
 _SAME = 0.03
@@ -53,17 +51,17 @@ class Period:
 
 def estimate_period(stamps: IntArray) -> Period | None:
     """Return the sampling period of stamps in ns, shape (n,); None where they don't advance."""
-    blocks = _blocks(stamps)
-    steps = np.concatenate([np.diff(block) for block in blocks])
+    runs = _runs(stamps)
+    steps = np.concatenate([np.diff(run) for run in runs])
     positive = steps[steps > 0]
     if not positive.size:
         return None
     quantum = resolution(steps)
-    short, wide = _slope(blocks, 1), _plateau(blocks)
+    short, wide = _slope(runs, 1), _plateau(runs)
     if not wide > 0:
         return None
     unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
-    if unit < 0.97 * wide and _skips(steps, unit) and not _only_late(blocks, steps, wide, unit, quantum):
+    if unit < 0.97 * wide and _skips(steps, unit) and not _only_late(runs, steps, wide, unit, quantum):
         near = positive[np.abs(positive / unit - 1) < 0.25]
         unit = float(near.mean())
         return Period(tau_ns=unit, jitter=_jitter(near, unit), burst=1, resolution_ns=quantum)
@@ -79,28 +77,28 @@ def resolution(steps: IntArray) -> int:
     return int(np.gcd.reduce(np.abs(steps[:100_000])))
 
 
-def _blocks(stamps: IntArray) -> list[IntArray]:
+def _runs(stamps: IntArray) -> list[IntArray]:
     """Return runs of neighbouring stamps, spread over the log."""
-    if stamps.size <= _BLOCKS * _RATE_BLOCK:
+    if stamps.size <= _RUNS * _RUN:
         return [stamps]
-    starts = np.linspace(0, stamps.size - _RATE_BLOCK, _BLOCKS).astype(np.int64)
-    return [stamps[start : start + _RATE_BLOCK] for start in starts.tolist()]
+    starts = np.linspace(0, stamps.size - _RUN, _RUNS).astype(np.int64)
+    return [stamps[start : start + _RUN] for start in starts.tolist()]
 
 
-def _slope(blocks: list[IntArray], width: int) -> float:
-    """Return the median of (t[k+W] - t[k]) / W, in ns per sample; NaN where no block is long enough."""
-    spans = [block[width:] - block[:-width] for block in blocks if block.size > width]
+def _slope(runs: list[IntArray], width: int) -> float:
+    """Return the median of (t[k+W] - t[k]) / W, in ns per sample; NaN where no run is long enough."""
+    spans = [run[width:] - run[:-width] for run in runs if run.size > width]
     return median(np.concatenate(spans)) / width if spans else np.nan
 
 
-def _plateau(blocks: list[IntArray]) -> float:
+def _plateau(runs: list[IntArray]) -> float:
     """Return the slope at the first width from which a wider window changes nothing, in ns per sample."""
-    longest = max(block.size for block in blocks)
+    longest = max(run.size for run in runs)
     widths = [w for w in (16, 32, 64, 128, 256, 512, 1024, 2048) if w <= longest // 3]
     if not widths:
-        block = max(blocks, key=len)
-        return (int(block[-1]) - int(block[0])) / (block.size - 1)
-    slopes = [_slope(blocks, width) for width in widths]
+        run = max(runs, key=len)
+        return (int(run[-1]) - int(run[0])) / (run.size - 1)
+    slopes = [_slope(runs, width) for width in widths]
     changes = [abs(b / a - 1) if a > 0 else np.inf for a, b in pairwise(slopes)]
     for index, change in enumerate(changes):
         if change <= _SAME:
@@ -118,26 +116,26 @@ def _skips(steps: IntArray, unit: float) -> bool:
     return bool(single >= 0.3 and whole >= 0.9)
 
 
-def _only_late(blocks: list[IntArray], steps: IntArray, tau: float, unit: float, quantum: int) -> bool:
+def _only_late(runs: list[IntArray], steps: IntArray, tau: float, unit: float, quantum: int) -> bool:
     """Say whether steps that look like whole multiples come from bursts, or from coarse stamps, instead.
 
     Coarse stamps are multiples of a power of ten, such as 1 ms; a sampling period seldom is one of the two
     at once. Pauses between bursts are several units long, and there is more than a pair of them.
     """
     longer = steps[steps > 1.4 * unit]
-    if not _conserved(blocks, tau) or longer.size < 3:
+    if not _conserved(runs, tau) or longer.size < 3:
         return False
     coarse = quantum > unit / 2 and np.log10(quantum) % 1 == 0
     return bool(coarse or median(longer) >= 4 * unit)
 
 
-def _conserved(blocks: list[IntArray], tau: float) -> bool:
+def _conserved(runs: list[IntArray], tau: float) -> bool:
     """Say whether t[k] - k tau stays within a few pauses: samples are late, none is missing."""
     ranges: list[float] = []
     pauses: list[float] = []
-    for block in blocks:
-        for start in range(0, max(block.size - 1024, 0) + 1, 2048):
-            part = (block[start : start + 2048] - block[start]) / tau
+    for run in runs:
+        for start in range(0, max(run.size - 1024, 0) + 1, 2048):
+            part = (run[start : start + 2048] - run[start]) / tau
             if part.size < 3:
                 continue
             late = part - np.linspace(0.0, part[-1], part.size)
@@ -175,6 +173,17 @@ class Breaks:
     at: IntArray
     missing: IntArray
     doubled: IntArray
+
+    @classmethod
+    def joined(cls, parts: Iterable[tuple[int, "Breaks"]]) -> "Breaks":
+        """Return the breaks of several parts of a log, each given with its first sample; none of no part."""
+        found = list(parts)
+        none = np.zeros(0, dtype=np.int64)
+        return cls(
+            at=np.concatenate([none, *(part.at + first for first, part in found)]),
+            missing=np.concatenate([none, *(part.missing for _, part in found)]),
+            doubled=np.concatenate([none, *(part.doubled + first for first, part in found)]),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,24 +243,8 @@ def find_breaks(stamps: IntArray, period: Period) -> Breaks:
     """Return the missing and doubled samples of stamps in ns, shape (n,), of one clock."""
     spread = (period.burst - 1) if period.burst > 1 else min(3 * period.jitter, 0.3)
     near = min(max(_SAMPLES_AROUND, 2 * period.burst), _REACH)
-    at, missing, doubled = [], [], []
-    for first, block, inner in _odd_blocks(stamps, period.tau_ns):
-        lifts, counts, extra = _breaks(block, inner, period, near, spread)
-        at.append(lifts + first)
-        missing.append(counts)
-        doubled.append(extra + first)
-    empty = [np.zeros(0, dtype=np.int64)]
-    return Breaks(
-        at=np.concatenate(at or empty),
-        missing=np.concatenate(missing or empty),
-        doubled=np.concatenate(doubled or empty),
-    )
-
-
-#: Nothing is missing.
-NO_BREAKS = Breaks(
-    at=np.zeros(0, dtype=np.int64), missing=np.zeros(0, dtype=np.int64), doubled=np.zeros(0, dtype=np.int64)
-)
+    odd = _odd_blocks(stamps, period.tau_ns)
+    return Breaks.joined((first, _breaks(block, inner, period, near, spread)) for first, block, inner in odd)
 
 
 def fit_period(
@@ -359,17 +352,14 @@ def _odd_blocks(stamps: IntArray, tau: float) -> Iterator[tuple[int, IntArray, s
         yield first, stamps[first:last], slice(start - first, min(start + _BLOCK, n) - first)
 
 
-def _breaks(
-    block: IntArray, inner: slice, period: Period, near: int, spread: float
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Return lifts, their sizes and doubled samples of a block, as places in it."""
+def _breaks(block: IntArray, inner: slice, period: Period, near: int, spread: float) -> Breaks:
+    """Return where samples of a block are missing or doubled, as places in it."""
     tau = period.tau_ns
     steps = np.diff(block)
     odd = np.flatnonzero((steps > 1.5 * tau) | (steps < 0.5 * tau)) + 1
     odd = odd[(odd >= max(inner.start, 1)) & (odd < inner.stop)]
-    nothing = np.zeros(0, dtype=np.int64)
     if not odd.size:
-        return nothing, nothing, nothing
+        return Breaks.joined([])
     x = (block - block[0]) / tau
     x -= np.arange(block.size)
     jump = x[odd] - x[odd - 1]
@@ -381,7 +371,7 @@ def _breaks(
     size = np.minimum(np.round(jumps[real]), np.round(rise[real] + spread))
     missing = np.maximum(size, 1).astype(np.int64)
     if period.burst > 1:
-        return lifts[real], missing, nothing
+        return Breaks(at=lifts[real], missing=missing, doubled=np.zeros(0, dtype=np.int64))
     falls = odd[jump < 0]
     if falls.size:
         # Without the lifts that stay, x only falls for good at a doubled sample; catching up never takes
@@ -393,7 +383,7 @@ def _breaks(
         after = np.maximum(_extreme(x[::-1], np.maximum, near)[::-1], x)
         fall = _extreme(x, np.minimum, back)[falls] - after[falls]
         falls = falls[fall > 0.5]
-    return lifts[real], missing, falls
+    return Breaks(at=lifts[real], missing=missing, doubled=falls)
 
 
 def _extreme(x: FloatArray, better: Callable[..., FloatArray], width: int) -> FloatArray:
