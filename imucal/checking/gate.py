@@ -3,13 +3,23 @@
 import math
 from collections.abc import Container, Iterator
 from itertools import chain
+from typing import Literal, TypedDict
 
 from imucal.checking.limits import LOG_QUANTITIES, Baseline, Limit, Limits
 from imucal.checking.verdict import CheckResult, Measured, Row, judge
 from imucal.errors import LimitsError
 from imucal.recording import Sensor
+from imucal.report import numbers
 from imucal.report.json_file import load
 from imucal.report.result import AxisReport, Report
+
+
+class _Asked(TypedDict):
+    """What a row says of its limit."""
+
+    side: Literal["min", "max"]
+    limit: float
+    unit: str
 
 
 def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> CheckResult:
@@ -100,40 +110,28 @@ def _axes_of(report: Report, where: str) -> tuple[AxisReport, ...]:
 
 
 def _limit(report: Report, limit: Limit) -> Iterator[Row]:
-    axes = _axes_of(report, limit.where)
-    if limit.quantity not in LOG_QUANTITIES:
-        for axis in axes:
-            yield from _axis_limit(axis, axis.name, limit)
-        return
-    for sensor in dict.fromkeys(axis.sensor for axis in axes):
-        group = [axis for axis in axes if axis.sensor is sensor]
+    by_sensor: dict[Sensor, list[AxisReport]] = {}
+    for axis in _axes_of(report, limit.where):
+        by_sensor.setdefault(axis.sensor, []).append(axis)
+    for sensor, axes in by_sensor.items():
         # A quantity of the clock is most often one for all axes, and said once.
-        if len(group) > 1 and len({measure(axis, limit.quantity) for axis in group}) == 1:
-            yield from _axis_limit(group[0], sensor.short, limit)
+        clock = limit.quantity in LOG_QUANTITIES and len(axes) > 1
+        if clock and len({measure(axis, limit.quantity) for axis in axes}) == 1:
+            yield from _axis_limit(axes[0], sensor.short, limit)
             continue
-        for axis in group:
+        for axis in axes:
             yield from _axis_limit(axis, axis.name, limit)
 
 
 def _axis_limit(axis: AxisReport, where: str, limit: Limit) -> Iterator[Row]:
     measured = measure(axis, limit.quantity)
+    asked: _Asked = {"side": limit.side, "limit": limit.value, "unit": limit.unit}
     if not measured:
-        said = (
-            f"the model has no {limit.quantity}, and no bound on it; fit a model with it, or remove the limit"
-        )
-        yield Row(
-            where=where,
-            subject=limit.quantity,
-            side=limit.side,
-            limit=limit.value,
-            unit=limit.unit,
-            verdict="undecided",
-            text=f"{where}: {said}",
-        )
+        said = f"{where}: the model has no {limit.quantity}, and no bound on it"
+        text = f"{said}; fit a model with it, or remove the limit"
+        yield Row(where=where, subject=limit.quantity, verdict="undecided", text=text, **asked)
     for key, value in measured:
-        yield judge(
-            where, key, value.scaled(1 / limit.factor), side=limit.side, limit=limit.value, unit=limit.unit
-        )
+        yield judge(where, key, value.scaled(1 / limit.factor), **asked)
 
 
 def _findings(report: Report, limits: Limits) -> Iterator[Row]:
@@ -141,9 +139,8 @@ def _findings(report: Report, limits: Limits) -> Iterator[Row]:
     forbidden = [finding for finding in found if rules.forbids(finding.level, finding.code)]
     for finding in forbidden:
         where = finding.axis or "log"
-        yield _fails(
-            where, finding.code, f"{where}: forbidden {finding.level} [{finding.code}]: {finding.text}"
-        )
+        text = f"{where}: forbidden {finding.level} [{finding.code}]: {finding.text}"
+        yield _fails(where, finding.code, text)
     if not forbidden and (rules.level != "none" or rules.forbid):
         yield Row(where="log", subject="findings", verdict="pass", text="log: no forbidden finding")
 
@@ -166,12 +163,11 @@ def _changes(now: AxisReport, before: AxisReport, symbol: str, rules: Baseline) 
             yield Row(where=now.name, subject=f"{key} / baseline", verdict="undecided", text=text)
             continue
         ratio = Measured.exactly(1.0) if same else relative(measured, old[key])
+        subject = f"{key} / baseline"
         if rules.max_increase is not None:
-            limit = 1 + rules.max_increase
-            yield judge(now.name, f"{key} / baseline", ratio, side="max", limit=limit)
+            yield judge(now.name, subject, ratio, side="max", limit=1 + rules.max_increase)
         if rules.max_decrease is not None:
-            limit = 1 - rules.max_decrease
-            yield judge(now.name, f"{key} / baseline", ratio, side="min", limit=limit)
+            yield judge(now.name, subject, ratio, side="min", limit=1 - rules.max_decrease)
 
 
 def _same_fit(now: AxisReport, before: AxisReport) -> bool:
@@ -183,12 +179,11 @@ def _same_fit(now: AxisReport, before: AxisReport) -> bool:
 
 def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Measured], ...]:
     """Return a quantity of an axis in SI, under its name; several for several Gauss-Markov terms."""
-    gaps = len(axis.gaps)
     missing = sum(gap.missing for gap in axis.gaps)
     exact = {
         "rate": axis.rate_hz,
         "duration": axis.duration_s,
-        "gaps": float(gaps),
+        "gaps": float(len(axis.gaps)),
         "missing": missing / (axis.samples + missing) if missing else 0.0,
         "mean": axis.mean,
         "std": axis.std,
@@ -196,7 +191,8 @@ def measure(axis: AxisReport, quantity: str) -> tuple[tuple[str, Measured], ...]
     if quantity in exact:
         return ((quantity, Measured.exactly(exact[quantity])),)
     if quantity == "minimum":
-        return ((quantity, _minimum(axis)),)
+        lowest = numbers.minimum(axis)[0]
+        return ((quantity, Measured(value=lowest.value, low=lowest.low, high=lowest.high)),)
     return tuple(
         (estimate.key, Measured(value=estimate.value, low=estimate.low, high=estimate.high))
         for estimate in axis.fit.estimates
@@ -218,15 +214,6 @@ def relative(now: Measured, before: Measured) -> Measured:
     down = math.hypot(_distance(now.low, now.value), _distance(before.value, before.high))
     up = math.hypot(_distance(now.value, now.high), _distance(before.low, before.value))
     return Measured(value=ratio, low=ratio * math.exp(-down), high=ratio * _exp(up))
-
-
-def _minimum(axis: AxisReport) -> Measured:
-    value, tau = axis.fit.curve.minimum
-    low, high = axis.fit.curve.confidence_interval(axis.fit.level)
-    index = int(abs(axis.fit.curve.tau - tau).argmin())
-    if not (math.isfinite(low[index]) and math.isfinite(high[index])):
-        return Measured.exactly(value)
-    return Measured(value=value, low=float(low[index]), high=float(high[index]))
 
 
 def _distance(low: float, high: float) -> float:

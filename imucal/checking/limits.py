@@ -1,8 +1,4 @@
-"""What a limits file asks, as values.
-
-The units that a limit may be written in, for each quantity.
-
-The limits file: TOML in, checked values out.
+"""The limits file: TOML in, checked values out, each limit with the factor of its unit.
 
 A limit stands under the axis (``gyro_x``), the sensor (``gyroscope``: each of its axes) or the log
 it is about::
@@ -47,93 +43,20 @@ Undecided: TypeAlias = Literal["pass", "fail"]
 #: Levels of findings, the gravest last.
 GRAVE = ("info", "warning", "error")
 
+_CODES = """
+absurd-rate axis-missing bad-rows bursts clock-jump clocks-differ coarse-lsb coarse-stamps compression
+counter-unused crc cut-line cycle damaged definition delay dropouts duplicate-axes duplicate-stamps
+encapsulation extra-samples few-units fast-rate file-missing gaps gaps-in-curve gaps-in-fit held-samples
+index joined line log-out-of-order log-time-used model-choice model-misfit motion no-data no-gravity
+no-result nonstationary not-checked not-drawn not-finite other-vectors output-filter poor-fit rate-differs
+rate-given record-length record-length-unknown records-differ roll-off rounding sampling-period saturated
+second-opinion sensor-missing short-times spectral-ambiguity spikes stamps-out-of-order step stuck
+swapped-sensors telegraph temperature time-unused tone touch truncated two-maxima unindexed unit-assumed
+unit-suspect verified wal-ignored warm-up warm-up-fitted weak-term wrapped zero-stamps
+"""
 #: Every code that a finding may have, so that a limits file can't forbid one that doesn't exist;
 #: described in ``docs/findings.md``.
-FINDING_CODES = frozenset(
-    [
-        "absurd-rate",
-        "axis-missing",
-        "bad-rows",
-        "bursts",
-        "clock-jump",
-        "clocks-differ",
-        "coarse-lsb",
-        "coarse-stamps",
-        "compression",
-        "counter-unused",
-        "crc",
-        "cut-line",
-        "cycle",
-        "damaged",
-        "definition",
-        "delay",
-        "dropouts",
-        "duplicate-axes",
-        "duplicate-stamps",
-        "encapsulation",
-        "extra-samples",
-        "few-units",
-        "fast-rate",
-        "file-missing",
-        "gaps",
-        "gaps-in-curve",
-        "gaps-in-fit",
-        "held-samples",
-        "index",
-        "joined",
-        "line",
-        "log-out-of-order",
-        "log-time-used",
-        "model-choice",
-        "model-misfit",
-        "motion",
-        "no-data",
-        "no-gravity",
-        "no-result",
-        "nonstationary",
-        "not-checked",
-        "not-drawn",
-        "not-finite",
-        "other-vectors",
-        "output-filter",
-        "poor-fit",
-        "rate-differs",
-        "rate-given",
-        "record-length",
-        "record-length-unknown",
-        "records-differ",
-        "roll-off",
-        "rounding",
-        "sampling-period",
-        "saturated",
-        "second-opinion",
-        "sensor-missing",
-        "short-times",
-        "spectral-ambiguity",
-        "spikes",
-        "stamps-out-of-order",
-        "step",
-        "stuck",
-        "swapped-sensors",
-        "telegraph",
-        "temperature",
-        "time-unused",
-        "tone",
-        "touch",
-        "truncated",
-        "two-maxima",
-        "unindexed",
-        "unit-assumed",
-        "unit-suspect",
-        "verified",
-        "wal-ignored",
-        "warm-up",
-        "warm-up-fitted",
-        "weak-term",
-        "wrapped",
-        "zero-stamps",
-    ]
-)
+FINDING_CODES = frozenset(_CODES.split())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,15 +147,21 @@ _LOG_UNITS: dict[str, dict[str, float]] = {
     "missing": {"": 1.0, "%": 0.01, "ppm": 1e-6},
 }
 
-_SIGNS = (
-    ("√(", "sqrt("),
-    ("√Hz", "sqrt(Hz)"),
-    ("√h", "sqrt(h)"),
-    ("√s", "sqrt(s)"),
-    ("²", "^2"),
-    ("³", "^3"),
-)
-_LETTERS = (("°", "deg"), ("º", "deg"), ("µ", "u"), ("μ", "u"), (" ", ""), ("·", ""))
+#: What people write -> the plain spelling; roots come first, since they hold letters.
+_SIGNS = {
+    "√(": "sqrt(",
+    "√Hz": "sqrt(Hz)",
+    "√h": "sqrt(h)",
+    "√s": "sqrt(s)",
+    "²": "^2",
+    "³": "^3",
+    "°": "deg",
+    "º": "deg",
+    "µ": "u",
+    "μ": "u",
+    " ": "",
+    "·": "",
+}
 
 
 def quantity_units(quantity: str, sensor: Sensor) -> dict[str, float]:
@@ -256,7 +185,7 @@ def quantity_units(quantity: str, sensor: Sensor) -> dict[str, float]:
 
 def plain_unit(text: str) -> str:
     """Return the ASCII spelling of a unit: ``°/√h`` becomes ``deg/sqrt(h)``."""
-    for sign, plain in (*_SIGNS, *_LETTERS):
+    for sign, plain in _SIGNS.items():
         text = text.replace(sign, plain)
     return text
 

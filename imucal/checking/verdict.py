@@ -1,9 +1,8 @@
 """Verdicts: a limit passes or fails by the interval, not by the point.
 
 pass: the whole interval is within the limit; fail: the whole interval is beyond it; undecided: the
-limit lies inside the interval, so that the record can't tell.
-
-Verdicts as machines read them: JSON, JUnit XML, GitHub's workflow commands.
+limit lies inside the interval, so that the record can't tell. Machines read the verdicts as JSON, as
+JUnit XML, or as GitHub's workflow commands.
 """
 
 import math
@@ -185,7 +184,7 @@ def to_document(result: CheckResult) -> dict[str, object]:
         "passed": result.passed,
         "noise": {"verdict": result.noise.grade, "sentence": result.noise.sentence},
         "counts": {name: result.count(name) for name in ("pass", "fail", "undecided")},
-        "rows": [_row(row) for row in result.rows],
+        "rows": [_row_entry(row) for row in result.rows],
     }
 
 
@@ -195,7 +194,7 @@ def junit_xml(result: CheckResult) -> str:
     Source: the JUnit schema that GitLab, Jenkins and the GitHub report actions read.
     """
     failures = sum(result.fails(row) for row in result.rows)
-    skipped = sum(row.verdict == "undecided" and not result.fails(row) for row in result.rows)
+    skipped = 0 if result.undecided_fails else result.count("undecided")
     counts = {
         "tests": str(len(result.rows)),
         "failures": str(failures),
@@ -205,17 +204,14 @@ def junit_xml(result: CheckResult) -> str:
     root = ET.Element("testsuites", {"name": "imucal check", **counts})
     suite = ET.SubElement(root, "testsuite", {"name": _xml_text(result.source), **counts})
     for row in result.rows:
-        case = ET.SubElement(
-            suite, "testcase", classname=f"imucal.{row.where}", name=_xml_text(row.rule), time="0"
-        )
+        rule, text = _xml_text(row.rule), _xml_text(row.text)
+        case = ET.SubElement(suite, "testcase", classname=f"imucal.{row.where}", name=rule, time="0")
         if result.fails(row):
-            ET.SubElement(case, "failure", message=_xml_text(row.text), type=row.verdict).text = _xml_text(
-                row.text
-            )
+            ET.SubElement(case, "failure", message=text, type=row.verdict).text = text
         elif row.verdict == "undecided":
-            ET.SubElement(case, "skipped", message=_xml_text(row.text))
+            ET.SubElement(case, "skipped", message=text)
         else:
-            ET.SubElement(case, "system-out").text = _xml_text(row.text)
+            ET.SubElement(case, "system-out").text = text
     ET.indent(root)
     return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
@@ -236,7 +232,7 @@ def github_annotations(result: CheckResult, *, file: str = "") -> tuple[str, ...
     return tuple(lines)
 
 
-def _row(row: Row) -> dict[str, object]:
+def _row_entry(row: Row) -> dict[str, object]:
     measured = row.measured
     return {
         "where": row.where,
@@ -244,9 +240,7 @@ def _row(row: Row) -> dict[str, object]:
         "side": row.side,
         "limit": row.limit,
         "unit": row.unit,
-        "value": measured and plain(measured.value),
-        "low": measured and plain(measured.low),
-        "high": measured and plain(measured.high),
+        **{name: measured and plain(getattr(measured, name)) for name in ("value", "low", "high")},
         "verdict": row.verdict,
         "text": row.text,
     }
