@@ -291,19 +291,21 @@ def screen(
     laws, kinds = _fittable()
     grid, target = time_grid(points.m), weight.whiten @ points.avar
     total = float(target @ target)
+    fixed = weight.whiten @ columns(points.m, unit_terms(laws))
+    varied = {kind: weight.whiten @ columns(points.m, _on_grid([kind], grid)) for kind in kinds}
     sets = [own for size in range(len(laws) + 1) for own in combinations(range(len(laws)), size)]
     for timed in chain.from_iterable(combinations_with_replacement(kinds, k) for k in range(max_gm + 1)):
-        matrix = weight.whiten @ columns(points.m, (*unit_terms(laws), *_on_grid(timed, grid)))
+        matrix = np.hstack([fixed, *(varied[kind] for kind in dict.fromkeys(timed))])
         matrix = matrix / np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
         # A ridge far below what tells models apart keeps equal columns from being singular.
         gram, moment = matrix.T @ matrix + 1e-12 * np.eye(matrix.shape[1]), matrix.T @ target
-        varied = np.array(_grid_places(timed, grid.size), dtype=np.int64) + len(laws)
+        places = np.array(_grid_places(timed, grid.size), dtype=np.int64) + len(laws)
         for own in sets:
             parameters = len(own) + 2 * len(timed)
             if not 0 < parameters < points.size:
                 continue
-            fixed = np.broadcast_to(np.array(own, dtype=np.int64), (len(varied), len(own)))
-            cost = least_cost(gram, moment, total, np.hstack([fixed, varied]))
+            chosen = np.broadcast_to(np.array(own, dtype=np.int64), (len(places), len(own)))
+            cost = least_cost(gram, moment, total, np.hstack([chosen, places]))
             if np.isfinite(cost):
                 yield cost + price * parameters, (*(laws[law] for law in own), *timed)
 
