@@ -18,23 +18,20 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.moments.points import AvarPoints, avar_points
+from imucal.fitting.moments.points import AvarPoints, avar_points, is_timed
 from imucal.fitting.moments.search import (
     MISFIT,
     CurveFit,
-    ModelSearch,
     Solution,
     Weight,
     best_band,
     curve_estimates,
     goodness,
-    model_of,
     ranked,
 )
 from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
-from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
 
 #: Models within so much of the best criterion are reported.
@@ -77,7 +74,7 @@ def fit_gmwm(
         ranking = ranked(points, eta3, settings)
         kept, fitted = points, CurveFit(ranking, ranking[0][1], eta3, 0.0)
     else:
-        kept, fitted = best_band(points, ModelSearch(points, eta3, settings))
+        kept, fitted = best_band(points, eta3, settings)
     solution = fitted.solution
     near = [(delta, other) for delta, other in fitted.ranking if delta <= _REPORTED]
     found = curve_estimates(kept, solution, fitted.weight, level=settings.level)
@@ -87,22 +84,22 @@ def fit_gmwm(
         sensor=series.sensor if series is not None else None,
         rate_hz=series.rate_hz if series is not None else 1 / kept.tau0,
         level=settings.level,
-        model=model_of(kept, solution),
+        model=solution.model(kept),
         estimates=found.estimates,
         parameters=found.parameters,
         covariance=read_only(found.covariance),
         goodness=fit,
         curve=_with_edf(curve, kept, solution, found.curve_covariance),
         used=kept.used,
-        candidates=tuple(Candidate(structure=_text(s), delta=d) for d, s in near),
+        candidates=tuple(Candidate(structure=structure_text(s.symbols), delta=d) for d, s in near),
         criterion=settings.chosen_by,
-        findings=_findings(series, kept, fit, points.size - kept.size, _text(solution)),
+        findings=_findings(series, kept, fit, points.size - kept.size, structure_text(solution.symbols)),
         settings={"weights": settings.weights},
     )
 
 
 def _require_points(series: AxisSeries | None, points: AvarPoints, structure: tuple[str, ...]) -> None:
-    needed = len(structure) + structure.count("GM")
+    needed = len(structure) + sum(map(is_timed, structure))
     if points.size < needed:
         where = series.name if series is not None else "the curve"
         msg = (
@@ -134,11 +131,6 @@ def _with_edf(
     edf = 2 * solution.avar(points.m) ** 2 / np.diag(covariance)
     every = np.interp(np.log(curve.m), np.log(points.m), np.log(edf))
     return replace(curve, edf=np.maximum(np.exp(every), 1.0), edf_method="model")
-
-
-def _text(solution: Solution) -> str:
-    symbols = [*solution.laws, *["GM"] * solution.times.size]
-    return structure_text(in_order(symbols))
 
 
 def _findings(

@@ -1,19 +1,17 @@
-"""The points of an Allan curve that a fit is made of, in units of one sample and one scale.
+"""The points of an Allan curve that a fit is made of, and their covariance in closed form.
 
 Everything a fit of a curve computes is relative to a typical Allan variance of it and to the
 sampling period, so that the unit of the samples changes nothing but the unit of the result.
 
-The covariance of Allan variances across averaging times, in closed form.
-
 An Allan variance is a mean of squares of d_t, the second differences of the summed signal, so for
 Gaussian noise every covariance of two of them is a sum of squared covariances of d_t. Those follow
-from V(n), the generalised variance of a sum of n samples, of each process in the model:
+from V(n), the generalised variance of a sum of n samples, of each term of the model:
 
     cov(d_t at m_i, d_{t+k} at m_j) = -1/(4 m_i m_j) sum_ab c_a c_b V(|k + b m_j - a m_i|),
     cov(avar_i, avar_j) = 2/(M_i M_j) sum_k n_ij(k) s_ij(k)^2,        c = (1, -2, 1).
 
-The sum is quadratic in the variance parameters of the processes. Its coefficients are computed
-once for a set of processes; the covariance of any model made of them is then a small contraction.
+The sum is quadratic in the terms' variances. Its coefficients are computed once for a set of terms;
+the covariance of any model made of them is then a small contraction.
 
 Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on finite differences",
 for one averaging time; the same argument holds for two.
@@ -23,23 +21,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TypeAlias
 
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.intervals import excess_kurtosis, trapezoid_weights
-from imucal.arrays import FloatArray, IntArray, read_only
+from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.errors import DataError
-from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.noise.term import NoiseTerm, PowerLawTerm
+from imucal.noise.terms import TERMS, AngleRandomWalk, GaussMarkov, RateRamp
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 
-#: A power law, or the correlation time in samples of a Gauss-Markov process of unit variance.
-Process: TypeAlias = PowerLaw | float
-
-_LAWS = tuple(PowerLaw)
 _SIGNS = np.array([1.0, -2.0, 1.0])
 #: Up to so many lags are summed one by one.
 _ALL_LAGS = 300
@@ -48,47 +41,46 @@ _NEAR = np.arange(-6, 7)
 _SPREAD = np.unique(np.round(6 * 2 ** (np.arange(0, 4 * 45) / 4)).astype(np.int64))
 #: The covariance of flicker falls as the fourth power of the lag: it is summed to so many times m.
 _FLICKER_REACH = 24
-#: A Gauss-Markov covariance is summed to so many correlation times beyond the windows.
-_GAUSS_MARKOV_REACH = 20.0
+#: The covariance of a term with a time is summed to so many of them beyond the windows.
+_TIMES_REACH = 20.0
+#: Averaging times that a fit uses lie at least so far apart; closer ones say almost the same.
+_LEAST_RATIO = 1.9
+#: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
+_LIGHTEST = -1.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AvarCovariance:
-    """The covariance of Allan variances, as a function of the processes' variance parameters.
+    """The covariance of Allan variances, as a function of the terms' variances per sample.
 
     Attributes
     ----------
+    ramp
+        Which of the p terms are ramps, which do not scatter, shape (p,).
     quadratic
-        Coefficients of v_p v_q, shape (p, p, k, k).
+        Coefficients of the products of two of the other q variances, shape (q, q, k, k).
     drift
-        Coefficients of v_p w^2 with w the ramp per sample, shape (p, k, k).
+        Coefficients of their products with the square of the ramp per sample, shape (q, k, k).
     """
 
+    ramp: BoolArray
     quadratic: FloatArray
     drift: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("quadratic", "drift"):
+        for name in ("ramp", "quadratic", "drift"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
-    def at(self, variances: FloatArray, ramp_squared: float = 0.0) -> FloatArray:
-        """Return the covariance, shape (k, k), at variance parameters of shape (p,)."""
-        pairs = np.multiply.outer(variances, variances)
-        covariance = np.tensordot(pairs, self.quadratic, axes=2)
-        if ramp_squared:
-            covariance = covariance + ramp_squared * np.tensordot(variances, self.drift, axes=1)
+    def at(self, variances: FloatArray) -> FloatArray:
+        """Return the covariance, shape (k, k), at variances of shape (p,)."""
+        random, ramp = variances[~self.ramp], float(variances[self.ramp].sum())
+        covariance = np.tensordot(np.multiply.outer(random, random), self.quadratic, axes=2)
+        if ramp:
+            covariance = covariance + ramp * np.tensordot(random, self.drift, axes=1)
         return np.asarray((covariance + covariance.T) / 2)
 
-    def within(self, first: int) -> "AvarCovariance":
-        """Return the covariance of the Allan variances from index `first` on."""
-        return AvarCovariance(
-            quadratic=self.quadratic[..., first:, first:], drift=self.drift[..., first:, first:]
-        )
 
-
-def avar_covariance(
-    m: IntArray, n: int, processes: Sequence[Process], *, overlapping: bool
-) -> AvarCovariance:
+def avar_covariance(m: IntArray, n: int, terms: Sequence[NoiseTerm], *, overlapping: bool) -> AvarCovariance:
     """Return the covariance of the Allan variances of `n` samples at averaging factors `m`.
 
     Parameters
@@ -97,8 +89,8 @@ def avar_covariance(
         Averaging factors, shape (k,), each in 1 <= m <= n // 2.
     n
         Number of samples.
-    processes
-        The processes of the model, in the order of the variance parameters.
+    terms
+        Of the model: of unit variance, with times in samples.
     overlapping
         Whether the Allan variances are the overlapping ones (MOAV) or those of adjacent windows.
 
@@ -115,34 +107,41 @@ def avar_covariance(
     if m.size and not (m.min() >= 1 and m.max() <= n // 2):
         msg = f"averaging factors must be in 1..{n // 2} for {n} samples"
         raise ValueError(msg)
-    return _computed(tuple(m.tolist()), n, tuple(processes), overlapping=overlapping)
+    return _computed(tuple(m.tolist()), n, tuple(terms), overlapping=overlapping)
 
 
 @lru_cache(maxsize=32)
 def _computed(
-    m: tuple[int, ...], n: int, processes: tuple[Process, ...], *, overlapping: bool
+    m: tuple[int, ...], n: int, terms: tuple[NoiseTerm, ...], *, overlapping: bool
 ) -> AvarCovariance:
     """Return the covariance; the axes of a log ask for the same ones."""
-    size = len(m)
-    quadratic = np.empty((len(processes), len(processes), size, size))
-    drift = np.empty((len(processes), size, size))
-    for i in range(size):
-        for j in range(i + 1):
-            squares, linear = _pair(m[i], m[j], n, processes, overlapping=overlapping)
-            quadratic[..., i, j] = quadratic[..., j, i] = squares
-            drift[..., i, j] = drift[..., j, i] = linear
-    return AvarCovariance(quadratic=quadratic, drift=drift)
+    ramp = np.array([isinstance(term, RateRamp) for term in terms], dtype=bool)
+    random = [term for term in terms if not isinstance(term, RateRamp)]
+    quadratic = np.empty((len(random), len(random), len(m), len(m)))
+    drift = np.empty((len(random), len(m), len(m)))
+    for i, mi in enumerate(m):
+        for j, mj in enumerate(m[: i + 1]):
+            lags, weight, of_laws = _laws(mi, mj, n, _reach(max(mi, mj), random), overlapping=overlapping)
+            covariance = np.empty((len(random), lags.size))
+            for row, term in zip(covariance, random, strict=True):
+                row[:] = of_laws[term] if term in of_laws else _lag_covariance(lags, mi, mj, term)
+            weighted = covariance * weight
+            quadratic[..., i, j] = quadratic[..., j, i] = 2 * weighted @ covariance.T
+            # The ramp gives d_t at m the mean w m / sqrt(2); sums of covariances below zero are rounding.
+            drift[..., i, j] = 2 * mi * mj * np.maximum(weighted.sum(axis=1), 0.0)
+            drift[..., j, i] = drift[..., i, j]
+    return AvarCovariance(ramp=ramp, quadratic=quadratic, drift=drift)
 
 
-def sum_variance(process: Process, n: FloatArray) -> FloatArray:
+def sum_variance(term: NoiseTerm, n: FloatArray) -> FloatArray:
     """Return V(n), up to a multiple of n^2, of which covariances of second differences know nothing.
 
-    For a Gauss-Markov process that multiple is left out: it would cost all digits where the
-    correlation time is much longer than n.
+    For a Gauss-Markov term of variance 1 that multiple is left out: it would cost all digits where
+    the correlation time is much longer than n.
     """
-    if isinstance(process, PowerLaw):
-        return process.sum_variance(n)
-    rate = 1 / process
+    if not isinstance(term, GaussMarkov):
+        return term.sum_variance(n, 1.0)
+    rate = 1 / term.T
     x = n * rate
     series = x**3 * (1 / 6 - x * (1 / 24 - x * (1 / 120 - x / 720)))
     rest = np.where(x < 0.02, series, -np.expm1(-x) - x + x**2 / 2)
@@ -152,30 +151,10 @@ def sum_variance(process: Process, n: FloatArray) -> FloatArray:
     return np.asarray(n * slope - rest / half)
 
 
-def _pair(
-    mi: int, mj: int, n: int, processes: Sequence[Process], *, overlapping: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients for one pair of averaging times: shapes (p, p) and (p,)."""
-    times = [process for process in processes if not isinstance(process, PowerLaw)]
-    lags, weight, of_laws = _laws(mi, mj, n, _reach(max(mi, mj), times), overlapping=overlapping)
-    covariance = np.empty((len(processes), lags.size))
-    for row, process in zip(covariance, processes, strict=True):
-        row[:] = (
-            of_laws[_LAWS.index(process)]
-            if isinstance(process, PowerLaw)
-            else _lag_covariance(lags, mi, mj, process)
-        )
-    weighted = covariance * weight
-    squares = 2 * weighted @ covariance.T
-    # The ramp gives d_t at m the mean w m / sqrt(2); sums of covariances below zero are rounding.
-    linear = 4 * (mi * mj / 2) * np.maximum(weighted.sum(axis=1), 0.0)
-    return squares, linear
-
-
 @lru_cache(maxsize=512)
 def _laws(
     mi: int, mj: int, n: int, reach: int, *, overlapping: bool
-) -> tuple[IntArray, FloatArray, FloatArray]:
+) -> tuple[IntArray, FloatArray, dict[NoiseTerm, FloatArray]]:
     """Return lags, their weights n_ij(k) / (M_i M_j), and the covariances of the power laws there."""
     step = 1 if overlapping else math.gcd(mi, mj)
     stride_i, stride_j = (1, 1) if overlapping else (mi, mj)
@@ -185,15 +164,16 @@ def _laws(
     lags = step * _lag_grid(mi // step, mj // step, -(-low // step), high // step)
     places = np.minimum(length_i, length_j - lags) - np.maximum(0, -lags)
     weight = trapezoid_weights(lags // step) * np.maximum(places, 0) / math.lcm(stride_i, stride_j)
-    of_laws = np.stack([_lag_covariance(lags, mi, mj, law) for law in _LAWS])
+    laws = unit_terms([symbol for symbol, term in TERMS.items() if issubclass(term, PowerLawTerm)])
+    of_laws = {law: _lag_covariance(lags, mi, mj, law) for law in laws}
     return lags, weight / (float(terms_i) * float(terms_j)), of_laws
 
 
-def _reach(longest: int, times: Sequence[float]) -> int:
+def _reach(longest: int, terms: Sequence[NoiseTerm]) -> int:
     """Return how far from 0 lags are summed: by powers of two, so that few different grids are made."""
     reach = _FLICKER_REACH * longest
-    for time in times:
-        while reach < 2 * longest + _GAUSS_MARKOV_REACH * time:
+    for time in (time for term in terms for time in term.values[1:]):
+        while reach < 2 * longest + _TIMES_REACH * time:
             reach *= 2
     return reach
 
@@ -214,22 +194,23 @@ def _lag_grid(mi: int, mj: int, low: int, high: int) -> IntArray:
     return np.asarray(np.unique(lags[(lags >= low) & (lags <= high)]), dtype=np.int64)
 
 
-def _lag_covariance(lags: IntArray, mi: int, mj: int, process: Process) -> FloatArray:
+def _lag_covariance(lags: IntArray, mi: int, mj: int, term: NoiseTerm) -> FloatArray:
     """Return cov(d_t at mi, d_{t+k} at mj) at `lags` k, shape (l,)."""
     shifts = np.array([b * mj - a * mi for a in range(3) for b in range(3)], dtype=np.float64)
     signs = np.multiply.outer(_SIGNS, _SIGNS).ravel()
     # Windows that do not meet: the sum would leave rounding errors, the larger the farther apart.
     apart = np.maximum(lags - 2 * mi, -2 * mj - lags)
-    if process is PowerLaw.FLICKER:
-        meet = np.ones(lags.size, dtype=bool)
-    else:
-        # The windows of a law that touch may share a value.
-        meet = apart <= 0 if isinstance(process, PowerLaw) else apart < 0
+    meet = np.ones(lags.size, dtype=bool)
+    if isinstance(term, GaussMarkov):
+        meet = apart < 0
+    elif isinstance(term, PowerLawTerm) and term.law is not PowerLaw.FLICKER:
+        # Windows that touch may share a value.
+        meet = apart <= 0
     covariance = np.zeros(lags.size)
     distance = np.abs(shifts[:, np.newaxis] + lags[meet].astype(np.float64))
-    covariance[meet] = signs @ sum_variance(process, distance) / (-4.0 * mi * mj)
-    if not isinstance(process, PowerLaw):
-        covariance[~meet] = _gauss_markov_apart(apart[~meet], mi, mj, process)
+    covariance[meet] = signs @ sum_variance(term, distance) / (-4.0 * mi * mj)
+    if isinstance(term, GaussMarkov):
+        covariance[~meet] = _gauss_markov_apart(apart[~meet], mi, mj, term.T)
     return covariance
 
 
@@ -241,13 +222,6 @@ def _gauss_markov_apart(apart: IntArray, mi: int, mj: int, time: float) -> Float
     rate = 1 / time
     size = (math.expm1(-rate * mi) * math.expm1(-rate * mj) / math.expm1(-rate)) ** 2
     return np.asarray(-np.exp(-rate * (apart + 1.0)) * (size / (2.0 * mi * mj)))
-
-
-#: Averaging times that a fit uses lie at least so far apart; closer ones say almost the same.
-_LEAST_RATIO = 1.9
-
-#: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
-_LIGHTEST = -1.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -300,11 +274,11 @@ class AvarPoints:
         deviation = float(np.sqrt(variance * self.scale))
         return deviation / TERMS[symbol].per_sample(self.tau0)
 
-    def term(self, symbol: str, variance: float, time: float = 0.0) -> NoiseTerm:
-        """Return the term with that variance per sample and, for GM, correlation time in samples."""
-        value = self.coefficient(symbol, variance)
-        term = TERMS[symbol]
-        return term.of(value, *[time * self.tau0] * (len(term.parameters()) - 1))
+    def term(self, unit: NoiseTerm, variance: float) -> NoiseTerm:
+        """Return a term in SI from `unit`, of variance 1 with its time in samples, and its variance."""
+        return unit.of(
+            self.coefficient(unit.symbol, variance), *(time * self.tau0 for time in unit.values[1:])
+        )
 
 
 def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
@@ -346,27 +320,38 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
     )
 
 
-def columns(m: IntArray, laws: str, times: FloatArray) -> FloatArray:
-    """Return the Allan variance of each term of unit variance per sample, shape (k, p).
+def is_timed(symbol: str) -> bool:
+    """Say whether a term has a time beside its coefficient."""
+    return len(TERMS[symbol].parameters()) > 1
 
-    Parameters
-    ----------
-    m
-        Averaging factors, shape (k,).
-    laws
-        Symbols other than GM, such as ``NBK``.
-    times
-        Correlation times of the Gauss-Markov terms, in samples, shape (g,); their columns follow.
-    """
+
+def unit_terms(symbols: Sequence[str], times: FloatArray | None = None) -> tuple[NoiseTerm, ...]:
+    """Return terms of unit variance per sample; `times` in samples, one for each, of those that have one."""
+    if times is None:
+        return tuple(TERMS[symbol].of(1.0) for symbol in symbols)
+    return tuple(TERMS[symbol].of(1.0, time) for symbol, time in zip(symbols, times.tolist(), strict=True))
+
+
+def columns(m: IntArray, terms: Sequence[NoiseTerm]) -> FloatArray:
+    """Return the Allan variances of terms with times in samples at averaging factors `m`, shape (k, p)."""
     factors = m.astype(np.float64)
-    parts = [TERMS[law].of(1.0).avar(factors, 1.0) for law in laws]
-    parts += [GaussMarkov(sigma=1.0, T=float(time)).avar(factors, 1.0) for time in times]
+    parts = [term.avar(factors, 1.0) for term in terms]
     return np.stack(parts, axis=1) if parts else np.empty((m.size, 0))
 
 
-def processes(laws: str, times: FloatArray) -> list[Process]:
-    """Return the random processes of the terms (the ramp is none), in the order of `columns`."""
-    return [PowerLaw(law) for law in laws if law != "R"] + [float(time) for time in times]
+def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
+    """Return the covariance of the points, for any variances of a set of terms.
+
+    White noise of excess kurtosis g adds g avar_i avar_j / n, avar its own Allan variance: each Allan
+    variance is a mean of squares in which every sample weighs the same.
+    """
+    gaussian = avar_covariance(points.m, points.n, terms, overlapping=points.overlapping)
+    random = [term for term in terms if not isinstance(term, RateRamp)]
+    quadratic = gaussian.quadratic.copy()
+    for place, term in enumerate(random):
+        if isinstance(term, AngleRandomWalk):
+            quadratic[place, place] += points.excess / points.n / np.outer(points.m, points.m)
+    return replace(gaussian, quadratic=quadratic)
 
 
 def _spaced(tau: FloatArray, usable: np.ndarray) -> IntArray:

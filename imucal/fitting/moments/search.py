@@ -1,51 +1,65 @@
-"""The minimum of a weighted sum of squares of Allan variances, over every non-negative model.
+"""Which model is nearest to measured Allan variances, and how sure its numbers are.
 
-The model is linear in the variances, so for given correlation times the minimum is a non-negative
-least-squares problem, which has one solution and needs no start. Correlation times are searched on
-a grid that covers the curve and refined from its best places. The result is the same every time.
+The minimum of a weighted sum of squares. A model is linear in the variances, so for given times the
+minimum is a non-negative least-squares problem, which has one solution and needs no start. Times are
+searched on a grid that covers the curve and refined from its best places. The result is the same
+every time.
 
-Estimates with intervals, covariance and misfit of a model that was fitted to Allan variances.
+The choice of terms. The sum of squares J with the inverse covariance as weight is chi-squared with
+(points - parameters) degrees of freedom where the model is right. Models are ranked by
+J + parameters * penalty, with penalty ln n (``bic``), 2 ln ln n (``hq``) or 2 (``aic``), n the number
+of samples.
 
-With weight W and covariance V of the Allan variances y, the estimate is linear near its solution,
-theta = (G'WG)^-1 G'W y, and its covariance the sandwich of V. V itself depends on the variances:
-the larger the true variance, the wider the spread. An interval therefore holds the values v with
+Intervals. With weight W and covariance V of the Allan variances y, the estimate is linear near its
+solution, theta = (G'WG)^-1 G'W y, and its covariance the sandwich of V. V itself depends on the
+variances: the larger the true variance, the wider the spread. An interval therefore holds the values
+v with
 
     (estimate - v)^2 / (s(estimate) s(v)) < chi-squared quantile,
 
 where s(v) is the standard error if v were true. Where V is proportional to v^2 this is the interval
 of a logarithm; where other terms make the spread, it is Wald's; it always has an upper end.
 
-The choice of terms (every subset, by a criterion of moment selection) and of averaging times.
-
-The sum of squares J with the inverse covariance as weight is chi-squared with (points - parameters)
-degrees of freedom where the model is right. Models are ranked by J + parameters * penalty, with
-penalty ln n (``bic``), 2 ln ln n (``hq``) or 2 (``aic``), n the number of samples.
-
 Source: Andrews (1999), "Consistent moment selection procedures for generalized method of moments
 estimation", Econometrica 67, 543: the criteria MMSC-BIC, MMSC-HQIC and MMSC-AIC.
 """
 
-import itertools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import combinations
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, combinations, combinations_with_replacement, groupby, product
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
-from imucal.fitting.moments.points import AvarCovariance, AvarPoints, avar_covariance, columns, processes
+from imucal.fitting.moments.points import AvarPoints, columns, is_timed, spread_of, unit_terms
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval
 from imucal.fitting.settings import CRITERIA, FitSettings
 from imucal.noise.model import NoiseModel
+from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 from imucal.solvers import non_negative, root
 
-#: Correlation times a decade in the grid.
-_PER_DECADE = 5
+#: Times a decade in the grid; in a coarse one.
+_PER_DECADE, _COARSE = 5, 3
 #: Places of the grid from which a search is refined.
 _STARTS = 3
+#: Step in the logarithm of a time by which the slope of a curve is taken.
+_STEP = 1e-4
+#: Models whose screened criterion is within so much of the best are computed in full, at most so many.
+_WITHIN, _AT_MOST = 10.0, 10
+#: A misfit above so many standard deviations means that the model does not describe the curve.
+MISFIT = 3.0
+#: A misfit of all averaging times above this makes the fit look whether the shortest are to blame.
+_FILTERED = 5.0
+#: They are, where the misfit without them is less by this factor.
+_CURE = 3.0
+#: At most so many octaves are left out: an output filter leaves the rest of the curve as it was.
+_MOST_DROPPED = 8
+#: The weight is computed anew at most so often; three are enough in practice.
+_STEPS = 5
+#: At most so many models are tried for one that describes the curve.
+_CANDIDATES = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,91 +107,128 @@ class Weight:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solution:
-    """A model at its minimum: `laws` and GM terms, their variances per sample, the sum of squares.
+    """A model at its minimum.
 
     Attributes
     ----------
-    laws
-        Symbols of the terms other than GM, such as ``NBK``.
-    times
-        Correlation times in samples, shape (g,), rising.
+    terms
+        Of unit variance per sample, times in samples; in the order of `TERMS`, of one kind by rising time.
     variances
-        Variances per sample of the laws, then of the GM terms, shape (p,).
+        Variance per sample of each, shape (p,).
     objective
         Weighted sum of squares.
     """
 
-    laws: str
-    times: FloatArray
+    terms: tuple[NoiseTerm, ...]
     variances: FloatArray
     objective: float
+
+    @classmethod
+    def sorted(cls, terms: Sequence[NoiseTerm], variances: FloatArray, objective: float) -> "Solution":
+        """Return the solution with its terms in order."""
+        symbols = list(TERMS)
+        places = sorted(
+            range(len(terms)), key=lambda i: (symbols.index(terms[i].symbol), terms[i].values[1:])
+        )
+        return cls(
+            terms=tuple(terms[i] for i in places),
+            variances=variances[np.array(places, dtype=np.int64)],
+            objective=objective,
+        )
+
+    @property
+    def symbols(self) -> tuple[str, ...]:
+        """Symbols of the terms."""
+        return tuple(term.symbol for term in self.terms)
+
+    @property
+    def times(self) -> FloatArray:
+        """Times of the terms that have one, in samples."""
+        return np.array([time for term in self.terms for time in term.values[1:]])
 
     @property
     def parameters(self) -> int:
         """Number of free parameters."""
-        return len(self.laws) + 2 * self.times.size
+        return len(self.terms) + self.times.size
 
     def avar(self, m: IntArray) -> FloatArray:
         """Return the model's Allan variance, shape (k,)."""
-        return columns(m, self.laws, self.times) @ self.variances
+        return columns(m, self.terms) @ self.variances
+
+    def model(self, points: AvarPoints) -> NoiseModel:
+        """Return the model in SI."""
+        terms = zip(self.terms, self.variances.tolist(), strict=True)
+        return NoiseModel(terms=tuple(points.term(term, variance) for term, variance in terms))
 
 
 def time_grid(m: IntArray, per_decade: int = _PER_DECADE) -> FloatArray:
-    """Return correlation times in samples that the Allan variances at `m` can tell, shape (g,)."""
+    """Return times in samples that the Allan variances at `m` can tell, shape (g,)."""
     low, high = 0.7 * float(m[0]), 1.5 * float(m[-1])
     return np.geomspace(low, high, max(2, int(np.ceil(per_decade * np.log10(high / low)))))
 
 
 def minimise(
-    m: IntArray, avar: FloatArray, weight: Weight, laws: str, count: int, *, near: FloatArray | None = None
+    points: AvarPoints, weight: Weight, symbols: Sequence[str], *, near: FloatArray | None = None
 ) -> Solution:
-    """Return the global minimum over the variances and `count` correlation times.
+    """Return the global minimum over the variances and times of terms.
 
     Parameters
     ----------
-    m, avar
-        Averaging factors and Allan variances, shape (k,).
+    points
+        The Allan variances.
     weight
         Of the sum of squares.
-    laws
-        Symbols of the terms other than GM.
-    count
-        Number of Gauss-Markov terms.
+    symbols
+        Of the terms.
     near
-        Correlation times of a minimum with another weight, shape (count,): they and the best place
+        Times of a minimum with another weight, one for each term that has one: they and the best place
         of the grid are refined then, instead of the best few.
     """
-    target = weight.whiten @ avar
-    fixed = weight.whiten @ columns(m, laws, np.zeros(0))
-    if count == 0:
-        variances, objective = non_negative(fixed, target)
-        return Solution(laws=laws, times=np.zeros(0), variances=variances, objective=objective)
-    grid = time_grid(m, _PER_DECADE if count <= 2 else 3)
-    varied = weight.whiten @ columns(m, "", grid)
-    starts = _best_of_grid(fixed, varied, target, grid, count)
-    if near is not None:
-        starts = [near, starts[0]]
+    laws, kinds = _parted(in_order(symbols))
+    target = weight.whiten @ points.avar
+    fixed = weight.whiten @ columns(points.m, unit_terms(laws))
 
-    bounds = (np.log(grid[0]) - 1, np.log(grid[-1]) + 1)
+    def matrix_at(times: FloatArray) -> FloatArray:
+        return np.hstack([fixed, weight.whiten @ columns(points.m, unit_terms(kinds, times))])
 
     def residuals(logs: FloatArray) -> FloatArray:
-        matrix = np.hstack([fixed, weight.whiten @ columns(m, "", np.exp(logs))])
+        matrix = matrix_at(np.exp(logs))
         return np.asarray(target - matrix @ non_negative(matrix, target)[0])
 
-    found = [_refined(residuals, np.log(start), bounds) for start in starts]
-    times = np.sort(np.exp(min(found, key=lambda pair: pair[1])[0]))
-    variances, objective = non_negative(np.hstack([fixed, weight.whiten @ columns(m, "", times)]), target)
-    return Solution(laws=laws, times=times, variances=variances, objective=objective)
+    times = np.zeros(0)
+    if kinds:
+        grid = time_grid(points.m, _PER_DECADE if len(kinds) <= 2 else _COARSE)
+        varied = weight.whiten @ columns(points.m, _on_grid(kinds, grid))
+        places = _grid_places(kinds, grid.size)
+        costs = [non_negative(np.hstack([fixed, varied[:, place]]), target)[1] for place in places]
+        order = np.argsort(costs, kind="stable")[: _STARTS * len(kinds)]
+        starts = [grid[np.array(places[index]) % grid.size] for index in order]
+        if near is not None:
+            starts = [near, starts[0]]
+        bounds = (np.log(grid[0]) - 1, np.log(grid[-1]) + 1)
+        found = [_refined(residuals, np.log(start), bounds) for start in starts]
+        times = np.exp(min(found, key=lambda pair: pair[1])[0])
+    variances, objective = non_negative(matrix_at(times), target)
+    return Solution.sorted((*unit_terms(laws), *unit_terms(kinds, times)), variances, objective)
 
 
-def _best_of_grid(
-    fixed: FloatArray, varied: FloatArray, target: FloatArray, grid: FloatArray, count: int
-) -> list[FloatArray]:
-    """Return the correlation times of the best few places of the grid."""
-    places = list(combinations(range(grid.size), count))
-    costs = [non_negative(np.hstack([fixed, varied[:, place]]), target)[1] for place in places]
-    order = np.argsort(costs, kind="stable")[: _STARTS * count]
-    return [grid[list(places[index])] for index in order]
+def _parted(symbols: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the symbols of the terms without and with a time."""
+    return [s for s in symbols if not is_timed(s)], [s for s in symbols if is_timed(s)]
+
+
+def _on_grid(kinds: Sequence[str], grid: FloatArray) -> tuple[NoiseTerm, ...]:
+    """Return the terms of each kind with every time of a grid."""
+    return tuple(term for kind in dict.fromkeys(kinds) for term in unit_terms([kind] * grid.size, grid))
+
+
+def _grid_places(kinds: Sequence[str], size: int) -> list[tuple[int, ...]]:
+    """Return every choice of one of `_on_grid` for each term; of one kind they differ, and rise."""
+    each = [
+        [[first * size + place for place in places] for places in combinations(range(size), len(list(own)))]
+        for first, (_, own) in enumerate(groupby(kinds))
+    ]
+    return [tuple(chain.from_iterable(parts)) for parts in product(*each)]
 
 
 def _refined(
@@ -195,84 +246,153 @@ def _refined(
     return np.asarray(found.x, dtype=np.float64), 2 * float(found.cost)
 
 
-_ORDER = "QNBKR"
+def _fittable() -> tuple[list[str], list[str]]:
+    """Return the symbols of the terms without and with a time that a curve can be fitted by."""
+    return _parted([symbol for symbol, term in TERMS.items() if "gmwm" in term.fitted_by])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CurveSpread:
-    """The covariance of the Allan variances of a curve, for any variances of a set of terms."""
+def dictionary(points: AvarPoints, weight: Weight) -> Solution:
+    """Return the best fit of all terms at once, those with a time at many of them.
 
-    points: AvarPoints
-    laws: str
-    times: FloatArray
-    gaussian: AvarCovariance
-
-    @classmethod
-    def of_terms(cls, points: AvarPoints, laws: str, times: FloatArray) -> "CurveSpread":
-        """Return it for the laws and the correlation times (in samples) of a model."""
-        gaussian = avar_covariance(points.m, points.n, processes(laws, times), overlapping=points.overlapping)
-        return cls(points=points, laws=laws, times=times, gaussian=gaussian)
-
-    def within(self, first: int) -> "CurveSpread":
-        """Return it for the points from index `first` on."""
-        return replace(self, points=self.points.within(first), gaussian=self.gaussian.within(first))
-
-    def at(self, variances: FloatArray) -> FloatArray:
-        """Return the covariance, shape (k, k), at variances in the order of `columns`.
-
-        White noise of excess kurtosis g adds g avar_i avar_j / n, avar its own Allan variance:
-        each Allan variance is a mean of squares in which every sample weighs the same.
-        """
-        ramp = self.laws.find("R")
-        random = variances if ramp < 0 else np.delete(variances, ramp)
-        covariance = self.gaussian.at(random, float(variances[ramp]) if ramp >= 0 else 0.0)
-        if self.points.excess and "N" in self.laws:
-            white = float(variances[self.laws.index("N")]) / self.points.m
-            covariance = covariance + self.points.excess * np.outer(white, white) / self.points.n
-        return covariance
-
-
-def derivatives(solution: Solution, points: AvarPoints, free: np.ndarray) -> FloatArray:
-    """Return the derivatives of the model by its free variances and log correlation times."""
-    step = 1e-4
-    plain = columns(points.m, solution.laws, solution.times)[:, free]
-    count = solution.times.size
-    if count == 0:
-        return plain
-    later = columns(points.m, "", solution.times * np.exp(step))
-    sooner = columns(points.m, "", solution.times * np.exp(-step))
-    slopes = (later - sooner) / (2 * step) * solution.variances[-count:]
-    return np.hstack([plain, slopes[:, free[-count:]]])
-
-
-def limits(value: float, spread_at: Callable[[float], float], quantile: float) -> tuple[float, float]:
-    """Return the interval of a variance; its lower end is 0 where 0 is inside.
-
-    Parameters
-    ----------
-    value
-        The estimate, at least 0.
-    spread_at
-        Returns the standard error of the estimate if its argument were the true variance.
-    quantile
-        Chi-squared quantile with one degree of freedom.
+    It describes almost any curve; the terms left at zero are dropped.
     """
-    own = spread_at(value)
+    laws, kinds = _fittable()
+    terms = (*unit_terms(laws), *_on_grid(kinds, time_grid(points.m, _COARSE)))
+    variances, objective = non_negative(weight.whiten @ columns(points.m, terms), weight.whiten @ points.avar)
+    kept = [term for term, variance in zip(terms, variances, strict=True) if variance > 0]
+    return Solution.sorted(kept, variances[variances > 0], objective)
 
-    def excess(trial: float) -> float:
-        return (value - trial) ** 2 - quantile * own * spread_at(trial)
 
-    low = 0.0
-    if excess(0.0) > 0:
-        low = root(excess, 0.0, value, tolerance=1e-6 * value)
-    high = value + np.sqrt(quantile) * own
-    for _ in range(200):
-        if excess(high) > 0:
+def ranked(points: AvarPoints, weight: Weight, settings: FitSettings) -> list[tuple[float, Solution]]:
+    """Return the best models and how much worse their criterion is, the best (0) first.
+
+    The one model where it is given.
+
+    Notes
+    -----
+    All sets of terms, up to `max_gm` of those that have a time, which is one of a grid's, are screened by
+    their normal equations at once; a solution with a negative variance is one of a smaller model. The
+    best are then computed with free times.
+    """
+    if settings.structure is not None:
+        return [(0.0, minimise(points, weight, settings.structure))]
+    price = CRITERIA[settings.criterion](points.n)
+    screened = sorted(screen(points, weight, settings.max_gm, price), key=lambda entry: entry[0])
+    near = [symbols for value, symbols in screened if value <= screened[0][0] + _WITHIN][:_AT_MOST]
+    solutions = [minimise(points, weight, symbols) for symbols in near]
+    values = sorted(((s.objective + price * s.parameters, s) for s in solutions), key=lambda pair: pair[0])
+    return [(value - values[0][0], solution) for value, solution in values]
+
+
+def screen(
+    points: AvarPoints, weight: Weight, max_gm: int, price: float
+) -> Iterator[tuple[float, tuple[str, ...]]]:
+    """Yield the criterion of each set of terms, at the best times of a grid, and their symbols."""
+    laws, kinds = _fittable()
+    grid, target = time_grid(points.m), weight.whiten @ points.avar
+    total = float(target @ target)
+    fixed = weight.whiten @ columns(points.m, unit_terms(laws))
+    varied = {kind: weight.whiten @ columns(points.m, _on_grid([kind], grid)) for kind in kinds}
+    sets = [own for size in range(len(laws) + 1) for own in combinations(range(len(laws)), size)]
+    for timed in chain.from_iterable(combinations_with_replacement(kinds, k) for k in range(max_gm + 1)):
+        matrix = np.hstack([fixed, *(varied[kind] for kind in dict.fromkeys(timed))])
+        matrix = matrix / np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+        # A ridge far below what tells models apart keeps equal columns from being singular.
+        gram, moment = matrix.T @ matrix + 1e-12 * np.eye(matrix.shape[1]), matrix.T @ target
+        places = np.array(_grid_places(timed, grid.size), dtype=np.int64) + len(laws)
+        for own in sets:
+            parameters = len(own) + 2 * len(timed)
+            if not 0 < parameters < points.size:
+                continue
+            chosen = np.broadcast_to(np.array(own, dtype=np.int64), (len(places), len(own)))
+            cost = least_cost(gram, moment, total, np.hstack([chosen, places]))
+            if np.isfinite(cost):
+                yield cost + price * parameters, (*(laws[law] for law in own), *timed)
+
+
+def least_cost(gram: FloatArray, moment: FloatArray, total: float, sets: IntArray) -> float:
+    """Return the least sum of squares over `sets` of columns, shape (s, p), with positive variances."""
+    normal = gram[sets[:, :, np.newaxis], sets[:, np.newaxis, :]]
+    right = moment[sets]
+    solution = np.linalg.solve(normal, right[..., np.newaxis])[..., 0]
+    cost = np.where(np.all(solution > 0, axis=1), total - np.einsum("ij,ij->i", solution, right), np.inf)
+    return float(cost.min())
+
+
+@dataclass(frozen=True, slots=True)
+class CurveFit:
+    """A fit: the models in reach, the chosen one at its minimum, its weight and its misfit."""
+
+    ranking: list[tuple[float, Solution]]
+    solution: Solution
+    weight: Weight
+    misfit: float
+
+
+def best_band(points: AvarPoints, eta3: Weight, settings: FitSettings) -> tuple[AvarPoints, CurveFit]:
+    """Return the longest run of points, up to the last, that a model describes, and the fit.
+
+    An output filter bends the curve at its first averaging times only; without those it is as good
+    as ever. Where no run is described, the one with the least misfit is taken if it is far better
+    than the whole curve, and the misfit is reported.
+
+    One given model without times has one minimum for any weight, so that its own weight follows from
+    any start; where it describes the curve, the costly covariance of a rough fit by `eta3` is not
+    asked for.
+    """
+    structure = settings.structure
+    if structure is not None and not any(map(is_timed, structure)):
+        given = described(points, ranked(points, eta3, settings), eta3)
+        if given.misfit < MISFIT:
+            return points, given
+    rough = dictionary(points, eta3)
+    covariance = spread_of(points, rough.terms).at(rough.variances)
+    weight = Weight.of_covariance(covariance)
+    whole = described(points, ranked(points, weight, settings), weight)
+    if not whole.misfit >= _FILTERED:
+        return points, whole
+    least = 6 if structure is None else len(structure) + sum(map(is_timed, structure)) + 3
+    best, kept_best = whole.misfit / _CURE, None
+    for first in range(1, min(points.size - least, points.size // 2, _MOST_DROPPED) + 1):
+        kept, own = points.within(first), covariance[first:, first:]
+        weight = Weight.of_covariance(own)
+        ranking = ranked(kept, weight, settings)
+        misfit = min(goodness(kept, solution, own).statistic for _, solution in ranking)
+        if misfit < best:
+            best, kept_best = misfit, (kept, ranking, weight)
+        if misfit < MISFIT:
             break
-        high = value + 2 * (high - value)
-    else:
-        return low, float("inf")
-    return low, root(excess, value, high, tolerance=1e-6 * high)
+    return (points, whole) if kept_best is None else (kept_best[0], described(*kept_best))
+
+
+def described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight: Weight) -> CurveFit:
+    """Return the first of the models that describes the curve with its own weight; else the first.
+
+    The criterion ranks all models with one weight, under which a model that lacks a small term may
+    win; with its own weight it then shows a misfit that the next one does not have.
+    """
+    fits: list[CurveFit] = []
+    for place, (delta, start) in enumerate(ranking[:_CANDIDATES]):
+        solution, own, covariance = _converged(points, start, weight)
+        misfit = goodness(points, solution, covariance).statistic
+        fits.append(CurveFit([(d - delta, s) for d, s in ranking[place:]], solution, own, misfit))
+        if not misfit >= MISFIT:
+            return fits[-1]
+    return fits[0]
+
+
+def _converged(points: AvarPoints, solution: Solution, weight: Weight) -> tuple[Solution, Weight, FloatArray]:
+    """Return the minimum with the weight of the model itself, that weight, and the covariance."""
+    times, spread = solution.times, spread_of(points, solution.terms)
+    for _ in range(_STEPS):
+        if np.any(np.abs(np.log(solution.times / times)) > 0.2):
+            times, spread = solution.times, spread_of(points, solution.terms)
+        weight = Weight.of_covariance(spread.at(solution.variances))
+        before = solution
+        solution = minimise(points, weight, solution.symbols, near=solution.times)
+        if np.allclose(solution.variances, before.variances, rtol=1e-3, atol=1e-12 * points.avar.max()):
+            break
+    return solution, weight, spread.at(solution.variances)
 
 
 def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> Goodness:
@@ -303,6 +423,32 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
     return Goodness(statistic=float(statistic), p_value=p_value, chi2_per_bin=misfit / freedom, tau_s=tau)
 
 
+def limits(value: float, spread_at: Callable[[float], float], quantile: float) -> tuple[float, float]:
+    """Return the interval of a variance; its lower end is 0 where 0 is inside.
+
+    Parameters
+    ----------
+    value
+        The estimate, at least 0.
+    spread_at
+        Returns the standard error of the estimate if its argument were the true variance.
+    quantile
+        Chi-squared quantile with one degree of freedom.
+    """
+    own = spread_at(value)
+
+    def excess(trial: float) -> float:
+        return (value - trial) ** 2 - quantile * own * spread_at(trial)
+
+    low = root(excess, 0.0, value, tolerance=1e-6 * value) if excess(0.0) > 0 else 0.0
+    high = value + np.sqrt(quantile) * own
+    for _ in range(200):
+        if excess(high) > 0:
+            return low, root(excess, value, high, tolerance=1e-6 * high)
+        high = value + 2 * (high - value)
+    return low, float("inf")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CurveEstimates:
     """The estimates, the covariance of those that are not bounded, and that of the Allan variances."""
@@ -313,67 +459,47 @@ class CurveEstimates:
     curve_covariance: FloatArray
 
 
-def model_of(points: AvarPoints, solution: Solution) -> NoiseModel:
-    """Return the model of a solution, its terms in the usual order."""
-    count = len(solution.laws)
-    terms = [points.term(law, float(v)) for law, v in zip(solution.laws, solution.variances, strict=False)]
-    times = zip(solution.variances[count:], solution.times, strict=True)
-    terms += [points.term("GM", float(v), float(time)) for v, time in times]
-    return NoiseModel(terms=tuple(sorted(terms, key=lambda term: list(TERMS).index(term.symbol))))
-
-
 def curve_estimates(
     points: AvarPoints, solution: Solution, weight: Weight, *, level: float
 ) -> CurveEstimates:
-    """Return an estimate of every term of the model, and of N, B and K.
+    """Return an estimate of every term of the model, and of those that every fit reports.
 
     A term that is not in the model gets the upper bound that it has when it is added.
     """
-    laws = "".join(law for law in _ORDER if law in solution.laws or law in ALWAYS)
-    spread = CurveSpread.of_terms(points, laws, solution.times)
-    reader = _Reader(spread, weight, _padded(solution, laws), solution.laws, level)
-    symbols = in_order([*laws, *["GM"] * solution.times.size])
-    gauss_markov = itertools.count(len(laws))
-    places = [next(gauss_markov) if s == "GM" else laws.index(s) for s in symbols]
-    entries = [
-        (reader.estimate(place, key, symbol), place)
-        for place, key, symbol in zip(places, term_keys(symbols), symbols, strict=True)
-    ]
-    names, covariance = reader.covariance([(e, place) for e, place in entries if e.value is not None])
+    absent = [symbol for symbol in ALWAYS if symbol not in solution.symbols]
+    variances = np.append(solution.variances, np.zeros(len(absent)))
+    padded = Solution.sorted((*solution.terms, *unit_terms(absent)), variances, solution.objective)
+    reader = _Reader(points, padded, weight, absent, level)
+    estimates = tuple(reader.estimate(place, key) for place, key in enumerate(term_keys(padded.symbols)))
+    names, covariance = reader.covariance(estimates)
     return CurveEstimates(
-        estimates=tuple(estimate for estimate, _ in entries),
+        estimates=estimates,
         parameters=names,
         covariance=covariance,
-        curve_covariance=spread.at(reader.solution.variances),
-    )
-
-
-def _padded(solution: Solution, laws: str) -> Solution:
-    """Return the solution with the laws it lacks, at variance 0."""
-    given = dict(zip(solution.laws, solution.variances, strict=False))
-    variances = [given.get(law, 0.0) for law in laws]
-    return replace(
-        solution, laws=laws, variances=np.append(variances, solution.variances[len(solution.laws) :])
+        curve_covariance=reader.spread.at(padded.variances),
     )
 
 
 class _Reader:
-    """Reads estimates off a solution; `own` are the laws of the model itself."""
+    """Reads estimates off a solution, in which terms that are `absent` from the model have no variance."""
 
     def __init__(
-        self, spread: CurveSpread, weight: Weight, solution: Solution, own: str, level: float
+        self, points: AvarPoints, solution: Solution, weight: Weight, absent: Sequence[str], level: float
     ) -> None:
         from scipy.special import chdtri
 
-        self.points, self.spread, self.weight, self.solution = spread.points, spread, weight, solution
+        self.points, self.solution, self.weight = points, solution, weight
+        self.spread = spread_of(points, solution.terms)
         self.quantile = float(chdtri(1, 1 - level))
-        self.design = weight.whiten @ columns(self.points.m, solution.laws, solution.times)
-        self.target = weight.whiten @ self.points.avar
-        self.inside = np.array([law in own for law in solution.laws] + [True] * solution.times.size)
+        self.design = weight.whiten @ columns(points.m, solution.terms)
+        self.target = weight.whiten @ points.avar
+        self.inside = np.array([symbol not in absent for symbol in solution.symbols])
+        self.timed = np.array([is_timed(symbol) for symbol in solution.symbols])
         self.free = self.inside & (solution.variances > 0)
-        self.count = len(solution.laws)
 
-    def estimate(self, place: int, key: str, symbol: str) -> Estimate:
+    def estimate(self, place: int, key: str) -> Estimate:
+        """Return the estimate of one term, in SI."""
+        symbol = self.solution.symbols[place]
         low, high = self._interval(place)
         to_si = self.points.coefficient
         if not (low > 0 and self.inside[place]):
@@ -385,29 +511,59 @@ class _Reader:
             value=to_si(symbol, float(self.solution.variances[place])),
             low=to_si(symbol, low),
             high=to_si(symbol, high),
-            correlation_time=self._time(place - self.count) if symbol == "GM" else None,
+            correlation_time=self._time(place) if self.timed[place] else None,
         )
 
-    def _scatter(self, at: FloatArray, free: np.ndarray) -> FloatArray:
-        """Return the covariance of the free variances, then log times, where the curve's is that of `at`."""
-        rows = self._influence(free)
-        return np.asarray(rows @ self.spread.at(at) @ rows.T)
+    def covariance(self, estimates: Sequence[Estimate]) -> tuple[tuple[str, ...], FloatArray]:
+        """Return names and covariance of the parameters in SI of the terms that are estimated."""
+        raw = self._scatter()
+        names: list[str] = []
+        rows: list[int] = []
+        slopes: list[float] = []
+        for place, estimate in enumerate(estimates):
+            if estimate.value is None:
+                continue
+            own = TERMS[estimate.symbol].parameter_names(estimate.key)
+            names += own
+            rows += self._rows(place, self.free)[: len(own)]
+            slopes.append(estimate.value / (2 * float(self.solution.variances[place])))
+            if estimate.correlation_time is not None:
+                slopes.append(estimate.correlation_time.value)
+        covariance = raw[np.ix_(rows, rows)] * np.outer(slopes, slopes)
+        return tuple(names), np.asarray(covariance, dtype=np.float64)
 
-    def _influence(self, free: np.ndarray) -> FloatArray:
+    def _rows(self, place: int, free: BoolArray) -> list[int]:
+        """Return where a term's variance and the logarithm of its time stand among what is free."""
+        return [int(free[:place].sum()), int(free.sum() + (free & self.timed)[:place].sum())]
+
+    def _scatter(self) -> FloatArray:
+        """Return the covariance of the free variances, then log times."""
+        rows = self._influence(self.free)
+        return np.asarray(rows @ self.spread.at(self.solution.variances) @ rows.T)
+
+    def _influence(self, free: BoolArray) -> FloatArray:
         """Return what each Allan variance adds to the free variances, then log times, shape (p, k)."""
-        design = self.weight.whiten @ derivatives(self.solution, self.points, free)
+        design = np.hstack([self.design[:, free], self.weight.whiten @ self._slopes(free & self.timed)])
         length = np.sqrt(np.einsum("ij,ij->j", design, design))
         length[length == 0] = 1.0
         # Of minimal norm, so that terms the curve can't tell apart give a wide answer, not an error.
         solve = np.linalg.pinv(design / length, rcond=1e-12) @ self.weight.whiten
         return np.asarray(solve / length[:, np.newaxis])
 
-    def _time(self, index: int) -> Interval:
-        """Return the correlation time in s; its logarithm is closer to normal than itself."""
-        covariance = self._scatter(self.solution.variances, self.free)
-        place = int(self.free.sum()) + int(self.free[self.count : self.count + index].sum())
-        deviation = np.sqrt(self.quantile * covariance[place, place])
-        value = float(self.solution.times[index]) * self.points.tau0
+    def _slopes(self, timed: BoolArray) -> FloatArray:
+        """Return the derivatives of the model by the log times of some terms, shape (k, t)."""
+        own = [(self.solution.terms[place], place) for place in np.flatnonzero(timed).tolist()]
+        symbols, times = [t.symbol for t, _ in own], np.array([t.values[1] for t, _ in own])
+        later, sooner = (
+            columns(self.points.m, unit_terms(symbols, times * np.exp(step))) for step in (_STEP, -_STEP)
+        )
+        return np.asarray((later - sooner) / (2 * _STEP) * self.solution.variances[timed])
+
+    def _time(self, place: int) -> Interval:
+        """Return a term's time in s; its logarithm is closer to normal than itself."""
+        row = self._rows(place, self.free)[1]
+        deviation = np.sqrt(self.quantile * self._scatter()[row, row])
+        value = float(self.solution.terms[place].values[1]) * self.points.tau0
         factor = float(np.exp(min(deviation, 50.0)))
         return Interval(value=value, low=value / factor, high=value * factor)
 
@@ -415,244 +571,27 @@ class _Reader:
         """Return the limits of one variance per sample."""
         free = self.free.copy()
         free[place] = True
-        if int(free.sum()) + int(free[self.count :].sum()) > self.points.size:
+        if int(free.sum() + (free & self.timed).sum()) > self.points.size:
             return 0.0, float("inf")
         value = float(self.solution.variances[place])
         if not self.inside[place]:
-            used = np.flatnonzero(self.inside | (np.arange(self.inside.size) == place))
-            value = float(non_negative(self.design[:, used], self.target)[0][used.tolist().index(place)])
-        own = self._influence(free)[int(free[:place].sum())]
+            used = self.inside.copy()
+            used[place] = True
+            value = float(non_negative(self.design[:, used], self.target)[0][used[:place].sum()])
+        own = self._influence(free)[self._rows(place, free)[0]]
 
         def spread_at(trial: float) -> float:
-            variance = own @ self.spread.at(self._others(place, trial)) @ own
-            return float(np.sqrt(variance))
+            return float(np.sqrt(own @ self.spread.at(self._others(place, trial)) @ own))
 
         return limits(value, spread_at, self.quantile)
 
     def _others(self, place: int, trial: float) -> FloatArray:
         """Return the best variances with the one at `place` held at `trial`, shape (p,)."""
-        others = np.flatnonzero(self.inside & (np.arange(self.inside.size) != place))
+        others = self.inside.copy()
+        others[place] = False
         at = np.zeros(self.inside.size)
-        if others.size:
+        if others.any():
             rest = self.target - trial * self.design[:, place]
             at[others] = non_negative(self.design[:, others], rest)[0]
         at[place] = trial
         return at
-
-    def covariance(self, shown: list[tuple[Estimate, int]]) -> tuple[tuple[str, ...], FloatArray]:
-        """Return the parameters' names and the covariance of their coefficients in SI."""
-        raw = self._scatter(self.solution.variances, self.free)
-        names: list[str] = []
-        rows: list[int] = []
-        slopes: list[float] = []
-        for estimate, place in shown:
-            value, variance = estimate.value or 0.0, float(self.solution.variances[place])
-            names.append(TERMS[estimate.symbol].parameter_names(estimate.key)[0])
-            rows.append(int(self.free[:place].sum()))
-            slopes.append(value / (2 * variance))
-            if estimate.correlation_time is not None:
-                names.append(f"{estimate.key}.T")
-                rows.append(int(self.free.sum()) + int(self.free[self.count : place].sum()))
-                slopes.append(estimate.correlation_time.value)
-        covariance = raw[np.ix_(rows, rows)] * np.outer(slopes, slopes)
-        return tuple(names), np.asarray(covariance, dtype=np.float64)
-
-
-_LAWS = "QNBKR"
-#: Models whose screened criterion is within so much of the best are computed in full, at most so many.
-_WITHIN, _AT_MOST = 10.0, 10
-#: A misfit above so many standard deviations means that the model does not describe the curve.
-MISFIT = 3.0
-#: A misfit of all averaging times above this makes the fit look whether the shortest are to blame.
-_FILTERED = 5.0
-#: They are, where the misfit without them is less by this factor.
-_CURE = 3.0
-#: At most so many octaves are left out: an output filter leaves the rest of the curve as it was.
-_MOST_DROPPED = 8
-#: The weight is computed anew at most so often; three are enough in practice.
-_STEPS = 5
-#: At most so many models are tried for one that describes the curve.
-_CANDIDATES = 6
-
-
-def dictionary(points: AvarPoints, weight: Weight) -> Solution:
-    """Return the best fit of all laws and Gauss-Markov terms of many correlation times at once.
-
-    It describes almost any curve; the terms left at zero are dropped.
-    """
-    grid = time_grid(points.m, per_decade=3)
-    matrix = weight.whiten @ columns(points.m, _LAWS, grid)
-    variances, objective = non_negative(matrix, weight.whiten @ points.avar)
-    laws = "".join(law for law, value in zip(_LAWS, variances, strict=False) if value > 0)
-    active = variances[len(_LAWS) :] > 0
-    kept = np.concatenate([variances[: len(_LAWS)], variances[len(_LAWS) :][active]])
-    return Solution(laws=laws, times=grid[active], variances=kept[kept > 0], objective=objective)
-
-
-def choose(
-    points: AvarPoints, weight: Weight, *, criterion: str, max_gm: int
-) -> list[tuple[float, Solution]]:
-    """Return the best models and how much worse their criterion is, the best (0) first.
-
-    Notes
-    -----
-    All sets of the five laws with up to `max_gm` Gauss-Markov terms at the correlation times of a
-    grid are screened by their normal equations at once; a solution with a negative variance is one
-    of a smaller model. The best are then computed with free correlation times.
-    """
-    price = CRITERIA[criterion](points.n)
-    screened = sorted(_screen(points, weight, max_gm, price), key=lambda entry: entry[0])
-    if not screened:
-        return []
-    near = [entry for entry in screened if entry[0] <= screened[0][0] + _WITHIN][:_AT_MOST]
-    solutions = [minimise(points.m, points.avar, weight, laws, count) for _, laws, count in near]
-    ranked = sorted(((s.objective + price * s.parameters, s) for s in solutions), key=lambda pair: pair[0])
-    best = ranked[0][0]
-    return [(value - best, solution) for value, solution in ranked]
-
-
-def _screen(
-    points: AvarPoints, weight: Weight, max_gm: int, price: float
-) -> Iterator[tuple[float, str, int]]:
-    """Yield the criterion of each structure, at the best correlation times of a grid."""
-    grid = time_grid(points.m)
-    matrix = weight.whiten @ columns(points.m, _LAWS, grid)
-    matrix = matrix / np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
-    target = weight.whiten @ points.avar
-    # A ridge far below what tells models apart keeps equal columns from being singular.
-    gram = matrix.T @ matrix + 1e-12 * np.eye(matrix.shape[1])
-    moment, total = matrix.T @ target, float(target @ target)
-    for count in range(max_gm + 1):
-        places = np.array(list(combinations(range(len(_LAWS), matrix.shape[1]), count)), dtype=np.int64)
-        for size in range(len(_LAWS) + 1):
-            parameters = size + 2 * count
-            if not 0 < parameters < points.size:
-                continue
-            for laws in combinations(range(len(_LAWS)), size):
-                fixed = np.broadcast_to(np.array(laws, dtype=np.int64), (len(places), size))
-                cost = _least_cost(gram, moment, total, np.hstack([fixed, places]))
-                if np.isfinite(cost):
-                    yield cost + price * parameters, "".join(_LAWS[law] for law in laws), count
-
-
-def _least_cost(gram: FloatArray, moment: FloatArray, total: float, sets: np.ndarray) -> float:
-    """Return the least sum of squares over `sets` of columns, shape (s, p), with positive variances."""
-    normal = gram[sets[:, :, np.newaxis], sets[:, np.newaxis, :]]
-    right = moment[sets]
-    solution = np.linalg.solve(normal, right[..., np.newaxis])[..., 0]
-    cost = np.where(np.all(solution > 0, axis=1), total - np.einsum("ij,ij->i", solution, right), np.inf)
-    return float(cost.min())
-
-
-def ranked(points: AvarPoints, weight: Weight, settings: FitSettings) -> list[tuple[float, Solution]]:
-    """Return the models in reach, the best first; the one model where it is given."""
-    structure = settings.structure
-    if structure is None:
-        return choose(points, weight, criterion=settings.criterion, max_gm=settings.max_gm)
-    laws, count = "".join(symbol for symbol in structure if symbol != "GM"), structure.count("GM")
-    return [(0.0, minimise(points.m, points.avar, weight, laws, count))]
-
-
-@dataclass(frozen=True, slots=True)
-class CurveFit:
-    """A fit: the models in reach, the chosen one at its minimum, its weight and its misfit."""
-
-    ranking: list[tuple[float, Solution]]
-    solution: Solution
-    weight: Weight
-    misfit: float
-
-
-@dataclass(frozen=True)
-class ModelSearch:
-    """Finds the models in reach of `points`, with the covariance that a rough fit by `eta3` gives."""
-
-    points: AvarPoints
-    eta3: Weight
-    settings: FitSettings
-
-    @cached_property
-    def _rough(self) -> tuple[CurveSpread, Solution]:
-        rough = dictionary(self.points, self.eta3)
-        return CurveSpread.of_terms(self.points, rough.laws, rough.times), rough
-
-    def whole(self) -> CurveFit:
-        """Return the fit of all points.
-
-        One given model without GM has one minimum for any weight, so that its own weight follows from
-        any start; where it describes the curve, the costly covariance of the rough fit is not asked for.
-        """
-        if self.settings.structure is not None and "GM" not in self.settings.structure:
-            given = _described(self.points, ranked(self.points, self.eta3, self.settings), self.eta3)
-            if given.misfit < MISFIT:
-                return given
-        ranking, weight, _ = self.ranking(self.points)
-        return _described(self.points, ranking, weight)
-
-    def ranking(self, points: AvarPoints) -> tuple[list[tuple[float, Solution]], Weight, float]:
-        """Return the models of the last `points`, their weight and the least misfit."""
-        spread, rough = self._rough
-        covariance = spread.within(self.points.size - points.size).at(rough.variances)
-        weight = Weight.of_covariance(covariance)
-        ranking = ranked(points, weight, self.settings)
-        misfit = min(goodness(points, solution, covariance).statistic for _, solution in ranking)
-        return ranking, weight, misfit
-
-
-def best_band(points: AvarPoints, search: ModelSearch) -> tuple[AvarPoints, CurveFit]:
-    """Return the longest run of points, up to the last, that a model describes, and the fit.
-
-    An output filter bends the curve at its first averaging times only; without those it is as good
-    as ever. Where no run is described, the one with the least misfit is taken if it is far better
-    than the whole curve, and the misfit is reported.
-    """
-    whole = search.whole()
-    structure = search.settings.structure
-    least = 6 if structure is None else len(structure) + structure.count("GM") + 3
-    if not whole.misfit >= _FILTERED:
-        return points, whole
-    best, kept_best = whole.misfit / _CURE, None
-    most = min(points.size - least, points.size // 2, _MOST_DROPPED)
-    for first in range(1, most + 1):
-        kept = points.within(first)
-        ranking, weight, misfit = search.ranking(kept)
-        if misfit < best:
-            best, kept_best = misfit, (kept, ranking, weight)
-        if misfit < MISFIT:
-            break
-    if kept_best is None:
-        return points, whole
-    return kept_best[0], _described(*kept_best)
-
-
-def _described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight: Weight) -> CurveFit:
-    """Return the first of the models that describes the curve with its own weight; else the first.
-
-    The criterion ranks all models with one weight, under which a model that lacks a small term may
-    win; with its own weight it then shows a misfit that the next one does not have.
-    """
-    fits: list[CurveFit] = []
-    for place, (delta, start) in enumerate(ranking[:_CANDIDATES]):
-        solution, own, covariance = _converged(points, start, weight)
-        misfit = goodness(points, solution, covariance).statistic
-        rest = [(d - delta, s) for d, s in ranking[place:]]
-        fits.append(CurveFit(rest, solution, own, misfit))
-        if not misfit >= MISFIT:
-            return fits[-1]
-    return fits[0]
-
-
-def _converged(points: AvarPoints, solution: Solution, weight: Weight) -> tuple[Solution, Weight, FloatArray]:
-    """Return the minimum with the weight of the model itself, that weight, and the covariance."""
-    spread = CurveSpread.of_terms(points, solution.laws, solution.times)
-    for _ in range(_STEPS):
-        if np.any(np.abs(np.log(solution.times / spread.times)) > 0.2):
-            spread = CurveSpread.of_terms(points, solution.laws, solution.times)
-        weight = Weight.of_covariance(spread.at(solution.variances))
-        before = solution
-        solution = minimise(
-            points.m, points.avar, weight, solution.laws, solution.times.size, near=solution.times
-        )
-        if np.allclose(solution.variances, before.variances, rtol=1e-3, atol=1e-12 * points.avar.max()):
-            break
-    return solution, weight, spread.at(solution.variances)

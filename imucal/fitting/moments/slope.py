@@ -18,8 +18,8 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray, read_only
-from imucal.fitting.moments.points import AvarPoints, avar_points, columns
-from imucal.fitting.moments.search import CurveSpread, Solution, Weight, dictionary, goodness
+from imucal.fitting.moments.points import AvarPoints, avar_points, columns, spread_of, unit_terms
+from imucal.fitting.moments.search import Solution, Weight, dictionary, goodness
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import NoiseModel
@@ -63,7 +63,7 @@ class LogCurve:
 
     def shape(self, symbol: str) -> FloatArray:
         """Return the Allan variance of a term of unit variance at the points, shape (k,)."""
-        return np.asarray(columns(self.points.m, symbol, np.zeros(0))[:, 0])
+        return np.asarray(columns(self.points.m, unit_terms([symbol]))[:, 0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -211,7 +211,7 @@ def fit_slope(
         sensor=series.sensor if series is not None else None,
         rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
         level=level,
-        model=NoiseModel(terms=tuple(points.term(r.symbol, r.variance) for r in shown)),
+        model=NoiseModel(terms=tuple(points.term(unit_terms([r.symbol])[0], r.variance) for r in shown)),
         estimates=estimates,
         parameters=tuple(r.symbol for r in shown),
         covariance=_covariance(logs, shown),
@@ -241,8 +241,7 @@ def _goodness(curve: LogCurve, shown: list[Reading]) -> Goodness:
     if not shown:
         return Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
     solution = Solution(
-        laws="".join(r.symbol for r in shown),
-        times=np.zeros(0),
+        terms=unit_terms([r.symbol for r in shown]),
         variances=np.exp(2 * np.array([r.log_value for r in shown])),
         objective=float("nan"),
     )
@@ -253,7 +252,7 @@ def _goodness(curve: LogCurve, shown: list[Reading]) -> Goodness:
 def _log_curve(points: AvarPoints) -> LogCurve:
     """Return the points with the covariance that they have under whatever noise fits the curve."""
     rough = dictionary(points, Weight.of_deviations(points.avar))
-    spread = CurveSpread.of_terms(points, rough.laws, rough.times).at(rough.variances)
+    spread = spread_of(points, rough.terms).at(rough.variances)
     model = rough.avar(points.m)
     return LogCurve(points, np.asarray(spread / (4 * np.outer(model, model))))
 

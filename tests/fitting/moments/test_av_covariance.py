@@ -9,12 +9,20 @@ import pytest
 
 from imucal.arrays import FloatArray
 from imucal.fitting.moments import points as module
-from imucal.fitting.moments.points import Process, avar_covariance, sum_variance
+from imucal.fitting.moments.points import avar_covariance, sum_variance, unit_terms
 from imucal.noise.model import NoiseModel
-from imucal.powerlaw import PowerLaw
+from imucal.noise.term import NoiseTerm
+from imucal.noise.terms import GaussMarkov
 from tests.fitting.moments.curves import octave_curve
 
-PROCESSES: list[Process] = [*PowerLaw, 5.0, 300.0]
+Q, N, B, K, R = unit_terms("QNBKR")
+
+
+def _markov(time: float) -> GaussMarkov:
+    return GaussMarkov(sigma=1.0, T=time)
+
+
+TERMS = [Q, N, B, K, _markov(5.0), _markov(300.0)]
 
 
 def _correlation(covariance: FloatArray) -> FloatArray:
@@ -25,14 +33,14 @@ def _correlation(covariance: FloatArray) -> FloatArray:
 def test_the_grid_of_lags_stands_for_all_lags(monkeypatch: pytest.MonkeyPatch) -> None:
     """The sum on graded lags is that over every lag, to 1e-3 of the standard deviations."""
     m = 2 ** np.arange(11)
-    quick = avar_covariance(m, 5_000, PROCESSES, overlapping=True)
+    quick = avar_covariance(m, 5_000, TERMS, overlapping=True)
     monkeypatch.setattr(module, "_ALL_LAGS", 10**9)
     module._computed.cache_clear()
     module._laws.cache_clear()
-    every = avar_covariance(m, 5_000, PROCESSES, overlapping=True)
+    every = avar_covariance(m, 5_000, TERMS, overlapping=True)
     module._computed.cache_clear()
     module._laws.cache_clear()
-    for p in range(len(PROCESSES)):
+    for p in range(len(TERMS)):
         scale = np.sqrt(np.diag(every.quadratic[p, p]))
         difference = (quick.quadratic[p, p] - every.quadratic[p, p]) / np.outer(scale, scale)
         assert np.abs(difference).max() < 1e-3
@@ -41,7 +49,7 @@ def test_the_grid_of_lags_stands_for_all_lags(monkeypatch: pytest.MonkeyPatch) -
 def test_white_noise_at_the_shortest_time_has_a_closed_form() -> None:
     """At m = 1, d_t is a difference over √2: Var = 2/M (1 + 2 (1 - 1/M) / 4)."""
     n = 1000
-    covariance = avar_covariance(np.array([1]), n, [PowerLaw.WHITE], overlapping=True).at(np.array([3.0]))
+    covariance = avar_covariance(np.array([1]), n, [N], overlapping=True).at(np.array([3.0]))
     terms = n - 1
     npt.assert_allclose(covariance, 9 * 2 / terms * (1 + (1 - 1 / terms) / 2), rtol=1e-12)
 
@@ -49,27 +57,26 @@ def test_white_noise_at_the_shortest_time_has_a_closed_form() -> None:
 def test_adjacent_windows_of_white_noise_have_a_closed_form() -> None:
     """Standard Allan variances of white noise at any m are those of n/m samples at m = 1."""
     m, n = 8, 800
-    covariance = avar_covariance(np.array([m]), n, [PowerLaw.WHITE], overlapping=False).at(np.ones(1))
+    covariance = avar_covariance(np.array([m]), n, [N], overlapping=False).at(np.ones(1))
     terms = n // m - 1
     npt.assert_allclose(covariance, 2 / terms * (1 + (1 - 1 / terms) / 2) / m**2, rtol=1e-12)
 
 
 @pytest.mark.parametrize("overlapping", [True, False])
 @pytest.mark.parametrize(
-    ("text", "processes", "variances", "ramp"),
+    ("text", "terms", "variances"),
     [
-        ("N=1 + K=2e-2", [PowerLaw.WHITE, PowerLaw.WALK], [1.0, 4e-4], 0.0),
+        ("N=1 + K=2e-2", [N, K], [1.0, 4e-4]),
         (
             "Q=1.5 + N=1 + B=0.3",
-            [PowerLaw.QUANTIZATION, PowerLaw.WHITE, PowerLaw.FLICKER],
+            [Q, N, B],
             [2.25, 1, 0.09],
-            0,
         ),
-        ("N=1 + GM(sigma=0.3, T=20) + R=5e-4", [PowerLaw.WHITE, 20.0], [1.0, 0.09], 2.5e-7),
+        ("N=1 + GM(sigma=0.3, T=20) + R=5e-4", [N, _markov(20.0), R], [1.0, 0.09, 2.5e-7]),
     ],
 )
 def test_simulated_curves_scatter_as_predicted(
-    text: str, processes: list[Process], variances: list[float], ramp: float, *, overlapping: bool
+    text: str, terms: list[NoiseTerm], variances: list[float], *, overlapping: bool
 ) -> None:
     """Over 800 records variances agree to 5 standard errors (25 %), correlations to 0.12."""
     rng = np.random.default_rng(2026)
@@ -78,8 +85,8 @@ def test_simulated_curves_scatter_as_predicted(
         octave_curve(model.simulate(n, rate_hz=1.0, rng=rng), overlapping=overlapping) for _ in range(800)
     ]
     seen = np.cov(np.array([curve.avar for curve in curves]).T)
-    computed = avar_covariance(curves[0].m, n, processes, overlapping=overlapping)
-    predicted = computed.at(np.array(variances, dtype=np.float64), ramp)
+    computed = avar_covariance(curves[0].m, n, terms, overlapping=overlapping)
+    predicted = computed.at(np.array(variances, dtype=np.float64))
     npt.assert_allclose(np.diag(predicted) / np.diag(seen), 1.0, atol=0.25)
     npt.assert_allclose(_correlation(predicted), _correlation(seen), atol=0.12)
 
@@ -91,27 +98,21 @@ def test_a_gauss_markov_sum_has_the_variance_of_its_autocovariances(time: float)
     direct = np.array(
         [np.exp(-np.abs(np.subtract.outer(np.arange(k), np.arange(k))) / time).sum() for k in n]
     )
-    found = sum_variance(time, n)
+    found = sum_variance(_markov(time), n)
     rest = direct - found
     npt.assert_allclose(rest, rest[-1] * (n / n[-1]) ** 2, rtol=1e-9, atol=1e-9 * np.abs(direct).max())
 
 
 def test_the_covariance_is_quadratic_in_the_variances() -> None:
     """A noise twice as loud has variances four times as large, and covariances sixteen."""
-    found = avar_covariance(2 ** np.arange(8), 2000, [PowerLaw.WHITE, PowerLaw.WALK], overlapping=True)
-    npt.assert_allclose(found.at(np.array([4.0, 4e-3]), 4e-6), 16 * found.at(np.array([1.0, 1e-3]), 1e-6))
-
-
-def test_the_last_points_alone_have_the_same_covariance() -> None:
-    """Leaving out the shortest times leaves the others as they were."""
-    found = avar_covariance(2 ** np.arange(8), 2000, [PowerLaw.WHITE], overlapping=True)
-    npt.assert_array_equal(found.within(3).at(np.ones(1)), found.at(np.ones(1))[3:, 3:])
+    found = avar_covariance(2 ** np.arange(8), 2000, [N, K, R], overlapping=True)
+    npt.assert_allclose(found.at(np.array([4.0, 4e-3, 4e-6])), 16 * found.at(np.array([1.0, 1e-3, 1e-6])))
 
 
 def test_refuses_an_averaging_factor_beyond_half_the_record() -> None:
     """The range is in the message."""
     with pytest.raises(ValueError, match=r"averaging factors must be in 1\.\.50 for 100 samples"):
-        avar_covariance(np.array([51]), 100, [PowerLaw.WHITE], overlapping=True)
+        avar_covariance(np.array([51]), 100, [N], overlapping=True)
 
 
 @pytest.mark.parametrize(
@@ -119,13 +120,13 @@ def test_refuses_an_averaging_factor_beyond_half_the_record() -> None:
 )
 def test_lags_reach_by_powers_of_two(longest: int, times: list[float], reach: int) -> None:
     """To 24 windows for flicker, doubled until 20 correlation times lie beyond both windows."""
-    assert module._reach(longest, times) == reach
+    assert module._reach(longest, [_markov(time) for time in times]) == reach
 
 
 @pytest.mark.parametrize("overlapping", [True, False])
-@pytest.mark.parametrize("process", [*PowerLaw, 4.0])
+@pytest.mark.parametrize("term", [Q, N, B, K, _markov(4.0)])
 def test_two_averaging_times_covary_as_their_squares_summed_over_all_pairs(
-    process: Process, *, overlapping: bool
+    term: NoiseTerm, *, overlapping: bool
 ) -> None:
     """A double loop over the differences of both, each covariance from V(n) by its definition.
 
@@ -140,25 +141,25 @@ def test_two_averaging_times_covary_as_their_squares_summed_over_all_pairs(
             for a, first in enumerate((1, -2, 1)):
                 for b, second in enumerate((1, -2, 1)):
                     place = np.array([abs(float(u + b * mj - t - a * mi))])
-                    apart += first * second * float(sum_variance(process, place)[0])
+                    apart += first * second * float(sum_variance(term, place)[0])
             total += 2 * (apart / (-4 * mi * mj)) ** 2
     expected = total / (len(starts[0]) * len(starts[1]))
-    found = avar_covariance(np.array([mi, mj]), n, [process], overlapping=overlapping).at(np.ones(1))
+    found = avar_covariance(np.array([mi, mj]), n, [term], overlapping=overlapping).at(np.ones(1))
     assert found[0, 1] == pytest.approx(expected, rel=1e-9 if overlapping else 0.1)
     assert found[1, 0] == found[0, 1]
 
 
-@pytest.mark.parametrize("process", [PowerLaw.QUANTIZATION, PowerLaw.WHITE, PowerLaw.WALK])
-def test_windows_that_do_not_meet_share_nothing(process: PowerLaw) -> None:
+@pytest.mark.parametrize("term", [Q, N, K])
+def test_windows_that_do_not_meet_share_nothing(term: NoiseTerm) -> None:
     """Windows of 2 times 12 and 2 times 20 samples, however far apart: not even rounding errors."""
     far = np.array([-(10**7), -41, 25, 200, 10**7 + 3])
-    assert not module._lag_covariance(far, 12, 20, process).any()
+    assert not module._lag_covariance(far, 12, 20, term).any()
 
 
-@pytest.mark.parametrize("process", [PowerLaw.FLICKER, 300.0])
-def test_windows_that_do_not_meet_share_what_is_correlated(process: Process) -> None:
+@pytest.mark.parametrize("term", [B, _markov(300.0)])
+def test_windows_that_do_not_meet_share_what_is_correlated(term: NoiseTerm) -> None:
     """A long Gauss-Markov term and flicker are the same in both windows, ever less the farther apart."""
-    near = module._lag_covariance(np.array([-41, -50, -100, -300]), 12, 20, process)
+    near = module._lag_covariance(np.array([-41, -50, -100, -300]), 12, 20, term)
     assert np.all(near < 0)
     assert np.all(np.diff(near) > 0)
 
@@ -170,7 +171,7 @@ def test_a_slow_gauss_markov_term_keeps_its_digits(mi: int, mj: int) -> None:
     In double precision the same sums were 4e10 times too large at m = 1.
     """
     time = 786_432
-    reach = module._reach(max(mi, mj), [time])
+    reach = module._reach(max(mi, mj), [_markov(time)])
     lags, weights, _ = module._laws(mi, mj, 4 * time, reach, overlapping=True)
     with localcontext(prec=60):
         phi = (Decimal(-1) / time).exp()
@@ -184,5 +185,5 @@ def test_a_slow_gauss_markov_term_keeps_its_digits(mi: int, mj: int) -> None:
             for a, b in product(range(3), repeat=2):
                 comb += (1, -2, 1)[a] * (1, -2, 1)[b] * sum_of(abs(lag + b * mj - a * mi))
             expected += 2 * Decimal(weight) * (comb / (-4 * mi * mj)) ** 2
-        found = avar_covariance(np.array([mi, mj]), 4 * time, [float(time)], overlapping=True)
+        found = avar_covariance(np.array([mi, mj]), 4 * time, [_markov(time)], overlapping=True)
         assert float(found.at(np.ones(1))[0, 1]) == pytest.approx(float(expected), rel=1e-6)

@@ -5,24 +5,34 @@ import numpy.testing as npt
 import pytest
 
 from imucal.allan import allan_curve
-from imucal.fitting.moments.points import avar_points
-from imucal.fitting.moments.search import ModelSearch, Weight, _described
+from imucal.fitting.moments import search
+from imucal.fitting.moments.points import AvarPoints, avar_points, spread_of
+from imucal.fitting.moments.search import Solution, Weight, best_band, described, dictionary, ranked
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 
 
 @pytest.mark.parametrize(("model", "asked"), [("N + B + K", False), ("N + B", True), ("N + GM", True)])
-def test_a_given_model_gives_the_same_without_the_rough_fit(model: str, *, asked: bool) -> None:
+def test_a_given_model_gives_the_same_without_the_rough_fit(
+    model: str, *, asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Variances agree to 1e-3 of their standard errors; what does not describe the curve, or has GM, asks."""
     truth = NoiseModel.parse("N=1 + B=0.06 + K=2e-2")
     samples = truth.simulate(60_000, rate_hz=1.0, rng=np.random.default_rng(4410))
     series = AxisSeries.from_samples(samples, rate_hz=1.0)
-    points = avar_points(series, allan_curve(series))
-    search = ModelSearch(points, Weight.of_deviations(points.avar), FitSettings(model=model, method="gmwm"))
-    fit = search.whole()
-    assert ("_rough" in vars(search)) == asked
-    ranking, weight, _ = search.ranking(points)
-    rough = _described(points, ranking, weight)
+    points, settings = avar_points(series, allan_curve(series)), FitSettings(model=model, method="gmwm")
+    eta3, calls = Weight.of_deviations(points.avar), []
+
+    def counted(points: AvarPoints, weight: Weight) -> Solution:
+        calls.append(weight)
+        return dictionary(points, weight)
+
+    monkeypatch.setattr(search, "dictionary", counted)
+    _, fit = best_band(points, eta3, settings)
+    assert bool(calls) == asked
+    start = dictionary(points, eta3)
+    weight = Weight.of_covariance(spread_of(points, start.terms).at(start.variances))
+    rough = described(points, ranked(points, weight, settings), weight)
     assert fit.misfit == pytest.approx(rough.misfit, abs=1e-3)
     npt.assert_allclose(fit.solution.variances, rough.solution.variances, rtol=1e-4, atol=1e-9)

@@ -12,15 +12,15 @@ from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.moments import fit_slope, search
 from imucal.fitting.moments.gmwm import _eta3_widths, _findings, _with_edf
-from imucal.fitting.moments.points import AvarPoints, _excess_kurtosis, avar_points, columns
+from imucal.fitting.moments.points import AvarPoints, _excess_kurtosis, avar_points, columns, unit_terms
 from imucal.fitting.moments.search import (
     Solution,
     Weight,
-    _described,
-    _least_cost,
-    _screen,
+    described,
     goodness,
+    least_cost,
     limits,
+    screen,
     time_grid,
 )
 from imucal.fitting.moments.slope import LogCurve, Reading, _beside, _floor, _line, read_term
@@ -94,7 +94,7 @@ def test_limits_of_a_spread_that_grows_with_the_variance_are_those_of_a_logarith
 def test_the_misfit_of_a_curve_is_wilson_and_hilfertys() -> None:
     """Of independent values, cube roots of ratios, standardised; NaN where nothing is left to judge by."""
     points = _points(np.array([1.3, 0.5, 0.2, 0.14]))
-    solution = Solution(laws="N", times=np.zeros(0), variances=np.ones(1), objective=0.0)
+    solution = Solution(terms=unit_terms("N"), variances=np.ones(1), objective=0.0)
     model = 1 / points.m
     edf = np.array([100.0, 40.0, 20.0, 8.0])
     third = 2 / (9 * edf)
@@ -102,7 +102,7 @@ def test_the_misfit_of_a_curve_is_wilson_and_hilfertys() -> None:
     found = goodness(points, solution, np.diag(2 * model**2 / edf))
     assert found.chi2_per_bin == pytest.approx(score @ score / 3)
     assert found.tau_s == (1.0, 8.0)
-    full = Solution(laws="QNBK", times=np.zeros(0), variances=np.ones(4), objective=0.0)
+    full = Solution(terms=unit_terms("QNBK"), variances=np.ones(4), objective=0.0)
     assert np.isnan(goodness(points, full, np.eye(4)).statistic)
     none = replace(solution, variances=np.zeros(1))
     assert np.isnan(goodness(points, none, np.eye(4)).statistic)
@@ -111,7 +111,7 @@ def test_the_misfit_of_a_curve_is_wilson_and_hilfertys() -> None:
 def test_a_score_goes_on_where_the_probability_ends() -> None:
     """The normal quantile to 1e-15; beyond, Wilson and Hilferty's own, less than one higher."""
     points = _points(np.ones(4))
-    solution = Solution(laws="N", times=np.zeros(0), variances=np.ones(1), objective=0.0)
+    solution = Solution(terms=unit_terms("N"), variances=np.ones(1), objective=0.0)
     scores, beyond = [], 0
     for factor in np.geomspace(0.1, 0.4, 60).tolist():
         found = goodness(points, solution, factor * np.diag(1.0 / points.m**2))
@@ -138,7 +138,7 @@ def test_a_curve_without_degrees_of_freedom_gets_those_of_the_model() -> None:
     """2 avar² over its variance, at least 1; a curve that has any keeps them."""
     curve = _curve(np.array([1.0, 0.5, 0.25]), [1, 2, 4])
     points = replace(avar_points(None, curve), scale=1.0, avar=curve.avar)
-    solution = Solution(laws="N", times=np.zeros(0), variances=np.ones(1), objective=0.0)
+    solution = Solution(terms=unit_terms("N"), variances=np.ones(1), objective=0.0)
     model = 1 / curve.m
     covariance = np.diag(2 * model**2 / np.array([50.0, 20.0, 0.5]))
     found = _with_edf(curve, points, solution, covariance)
@@ -187,8 +187,8 @@ def test_a_screened_model_with_a_negative_variance_is_none() -> None:
     target = np.array([2.0, -1.0, 0.5])
     gram, moment = matrix.T @ matrix, matrix.T @ target
     total = float(target @ target)
-    assert _least_cost(gram, moment, total, np.array([[0, 1], [0, 2]])) == pytest.approx(1.0)
-    assert _least_cost(gram, moment, total, np.array([[0, 1]])) == np.inf
+    assert least_cost(gram, moment, total, np.array([[0, 1], [0, 2]])) == pytest.approx(1.0)
+    assert least_cost(gram, moment, total, np.array([[0, 1]])) == np.inf
 
 
 def _logs(avar: FloatArray, variance: float | FloatArray = 1e-4) -> LogCurve:
@@ -253,14 +253,14 @@ def test_every_set_of_laws_is_screened() -> None:
     """Of a curve that is exactly the sum of all five, each set of up to all of them; no more than points."""
     m = 2 ** np.arange(14)
     variances = {"Q": 1e4, "N": 1.0, "B": 1e-2, "K": 1e-4, "R": 1e-8}
-    avar = columns(m, "QNBKR", np.zeros(0)) @ np.array(list(variances.values()))
+    avar = columns(m, unit_terms("QNBKR")) @ np.array(list(variances.values()))
     points = _points(avar, n=40_000)
     weight = Weight.of_deviations(1e-3 * points.avar)
-    found = {laws: cost for cost, laws, _ in _screen(points, weight, 0, price=2.0)}
+    found = {"".join(symbols): cost for cost, symbols in screen(points, weight, 0, price=2.0)}
     assert min(found, key=lambda laws: found[laws]) == "QNBKR"
     assert found["QNBKR"] == pytest.approx(10.0, abs=1.0)
     few = points.within(10)
-    sets = {laws for _, laws, _ in _screen(few, Weight.of_deviations(few.avar), 0, price=2.0)}
+    sets = {symbols for _, symbols in screen(few, Weight.of_deviations(few.avar), 0, price=2.0)}
     assert max(map(len, sets)) <= 3
 
 
@@ -279,7 +279,7 @@ def test_an_interval_of_a_line_is_the_quantile_of_its_spread() -> None:
 def test_distances_are_those_of_the_ranking_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first two models do not describe the curve; the third is the best of what remains."""
     ranking = [
-        (delta, Solution(laws=laws, times=np.zeros(0), variances=np.ones(len(laws)), objective=0.0))
+        (delta, Solution(terms=unit_terms(laws), variances=np.ones(len(laws)), objective=0.0))
         for delta, laws in [(0.0, "N"), (1.5, "NB"), (4.0, "NK"), (7.0, "NBK")]
     ]
     weight = Weight.of_deviations(np.ones(5))
@@ -288,14 +288,16 @@ def test_distances_are_those_of_the_ranking_that_is_left(monkeypatch: pytest.Mon
     monkeypatch.setattr(
         search,
         "goodness",
-        lambda _, solution, __: Goodness(statistic=misfits[solution.laws], p_value=0.5, chi2_per_bin=1.0),
+        lambda _, solution, __: Goodness(
+            statistic=misfits["".join(solution.symbols)], p_value=0.5, chi2_per_bin=1.0
+        ),
     )
-    fit = _described(_points(np.ones(5)), ranking, weight)
-    assert fit.solution.laws == "NK"
+    fit = described(_points(np.ones(5)), ranking, weight)
+    assert fit.solution.symbols == ("N", "K")
     assert fit.misfit == 2.9
-    assert [(delta, model.laws) for delta, model in fit.ranking] == [(0.0, "NK"), (3.0, "NBK")]
+    assert [(delta, "".join(s.symbols)) for delta, s in fit.ranking] == [(0.0, "NK"), (3.0, "NBK")]
     misfits |= {"NK": 9.0, "NBK": 9.0}
-    first = _described(_points(np.ones(5)), ranking, weight)
+    first = described(_points(np.ones(5)), ranking, weight)
     assert [delta for delta, _ in first.ranking] == [0.0, 1.5, 4.0, 7.0]
 
 
