@@ -64,7 +64,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Instance:
-    """One instance of a message in the log: its fields, shape (n,) each; `several` if it isn't the only one."""
+    """One instance of a message in the log, which may hold `several`: its fields, shape (n,) each."""
 
     message: str
     multi: int
