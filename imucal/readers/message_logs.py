@@ -1,11 +1,4 @@
-"""Logs of messages -> Recording: choose topics, decode them, and give each sensor its clock.
-
-The axes and the unit of samples in messages: from the type, as given, or as a table's columns have it.
-
-Where times go back, and which parts of a log must be sorted to put them in order.
-
-Times of decoded messages: in order, one of each element, and the clock that they give.
-"""
+"""Logs of messages -> Recording: choose topics, decode them in order, and give each sensor its clock."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -35,16 +28,256 @@ from imucal.readers.messages import (
 )
 from imucal.readers.messages.leaves import MOST
 from imucal.readers.messages.loader import Stream
-from imucal.readers.messages.message_types import EACH, parse_fields_text
+from imucal.readers.messages.message_types import EACH, ImuFields, parse_fields_text
 from imucal.readers.messages.topic_streams import first_frames
 from imucal.readers.messages.trees import TreeDecoder, spread_times
 from imucal.readers.read_options import Progress, ReadOptions
 from imucal.readers.store import Columns, Room, is_constant
-from imucal.recording import AXES, Axis, Recording, Sensor
+from imucal.recording import Recording, Sensor
 from imucal.units import SAMPLE_UNITS
 
+#: Opens the files of a log; also returns the name of its format.
+OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], str]]
 
-def inferred_scales(
+#: Codes of findings that say a log is damaged.
+DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
+                    "definition"})  # fmt: skip
+
+#: Name of the time in the messages.
+HEADER = "header stamp"
+
+
+@dataclass(frozen=True, slots=True)
+class MessageReader:
+    """The reader of a format whose files are containers of messages."""
+
+    open_files: OpenFiles
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        """Read the IMU topic of a log.
+
+        Raises
+        ------
+        ReadError
+            If the log can't be read; `ChoiceError` if several topics fit or none does.
+        """
+        containers, form = self.open_files(path, options.progress)
+        return read_logs(containers, path, options, form=form)
+
+    def describe(self, path: Path, options: ReadOptions) -> LogContents:
+        """Return the topics of a log, by its index."""
+        containers, form = self.open_files(path, options.progress)
+        return describe_logs(containers, path, options, form=form)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the log in errors that know only its topics."""
+    try:
+        yield
+    except ReadError as error:
+        if str(error).startswith(str(path)):
+            raise
+        msg = f"{path}: {error}"
+        raise type(error)(msg) from error
+
+
+@contextmanager
+def _closing(containers: Sequence[Container]) -> Iterator[None]:
+    """Close containers at the end."""
+    try:
+        yield
+    finally:
+        for container in containers:
+            container.close()
+
+
+def describe_logs(
+    containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str
+) -> LogContents:
+    """Return the topics of the files of one log, and close them; arguments as of `read_logs`."""
+    with _closing(containers):
+        with _naming(path):
+            topics = find_topics(containers, options)
+        contents = [_contents(containers, topic, options) for topic in topics]
+    if not any(entry.sensors for entry in contents):
+        contents = [
+            replace(entry, note=f"may be read by a fields text such as {text!r}")
+            if topic.count and not entry.note and (text := topic.leaves.proposal())
+            else entry
+            for entry, topic in zip(contents, topics, strict=True)
+        ]
+    starts = [c.start_ns for c in containers if c.start_ns is not None]
+    ends = [c.end_ns for c in containers if c.end_ns is not None]
+    return LogContents(
+        path=str(path),
+        format=form,
+        size_bytes=sum(container.size for container in containers),
+        topics=tuple(contents),
+        start_ns=min(starts, default=None),
+        duration_s=(max(ends) - min(starts)) / 1e9 if starts and ends else None,
+        compression=", ".join(sorted({container.compression for container in containers})),
+        findings=tuple(finding for container in containers for finding in container.findings),
+    )
+
+
+def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
+    sensors: tuple[Sensor, ...] = ()
+    note = topic.reason
+    if topic.imu is not None and topic.count != 0:
+        try:
+            alive = live_sensors(containers, topic, options)
+        except ReadError as error:
+            alive, note = frozenset(), str(error)
+        sensors = tuple(sensor for sensor in topic.imu.sensors if sensor in alive)
+        silent = [sensor for sensor in topic.imu.sensors if sensor not in alive]
+        note = note or (" and ".join(silent) + " constant: no data" if silent else "")
+        note = note or ("read only where it is named" if topic.imu.plain else "")
+    return TopicContents(
+        name=topic.name,
+        type=topic.type,
+        count=topic.count,
+        rate_hz=topic.rate_hz,
+        duration_s=topic.duration_s,
+        sensors=sensors,
+        note=note,
+        fields=tuple(map(str, topic.leaves.all[:MOST])),
+    )
+
+
+def read_logs(containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str) -> Recording:
+    """Read the IMU samples of the files of one log, and close them.
+
+    Parameters
+    ----------
+    path
+        The log as the user named it.
+    form
+        Its format.
+    """
+    with _closing(containers):
+        return _read(containers, path, options, form)
+
+
+def _read(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> Recording:
+    _refuse_options(path, options)
+    with _naming(path):
+        topics = find_topics(containers, options)
+        choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
+        streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
+    decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
+    work = RecordingBuilder(path=str(path), format=form, room=Room(options.memory_limit))
+    work.findings += [finding for container in containers for finding in container.findings]
+    work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
+    work.decisions += first_frames(containers, choices)
+    for choice, stream, decoding in zip(choices, streams, decodings, strict=True):
+        work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
+        if not decoding.columns.n:
+            seen = [*decoding.losses, *work.findings]
+            why = seen[0].text if seen else "the log holds none"
+            msg = f"{path}: no message of topic {choice.topic.name} could be read: {why}"
+            raise ReadError(msg)
+        _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
+    beside = read_temperature(containers, topics, choices[0].topic.name) if work.temperature is None else None
+    if beside is not None:
+        work.temperature, name = beside
+        work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
+    damage = [finding for finding in work.findings if finding.code in DAMAGE]
+    if options.strict and damage:
+        msg = f"{path}: the log is damaged, and recovery was not wanted: {damage[0].text}"
+        raise ReadError(msg)
+    if not work.series:
+        texts = "; ".join(finding.text for finding in work.findings) or "no data"
+        msg = f"{path}: no sensor has samples that change: {texts}"
+        raise DataError(msg)
+    return work.build(
+        topics=[choice.topic.name for choice in choices],
+        message_types=[choice.topic.type for choice in choices],
+    )
+
+
+def _refuse_options(path: Path, options: ReadOptions) -> None:
+    named = parse_fields_text(options.fields)
+    if options.time_unit is not None and (named is None or len(named.time) != 1):
+        msg = (
+            f"{path}: the time unit {options.time_unit} is given, but stamps are seconds and nanoseconds; "
+            "expected no unit, or a fields text that names a time of one number"
+        )
+        raise ChoiceError(msg)
+    if options.time not in {None, "header", "log"}:
+        msg = f"{path}: messages have no time called {options.time!r}; expected header or log"
+        raise ChoiceError(msg)
+    if options.columns is not None:
+        msg = (
+            f"{path}: messages have no columns, but {options.columns!r} was asked for; "
+            "expected the name of a topic, or nothing"
+        )
+        raise ChoiceError(msg)
+
+
+def _loss_findings(losses: Sequence[Loss]) -> list[Finding]:
+    """Return one finding for each kind of loss."""
+    findings = []
+    for code in dict.fromkeys(loss.code for loss in losses):
+        same = [loss for loss in losses if loss.code == code]
+        lost = sum(loss.messages or 0 for loss in same)
+        where = f"{len(same)} places" if len(same) > 1 else "one place"
+        text = f"The log is damaged in {where}: {same[0].text}"
+        text += f"; about {lost} messages are lost." if lost else "; no message is lost by it."
+        findings.append(Finding(level="warning", code=code, text=text))
+    return findings
+
+
+def _add_topic(
+    work: RecordingBuilder, choice: Choice, columns: Columns, options: ReadOptions, *, alone: bool
+) -> None:
+    """Add the sensors of one topic."""
+    topic = choice.topic
+    imu = topic.imu or ImuFields(stamp=None, vectors=())
+    vectors = {vector.sensor: vector for vector in imu.vectors}
+    if imu.others:
+        read = " and ".join(vector.field for vector in imu.vectors)
+        text = f"Messages of {topic.name} hold {', '.join(imu.others)} too; {read} were read."
+        work.findings.append(Finding(level="warning", code="other-vectors", text=text))
+    work.findings += in_time_order(columns, work.room)
+    spread_lists(imu, columns, work.room)
+    reading = _clock(work, topic, columns, options)
+    clock, order = reading.clock, reading.order
+    label = choice.sensors[0].short if not alone and len(choice.sensors) == 1 else None
+    work.findings += [replace(finding, axis=label) for finding in reading.findings]
+    if clock.source == HEADER:
+        work.findings += compare_clocks(columns.stamps, columns.log)
+    columns.release()
+    work.decisions.append(("time", clock.source))
+    scales = _inferred_scales(work, topic, columns, clock, options) if imu.asked else {}
+    for sensor, rows in columns.vectors.items():
+        if is_constant(rows):
+            value = ", ".join(f"{row[0]:g}" for row in rows)
+            text = f"The {sensor} of topic {topic.name} is always ({value}): it has no data."
+            work.findings.append(Finding(level="warning", code="no-data", text=text, axis=sensor.short))
+            continue
+        factor, how = scales.get(sensor) or _si_factor(sensor, imu, options)
+        work.decisions.append((f"{sensor} unit", how))
+        work.add_sensor(sensor, rows, clock, order=order, scale=factor, names=vectors[sensor].axes)
+    if columns.temperature is not None and columns.temperature.any():
+        work.add_temperature(columns.temperature, clock, order=order)
+
+
+def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
+    """Return a finding for each list of which one element was read and others were not."""
+    lengths: dict[str, int] = {}
+    for decoder in stream.decoders.values():
+        lengths |= decoder.lengths if isinstance(decoder, TreeDecoder) else {}
+    texts = [
+        f"Messages of {topic.name} hold {count} elements of {name}; one of them was read. If they are "
+        f"samples of one sensor, {name}{EACH} reads them all."
+        for name, count in lengths.items()
+        if count > 1
+    ]
+    return [Finding(level="warning", code="other-vectors", text=text) for text in texts]
+
+
+def _inferred_scales(
     work: RecordingBuilder, topic: Topic, columns: Columns, clock: Clock, options: ReadOptions
 ) -> dict[Sensor, tuple[float, str]]:
     """Return what turns samples of fields that a user named into SI: as a table's columns have it.
@@ -81,7 +314,7 @@ def inferred_scales(
     return {sensor: (factor, reasons[f"{sensor} unit"]) for sensor, factor in factors.items()}
 
 
-def si_factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float, str]:
+def _si_factor(sensor: Sensor, imu: ImuFields, options: ReadOptions) -> tuple[float, str]:
     """Return what turns samples into SI, and why."""
     unit, scale = options.unit_of(sensor), options.scale_of(sensor)
     if scale is not None:
@@ -92,15 +325,8 @@ def si_factor(sensor: Sensor, topic: Topic, options: ReadOptions) -> tuple[float
             msg = f"the unit {unit!r} of the {sensor} is not known; expected one of {known}"
             raise ChoiceError(msg)
         return SAMPLE_UNITS[sensor][unit], f"{unit}, given"
-    standard = topic.imu is not None and topic.imu.standard
-    how = "from the message type" if standard else "assumed for this message type"
+    how = "from the message type" if imu.standard else "assumed for this message type"
     return 1.0, f"{sensor.unit}, {how}"
-
-
-def axes_of(topic: Topic, sensor: Sensor) -> tuple[Axis, ...]:
-    """Return the axes of a sensor that the messages hold."""
-    vectors = topic.imu.vectors if topic.imu is not None else ()
-    return next((vector.axes for vector in vectors if vector.sensor is sensor), AXES)
 
 
 def steps_back(times: IntArray) -> int:
@@ -132,16 +358,12 @@ def unsorted(times: IntArray) -> Iterator[tuple[int, int]]:
         yield begun, times.size
 
 
-#: Name of the time in the messages.
-HEADER = "header stamp"
-
-
-def spread_lists(topic: Topic, columns: Columns, room: Room) -> None:
+def spread_lists(imu: ImuFields, columns: Columns, room: Room) -> None:
     """Give the elements of lists that have no stamps of their own their times."""
-    if topic.imu is None or not topic.imu.lists:
+    if not imu.lists:
         return
     stamps, log = room.copied(columns.stamps), room.copied(columns.log)
-    if topic.imu.stamp is None or EACH not in topic.imu.stamp.sec:
+    if imu.stamp is None or EACH not in imu.stamp.sec:
         spread_times(columns.stamps, (stamps, log))
     spread_times(columns.log, (log,))
 
@@ -170,20 +392,14 @@ def in_time_order(columns: Columns, room: Room) -> list[Finding]:
     return [Finding(level="info", code="log-out-of-order", text=text)]
 
 
-def clock_of(work: RecordingBuilder, choice: Choice, columns: Columns, options: ReadOptions) -> ClockReading:
-    """Return the clock of a topic's samples: by their stamps, or by the log time where the user wants that.
-
-    Raises
-    ------
-    DataError
-        If no rate can be measured and none is given.
-    """
-    own = choice.topic.imu is not None and choice.topic.imu.stamp is not None
+def _clock(work: RecordingBuilder, topic: Topic, columns: Columns, options: ReadOptions) -> ClockReading:
+    """Return the clock of a topic's samples: by their stamps, or by the log time where that is wanted."""
+    own = topic.imu is not None and topic.imu.stamp is not None
     by_log = options.time == "log"
     return clock_from_stamps(
         columns.log if by_log else columns.stamps,
         source=LOG_TIME if by_log else (HEADER if own else "stamp"),
-        where=f"{work.path}: topic {choice.topic.name}",
+        where=f"{work.path}: topic {topic.name}",
         log_ns=columns.log,
         rate_hz=options.rate_hz,
         repeated=_repeated(columns, work.room),
@@ -210,261 +426,3 @@ def _repeated(columns: Columns, room: Room) -> BoolArray | None:
     repeated = room.made(columns.n, np.bool_, lambda _: False)
     repeated[same[twin]] = True
     return repeated
-
-
-#: Opens the files of a log; also returns the name of its format.
-OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], str]]
-
-#: Codes of findings that say a log is damaged.
-DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
-                    "definition"})  # fmt: skip
-
-_TIMES = (None, "header", "log")
-
-
-@dataclass(frozen=True, slots=True)
-class MessageReader:
-    """The reader of a format whose files are containers of messages."""
-
-    open_files: OpenFiles
-
-    def read(self, path: Path, options: ReadOptions) -> Recording:
-        """Read the IMU topic of a log.
-
-        Raises
-        ------
-        ReadError
-            If the log can't be read; `ChoiceError` if several topics fit or none does.
-        """
-        containers, form = self.open_files(path, options.progress)
-        return read_logs(containers, path, options, form=form)
-
-    def describe(self, path: Path, options: ReadOptions) -> LogContents:
-        """Return the topics of a log, by its index."""
-        containers, form = self.open_files(path, options.progress)
-        return describe_logs(containers, path, options, form=form)
-
-
-def read_logs(containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str) -> Recording:
-    """Read the IMU samples of the files of one log, and close them.
-
-    Parameters
-    ----------
-    path
-        The log as the user named it.
-    form
-        Its format.
-    """
-    try:
-        return _read(containers, path, options, form)
-    finally:
-        for container in containers:
-            container.close()
-
-
-def describe_logs(
-    containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str
-) -> LogContents:
-    """Return the topics of the files of one log, and close them; arguments as of `read_logs`."""
-    try:
-        return _describe(containers, path, options, form)
-    finally:
-        for container in containers:
-            container.close()
-
-
-def _describe(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> LogContents:
-    with _naming(path):
-        topics = find_topics(containers, options)
-    contents = [_contents(containers, topic, options) for topic in topics]
-    if not any(entry.sensors for entry in contents):
-        contents = [_proposed(entry, topic) for entry, topic in zip(contents, topics, strict=True)]
-    starts = [c.start_ns for c in containers if c.start_ns is not None]
-    ends = [c.end_ns for c in containers if c.end_ns is not None]
-    return LogContents(
-        path=str(path),
-        format=form,
-        size_bytes=sum(container.size for container in containers),
-        topics=tuple(contents),
-        start_ns=min(starts, default=None),
-        duration_s=(max(ends) - min(starts)) / 1e9 if starts and ends else None,
-        compression=", ".join(sorted({container.compression for container in containers})),
-        findings=tuple(finding for container in containers for finding in container.findings),
-    )
-
-
-def _proposed(contents: TopicContents, topic: Topic) -> TopicContents:
-    """Return a topic with the fields that it may be read by, as its note."""
-    text = "" if contents.note or not topic.count else topic.leaves.proposal()
-    return replace(contents, note=f"may be read by a fields text such as {text!r}") if text else contents
-
-
-def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
-    sensors: tuple[Sensor, ...] = ()
-    note = topic.reason
-    if topic.imu is not None and topic.count != 0:
-        try:
-            alive = live_sensors(containers, topic, options)
-        except ReadError as error:
-            alive, note = frozenset(), str(error)
-        sensors = tuple(sensor for sensor in topic.imu.sensors if sensor in alive)
-        silent = [sensor for sensor in topic.imu.sensors if sensor not in alive]
-        note = note or (" and ".join(silent) + " constant: no data" if silent else "")
-        note = note or ("read only where it is named" if topic.imu.plain else "")
-    return TopicContents(
-        name=topic.name,
-        type=topic.type,
-        count=topic.count,
-        rate_hz=topic.rate_hz,
-        duration_s=topic.duration_s,
-        sensors=sensors,
-        note=note,
-        fields=tuple(map(str, topic.leaves.all[:MOST])),
-    )
-
-
-def _read(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> Recording:
-    _refuse_options(path, options)
-    with _naming(path):
-        topics = find_topics(containers, options)
-        choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
-        streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
-    decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
-    work = RecordingBuilder(path=str(path), format=form, room=Room(options.memory_limit))
-    work.findings += [finding for container in containers for finding in container.findings]
-    work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
-    work.decisions += first_frames(containers, choices)
-    for choice, stream, decoding in zip(choices, streams, decodings, strict=True):
-        work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
-        if not decoding.columns.n:
-            raise _empty(path, choice, decoding.losses, work.findings)
-        _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
-    _add_temperature(work, containers, topics, choices[0])
-    _refuse_damage(path, work.findings, options)
-    if not work.series:
-        seen = "; ".join(finding.text for finding in work.findings) or "no data"
-        msg = f"{path}: no sensor has samples that change: {seen}"
-        raise DataError(msg)
-    return work.build(
-        topics=[choice.topic.name for choice in choices],
-        message_types=[choice.topic.type for choice in choices],
-    )
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Name the log in errors that know only its topics."""
-    try:
-        yield
-    except ReadError as error:
-        if str(error).startswith(str(path)):
-            raise
-        msg = f"{path}: {error}"
-        raise type(error)(msg) from error
-
-
-def _add_temperature(
-    work: RecordingBuilder, containers: Sequence[Container], topics: Sequence[Topic], choice: Choice
-) -> None:
-    """Add the temperature of a topic beside the IMU's, where the IMU has none."""
-    beside = read_temperature(containers, topics, choice.topic.name) if work.temperature is None else None
-    if beside is not None:
-        work.temperature, name = beside
-        work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
-
-
-def _refuse_options(path: Path, options: ReadOptions) -> None:
-    named = parse_fields_text(options.fields)
-    if options.time_unit is not None and (named is None or len(named.time) != 1):
-        msg = (
-            f"{path}: the time unit {options.time_unit} is given, but stamps are seconds and nanoseconds; "
-            "expected no unit, or a fields text that names a time of one number"
-        )
-        raise ChoiceError(msg)
-    if options.time not in _TIMES:
-        msg = f"{path}: messages have no time called {options.time!r}; expected header or log"
-        raise ChoiceError(msg)
-    if options.columns is not None:
-        msg = (
-            f"{path}: messages have no columns, but {options.columns!r} was asked for; "
-            "expected the name of a topic, or nothing"
-        )
-        raise ChoiceError(msg)
-
-
-def _empty(path: Path, choice: Choice, losses: Sequence[Loss], findings: Sequence[Finding]) -> ReadError:
-    reasons = [loss.text for loss in losses] + [finding.text for finding in findings]
-    why = reasons[0] if reasons else "the log holds none"
-    return ReadError(f"{path}: no message of topic {choice.topic.name} could be read: {why}")
-
-
-def _refuse_damage(path: Path, findings: list[Finding], options: ReadOptions) -> None:
-    damage = [finding for finding in findings if finding.code in DAMAGE]
-    if options.strict and damage:
-        msg = f"{path}: the log is damaged, and recovery was not wanted: {damage[0].text}"
-        raise ReadError(msg)
-
-
-def _loss_findings(losses: Sequence[Loss]) -> list[Finding]:
-    """Return one finding for each kind of loss."""
-    findings = []
-    for code in dict.fromkeys(loss.code for loss in losses):
-        same = [loss for loss in losses if loss.code == code]
-        lost = sum(loss.messages or 0 for loss in same)
-        where = f"{len(same)} places" if len(same) > 1 else "one place"
-        text = f"The log is damaged in {where}: {same[0].text}"
-        text += f"; about {lost} messages are lost." if lost else "; no message is lost by it."
-        findings.append(Finding(level="warning", code=code, text=text))
-    return findings
-
-
-def _add_topic(
-    work: RecordingBuilder, choice: Choice, columns: Columns, options: ReadOptions, *, alone: bool
-) -> None:
-    """Add the sensors of one topic."""
-    work.findings += [*_other_vectors(choice.topic), *in_time_order(columns, work.room)]
-    spread_lists(choice.topic, columns, work.room)
-    reading = clock_of(work, choice, columns, options)
-    clock, order = reading.clock, reading.order
-    label = choice.sensors[0].short if not alone and len(choice.sensors) == 1 else None
-    work.findings += [replace(finding, axis=label) for finding in reading.findings]
-    if clock.source == HEADER:
-        work.findings += compare_clocks(columns.stamps, columns.log)
-    columns.release()
-    work.decisions.append(("time", clock.source))
-    asked = choice.topic.imu is not None and choice.topic.imu.asked
-    scales = inferred_scales(work, choice.topic, columns, clock, options) if asked else {}
-    for sensor, rows in columns.vectors.items():
-        if is_constant(rows):
-            value = ", ".join(f"{row[0]:g}" for row in rows)
-            text = f"The {sensor} of topic {choice.topic.name} is always ({value}): it has no data."
-            work.findings.append(Finding(level="warning", code="no-data", text=text, axis=sensor.short))
-            continue
-        factor, how = scales.get(sensor) or si_factor(sensor, choice.topic, options)
-        work.decisions.append((f"{sensor} unit", how))
-        work.add_sensor(sensor, rows, clock, order=order, scale=factor, names=axes_of(choice.topic, sensor))
-    if columns.temperature is not None and columns.temperature.any():
-        work.add_temperature(columns.temperature, clock, order=order)
-
-
-def _other_vectors(topic: Topic) -> list[Finding]:
-    """Return a finding for vectors of a message that could have been meant too."""
-    if topic.imu is None or not topic.imu.others:
-        return []
-    read = " and ".join(vector.field for vector in topic.imu.vectors)
-    text = f"Messages of {topic.name} hold {', '.join(topic.imu.others)} too; {read} were read."
-    return [Finding(level="warning", code="other-vectors", text=text)]
-
-
-def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
-    """Return a finding for each list of which one element was read and others were not."""
-    lengths: dict[str, int] = {}
-    for decoder in stream.decoders.values():
-        lengths |= decoder.lengths if isinstance(decoder, TreeDecoder) else {}
-    texts = [
-        f"Messages of {topic.name} hold {count} elements of {name}; one of them was read. If they are "
-        f"samples of one sensor, {name}{EACH} reads them all."
-        for name, count in lengths.items()
-        if count > 1
-    ]
-    return [Finding(level="warning", code="other-vectors", text=text) for text in texts]

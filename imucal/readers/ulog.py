@@ -1,18 +1,11 @@
-"""PX4 ULog files.
+"""PX4 ULog files: raw IMU samples of the flight controller, read by pyulog.
 
-The samples in the IMU messages of a ULog file.
-
-Source: PX4's message definitions (`msg/SensorCombined.msg`, `SensorGyro.msg`, `SensorGyroFifo.msg`,
-`VehicleImu.msg`, and those of the accelerometer): microseconds since boot, rad/s, m/s^2.
-
-The IMU messages of a ULog file, by pyulog: run in a child process, as pyulog may loop for ever.
-
-PX4 ULog files, through pyulog: raw IMU samples of the flight controller.
-
-Messages (PX4 message definitions, `msg/`): ``sensor_combined`` (the estimator's choice),
-``sensor_gyro`` and ``sensor_accel`` (each sensor), ``sensor_gyro_fifo`` and ``sensor_accel_fifo`` (every
-sample of its buffer), ``vehicle_imu`` (integrals, divided by their time here). Times are microseconds
-since boot. One instance of a message is named ``sensor_gyro:1``.
+pyulog may loop for ever on a damaged file, so it runs in a child process. Messages: ``sensor_combined`` (the
+estimator's choice), ``sensor_gyro`` and ``sensor_accel`` (each sensor), ``sensor_gyro_fifo`` and
+``sensor_accel_fifo`` (every sample of its buffer), ``vehicle_imu`` (integrals, divided by their time here).
+One instance of a message is named ``sensor_gyro:1``. Source: PX4's message definitions
+(`msg/SensorCombined.msg`, `SensorGyro.msg`, `SensorGyroFifo.msg`, `VehicleImu.msg`, and those of the
+accelerometer): microseconds since boot, rad/s, m/s^2.
 """
 
 from collections.abc import Sequence
@@ -31,14 +24,12 @@ from imucal.readers.clocks import ClockReading, clock_from_stamps
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.isolation import isolated
 from imucal.readers.read_options import ReadOptions
-from imucal.recording import Recording, Sensor
+from imucal.recording import AXES, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, parse_sample_unit
 
 __all__ = ["MESSAGES", "describe", "read"]
 
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-
-_AXES = ("x", "y", "z")
 
 #: Message -> what it measures.
 MESSAGES: dict[str, tuple[Sensor, ...]] = {
@@ -50,8 +41,16 @@ MESSAGES: dict[str, tuple[Sensor, ...]] = {
     "vehicle_imu": (_GYRO, _ACCEL),
 }
 
+#: The fields of a sensor in messages of both; in messages of one they are x, y and z.
+_FIELDS = {
+    "sensor_combined": {_GYRO: "gyro_rad", _ACCEL: "accelerometer_m_s2"},
+    "vehicle_imu": {_GYRO: "delta_angle", _ACCEL: "delta_velocity"},
+}
+
 #: No board runs longer, in microseconds: a stamp beyond it is damaged. About 140 years.
 _LATEST_US = 1 << 52
+#: An instance logged at less than this share of the fastest rate is a health check, not a recording.
+_TOO_SLOW = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,7 +64,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Instance:
-    """One instance of a message in the log."""
+    """One instance of a message in the log, which may hold `several`: its fields, shape (n,) each."""
 
     message: str
     multi: int
@@ -91,8 +90,9 @@ class Instance:
 
     @property
     def duration_s(self) -> float:
-        stamps = _good_stamps(self.data["timestamp"])
-        return float(stamps[-1] - stamps[0]) * 1e-6 if stamps.size > 1 else 0.0
+        stamps = self.data["timestamp"]
+        good = stamps[stamps < _LATEST_US].astype(np.int64)
+        return float(good[-1] - good[0]) * 1e-6 if good.size > 1 else 0.0
 
     @property
     def rate_hz(self) -> float | None:
@@ -100,79 +100,56 @@ class Instance:
 
     def answers_to(self, topic: str) -> bool:
         """Return whether a user's name for a topic means this instance."""
-        wanted = topic.strip("/")
-        return wanted == f"{self.message}:{self.multi}" or (wanted == self.message and not self.several)
+        return topic.strip("/") in {self.name, f"{self.message}:{self.multi}"}
 
+    def columns(self, names: Sequence[str]) -> FloatArray:
+        """Return some fields side by side, shape (n, fields)."""
+        return np.stack([np.asarray(self.data[name], dtype=np.float64) for name in names], axis=1)
 
-def _good_stamps(stamps: NDArray[Any]) -> IntArray:
-    return np.asarray(stamps[stamps < _LATEST_US], dtype=np.int64)
+    def times(self) -> IntArray:
+        """Return when samples were taken, in ns; -1 where the stamp is damaged."""
+        taken = self.data.get("timestamp_sample")
+        stamps = taken if taken is not None and bool(np.all(taken)) else self.data["timestamp"]
+        return np.where(stamps < _LATEST_US, stamps, 0).astype(np.int64) * 1000 - (stamps >= _LATEST_US)
 
 
 def samples_of(instance: Instance, sensor: Sensor) -> Samples:
     """Return the samples of a sensor in one instance of a message, in SI units."""
-    data = instance.data
     if instance.message.endswith("_fifo"):
-        return _of_fifo(data)
-    stamps = _sample_times(data)
-    if instance.message == "vehicle_imu":
-        return _of_integrals(data, stamps, "delta_angle" if sensor is _GYRO else "delta_velocity")
-    field = {_GYRO: "gyro_rad", _ACCEL: "accelerometer_m_s2"}[sensor]
-    names = [f"{field}[{i}]" for i in range(3)] if instance.message == "sensor_combined" else list("xyz")
+        return _of_fifo(instance)
+    data, stamps = instance.data, instance.times()
     keep = stamps >= 0
-    vectors = np.stack([np.asarray(data[name], dtype=np.float64) for name in names], axis=1)
+    field = _FIELDS.get(instance.message, {}).get(sensor)
+    vectors = instance.columns([f"{field}[{i}]" for i in range(3)] if field else AXES)
+    if instance.message == "vehicle_imu":
+        # Integrals over a time; those over no time have no rate.
+        over = np.asarray(data[f"{field}_dt"], dtype=np.float64) * 1e-6
+        keep &= over > 0
+        return Samples(stamps=stamps[keep], vectors=vectors[keep] / over[keep, None])
     warmth = data.get("temperature")
     temperature = np.asarray(warmth, dtype=np.float64)[keep] if warmth is not None else None
     return Samples(stamps=stamps[keep], vectors=vectors[keep], temperature=temperature)
 
 
-def _sample_times(data: dict[str, NDArray[Any]]) -> IntArray:
-    """Return when samples were taken, in ns; -1 where the stamp is damaged."""
-    taken = data.get("timestamp_sample")
-    stamps = taken if taken is not None and bool(np.all(taken)) else data["timestamp"]
-    return np.where(stamps < _LATEST_US, stamps, 0).astype(np.int64) * 1000 - (stamps >= _LATEST_US)
-
-
-def _of_integrals(data: dict[str, NDArray[Any]], stamps: IntArray, field: str) -> Samples:
-    """Return mean rates from integrals over a time; an integral over no time has none."""
-    over = np.asarray(data[f"{field}_dt"], dtype=np.float64) * 1e-6
-    keep = (over > 0) & (stamps >= 0)
-    vectors = np.stack([np.asarray(data[f"{field}[{i}]"], dtype=np.float64)[keep] for i in range(3)], axis=1)
-    return Samples(stamps=stamps[keep], vectors=vectors / over[keep, None])
-
-
-def _of_fifo(data: dict[str, NDArray[Any]]) -> Samples:
+def _of_fifo(instance: Instance) -> Samples:
     """Return every sample of a sensor's buffer: the stamp is the last one's, the others go before it."""
+    data, last = instance.data, instance.times()
     count = np.asarray(data["samples"], dtype=np.int64)
-    depth = sum(1 for name in data if name.startswith("x["))
+    index = np.arange(sum(1 for name in data if name.startswith("x[")))
     step = np.asarray(data["dt"], dtype=np.float64) * 1e3
-    last = _sample_times(data)
-    good = (last >= 0) & np.isfinite(step) & (count > 0) & (count <= depth)
-    index = np.arange(depth)
+    good = (last >= 0) & np.isfinite(step) & (count > 0) & (count <= index.size)
     filled = (index < count[:, None]) & good[:, None]
     before = (count[:, None] - 1 - index) * np.where(good, step, 0.0)[:, None]
     stamps = (last[:, None] - np.round(before).astype(np.int64))[filled]
     scale = np.asarray(data["scale"], dtype=np.float64)[:, None]
-    axes = [
-        (np.stack([np.asarray(data[f"{axis}[{i}]"], dtype=np.float64) for i in index], axis=1) * scale)[
-            filled
-        ]
-        for axis in _AXES
-    ]
+    axes = [(instance.columns([f"{axis}[{i}]" for i in index]) * scale)[filled] for axis in AXES]
     return Samples(stamps=stamps, vectors=np.stack(axes, axis=1))
-
-
-class UlogMessages(NamedTuple):
-    """The messages of one instance, by field, shape (n,) each."""
-
-    name: str
-    multi: int
-    data: dict[str, NDArray[Any]]
 
 
 class UlogContent(NamedTuple):
     """What a ULog file holds: IMU messages, whether parts are damaged, and dropouts of the logger in ms."""
 
-    messages: list[UlogMessages]
+    instances: list[Instance]
     damaged: bool
     dropouts: list[int]
 
@@ -183,24 +160,22 @@ def ulog_content(path: Path) -> UlogContent:
 
     with path.open("rb") as file:
         log = ULog(file, message_name_filter_list=list(MESSAGES))
+    known = [e for e in log.data_list if e.name in MESSAGES and np.size(e.data.get("timestamp", ()))]
+    names = [entry.name for entry in known]
     return UlogContent(
-        messages=[
-            UlogMessages(
-                name=entry.name,
+        instances=[
+            Instance(
+                message=entry.name,
                 multi=int(entry.multi_id),
+                several=names.count(entry.name) > 1,
                 # Copies: the fields of pyulog are views of all messages together.
                 data={name: np.ascontiguousarray(values) for name, values in entry.data.items()},
             )
-            for entry in log.data_list
-            if entry.name in MESSAGES
+            for entry in known
         ],
         damaged=bool(log.file_corruption),
         dropouts=[int(dropout.duration) for dropout in log.dropouts],
     )
-
-
-#: An instance logged at less than this share of the fastest rate is a health check, not a recording.
-_TOO_SLOW = 0.2
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
@@ -216,86 +191,71 @@ def read(path: Path, options: ReadOptions) -> Recording:
         If there are no samples.
     """
     log = _load(path)
-    _refuse_options(path, options, _instances(log))
+    _refuse_options(path, options, log.instances)
     findings = _log_findings(log)
     if options.strict and any(finding.level == "warning" for finding in findings):
         msg = f"{path}: {findings[0].text} Expected an undamaged log"
         raise ReadError(msg)
-    chosen = _choose(path, _instances(log), options)
+    chosen = _choose(path, log.instances, options)
     work = RecordingBuilder(path=str(path), format="ulog", findings=findings)
     how = "as asked" if options.topics else "the only ones logged at the full rate"
     work.decisions.append(("topics", f"{', '.join(one.name for one in chosen)}, {how}"))
     timed = _timed(path, chosen, options)
     scales = _scales(path, options)
     work.decisions += [(f"{sensor} unit", f"{unit}, as given") for sensor, (unit, _) in scales.items()]
-    for entry in sorted(timed, key=lambda entry: entry.sensor is _ACCEL):
-        _, scale = scales.get(entry.sensor, ("", 1.0))
-        work.add_sensor(
-            entry.sensor, entry.samples.vectors.T, entry.reading.clock, order=entry.reading.order, scale=scale
-        )
-        if entry.sensor not in scales:
-            work.decisions.append((f"{entry.sensor} unit", f"{entry.sensor.unit}, as PX4 logs it"))
-    for entry in timed:
-        work.findings += entry.reading.findings
-        temperature = entry.samples.temperature
+    for sensor in sorted(timed, key=(_GYRO, _ACCEL).index):
+        samples, reading = timed[sensor]
+        _, scale = scales.get(sensor, ("", 1.0))
+        work.add_sensor(sensor, samples.vectors.T, reading.clock, order=reading.order, scale=scale)
+        if sensor not in scales:
+            work.decisions.append((f"{sensor} unit", f"{sensor.unit}, as PX4 logs it"))
+    for samples, reading in timed.values():
+        work.findings += reading.findings
+        temperature = samples.temperature
         if temperature is not None and np.isfinite(temperature).any():
-            work.add_temperature(temperature, entry.reading.clock, order=entry.reading.order)
+            work.add_temperature(temperature, reading.clock, order=reading.order)
     return work.build(
         topics=[instance.name for instance in chosen], message_types=[instance.message for instance in chosen]
     )
 
 
 def _refuse_options(path: Path, options: ReadOptions, instances: Sequence[Instance]) -> None:
-    asked = [
-        f"{what} {value!r}"
-        for what, value in (
-            ("columns", options.columns),
-            ("time", None if options.time == "header" else options.time),
-            ("time unit", options.time_unit),
-        )
-        if value is not None
-    ]
-    if asked:
-        names = _listed(instances) or "none of an IMU"
-        msg = (
-            f"{path}: a ULog has messages with one clock in us, but {asked[0]} was asked for; "
-            f"expected nothing, or the name of a message; found {names}"
-        )
-        raise ChoiceError(msg)
+    time = None if options.time == "header" else options.time
+    given = {"columns": options.columns, "time": time, "time unit": options.time_unit}
+    for what, value in given.items():
+        if value is not None:
+            msg = (
+                f"{path}: a ULog has messages with one clock in us, but {what} {value!r} was asked for; "
+                f"expected nothing, or the name of a message; found {_listed(instances) or 'none of an IMU'}"
+            )
+            raise ChoiceError(msg)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Timed:
-    """The samples of a sensor and their clock."""
-
-    sensor: Sensor
-    samples: Samples
-    reading: ClockReading
-
-
-def _timed(path: Path, chosen: Sequence[Instance], options: ReadOptions) -> list[_Timed]:
-    """Return each sensor of the chosen instances once; equal stamps share a clock."""
-    done: list[_Timed] = []
+def _timed(
+    path: Path, chosen: Sequence[Instance], options: ReadOptions
+) -> dict[Sensor, tuple[Samples, ClockReading]]:
+    """Return the samples and the clock of each sensor once; equal stamps share a clock."""
+    done: dict[Sensor, tuple[Samples, ClockReading]] = {}
     for instance in chosen:
         for sensor in instance.sensors:
-            if any(entry.sensor is sensor for entry in done):
+            if sensor in done:
                 continue
             samples = samples_of(instance, sensor)
             if not samples.stamps.size:
                 msg = f"{path}: {instance.name} holds no samples of the {sensor}; expected a recording"
                 raise DataError(msg)
-            same = (one.reading for one in done if np.array_equal(one.samples.stamps, samples.stamps))
+            same = (read for known, read in done.values() if np.array_equal(known.stamps, samples.stamps))
             reading = next(same, None)
             if reading is None or reading.order is not None:
                 reading = _clock(path, instance, samples, options)
-            done.append(_Timed(sensor=sensor, samples=samples, reading=reading))
+            done[sensor] = (samples, reading)
     return done
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 - every reader takes options
     """Return the IMU messages of a ULog file."""
     log = _load(path)
-    topics = [
+    topics = tuple(
         TopicContents(
             name=instance.name,
             type=instance.message,
@@ -304,13 +264,13 @@ def describe(path: Path, options: ReadOptions) -> LogContents:  # noqa: ARG001 -
             duration_s=instance.duration_s,
             sensors=instance.sensors,
         )
-        for instance in _instances(log)
-    ]
+        for instance in log.instances
+    )
     return LogContents(
         path=str(path),
         format="ulog",
         size_bytes=path.stat().st_size,
-        topics=tuple(topics),
+        topics=topics,
         duration_s=max((topic.duration_s or 0.0 for topic in topics), default=None),
         compression="none",
         findings=tuple(_log_findings(log)),
@@ -340,20 +300,6 @@ def _log_findings(log: UlogContent) -> list[Finding]:
     return findings
 
 
-def _instances(log: UlogContent) -> list[Instance]:
-    known = [entry for entry in log.messages if np.size(entry.data.get("timestamp", ()))]
-    names = [entry.name for entry in known]
-    return [
-        Instance(
-            message=entry.name,
-            multi=entry.multi,
-            several=names.count(entry.name) > 1,
-            data=entry.data,
-        )
-        for entry in known
-    ]
-
-
 def _choose(path: Path, instances: Sequence[Instance], options: ReadOptions) -> list[Instance]:
     """Return the instances to read: those asked for, or the only set that was logged fast."""
     if options.topics:
@@ -368,10 +314,9 @@ def _choose(path: Path, instances: Sequence[Instance], options: ReadOptions) -> 
     fast = [instance for instance in instances if (instance.rate_hz or 0.0) >= _TOO_SLOW * fastest]
     if len(fast) == 1:
         return fast
-    gyros = [instance for instance in fast if instance.sensors == (_GYRO,)]
-    accels = [instance for instance in fast if instance.sensors == (_ACCEL,)]
-    if len(fast) == 2 and len(gyros) == len(accels) == 1:
-        return [*gyros, *accels]
+    pair = {instance.sensors: instance for instance in fast}
+    if len(fast) == 2 and pair.keys() == {(_GYRO,), (_ACCEL,)}:
+        return [pair[_GYRO,], pair[_ACCEL,]]
     msg = f"{path}: several IMU messages: {_listed(fast)}; name one, or one for each sensor"
     raise ChoiceError(msg)
 

@@ -107,7 +107,7 @@ def test_survives(
 def test_what_pyulog_reads_is_what_is_there(tmp_path: Path) -> None:
     """Message by message, nothing damaged, nothing dropped."""
     content = ulog_content(two_sensors(tmp_path / "flight.ulg"))
-    found = [(entry.name, entry.multi, entry.data["x"].size) for entry in content.messages]
+    found = [(entry.message, entry.multi, entry.data["x"].size) for entry in content.instances]
     assert found == [("sensor_accel", 0, 200), ("sensor_gyro", 0, 400)]
     assert not content.damaged
     assert not content.dropouts

@@ -1,8 +1,9 @@
 """Chunks -> columns: every chunk into its own rows, in parallel where the container allows it."""
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 from operator import itemgetter
@@ -64,13 +65,58 @@ class Decoding:
 
 
 @dataclass(slots=True, eq=False)
-class _Job:
-    """A task, and where its messages go: (stream, key) -> first row and room."""
+class _Target:
+    """Where the messages of a stream go.
+
+    Attributes
+    ----------
+    filled
+        Spans of the columns (first, last + 1) that were written.
+    extra, losses
+        Columns that found no room, and what was lost, each with the number of its chunk: threads are not done
+        with chunks in their order.
+    """
+
+    columns: Columns
+    filled: list[tuple[int, int]] = field(default_factory=list)
+    extra: list[tuple[int, Columns]] = field(default_factory=list)
+    losses: list[tuple[int, Loss]] = field(default_factory=list)
+
+    def decoding(self, decoders: Iterable[Decoder]) -> Decoding:
+        """Return what the stream gave, in order."""
+        losses = [loss for _, loss in _in_order(self.losses)][:_MAX_LOSSES]
+        losses += [note for decoder in decoders for note in decoder.notes]
+        columns = self.columns
+        columns.keep_spans(_merged(self.filled))
+        if self.extra:
+            columns = columns.joined([more for _, more in _in_order(self.extra)])
+        columns.release()
+        return Decoding(columns, losses)
+
+
+@dataclass(slots=True, eq=False)
+class _Part:
+    """The messages of a channel in one chunk: its number, where they go, and who decodes them.
+
+    They have room for `most` messages from row `first` on. They are `hopeless` when all of many were damaged:
+    the type itself is wrong then, and each of the others would be tried in vain.
+    """
 
     number: int
-    container: int
+    key: int
+    target: int
+    decoder: Decoder
+    first: int
+    most: int
+    hopeless: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class _Job:
+    """A task, and where its messages go."""
+
     task: Task
-    rooms: dict[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
+    parts: list[_Part]
 
 
 def decode(
@@ -93,23 +139,20 @@ def decode(
     return _Run(containers, streams, limit, progress, most_chunks=most_chunks).go()
 
 
-def first_message(container: Container, key: int) -> bytes | None:
-    """Return the first whole message of a channel; None where there is none in the first chunks."""
-    for task in islice(container.tasks(frozenset({key})), _LOOKS):
-        try:
-            for found, batch in task.load(Scratch()):
+def first_message(container: Container, key: int, chunks: int | None = _LOOKS) -> bytes | None:
+    """Return the first whole message of a channel; None where there is none in some chunks, or in all."""
+    scratch = Scratch()
+    for task in islice(container.tasks(frozenset({key})), chunks):
+        with suppress(DamagedError):
+            for _, batch in task.load(scratch):
                 checked = batch.checked()
-                if found == key and checked.n:
-                    size = checked.sizes if isinstance(checked.sizes, int) else int(checked.sizes[0])
-                    start = int(checked.payload()[0])
-                    return bytes(memoryview(checked.buffer)[start : start + size])
-        except DamagedError:
-            continue
+                if checked.n:
+                    return checked.first()
     return None
 
 
 class _Run:
-    """One decoding of several streams; what belongs to a stream stands at its index."""
+    """One decoding of several streams; the target of a stream stands at its index."""
 
     def __init__(
         self,
@@ -123,15 +166,9 @@ class _Run:
         self.streams = streams
         totals = [0] * len(streams)
         self.jobs = list(self._plan(containers, totals, most_chunks))
-        self.decodings = [
-            Decoding(_columns(stream.imu, total, limit))
-            for stream, total in zip(streams, totals, strict=True)
+        self.targets = [
+            _Target(_columns(stream.imu, total, limit)) for stream, total in zip(streams, totals, strict=True)
         ]
-        self.filled: list[list[tuple[int, int]]] = [[] for _ in streams]
-        #: Columns that found no room, and what was lost, each with the number of its chunk: threads are not
-        #: done with chunks in their order.
-        self.extra: list[list[tuple[int, Columns]]] = [[] for _ in streams]
-        self.losses: list[list[tuple[int, Loss]]] = [[] for _ in streams]
         self.parallel = all(container.parallel for container in containers)
         self.progress = progress
         self.done, self.total = 0, sum(job.task.size for job in self.jobs)
@@ -142,28 +179,25 @@ class _Run:
     ) -> Iterator[_Job]:
         """Yield the tasks, each with room behind that of the ones before; adds up the `totals`."""
         jobs = 0
-        for number, container in enumerate(containers):
-            keys = frozenset(key for stream in self.streams for at, key in stream.decoders if at == number)
-            tasks = container.tasks(keys) if keys else iter(())
-            found = False
-            for task in islice(tasks, most_chunks):
-                found = True
-                yield self._job(jobs, number, task, totals)
+        for at, container in enumerate(containers):
+            keys = frozenset(key for stream in self.streams for other, key in stream.decoders if other == at)
+            before = jobs
+            for task in islice(container.tasks(keys) if keys else (), most_chunks):
+                parts = []
+                for index, stream in enumerate(self.streams):
+                    for key, count in task.counts.items():
+                        if (at, key) in stream.decoders:
+                            parts.append(
+                                _Part(jobs, key, index, stream.decoders[at, key], totals[index], count)
+                            )
+                            totals[index] += count
+                yield _Job(task, parts)
                 jobs += 1
-            if most_chunks is not None and found:
+            if most_chunks is not None and jobs > before:
                 return
 
-    def _job(self, number: int, container: int, task: Task, totals: list[int]) -> _Job:
-        job = _Job(number, container, task)
-        for index, stream in enumerate(self.streams):
-            for key, count in task.counts.items():
-                if (container, key) in stream.decoders:
-                    job.rooms[index, key] = (totals[index], count)
-                    totals[index] += count
-        return job
-
     def go(self) -> list[Decoding]:
-        if sum(decoding.columns.n for decoding in self.decodings) > _LARGE:
+        if sum(target.columns.n for target in self.targets) > _LARGE:
             keep_freed_memory()
         threads = min(_MAX_THREADS, allowed_threads(), len(self.jobs)) if self.parallel else 1
         if threads > 1:
@@ -172,16 +206,8 @@ class _Run:
             scratch = Scratch()
             for job in self.jobs:
                 self._work(job, scratch)
-        for index, decoding in enumerate(self.decodings):
-            decoders = self.streams[index].decoders.values()
-            decoding.losses += [loss for _, loss in _in_order(self.losses[index])][:_MAX_LOSSES]
-            decoding.losses += [note for decoder in decoders for note in decoder.notes]
-            decoding.columns.keep_spans(_merged(self.filled[index]))
-            if self.extra[index]:
-                more = [columns for _, columns in _in_order(self.extra[index])]
-                decoding.columns = decoding.columns.joined(more)
-            decoding.columns.release()
-        return self.decodings
+        both = zip(self.targets, self.streams, strict=True)
+        return [target.decoding(stream.decoders.values()) for target, stream in both]
 
     def _in_threads(self, threads: int) -> None:
         """Each thread takes the next chunk when it is done with one, so that writes stay near each other."""
@@ -213,57 +239,50 @@ class _Run:
         try:
             for key, batch in job.task.load(scratch):
                 seen.add(key)
-                for index, stream in enumerate(self.streams):
-                    if (index, key) in job.rooms and batch.n:
-                        decoder = stream.decoders[job.container, key]
-                        self._decode(_Part(job.number, index, decoder), batch, job.rooms[index, key])
+                for part in job.parts:
+                    if part.key == key and batch.n:
+                        self._decode(part, batch)
         except DamagedError as error:
-            for (index, key), (_, room) in job.rooms.items():
-                if key not in seen:
-                    self._lose(job.number, index, _loss(error, room))
+            for part in job.parts:
+                if part.key not in seen:
+                    self._lose(part, _loss(error, part.most))
         if self.progress is not None:
             with self.lock:
                 self.done += job.task.size
                 self.progress(self.done, self.total)
 
-    def _decode(self, part: "_Part", batch: Batch, room: tuple[int, int]) -> None:
-        index, decoder = part.index, part.decoder
-        columns = self.decodings[index].columns
-        first, most = room
+    def _decode(self, part: _Part, batch: Batch) -> None:
+        decoder, target = part.decoder, self.targets[part.target]
         lists = isinstance(decoder, ListDecoder)
         try:
             with self.lock:
                 decoder.settle(batch)
-            if not lists and batch.n <= most and decoder.fast(batch, columns, first):
-                self._note_filled(self.filled[index], columns, first, batch.n)
-                if batch.loss is not None:
-                    self._lose(part.number, index, batch.loss)
+            if not lists and batch.n <= part.most and decoder.fast(batch, target.columns, part.first):
+                self._note_filled(target.filled, target.columns, part.first, batch.n)
+                self._lose(part, batch.loss)
                 return
             checked = batch.checked()
         except DamagedError as error:
-            self._lose(part.number, index, _loss(error, batch.n))
+            self._lose(part, _loss(error, batch.n))
             return
-        if checked.loss is not None:
-            self._lose(part.number, index, checked.loss)
+        self._lose(part, checked.loss)
         if isinstance(decoder, ListDecoder):
-            more, losses = decoder.elements(checked, columns)
+            more, losses = decoder.elements(checked, target.columns)
             for loss in losses:
-                self._lose(part.number, index, loss)
-        elif checked.n <= most:
-            self._slow(part, checked, (columns, first), self.filled[index])
+                self._lose(part, loss)
+        elif checked.n <= part.most:
+            self._slow(part, checked, (target.columns, part.first), target.filled)
             return
         else:
             # The index counted too few: what it left out goes behind all others.
-            more = columns.like(checked.n)
+            more = target.columns.like(checked.n)
             spans: list[tuple[int, int]] = []
             self._slow(part, checked, (more, 0), spans)
             more.keep_spans(_merged(spans))
         with self.lock:
-            self.extra[index].append((part.number, more))
+            target.extra.append((part.number, more))
 
-    def _slow(
-        self, part: "_Part", batch: Batch, to: tuple[Columns, int], spans: list[tuple[int, int]]
-    ) -> None:
+    def _slow(self, part: _Part, batch: Batch, to: tuple[Columns, int], spans: list[tuple[int, int]]) -> None:
         """Decode message by message where some are damaged: halves, down to the bad ones.
 
         Adds the samples that were written to the `spans`.
@@ -275,7 +294,7 @@ class _Run:
             part.decoder.slow(batch, columns, first)
         except DamagedError as error:
             if batch.n == 1 or part.hopeless or error.code in {"encapsulation", "definition"}:
-                self._lose(part.number, part.index, _loss(error, batch.n))
+                self._lose(part, _loss(error, batch.n))
                 return
             before, half, chosen = len(spans), batch.n // 2, np.arange(batch.n)
             self._slow(part, batch.part(chosen[:half]), (columns, first), spans)
@@ -289,27 +308,15 @@ class _Run:
             spans.append((first, first + n))
             columns.wrote(8 * n * len(columns.rows))
 
-    def _lose(self, number: int, index: int, loss: Loss) -> None:
+    def _lose(self, part: _Part, loss: Loss | None) -> None:
+        if loss is None:
+            return
         with self.lock:
-            losses = self.losses[index]
-            losses.append((number, loss))
-            if len(losses) >= 2 * _MAX_LOSSES:
+            target = self.targets[part.target]
+            target.losses.append((part.number, loss))
+            if len(target.losses) >= 2 * _MAX_LOSSES:
                 # Those of the first chunks stay, whichever thread came first.
-                self.losses[index] = _in_order(losses)[:_MAX_LOSSES]
-
-
-@dataclass(slots=True, eq=False)
-class _Part:
-    """The messages of a channel in one chunk: its number, the stream, and who decodes them.
-
-    They are `hopeless` when all of many were damaged: the type itself is wrong then, and each of the others
-    would be tried in vain.
-    """
-
-    number: int
-    index: int
-    decoder: Decoder
-    hopeless: bool = False
+                target.losses = _in_order(target.losses)[:_MAX_LOSSES]
 
 
 def _columns(imu: ImuFields, n: int, limit: int | None) -> Columns:

@@ -1,20 +1,11 @@
-"""How to decode the messages of a topic.
+"""How to decode a topic; its frame, which of its sensors have data, and the temperature beside it."""
 
-The frame of a topic: the `frame_id` that the header of its first message states.
-
-Which sensors of a topic have data: a driver may fill a sensor that it hasn't got with one value.
-
-The temperature that a topic beside an IMU's carries.
-"""
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from imucal.errors import DataError, ReadError
 from imucal.readers.clocks import clock_from_stamps
 from imucal.readers.containers import Channel, Container
-from imucal.readers.containers.container import Batch
-from imucal.readers.files import DamagedError, Scratch
 from imucal.readers.messages import protobuf_messages, ros_trees
 from imucal.readers.messages.definitions import (
     DefinitionError,
@@ -24,7 +15,7 @@ from imucal.readers.messages.definitions import (
     flatten,
     plain_type,
 )
-from imucal.readers.messages.loader import Decoder, Stream, decode
+from imucal.readers.messages.loader import Decoder, Stream, decode, first_message
 from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus
 from imucal.readers.messages.plain import BinaryDecoder, Shape, reachable
 from imucal.readers.messages.topics import Choice, Topic
@@ -32,6 +23,18 @@ from imucal.readers.messages.trees import JSON_FIELDS, TreeDecoder, tree_decoder
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import is_constant
 from imucal.recording import Sensor, Temperature
+
+#: Bytes of a ROS 1 header, and of a ROS 2 header with its encapsulation, before the frame's length.
+_BEFORE = 12
+#: A longer name of a frame is a damaged one.
+_LONGEST = 256
+#: Chunks looked into to see whether a sensor has data: more where a few hold too few messages.
+_LOOKS, _ENOUGH = (2, 32), 100
+
+_TEMPERATURE = "sensor_msgs/Temperature"
+_TEMPERATURE_FIELDS = ImuFields(
+    stamp=Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec"), vectors=(), temperature="temperature"
+)
 
 
 def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> Stream:
@@ -77,11 +80,9 @@ def _decoder(
             parse = ros_trees.parser_of(channel.type, definition.text, definition.more, ros1=ros1)
             return tree_decoder(imu, parse, "ROS")
         return BinaryDecoder([Shape(fields, reached)], ros1=ros1, exact=definition.assumed)
-    shapes = [_shape(channel, fields, topic, sensors)]
     standard = built_in(channel.type, ros1=ros1)
-    if standard is not None:
-        fields = flatten(channel.type, standard, ros1=ros1)
-        shapes.append(_shape(channel, fields, topic, sensors))
+    layouts = [fields, flatten(channel.type, standard, ros1=ros1)] if standard is not None else [fields]
+    shapes = [_shape(channel, layout, topic, sensors) for layout in layouts]
     return BinaryDecoder(shapes, ros1=ros1, exact=definition.assumed)
 
 
@@ -98,67 +99,35 @@ def _only(imu: ImuFields, sensors: Sequence[Sensor]) -> ImuFields:
     return replace(imu, vectors=tuple(v for v in imu.vectors if v.sensor in sensors))
 
 
-#: Bytes of a ROS 1 header, and of a ROS 2 header with its encapsulation, before the frame's length.
-_BEFORE = {"ros1": 12, "cdr": 12}
-#: A longer name is a damaged one.
-_LONGEST = 256
-
-
 def first_frames(containers: Sequence[Container], choices: Sequence[Choice]) -> list[tuple[str, str]]:
     """Return the frames of what was chosen as decisions of a recording; none of a topic without a frame."""
-    frames = (first_frame(containers, choice.topic) for choice in choices)
+    frames = (_first_frame(containers, choice.topic) for choice in choices)
     return [("frame", frame) for frame in frames if frame]
 
 
-def first_frame(containers: Sequence[Container], topic: Topic) -> str:
-    """Return the frame of a topic's first message; empty where its messages have no header, or no name.
-
-    Nothing is taken on trust: what can't be a name is none.
-    """
+def _first_frame(containers: Sequence[Container], topic: Topic) -> str:
+    """Return the frame of a topic's first message; empty where its messages have no header, or no name."""
     if topic.imu is None or topic.imu.stamp is None or not topic.imu.stamp.sec.startswith("header."):
         return ""
     for number, channel in topic.channels:
-        for payload in _first_payload(containers[number], channel):
-            return _frame(payload, channel.encoding)
+        message = first_message(containers[number], channel.key, chunks=None)
+        if message is not None:
+            return _frame(message, channel.encoding)
     return ""
 
 
-def _first_payload(container: Container, channel: Channel) -> Iterator[bytes]:
-    """Yield the start of the first message of a channel that can be read, if there is one."""
-    scratch = Scratch()
-    for task in container.tasks(frozenset([channel.key])):
-        try:
-            for key, batch in task.load(scratch):
-                checked = batch.checked() if key == channel.key else batch
-                if key == channel.key and checked.n:
-                    yield _start(checked)
-                    return
-        except DamagedError:
-            continue
-
-
-def _start(batch: Batch) -> bytes:
-    first = int(batch.payload()[0])
-    size = batch.sizes if isinstance(batch.sizes, int) else int(batch.sizes[0])
-    return bytes(memoryview(batch.buffer)[first : first + min(size, _BEFORE["cdr"] + 4 + _LONGEST)])
-
-
-def _frame(payload: bytes, encoding: str) -> str:
-    before = _BEFORE.get(encoding)
-    if before is None or len(payload) < before + 4:
+def _frame(message: bytes, encoding: str) -> str:
+    """Return the frame in a header; nothing is taken on trust: what can't be a name is none."""
+    if encoding not in {"ros1", "cdr"} or len(message) < _BEFORE + 4:
         return ""
     # ROS 1 is little endian; CDR says which it is in the second byte of its encapsulation.
-    order = "little" if encoding == "ros1" or payload[1] & 1 else "big"
-    length = int.from_bytes(payload[before : before + 4], order)  # type: ignore[arg-type]
-    name = payload[before + 4 : before + 4 + length].rstrip(b"\x00")
-    if not 0 < length <= _LONGEST or before + 4 + length > len(payload):
+    little = encoding == "ros1" or message[1] & 1
+    end = _BEFORE + 4 + int.from_bytes(message[_BEFORE : _BEFORE + 4], "little" if little else "big")
+    name = message[_BEFORE + 4 : end].rstrip(b"\x00")
+    if not 0 < end - _BEFORE - 4 <= _LONGEST or end > len(message):
         return ""
     text = name.decode("utf-8", "replace")
     return text if text.isprintable() else ""
-
-
-#: Chunks looked into to see whether a sensor has data: more where a few hold too few messages.
-_LOOKS, _ENOUGH = (2, 32), 100
 
 
 def live_sensors(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> frozenset[Sensor]:
@@ -176,12 +145,6 @@ def live_sensors(containers: Sequence[Container], topic: Topic, options: ReadOpt
     if columns.n < 2:
         return frozenset(topic.imu.sensors)
     return frozenset(sensor for sensor, rows in columns.vectors.items() if not is_constant(rows))
-
-
-_TEMPERATURE = "sensor_msgs/Temperature"
-_TEMPERATURE_FIELDS = ImuFields(
-    stamp=Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec"), vectors=(), temperature="temperature"
-)
 
 
 def read_temperature(

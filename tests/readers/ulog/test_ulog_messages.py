@@ -192,16 +192,16 @@ def test_an_instance_without_a_rate_is_listed_without_one() -> None:
     ],
 )
 def test_dropouts_are_told(durations: tuple[int, ...], text: str) -> None:
-    log = UlogContent(messages=[], damaged=False, dropouts=list(durations))
+    log = UlogContent(instances=[], damaged=False, dropouts=list(durations))
     (finding,) = _log_findings(log)
     assert (finding.level, finding.code, finding.text) == ("info", "dropouts", text)
     assert finding.advice == "Use a faster card or log fewer topics."
 
 
 def test_damage_is_a_warning() -> None:
-    (finding,) = _log_findings(UlogContent(messages=[], damaged=True, dropouts=[]))
+    (finding,) = _log_findings(UlogContent(instances=[], damaged=True, dropouts=[]))
     assert (finding.level, finding.code) == ("warning", "damaged")
-    assert _log_findings(UlogContent(messages=[], damaged=False, dropouts=[])) == []
+    assert _log_findings(UlogContent(instances=[], damaged=False, dropouts=[])) == []
 
 
 def test_a_ulog_has_one_clock() -> None:
