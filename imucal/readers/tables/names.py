@@ -126,6 +126,11 @@ _UNIT_TAILS: dict[tuple[str, ...], str] = {
 }
 
 
+def plain_name(header: str) -> str:
+    """Return the name of a column as names are compared: in small letters, without marks around it."""
+    return header.strip().strip("\"'\ufeff").lstrip("#%").strip().lower()
+
+
 def parse_column(
     header: str, index: int, *, unit: str | None = None, context: frozenset[str] = frozenset()
 ) -> NamedColumn:

@@ -98,7 +98,7 @@ def find_scales(work: Work, timed: Sequence[Unscaled]) -> dict[Sensor, float]:
 def _stated_scale(work: Work, triad: Triad) -> tuple[str, float, str] | None:
     """Return unit, scale and reason where the user, the header or the format states the unit."""
     sensor, known = triad.sensor, SAMPLE_UNITS[triad.sensor]
-    unit, scale = given_unit(work.options, sensor)
+    unit, scale = work.options.unit_of(sensor), work.options.scale_of(sensor)
     if unit is not None and scale is not None:
         msg = (
             f"{work.path}: both a unit ({unit}) and a scale ({scale:g}) are given for the {sensor}; "
@@ -119,13 +119,6 @@ def _stated_scale(work: Work, triad: Triad) -> tuple[str, float, str] | None:
     if usual is not None and work.dialect is not None:
         return usual, known[usual], f"as {work.dialect.name} logs it"
     return None
-
-
-def given_unit(options: ReadOptions, sensor: Sensor) -> tuple[str | None, float | None]:
-    """Return the unit and the scale that the user gave for a sensor."""
-    if sensor is Sensor.GYROSCOPE:
-        return options.gyro_unit, options.gyro_scale
-    return options.accel_unit, options.accel_scale
 
 
 def _inferred_scale(work: Work, entry: Unscaled, accel_unit: str | None) -> tuple[str, float, str]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.errors import ChoiceError
 from imucal.readers.store import Room, extremes
-from imucal.readers.tables.columns import NamedTable, index_of, list_columns
+from imucal.readers.tables.columns import NamedTable, list_columns
 from imucal.readers.tables.dates import day_first, is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
@@ -320,8 +320,8 @@ def _pair(second: NamedColumn, fraction: NamedColumn) -> TimeChoice:
 def named_time(table: NamedTable, name: str) -> TimeChoice:
     """Return the time in the column a user named; a ChoiceError if there is none, or it is no time."""
     try:
-        indices = [index_of(part, table.headers, table.path, name) for part in name.split("+")]
-    except ChoiceError as error:
+        indices = [table.index_of(part) for part in name.split("+")]
+    except ValueError as error:
         found = list_columns(table.headers)
         msg = f"{table.path}: there is no time column {name!r}; found columns: {found}"
         raise ChoiceError(msg) from error

@@ -43,7 +43,7 @@ from imucal.readers.tables.layout import (
     split_line,
 )
 from imucal.readers.tables.names import Role, parse_column
-from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose_columns, works
+from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
 from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, refuse_topics
@@ -90,19 +90,17 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
 def _propose(path: str, lines: Sequence[str], layout: TextLayout, options: ReadOptions) -> str:
     """Return a columns text that works on a table without names; empty where there is none."""
     tags = _inertial_tags(lines, layout.delimiter)
-    suffix = f"@{tags[0]}" if tags else ""
     if tags:
         layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tags[0]))) or layout
     gyro, accel = _first(tags, "gyr"), _first(tags, "acc")
     numeric = [index for index in range(layout.width) if all(map(is_number, layout.cells(index)))]
-    texts = []
+    both = []
     if gyro and accel and len(numeric) == 4:
         axes = f"{numeric[1]}:{numeric[1] + 3}"
-        texts.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
-    texts.append(propose_columns(layout.cells, layout.width, suffix=suffix))
+        both.append(f"t={numeric[0]},g={axes}@{gyro},a={axes}@{accel}")
     columns = tuple(parse_column("", index) for index in range(layout.width))
-    table = NamedTable(path=path, columns=columns, cells=layout.cells, dialect=None)
-    return next((text for text in texts if text and works(table, options, text)), "")
+    table = NamedTable(path=path, columns=columns, cells=layout.cells)
+    return propose(table, options, first=both, suffix=f"@{tags[0]}" if tags else "")
 
 
 def _first(tags: Sequence[str], start: str) -> str | None:

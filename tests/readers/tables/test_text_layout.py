@@ -1,84 +1,83 @@
 """The columns text that is proposed where no header names the columns."""
 
 import re
+from collections.abc import Sequence
 
-import numpy as np
 import pytest
 
 from imucal.errors import ChoiceError, ReadError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.plan import _gravity, _nearest, _time_column
-from imucal.readers.tables.plan import _proposals_proposal as _proposal
+from imucal.readers.tables.plan import propose_columns
 from imucal.readers.tables.text_table import _inertial_tags, lay_out
 from imucal.units import G0
 
 
+def proposed(*rows: Sequence[float | str], time: str = "", taken: Sequence[int] = ()) -> str:
+    """Return the columns text for a table of some rows."""
+    columns = [list(map(str, cells)) for cells in zip(*rows, strict=True)]
+    return propose_columns(columns.__getitem__, len(columns), time=time, taken=taken, suffix="@i")
+
+
 @pytest.mark.parametrize(
-    ("steps", "column"),
+    ("pairs", "text"),
     [
-        ([[1, 1], [2, 2]], 0),
-        ([[1, 1], [1, 2]], 1),
-        ([[1, 2], [1, 1]], None),
-        ([[1, 1], [2, 1], [1, 2]], 1),
-        ([[1, 1]], None),
+        ([(1, 1), (2, 2)], "t=0,g=2:5@i"),
+        ([(1, 1), (1, 2)], "t=1,g=2:5@i"),
+        ([(1, 2), (1, 1)], "g=0:3@i"),
+        ([(1, 1), (2, 1), (1, 2)], "t=1,g=2:5@i"),
+        ([(1, 1)], "g=0:3@i"),
     ],
 )
-def test_time(steps: list[list[float]], column: int | None) -> None:
+def test_time(pairs: list[tuple[float, float]], text: str) -> None:
     """The first column that only goes on, and does."""
-    assert _time_column(np.array(steps, dtype=np.float64)) == column
+    taken = (1,) if text.startswith("t=0") else ()
+    assert proposed(*((*pair, 2, 3, 4) for pair in pairs), taken=taken) == text
 
 
 @pytest.mark.parametrize(
-    ("row", "time", "column"),
+    ("row", "time", "text"),
     [
-        ([0, 0, G0, 1, 1, 1], None, 0),
-        ([7, 0, 0, 1, 2, 2, 2], 0, 1),
-        ([0, 0, 1.049, 2, 2, 2], None, 0),
-        ([0, 0, 1.051, 2, 2, 2], None, None),
-        ([0, 0, 0.951, 2, 2, 2], None, 0),
-        ([0, 0, 0.949, 2, 2, 2], None, None),
-        # Two are none, and so is one that the time splits.
-        ([0, 0, 1, 0, 0, 1], None, None),
-        ([0, 7, 0, 1], 1, None),
+        ((0, 0, G0, 2, 2, 2), "", "g=3:6@i,a=0:3@i"),
+        ((0, 0, 1.049, 2, 2, 2), "", "g=3:6@i,a=0:3@i"),
+        ((0, 0, 1.051, 2, 2, 2), "", "g=0:3@i,a=3:6@i"),
+        ((0, 0, 0.951, 2, 2, 2), "", "g=3:6@i,a=0:3@i"),
+        ((0, 0, 0.949, 2, 2, 2), "", "g=0:3@i,a=3:6@i"),
+        # Two are none, and a column of text parts one.
+        ((0, 0, 1, 0, 0, 1), "", "g=0:3@i,a=3:6@i"),
+        ((0, 0, "x", 1, 2, 2, 2), "", "g=3:6@i"),
+        # Beyond eight columns of numbers gravity tells nothing.
+        ((0, 0, 1, 2, 2, 2, 9, 9), "", "g=3:6@i,a=0:3@i"),
+        ((0, 0, 1, 2, 2, 2, 9, 9, 9), "", "g=0:3@i,a=3:6@i"),
+        # The gyroscope's three columns overlap no others; they may stand apart.
+        ((0, 0, 1, 2), "", "a=0:3@i"),
+        ((0, 0, 1, 2, "x", 2, 2, 2), "", "g=5:8@i,a=0:3@i"),
+        ((2, 2, 2, "x", 0, 0, 1), "", "g=0:3@i,a=4:7@i"),
+        ((2, 2, 2, 2), "", "g=0:3@i"),
+        ((2, "x", 2, "x", 2, "x", 2), "", ""),
+        # A time that is known, or told by its text.
+        ((2, 2, 2, 2, 2, 2), "9", "t=9,g=0:3@i,a=3:6@i"),
+        (("12:00:01", 2, 2, 2), "", "t=0,g=1:4@i"),
+        (("2026-01-02 12:00:01", 2, 2, 2), "", "t=0,g=1:4@i"),
+        ((2, 2, 2, "2026-01-02", "12:00:01"), "", "t=3+4,g=0:3@i"),
+        ((2, 2, 2, "2026-01-02", "12:00:01", "PM"), "", "t=3+4+5,g=0:3@i"),
+        ((2, 2, 2, "2026-01-02"), "", "g=0:3@i"),
+        # One axis, perhaps behind a time.
+        (("x", 2), "", "gz=1@i"),
+        ((1, "x", 2), "", "t=0,gz=2@i"),
+        (("x", 2), "0", "t=0,gz=1@i"),
+        ((1, 2), "0", ""),
+        (("x", "y"), "", ""),
     ],
 )
-def test_gravity(row: list[float], time: int | None, column: int | None) -> None:
-    """Three columns of the size of gravity, within five percent."""
-    assert _gravity(np.array([row] * 3, dtype=np.float64), time) == column
+def test_proposals(row: tuple[float | str, ...], time: str, text: str) -> None:
+    """Three columns of the size of gravity, within five percent, are the accelerometer; else the order is."""
+    assert proposed(row, row, time=time) == text
 
 
-@pytest.mark.parametrize(
-    ("starts", "accel", "nearest"),
-    [
-        ([0, 3, 6], 3, 0),
-        ([1, 4, 7], 1, 4),
-        ([0, 1, 6], 3, 0),
-        ([7], 3, 7),
-        ([2, 3, 4], 3, None),
-        ([], 3, None),
-    ],
-)
-def test_the_gyroscope_stands_beside(starts: list[int], accel: int, nearest: int | None) -> None:
-    """Right before or behind the accelerometer, else anywhere it does not overlap."""
-    assert _nearest(starts, accel) == nearest
-
-
-@pytest.mark.parametrize(
-    ("numeric", "time", "accel", "text"),
-    [
-        (range(7), 0, 4, "t=0,g=1:4,a=4:7"),
-        (range(7), 0, None, "t=0,g=1:4,a=4:7"),
-        (range(6), None, None, "g=0:3,a=3:6"),
-        (range(2, 9), 0, None, "t=2,g=3:6,a=6:9"),
-        ((0, 1, 2, 4, 5, 6), None, None, "g=0:3,a=4:7"),
-        (range(4), 0, None, "t=0,g=1:4"),
-        (range(4), 0, 1, "t=0,a=1:4"),
-        ((0, 2, 4, 6), None, None, ""),
-    ],
-)
-def test_proposals(numeric: list[int], time: int | None, accel: int | None, text: str) -> None:
-    """By the places of the columns in the log; nothing where nothing fits."""
-    assert _proposal(numeric, time, accel) == text
+def test_columns_that_are_taken_are_not_proposed() -> None:
+    """Nor do they part others: places are those of the log."""
+    assert proposed((7, 2, 2, 2, 7, 2, 2, 2), taken=(0, 4)) == "g=1:4@i,a=5:8@i"
+    assert proposed((7, 2, 2, 7, 2), taken=(0, 3)) == ""
 
 
 def test_tags() -> None:
