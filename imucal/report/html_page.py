@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from string import Template
 
 import numpy as np
 
@@ -40,7 +39,7 @@ from imucal.report.figure import (
     smooth_spectrum,
 )
 from imucal.report.json_file import plain
-from imucal.report.markup import Markup, both_units, element, join, labelled, row, table
+from imucal.report.markup import Markup, both_units, element, join, labelled, render, row, table
 from imucal.report.page_parts import (
     downstream_section,
     findings_section,
@@ -94,32 +93,16 @@ class Page:
 
 def render_frame(page: Page) -> str:
     """Return the text of a page; it opens without a network and reads without a script."""
-    first, name, _ = page.sections[0]
-    links = [element("li", element("a", title, href=f"#{anchor}")) for anchor, title, _ in page.sections]
-    bodies = [
-        element(
-            "section",
-            element("h2", title, id=f"{anchor}-title"),
-            body,
-            id=anchor,
-            aria_labelledby=f"{anchor}-title",
-        )
-        for anchor, title, body in page.sections
-    ]
-    sentence = page.sentence.replace(" %", "\N{NO-BREAK SPACE}%")
-    return Template(page_file("frame.html")).substitute(
-        title=element("title", page.title),
-        skip=element("a", f"Skip to: {name}", class_="skip", href=f"#{first}"),
-        heading=element("h1", page.heading),
-        verdict=element("p", sentence, class_=f"verdict {page.grade}"),
-        lead=element("p", page.lead, class_="lead"),
-        navigation=element("ul", *links),
-        notices=page.notices or "",
-        sections=join(bodies),
-        version=element("span", f"imucal {page.version}"),
-        style=page_file("frame.css") + page.style,
-        data=page.data or "",
-        script=page_file("controls.js") + page.script,
+    return render(
+        "styled.html",
+        title=page.title,
+        heading=page.heading,
+        grade=page.grade,
+        sentence=page.sentence,
+        lead=page.lead,
+        sections=page.sections,
+        version=page.version,
+        style=Markup(page.style),
     )
 
 
@@ -341,24 +324,17 @@ def render_page(report: Report, *, pictures: Mapping[str, bytes] | None = None) 
         ("terms", "What the terms mean", glossary_section()),
         ("method", "How the numbers were made", method_section(report)),
     ]
-    data = [
-        element("script", Markup(page_data(report)), type="application/json", id="imucal-data"),
-        element("script", Markup(_plotly()), type="text/plain", id="imucal-plotly"),
-    ]
-    return render_frame(
-        Page(
-            title=f"{report.source.name} – IMU noise report",
-            heading=report.source.name,
-            grade=report.verdict.grade,
-            sentence=report.verdict.sentence,
-            lead=_lead(report),
-            sections=sections,
-            version=report.version,
-            style=page_file("page.css"),
-            script=page_file("page.js"),
-            notices=Markup(page_file("notices.html")),
-            data=join(data),
-        )
+    return render(
+        "report.html",
+        title=f"{report.source.name} – IMU noise report",
+        heading=report.source.name,
+        grade=report.verdict.grade,
+        sentence=report.verdict.sentence,
+        lead=_lead(report),
+        sections=sections,
+        version=report.version,
+        data=Markup(page_data(report)),
+        plotly=Markup(_plotly()),
     )
 
 

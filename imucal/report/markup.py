@@ -1,20 +1,57 @@
-"""HTML as values: text is escaped unless it is `Markup` already."""
+"""HTML from templates: text is escaped unless it is `Markup` already."""
 
 from collections.abc import Iterable
+from functools import cache
 from html import escape
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
+
+from markupsafe import Markup
 
 from imucal.printable import printable
 
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+__all__ = ["Child", "Markup", "both_units", "element", "join", "labelled", "render", "row", "table"]
+
+
+def render(template: str, /, *, package: str = "imucal.report", **values: object) -> Markup:
+    """Return a template of a package's folder ``templates``, filled.
+
+    Templates extend, include and import those of their own package and of this one; ``text_of(name)`` is the
+    text of a file beside them as it is, for styles and scripts. None shows as nothing; a value that a
+    template names and nobody gave is an error.
+    """
+    return Markup(_environment(package).get_template(template).render(values))  # noqa: S704 - escaped
+
+
+@cache
+def _environment(package: str) -> "Environment":
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    places = dict.fromkeys((package, "imucal.report"))
+    loader = ChoiceLoader([PackageLoader(place) for place in places])
+    environment = Environment(
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals["text_of"] = lambda name: Markup(loader.get_source(environment, name)[0])  # noqa: S704
+    environment.globals["both_units"] = both_units
+    return environment
+
+
+def _shown(value: object) -> object:
+    """Return a value as a page may show it: signs that steer or turn text round stand as escapes."""
+    if value is None:
+        return ""
+    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
 _VOID = frozenset({"br", "hr", "img", "input", "link", "meta"})
-
-
-class Markup(str):
-    """Text that is HTML and needs no escaping."""
-
-    __slots__ = ()
-
-
 Child: TypeAlias = "str | Markup | None"
 
 
@@ -26,13 +63,13 @@ def element(tag: str, *children: Child, **attributes: str | bool | None) -> Mark
     """
     written = "".join(_attribute(name, value) for name, value in attributes.items())
     if tag in _VOID:
-        return Markup(f"<{tag}{written}>")
-    return Markup(f"<{tag}{written}>{join(children)}</{tag}>")
+        return Markup(f"<{tag}{written}>")  # noqa: S704
+    return Markup(f"<{tag}{written}>{join(children)}</{tag}>")  # noqa: S704
 
 
 def join(children: Iterable[Child]) -> Markup:
     """Return the children one after the other, plain text escaped."""
-    return Markup("".join(_escaped(child) for child in children if child is not None))
+    return Markup("".join(_escaped(child) for child in children if child is not None))  # noqa: S704
 
 
 def both_units(sheet: str | Markup, plain: str | Markup) -> Markup:

@@ -31,6 +31,12 @@ _FOLDER = Path(__file__).parent / "golden"
 #: More digits than anything that is printed for people.
 _LONG = re.compile(r"-?\d+\.\d{7,}(?:e[+-]?\d+)?|-?\d\.\d{5,}e[+-]?\d+")
 
+#: Tags about which white space means nothing.
+_BLOCK = re.compile(
+    r"\s*(</?(?:section|h\d|p|table|caption|thead|tbody|tr|th|td|ul|li|figure|figcaption|details|summary|div|nav"
+    r"|main|noscript|svg|line|rect|text)\b[^>]*>)\s*"
+)
+
 
 def test_exports_are_the_golden_ones(*, update_golden: bool) -> None:
     """Bounds, terms without a place, Gauss-Markov states, and one file with every choice made."""
@@ -105,7 +111,7 @@ def _sections(page: str) -> str:
         node.drop_tree()
     parts = [root.xpath("//title")[0], root.xpath("//h1")[0], *root.xpath("//nav|//main")]
     text = "\n".join(etree.tostring(part, encoding="unicode") for part in parts)
-    return re.sub(r"\s*(?=<(?:section|h\d|p|table|tr|li|figure|details|div)\b)", "\n", text)
+    return _BLOCK.sub(r"\n\1", text)
 
 
 def _drawn(figure: Figure) -> Iterator[str]:

@@ -26,7 +26,7 @@ from imucal.report.sheet_units import sheet_units
 from tests.report.browser import Browser
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 
-_CSS = Path(__file__).resolve().parents[2] / "imucal" / "report" / "page" / "frame.css"
+_CSS = Path(__file__).resolve().parents[2] / "imucal" / "report" / "templates" / "frame.css"
 
 
 @pytest.fixture(scope="module")
