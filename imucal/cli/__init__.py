@@ -1,12 +1,4 @@
-"""The command line: parse, call, print. One file a command; one line a command in `COMMANDS`.
-
-A group of commands that are imported when they are called.
-
-``--version``: which imucal runs, and whether the other distribution of that name is in its way.
-
-Another project on the package index is called ``imucal`` and installs a package of the same name. pip puts
-both into one folder, so that the one that came last overwrites files of the other.
-"""
+"""The command line: parse, call, print. One file a command; one line a command in `COMMANDS`."""
 
 import difflib
 import errno
@@ -75,16 +67,12 @@ class LazyGroup(click.Group):
         name = args[0]
         if name in self.table or name.startswith("-") or ctx.resilient_parsing:
             return super().resolve_command(ctx, args)
-        near = difflib.get_close_matches(name.lower(), self.table, n=1)
-        if near:
+        if near := difflib.get_close_matches(name.lower(), self.table, n=1):
             hint = f"did you mean {near[0]!r}?"
-        elif Path(name).exists():
-            purpose, command = self._of_a_log
-            hint = f"to {purpose} write '{ctx.command_path} {command} {shlex.quote(name)}'"
-        elif is_url(name):
+        elif Path(name).exists() or is_url(name):
             purpose, command = self._of_a_log
             # What stands behind the question mark of a URL may be a secret.
-            name = shown(name)
+            name = shown(name) if is_url(name) else name
             hint = f"to {purpose} write '{ctx.command_path} {command} {shlex.quote(name)}'"
         else:
             hint = f"expected one of {', '.join(self.table)}"
@@ -143,7 +131,7 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> None:
     if wanted and not ctx.resilient_parsing:
-        click.echo(version_lines())
+        click.echo(_version_lines())
         ctx.exit()
 
 
@@ -250,11 +238,12 @@ def options_for(message: str) -> str:
     return " or ".join(option for pattern, option in _OPTIONS if re.search(pattern, message))
 
 
-#: This distribution, and the one that is another project's.
+#: This distribution, and another project's that installs a package of the same name: pip puts both into one
+#: folder, so that the one that came last overwrites files of the other.
 OURS, OTHER = "imucal-noise", "imucal"
 
 
-def version_lines() -> str:
+def _version_lines() -> str:
     """Return this version, where it stands and what runs it; and a warning where files may be mixed."""
     folder = Path(__file__).resolve().parent.parent
     lines = [f"imucal {__version__} ({OURS}) in {folder}, Python {platform.python_version()}"]

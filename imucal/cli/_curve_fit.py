@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
-from imucal.cli._printing import echo, echo_json, fitted, name_of_log, print_findings, say, width
+from imucal.cli._printing import echo, echo_json, fitted, name_of_log, picked, print_findings, say, width
 from imucal.cli.parameters import LogRequest
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS
@@ -38,46 +38,43 @@ def _names_an_averaging_time(path: Path) -> bool:
     )
 
 
-def fit_curves(
-    path: Path, settings: FitSettings, *, rate_hz: float | None, as_json: bool, quiet: bool
-) -> None:
+def fit_curves(request: LogRequest, settings: FitSettings, *, as_json: bool) -> None:
     """Fit every column of a table and print the terms; `mle` needs samples, so gmwm takes its place."""
     if settings.method == "mle":
-        say("A table holds no samples: fitting the curve by gmwm instead of mle.", quiet=quiet)
+        say("A table holds no samples: fitting the curve by gmwm instead of mle.", quiet=request.quiet)
         settings = replace(settings, method="gmwm")
-    curves = read_adev_table(path) if is_adev_table(path) else read_curve(path, rate_hz=rate_hz)
+    with request.local() as logs:
+        path, rate_hz = logs.paths[0], request.reading["rate_hz"]
+        curves = read_adev_table(path) if is_adev_table(path) else read_curve(path, rate_hz=rate_hz)
     results = [(named, fit_axis(named.curve, settings)) for named in curves]
     found = [
         replace(finding, axis=named.name)
         for named, result in results
         for finding in (*named.findings, *result.findings)
     ]
-    print_findings(found, quiet=quiet)
+    print_findings(found, quiet=request.quiet)
     if as_json:
         echo_json(json.dumps([_document(named, result) for named, result in results], indent=1))
     else:
         echo("\n\n".join(_table(named, result) for named, result in results))
+    say("A table of deviations has no report folder; --json has all numbers.", quiet=request.quiet)
 
 
 def _unit(named: NamedCurve, symbol: str) -> str:
     """Return the SI unit of a coefficient, or nothing where the table doesn't say what it holds."""
-    if not named.unit or named.sensor is None:
-        return ""
-    return TERMS[symbol].unit(named.sensor)
+    return "" if not named.unit or named.sensor is None else TERMS[symbol].unit(named.sensor)
 
 
 def _table(named: NamedCurve, result: NoiseFit) -> str:
     unit = f", {named.unit}" if named.unit else ", unit of the table"
     lines = [f"{named.name}{unit}: {result.model} ({result.method}, {100 * result.level:g} % intervals)"]
     for estimate in result.estimates:
-        unit = _unit(named, estimate.symbol)
         if estimate.value is None:
             text = f"< {estimate.high:.3g}"
         else:
             text = f"{estimate.value:.4g}  [{estimate.low:.4g}, {estimate.high:.4g}]"
-        lines.append(f"  {estimate.key:<4}{text}  {unit}".rstrip())
-        if estimate.correlation_time:
-            time = estimate.correlation_time
+        lines.append(f"  {estimate.key:<4}{text}  {_unit(named, estimate.symbol)}".rstrip())
+        if time := estimate.correlation_time:
             lines.append(f"      T = {time.value:.4g}  [{time.low:.4g}, {time.high:.4g}]  s")
     return "\n".join(part for line in lines for part in fitted(line, width(), indent=6))
 
@@ -94,13 +91,8 @@ def _document(named: NamedCurve, result: NoiseFit) -> dict[str, object]:
 
 
 def _term(named: NamedCurve, estimate: Estimate) -> dict[str, object]:
-    time = estimate.correlation_time
-    extra = {} if time is None else {"T_s": {"value": time.value, "low": time.low, "high": time.high}}
-    return {
-        "status": estimate.status,
-        "value": estimate.value,
-        "low": estimate.low,
-        "high": estimate.high,
-        "unit": _unit(named, estimate.symbol) or None,
-        **extra,
-    }
+    term = picked(estimate, "status", "value", "low", "high")
+    term["unit"] = _unit(named, estimate.symbol) or None
+    if time := estimate.correlation_time:
+        term["T_s"] = picked(time, "value", "low", "high")
+    return term

@@ -1,21 +1,16 @@
-"""What the commands of a fleet print: what is to be done, what became of it, and why logs failed.
-
-Values of the options of ``imucal fleet run``.
-
-A fleet's folder as an argument of commands that take reports.
-"""
+"""What the commands of a fleet share: what they print, and what their options take."""
 
 import re
 import sys
+from collections.abc import Sized
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from imucal.cli._printing import echo, fitted, print_findings, say, width
-from imucal.cli.parameters import Duration, ParamType, Structure
+from imucal.cli.parameters import Text, seconds_of, structure_of
 from imucal.errors import ImucalError
-from imucal.grading import GRADES
 from imucal.remote import is_url
 from imucal.resources import parse_size
 from imucal.units import data_size, duration
@@ -47,27 +42,25 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
     # What logs take differs by more than what rounding to a minute hides.
     seconds = plan.seconds() / workers
     about = duration(60 * round(seconds / 60) if seconds > 60 else float(f"{seconds:.2g}"))
-    by = _number(workers, "worker")
-    say(f"{number_of_logs(len(plan.tasks))}, {data_size(size)}, about {about} on {by}")
+    say(f"{number_of(plan.tasks, 'log')}, {data_size(size)}, about {about} on {number_of(workers, 'worker')}")
 
 
 def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
     """Say what is to be done, what stands twice, and what labels would bring."""
     size = sum(task.size for task in plan.tasks)
-    parts = [f"{number_of_logs(len(plan.tasks))} to do, {data_size(size)}"]
-    parts += [f"{len(plan.done)} done before"] if plan.done else []
-    parts += [f"{len(plan.again)} tried again"] if plan.again else []
-    parts += [f"{_number(len(plan.copies), 'copy', 'copies')} of others, counted once"] if plan.copies else []
-    say("; ".join(parts), quiet=quiet)
+    parts = {
+        f"{number_of(plan.tasks, 'log')} to do, {data_size(size)}": True,
+        f"{len(plan.done)} done before": plan.done,
+        f"{len(plan.again)} tried again": plan.again,
+        f"{number_of(plan.copies, 'copy', 'copies')} of others, counted once": plan.copies,
+    }
+    say("; ".join(text for text, said in parts.items() if said), quiet=quiet)
     for path, other in plan.copies.items():
         say(f"  {path}: same content as {other}", quiet=quiet)
     # Labels that the store has stay where a run gives none.
     if not any(entry.labels.get("unit") for entry in plan.entries) and not store.logs()["unit"].count():
-        example = "--labels '{model}/{unit}/*.mcap'"
-        say(
-            f"No log has a label unit: logs stand one by one; say which units they are: {example}",
-            quiet=quiet,
-        )
+        example = "say which units they are: --labels '{model}/{unit}/*.mcap'"
+        say(f"No log has a label unit: logs stand one by one; {example}", quiet=quiet)
 
 
 def conclude(
@@ -80,24 +73,20 @@ def conclude(
     print_standing(logs, out)
     failed = failed_logs(logs)
     print_failures(failed, quiet=quiet)
-    if every.filter(status="ok").height and not _waiting(store, every):
+    asked = store.manifest()
+    # Copies are done with their originals.
+    waiting = set(asked.filter(asked["copy_of"].is_null())["path"]) - set(every["path"])
+    if every.filter(status="ok").height and not waiting:
         write_files(store, quiet=quiet)
     readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
     if logs.height and not readable:
-        say(f"Error: {out}: none of {number_of_logs(logs.height)} can be read")
+        say(f"Error: {out}: none of {number_of(logs.height, 'log')} can be read")
         ctx.exit(3)
     if failed.height > max_failed * max(logs.height, 1):
         percent = f"{100 * failed.height / logs.height:.3g} %"
-        share = f"{failed.height} of {number_of_logs(logs.height)} failed ({percent})"
+        share = f"{failed.height} of {number_of(logs.height, 'log')} failed ({percent})"
         say(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%")
         ctx.exit(4)
-
-
-def _waiting(store: "FleetStore", logs: "pl.DataFrame") -> int:
-    """Return how many of the logs asked for are not done yet; copies are done with their originals."""
-    asked = store.manifest()
-    own = asked.filter(asked["copy_of"].is_null())["path"]
-    return len(set(own) - set(logs["path"]))
 
 
 def write_files(store: "FleetStore", *, quiet: bool) -> None:
@@ -145,15 +134,10 @@ def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
     """Print how many logs ended how, and what they took."""
     from imucal.fleet.store import STATUSES
 
-    verdicts = {grade: count(logs, "ok", grade) for grade in GRADES}
-    failed = {status: n for status in STATUSES if status != "ok" and (n := count(logs, status))}
-    said = [
-        f"{verdicts['good']} good",
-        f"{verdicts['look']} to look at",
-        f"{verdicts['not-noise']} not noise",
-    ]
-    said += [f"{n} {status}" for status, n in failed.items()]
-    echo(f"{folder}: {number_of_logs(logs.height)} done: {', '.join(said)}")
+    grades = {"good": "good", "look": "to look at", "not-noise": "not noise"}
+    said = [f"{count(logs, 'ok', grade)} {text}" for grade, text in grades.items()]
+    said += [f"{n} {status}" for status in STATUSES if status != "ok" and (n := count(logs, status))]
+    echo(f"{folder}: {number_of(logs.height, 'log')} done: {', '.join(said)}")
     cpu, size = float(logs["cpu_s"].sum() or 0.0), int(logs["bytes"].sum() or 0)
     if cpu:
         echo(f"{data_size(size)} in {duration(cpu)} of one core, {size / cpu / 1e6:.3g} MB/s")
@@ -173,92 +157,70 @@ def print_failures(failed: "pl.DataFrame", *, quiet: bool) -> None:
             say(f"  and {len(texts) - _NAMED} more", quiet=quiet)
 
 
-def number_of_logs(number: int) -> str:
+def number_of(things: int | Sized, one: str, many: str = "") -> str:
     """Return ``1 log``, ``2 logs``."""
-    return _number(number, "log")
-
-
-def _number(number: int, one: str, many: str = "") -> str:
+    number = things if isinstance(things, int) else len(things)
     return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def count(logs: "pl.DataFrame", status: str, verdict: str | None = None) -> int:
     """Return how many logs ended so."""
-    rows = zip(logs["status"], logs["verdict"], strict=True)
-    return sum(s == status and (verdict is None or v == verdict) for s, v in rows)
+    return logs.filter(status=status, **({} if verdict is None else {"verdict": verdict})).height
 
 
-class Size(ParamType[int]):
-    """Bytes."""
+def _size(text: str) -> int:
+    """Return a worker's memory in bytes."""
+    from imucal.fleet_run.plan import LEAST_MEMORY
 
-    name = "size"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        from imucal.fleet_run.plan import LEAST_MEMORY
-
-        try:
-            size = value if isinstance(value, int) else parse_size(str(value))
-        except ValueError as error:
-            self.fail(f"{value!r}: expected {error}", param, ctx)
-        if size < LEAST_MEMORY:
-            self.fail(f"{value!r} is too little for any log; give {LEAST_MEMORY >> 20}M or more", param, ctx)
-        return size
+    try:
+        size = parse_size(text)
+    except ValueError as error:
+        msg = f"{text!r}: expected {error}"
+        raise ValueError(msg) from error
+    if size < LEAST_MEMORY:
+        msg = f"{text!r} is too little for any log; give {LEAST_MEMORY >> 20}M or more"
+        raise ValueError(msg)
+    return size
 
 
-class Patience(Duration):
-    """Seconds, or auto."""
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        if value == "auto":
-            return -1.0
-        seconds = super().convert(value, param, ctx)
-        if seconds == 0:
-            self.fail("'0' is no time to work; write such as 10min, or auto", param, ctx)
-        return seconds
+def _patience(text: str) -> float:
+    """Return seconds, or a negative number for auto."""
+    if text == "auto":
+        return -1.0
+    if not (seconds := seconds_of(text)):
+        msg = "'0' is no time to work; write such as 10min, or auto"
+        raise ValueError(msg)
+    return seconds
 
 
-class Shard(ParamType[tuple[int, int]]):
-    """i/n, i from 1."""
-
-    name = "shard"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, int]:
-        match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", str(value).strip())
-        number, of = (int(match[1]), int(match[2])) if match else (0, 0)
-        if not 1 <= number <= of:
-            self.fail(f"{value!r} is no part; write i/n with i from 1 to n, such as 1/8", param, ctx)
-        return number, of
+def _shard(text: str) -> tuple[int, int]:
+    """Return i and n of ``i/n``, i from 1."""
+    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())
+    number, of = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not 1 <= number <= of:
+        msg = f"{text!r} is no part; write i/n with i from 1 to n, such as 1/8"
+        raise ValueError(msg)
+    return number, of
 
 
-class Labels(ParamType["LabelPattern"]):
-    """A pattern of paths with labels."""
+def _labels(text: str) -> "LabelPattern":
+    from imucal.fleet_run.logs import LabelPattern
 
-    name = "labels"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> "LabelPattern":
-        from imucal.fleet_run.logs import LabelPattern
-
-        try:
-            return LabelPattern(str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
+    return LabelPattern(text)
 
 
-class FixedStructure(Structure):
-    """The terms of a model, the same for every log."""
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        if value == "auto":
-            self.fail("auto would choose by the log; give the terms, such as 'N + B + K'", param, ctx)
-        return super().convert(value, param, ctx)
+def _fixed_structure(text: str) -> str:
+    if text == "auto":
+        msg = "auto would choose by the log; give the terms, such as 'N + B + K'"
+        raise ValueError(msg)
+    return structure_of(text)
 
 
+#: Types of the options of ``imucal fleet run``.
+SIZE, PATIENCE, SHARD = Text("size", _size), Text("duration", _patience), Text("shard", _shard)
+LABELS, FIXED_STRUCTURE = Text("labels", _labels), Text("structure", _fixed_structure)
 #: Option of commands that take a fleet.
-model_option = click.option(
+fleet_model_option = click.option(
     "--fleet-model", metavar="NAME", help="Fleet: which sensor model, where it has several."
 )
 

@@ -1,19 +1,12 @@
-"""What is in a log, in lines for people.
+"""What is in a log: its topics and what reading them shows, as lines for people and as JSON values."""
 
-What reading each topic of a log shows.
-
-What is in a log, as JSON values.
-
-A table of a log's topics, for terminals wide and narrow.
-"""
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any, TypeAlias
 
 from imucal.cli import options_for
-from imucal.cli._printing import FULL, suggestion, width, wrapped
+from imucal.cli._printing import FULL, picked, suggestion, width, wrapped
 from imucal.cli._progress import download_progress
 from imucal.errors import ImucalError
 from imucal.findings import Finding
@@ -25,108 +18,91 @@ from imucal.recording import Recording
 from imucal.remote import is_url
 from imucal.units import data_size, duration
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TopicReading:
-    """What reading a topic showed: its recording, or why there is none."""
-
-    recording: Recording | None = None
-    error: str = ""
+#: What ``--json`` prints follows this.
+SCHEMA = "imucal/info/1"
+#: What reading a topic gave: its recording, or why there is none; None of a topic that was not read.
+Reading: TypeAlias = Recording | str | None
 
 
-def read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> dict[str, TopicReading]:
+def read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> dict[str, Reading]:
     """Read every topic that carries IMU samples; a table is read as a whole."""
-    found = {}
+    found: dict[str, Reading] = {}
     with ExitStack() as stack:
         with download_progress(quiet=not is_url(log)) as progress:
             logs = stack.enter_context(local_logs([log], progress=progress))
         for topic in contents.imu_topics:
             named = topic.name if len(contents.topics) > 1 else None
             try:
-                recording = logs.named(read(*logs.paths, topic=named, **reading))
-                found[topic.name] = TopicReading(recording=recording)
+                found[topic.name] = logs.named(read(*logs.paths, topic=named, **reading))
             except ImucalError as error:
-                found[topic.name] = TopicReading(error=logs.said(str(error)))
+                found[topic.name] = logs.said(str(error))
     return found
 
 
-#: What ``--json`` prints follows this.
-SCHEMA = "imucal/info/1"
-
-
-def log_document(contents: LogContents, found: dict[str, TopicReading]) -> dict[str, object]:
+def log_document(contents: LogContents, found: dict[str, Reading]) -> dict[str, object]:
     """Return a log's entry: what it holds, and of the topics that were read their clocks and findings."""
     return {
-        "path": contents.path,
-        "format": contents.format,
-        "compression": contents.compression,
-        "unpacked_bytes": contents.unpacked_bytes,
-        "size_bytes": contents.size_bytes,
-        "start_ns": contents.start_ns,
+        **picked(contents, "path", "format", "compression", "unpacked_bytes", "size_bytes", "start_ns"),
         "duration_s": contents.duration_s,
         "topics": [_topic_json(topic, found.get(topic.name)) for topic in contents.topics],
         "findings": [_finding_json(finding) for finding in contents.findings],
     }
 
 
-def _topic_json(topic: TopicContents, found: TopicReading | None) -> dict[str, object]:
-    entry: dict[str, object] = {
-        **asdict(topic),
-        "sensors": [str(sensor) for sensor in topic.sensors],
-    }
-    if found is None:
-        return entry
-    if found.recording is None:
-        return {**entry, "error": found.error}
-    clocks = {series.sensor: series.clock for series in found.recording.series}
-    entry["clocks"] = {
-        str(sensor): {
-            "source": clock.source,
-            "rate_hz": clock.rate_hz,
-            "samples": clock.n,
-            "jitter_s": clock.jitter_s,
-            "missing": clock.missing,
-            "gaps": [asdict(gap) for gap in clock.gaps],
+def _topic_json(topic: TopicContents, found: Reading) -> dict[str, object]:
+    entry: dict[str, object] = {**asdict(topic), "sensors": list(map(str, topic.sensors))}
+    if isinstance(found, str):
+        entry["error"] = found
+    elif found is not None:
+        clocks = {series.sensor: series.clock for series in found.series}
+        entry["clocks"] = {
+            str(sensor): {
+                "source": clock.source,
+                "rate_hz": clock.rate_hz,
+                "samples": clock.n,
+                "jitter_s": clock.jitter_s,
+                "missing": clock.missing,
+                "gaps": [asdict(gap) for gap in clock.gaps],
+            }
+            for sensor, clock in clocks.items()
         }
-        for sensor, clock in clocks.items()
-    }
-    entry["decisions"] = [list(pair) for pair in found.recording.source.decisions]
-    entry["findings"] = [_finding_json(finding) for finding in found.recording.findings]
+        entry["decisions"] = found.source.decisions
+        entry["findings"] = [_finding_json(finding) for finding in found.findings]
     return entry
 
 
 def _finding_json(finding: Finding) -> dict[str, object]:
-    return {name: getattr(finding, name) for name in ("level", "code", "axis", "text", "advice")}
+    return picked(finding, "level", "code", "axis", "text", "advice")
 
 
-def without_repeated_note(topic: TopicContents, found: TopicReading | None) -> TopicContents:
+def _without_repeated_note(topic: TopicContents, found: Reading) -> TopicContents:
     """Return a topic without a note that only repeats how its samples were read."""
-    decisions = () if found is None or found.recording is None else found.recording.source.decisions
+    decisions = found.source.decisions if isinstance(found, Recording) else ()
     repeated = topic.note == "; ".join(
         f"{question} {answer}" for question, answer in decisions if "unit" in question
     )
     return replace(topic, note="") if repeated else topic
 
 
-def topic_table(topics: list[TopicContents]) -> Iterator[str]:
+def _topic_table(topics: list[TopicContents]) -> Iterator[str]:
     """Yield a line a topic, and a second one for a note or for a name that does not fit."""
-    rows = [(_one_line(topic.name), _one_line(topic.type), *_figures(topic)) for topic in topics]
-    heads = ("topic", "type", "messages", "rate", "duration", "sensors")
     if width() < FULL:
         for topic in topics:
             yield from _topic_lines(topic)
         return
+    rows = [(_one_line(topic.name), _one_line(topic.type), *_figures(topic)) for topic in topics]
+    heads = ("topic", "type", "messages", "rate", "duration", "sensors")
     widths = [max(len(heads[i]), *(len(row[i]) for row in rows)) for i in range(6)]
     spare = width() - 2 - 2 * 5 - sum(widths[2:])
     widths[1] = min(widths[1], max(spare - min(widths[0], spare // 2), 8))
     widths[0] = min(widths[0], max(spare - widths[1], 8))
     yield _row(heads, widths)
     for topic, row in zip(topics, rows, strict=True):
-        long = [text for text, width in zip(row[:2], widths[:2], strict=True) if len(text) > width]
-        fitted = [_fit(text, width) for text, width in zip(row[:2], widths[:2], strict=True)]
-        yield _row((*fitted, *row[2:]), widths)
-        for text in [*long, *([topic.note] if topic.note else [])]:
-            yield from wrapped(text, indent=6)
+        names = list(zip(row[:2], widths[:2], strict=True))
+        yield _row((*(_fit(text, most) for text, most in names), *row[2:]), widths)
+        for text in (*(text for text, most in names if len(text) > most), topic.note):
+            if text:
+                yield from wrapped(text, indent=6)
 
 
 def _one_line(text: str) -> str:
@@ -143,10 +119,9 @@ def _topic_lines(topic: TopicContents) -> Iterator[str]:
 
 
 def _row(cells: tuple[str, ...], widths: list[int]) -> str:
-    name, kind, *figures, sensors = cells
-    middle = [text.rjust(width) for text, width in zip(figures, widths[2:5], strict=True)]
-    left = [name.ljust(widths[0]), kind.ljust(widths[1])]
-    return ("  " + "  ".join([*left, *middle, sensors])).rstrip()
+    """Return a line: names on the left of their columns, figures on the right."""
+    padded = [f"{text:{side}{most}}" for text, side, most in zip(cells, "<<>>><", widths, strict=True)]
+    return f"  {'  '.join(padded)}".rstrip()
 
 
 def _figures(topic: TopicContents) -> tuple[str, str, str, str]:
@@ -156,12 +131,10 @@ def _figures(topic: TopicContents) -> tuple[str, str, str, str]:
     return count, rate, length, ", ".join(sensor.short for sensor in topic.sensors)
 
 
-def _fit(text: str, width: int) -> str:
+def _fit(text: str, most: int) -> str:
     """Return a text that is cut in its middle where it is too long."""
-    if len(text) <= width:
-        return text
-    left = (width - 1) // 2
-    return text[:left] + "…" + text[len(text) - (width - 1 - left) :]
+    left = (most - 1) // 2
+    return text if len(text) <= most else f"{text[:left]}…{text[len(text) - (most - 1 - left) :]}"
 
 
 #: Level, code and sentence of a finding: what it says, whatever axis it is about.
@@ -171,7 +144,7 @@ _NO_DATE = 315_532_800_000_000_000
 
 
 def lines_of_log(
-    contents: LogContents, found: dict[str, TopicReading], *, looked: bool, verbose: bool
+    contents: LogContents, found: dict[str, Reading], *, looked: bool, verbose: bool
 ) -> Iterator[str]:
     """Yield the lines of a log: its table of topics, and of those that were read what was found."""
     yield from wrapped(contents.path)
@@ -179,44 +152,38 @@ def lines_of_log(
     topics = [*contents.imu_topics, *(topic for topic in contents.topics if not topic.sensors)]
     if topics:
         yield ""
-        yield from topic_table([without_repeated_note(topic, found.get(topic.name)) for topic in topics])
-    if verbose:
-        yield from _fields(topics)
+        yield from _topic_table([_without_repeated_note(topic, found.get(topic.name)) for topic in topics])
+    for topic in (topic for topic in topics if verbose and topic.fields):
+        yield ""
+        yield from wrapped(f"{topic.name} has the fields")
+        yield from wrapped(", ".join(topic.fields), indent=2)
     said = {_words(finding) for finding in contents.findings}
     for topic in contents.imu_topics:
         yield from _what_was_read(topic, found.get(topic.name), said)
     if contents.imu_topics and not looked:
         yield ""
-        where = "in a large log; --gaps reads all samples"
-        if contents.path == STANDARD_INPUT:
-            where = "on standard input"
-        elif is_url(contents.path):
-            where = "behind a URL; --gaps downloads the log"
-        yield from wrapped(f"Gaps are not looked for {where}.")
+        yield from wrapped(f"Gaps are not looked for {_why_not(contents.path)}.")
     if not contents.imu_topics:
         yield ""
-        yield from _nothing(contents)
+        hints = [hint for topic in contents.topics if (hint := options_for(topic.note))]
+        if hints:
+            yield from wrapped(f"As it is, no samples can be read; give imucal fit {hints[0]}.")
+        else:
+            yield "No gyroscope or accelerometer was found."
     for finding in contents.findings:
         yield from _sentence(_words(finding), [])
     yield ""
 
 
-def _fields(topics: Sequence[TopicContents]) -> Iterator[str]:
-    """Yield the fields of each topic's messages, to choose from."""
-    for topic in topics:
-        if topic.fields:
-            yield ""
-            yield from wrapped(f"{topic.name} has the fields")
-            yield from wrapped(", ".join(topic.fields), indent=2)
-
-
-def _nothing(contents: LogContents) -> Iterator[str]:
-    """Say that no samples can be read, and with which options of other commands they could be."""
-    hints = [hint for topic in contents.topics if (hint := options_for(topic.note))]
-    if not hints:
-        yield "No gyroscope or accelerometer was found."
-        return
-    yield from wrapped(f"As it is, no samples can be read; give imucal fit {hints[0]}.")
+def _why_not(log: str) -> str:
+    """Return why samples are not read, and what would read them."""
+    if log == STANDARD_INPUT:
+        return "on standard input"
+    return (
+        "behind a URL; --gaps downloads the log"
+        if is_url(log)
+        else "in a large log; --gaps reads all samples"
+    )
 
 
 def _head(contents: LogContents) -> Iterator[str]:
@@ -231,28 +198,26 @@ def _head(contents: LogContents) -> Iterator[str]:
         yield f"from {_date(contents.start_ns)}"
 
 
-def _what_was_read(topic: TopicContents, found: TopicReading | None, said: set[_Words]) -> Iterator[str]:
+def _what_was_read(topic: TopicContents, found: Reading, said: set[_Words]) -> Iterator[str]:
     """Yield rate, gaps, units and findings of a topic that was read; not those said of the whole log."""
     if found is None:
         return
     yield ""
-    if found.recording is None:
-        yield from wrapped(f"{topic.name}: {found.error}")
+    if isinstance(found, str):
+        yield from wrapped(f"{topic.name}: {found}")
         return
-    clocks = {id(series.clock): series for series in found.recording.series}
-    for series in clocks.values():
-        clock = series.clock
+    for clock in {id(series.clock): series.clock for series in found.series}.values():
         jitter = "" if clock.jitter_s is None else f", {_jitter(clock.jitter_s)}"
         count = f"{len(clock.gaps)} gap{'s' if len(clock.gaps) > 1 else ''}"
         gaps = f"{count}, {clock.missing} missing" if clock.gaps else "no gaps"
         text = f"{topic.name}: {clock.rate_hz:.6g} Hz by {clock.source}, {clock.n} samples, {gaps}{jitter}"
         yield from wrapped(text)
-    for question, answer in found.recording.source.decisions:
+    for question, answer in found.source.decisions:
         # Each topic is read by its name here, which says nothing about what fit would choose.
         if question not in {"topic", "topics"}:
             yield from wrapped(f"{question}: {answer}", indent=2)
     about: dict[_Words, list[str]] = {}
-    for finding in found.recording.findings:
+    for finding in found.findings:
         about.setdefault(_words(finding), []).extend([finding.axis] if finding.axis else [])
     for words, axes in about.items():
         if words not in said:

@@ -1,13 +1,4 @@
-"""Printing: what comes from logs and file names never steers the terminal.
-
-How wide a table may be, and texts broken to keep within it.
-
-Findings as people read them, on standard error.
-
-Names that messages use: a path as a shell takes it, and what a typed log is called.
-
-What the verdict does to a command: the line it says, and the exit code it ends with.
-"""
+"""Printing: texts that fit the terminal and never steer it, findings, names, and what ends a command."""
 
 import shlex
 import shutil
@@ -34,10 +25,17 @@ def echo_json(text: str, *, nl: bool = True) -> None:
     click.echo(printable_json(text), nl=nl)
 
 
-def say(text: str, *, quiet: bool = False) -> None:
+def picked(value: object, *names: str) -> dict[str, object]:
+    """Return some attributes of a value as JSON has them: infinity and not-a-number as null."""
+    from imucal.report.json_file import plain
+
+    return {name: plain(getattr(value, name)) for name in names}
+
+
+def say(text: str | Path, *, quiet: bool = False) -> None:
     """Print a line for people, on standard error, so that standard output holds results only."""
     if not quiet:
-        echo(text, err=True)
+        echo(str(text), err=True)
 
 
 #: Widest table: what fits a terminal, a mail and a log of CI.
@@ -170,30 +168,21 @@ force_option = click.option(
 )
 
 
-def refuse(verdict: NoiseVerdict, where: str, consequence: str, *, force: bool) -> None:
-    """Raise what ends a command with exit code 4 for data that are not noise at rest, unless forced.
+def refuse(
+    verdict: NoiseVerdict, where: str, consequence: str, *, force: bool, forbidden: Sequence[Finding] = ()
+) -> None:
+    """Raise what ends a command with exit code 4.
 
     Raises
     ------
     DataError
-        With the verdict's sentence, `consequence` (what was written or not), and what to do.
+        Where the data are not noise at rest, unless forced, with `consequence` (what was written or not); or
+        where a `forbidden` finding, of a --strict command, is more than a remark.
     """
-    if verdict.usable or force:
-        return
-    sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
-    msg = f"{where}: {sentence}; {consequence}; record again at rest, or --force"
-    raise DataError(msg)
-
-
-def refuse_warnings(findings: Sequence[Finding], where: str) -> None:
-    """Raise what ends a --strict command with exit code 4 where a finding is more than a remark.
-
-    Raises
-    ------
-    DataError
-        With the codes of the findings.
-    """
-    codes = dict.fromkeys(finding.code for finding in findings if finding.level != "info")
-    if codes:
+    if not verdict.usable and not force:
+        sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
+        msg = f"{where}: {sentence}; {consequence}; record again at rest, or --force"
+        raise DataError(msg)
+    if codes := dict.fromkeys(finding.code for finding in forbidden if finding.level != "info"):
         msg = f"{where}: {', '.join(codes)} found, and --strict allows no warning"
         raise DataError(msg)

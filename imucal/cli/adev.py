@@ -2,14 +2,15 @@
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 import click
 
 from imucal._version import __version__
 from imucal.allan.intervals import EDF_METHODS
 from imucal.allan.variance import ESTIMATORS
-from imucal.cli._printing import echo, echo_json, force_option, print_findings, refuse, refuse_warnings, say
-from imucal.cli.parameters import LEVEL, LogRequest, Taus, log_options, shown
+from imucal.cli._printing import echo, echo_json, force_option, print_findings, refuse, say
+from imucal.cli.parameters import LEVEL, TAUS, LogRequest, json_option, log_options, shown
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.grading import judge_findings
@@ -30,7 +31,7 @@ analysed or are not noise at rest (with --strict: or a warning was found)."""
 @log_options
 @shown(
     "--taus",
-    type=Taus(),
+    type=TAUS,
     default="octave",
     metavar="SET",
     help="octave, decade, decade:20, all, or times such as 0.1,1,10min.",
@@ -43,7 +44,7 @@ analysed or are not noise at rest (with --strict: or a warning was found)."""
     help="Degrees of freedom of the intervals.",
 )
 @shown("--level", type=LEVEL, default=0.95, help="Confidence level of the intervals.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON, with the spectrum of each axis, not CSV.")
+@json_option("Print JSON, with the spectrum of each axis, not CSV.")
 @force_option
 def command(
     *,
@@ -62,19 +63,17 @@ def command(
     some 2 degrees of freedom left.
     """
     recording = request.read()
-    axes: list[dict[str, object]] = []
-    failures: list[DataError] = []
-    failed: list[Finding] = []
+    axes: list[dict[str, Any]] = []
+    failures: dict[str, DataError] = {}
     for series in recording.series:
         try:
             axes.append(_axis(series, taus, estimator=estimator, edf=edf, level=level, spectrum=as_json))
         except DataError as error:
-            failures.append(error)
-            failed.append(Finding(level="error", code="no-result", axis=series.name, text=f"{error}."))
+            failures[series.name] = error
     if not axes:
         msg = f"{recording.source.path}: no axis of a gyroscope or an accelerometer was found"
-        raise failures[0] if failures else DataError(msg)
-    findings = _findings(recording, failed)
+        raise next(iter(failures.values()), DataError(msg))
+    findings = _findings(recording, failures)
     verdict = judge_findings(findings, [series.name for series in recording.series])
     if as_json:
         document = {
@@ -90,18 +89,20 @@ def command(
         echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
     print_findings(findings, quiet=request.quiet, verbose=request.verbose)
     say(verdict.sentence, quiet=request.quiet or not verdict.usable)
-    refuse(verdict, recording.source.path, "the curves were printed", force=force)
-    if request.strict:
-        refuse_warnings(findings, recording.source.path)
+    forbidden = findings if request.strict else ()
+    refuse(verdict, recording.source.path, "the curves were printed", force=force, forbidden=forbidden)
 
 
-def _findings(recording: Recording, failed: list[Finding]) -> tuple[Finding, ...]:
+def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Finding]:
     """Return what `imucal fit` would say too: of reading, of screening, and of axes without a curve."""
     from imucal.screening import screen
 
-    said = {("no-data", finding.axis) for finding in failed}
     found = (*recording.findings, *screen(recording))
-    return (*(finding for finding in found if (finding.code, finding.axis) not in said), *failed)
+    failed = [
+        Finding(level="error", code="no-result", axis=axis, text=f"{error}.")
+        for axis, error in failures.items()
+    ]
+    return [one for one in found if one.code != "no-data" or one.axis not in failures] + failed
 
 
 def _axis(
@@ -112,17 +113,16 @@ def _axis(
     edf: str,
     level: float,
     spectrum: bool,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Return what is printed of one axis, as JSON values."""
-    from imucal.allan import allan_curve
-    from imucal.allan import spectrum as spectrum_of
+    from imucal import allan
 
     if series.n and not series.usable.any():
         msg = f"{series.name}: no finite samples among {series.n}"
         raise DataError(msg)
-    curve = allan_curve(series, taus=taus, estimator=estimator, edf=edf)
+    curve = allan.allan_curve(series, taus=taus, estimator=estimator, edf=edf)
     low, high = curve.confidence_interval(level)
-    axis: dict[str, object] = {
+    axis: dict[str, Any] = {
         "name": series.name,
         "sensor": str(series.sensor),
         "axis": series.axis,
@@ -142,7 +142,7 @@ def _axis(
         },
     }
     if spectrum:
-        psd = spectrum_of(series)
+        psd = allan.spectrum(series)
         axis["spectrum"] = {
             "unit": f"({series.unit})^2/Hz",
             "sided": "two",
@@ -153,12 +153,9 @@ def _axis(
     return axis
 
 
-def _lines(axis: dict[str, object]) -> list[str]:
+def _lines(axis: dict[str, Any]) -> list[str]:
     """Return the CSV lines of one axis: nine digits, which is more than an interval supports."""
-    curve = axis["curve"]
-    if not isinstance(curve, dict):
-        return []
-    columns = zip(*(curve[key] for key in ("tau_s", "m", "adev", "low", "high", "edf")), strict=True)
+    columns = zip(*axis["curve"].values(), strict=True)
     return [
         f"{axis['name']},{tau:.12g},{m},{adev:.9g},{low:.9g},{high:.9g},{edf:.6g}"
         for tau, m, adev, low, high, edf in columns

@@ -9,10 +9,10 @@ import click
 
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
-from imucal.cli._fleet import is_fleet, model_option, read_fleet
+from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
 from imucal.cli._printing import FULL, echo, echo_json, say, width
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
-from imucal.cli.parameters import LogRequest
+from imucal.cli.parameters import LogRequest, json_option
 from imucal.errors import ReadError
 from imucal.printable import printable
 
@@ -64,13 +64,13 @@ file, 3 the report or log can't be read, 4 the data can't be analysed."""
     metavar="FLEET",
     help="Folder of a fleet: is this unit one of them?",
 )
-@model_option
+@fleet_model_option
 @click.option(
     "--undecided",
     type=click.Choice(["pass", "fail"]),
     help="What an interval that holds the limit means. [default: the limits file's, else pass]",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
+@json_option("Print the verdicts as JSON.")
 @click.option(
     "--junit", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Write JUnit XML too."
 )
@@ -101,11 +101,7 @@ def command(
     from imucal.checking import check
     from imucal.checking.verdict import github_annotations, junit_xml, to_document
 
-    limits = (
-        Limits()
-        if _fleet_alone(fleet, fleet_model, limits_file, baseline)
-        else _limits(limits_file, baseline)
-    )
+    limits = _limits(limits_file, baseline, fleet, fleet_model)
     if undecided is not None:
         limits = replace(limits, undecided="fail" if undecided == "fail" else "pass")
     older = None
@@ -123,7 +119,7 @@ def command(
 
         with replacing(junit, ours="imucal check") as scratch:
             scratch.write_text(junit_xml(result), encoding="utf-8")
-        say(str(junit), quiet=request.quiet)
+        say(junit, quiet=request.quiet)
     if as_json:
         echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
     else:
@@ -135,25 +131,18 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _fleet_alone(
-    fleet: Path | None, model: str | None, limits_file: Path | None, baseline: str | None
-) -> bool:
-    """Return whether a fleet is all there is to check against."""
+def _limits(limits_file: Path | None, baseline: str | None, fleet: Path | None, model: str | None) -> Limits:
+    """Return the limits to check against: none where a fleet is all there is."""
+    from imucal.checking import read_limits
+
     if fleet is None and model is not None:
         msg = "--fleet-model is about a fleet; give --fleet FLEET too"
         raise click.UsageError(msg)
     if fleet is not None and not is_fleet(fleet):
-        msg = (
-            f"{fleet}: found no manifest.parquet, expected the folder of a fleet that imucal fleet run writes"
-        )
+        expected = "expected the folder of a fleet that imucal fleet run writes"
+        msg = f"{fleet}: found no manifest.parquet, {expected}"
         raise ReadError(msg)
-    return fleet is not None and limits_file is None and baseline is None
-
-
-def _limits(limits_file: Path | None, baseline: str | None) -> Limits:
-    from imucal.checking import read_limits
-
-    if limits_file is None and baseline is None:
+    if fleet is None and limits_file is None and baseline is None:
         msg = "nothing to check against; give --limits FILE, --baseline REPORT or --fleet FLEET"
         raise click.UsageError(msg)
     limits = Limits() if limits_file is None else read_limits(limits_file)
@@ -172,22 +161,14 @@ def _table(result: CheckResult) -> str:
     lines = [line for row in result.rows for line in _lines(row, where, rule)]
     words: dict[Verdict, str] = {"pass": "passed", "fail": "failed", "undecided": "undecided"}
     counts = ", ".join(f"{result.count(verdict)} {word}" for verdict, word in words.items())
-    last = (
-        click.style("PASS", fg="green", bold=True)
-        if result.passed
-        else click.style("FAIL", fg="red", bold=True)
-    )
     note = ""
     if result.count("undecided"):
         note = "; undecided fails" if result.undecided_fails else "; undecided doesn't fail"
-    return "\n".join([*lines, *_total(last, f"{counts} (intervals at {result.level:.0%}{note})")])
-
-
-def _total(styled: str, text: str) -> list[str]:
-    """Return the last line, broken where it must be; the colour of its first word takes no room."""
-    word = click.unstyle(styled)
-    first, *rest = textwrap.wrap(f"{word}: {text}", width())
-    return [first.replace(word, styled, 1), *rest]
+    word, colour = ("PASS", "green") if result.passed else ("FAIL", "red")
+    # Broken before it is coloured: colours take no room.
+    total = textwrap.wrap(f"{word}: {counts} (intervals at {result.level:.0%}{note})", width())
+    total[0] = total[0].replace(word, click.style(word, fg=colour, bold=True), 1)
+    return "\n".join(lines + total)
 
 
 def _lines(row: Row, where: int, rule: int) -> list[str]:

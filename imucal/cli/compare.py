@@ -6,22 +6,19 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._fleet import is_fleet, model_option, read_fleet
-from imucal.cli._printing import FULL, as_typed, echo_json, say, width
+from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
+from imucal.cli._printing import FULL, as_typed, echo_json, picked, say, width
 from imucal.cli._report_input import read_report
-from imucal.cli.parameters import Number, quiet_option, shown
+from imucal.cli.parameters import Number, datasheet_option, json_option, quiet_option, shown
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.remote import is_url
 from imucal.remote.addresses import shown as shown_address
-from imucal.report.json_file import plain
 from imucal.report.result import Report
 from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/comparison/1"
-
-_report = click.Path()
 
 
 @click.command(
@@ -36,8 +33,8 @@ Examples:
 Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
 2 usage, 3 a report can't be read, 4 the reports have no axis in common."""
 )
-@click.argument("a", type=_report, metavar="A")
-@click.argument("b", type=_report, metavar="B")
+@click.argument("a", type=click.Path(), metavar="A")
+@click.argument("b", type=click.Path(), metavar="B")
 @shown(
     "--alpha",
     type=Number(0, 1, min_open=True, max_open=True),
@@ -52,9 +49,9 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
     help="Relative difference that doesn't count, such as 0.05.",
 )
 @click.option("--no-fail", is_flag=True, help="End with exit code 0 even if a term differs.")
-@model_option
-@shown("--datasheet/--si", default=True, help="Units of the table.")
-@click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON (SI).")
+@fleet_model_option
+@datasheet_option()
+@json_option("Print the comparison as JSON (SI).")
 @quiet_option
 def command(
     *,
@@ -121,13 +118,9 @@ def to_document(result: Comparison) -> dict[str, object]:
     """Return a comparison as JSON values, SI."""
     return {
         "schema": SCHEMA,
-        "a": result.a,
-        "b": result.b,
-        "alpha": result.alpha,
-        "tolerance": result.tolerance,
-        "tested": result.tested,
+        **picked(result, "a", "b", "alpha", "tolerance", "tested"),
         "significant": len(result.significant),
-        "notes": list(result.notes),
+        "notes": result.notes,
         "differences": [
             {
                 "axis": difference.axis,
@@ -135,11 +128,7 @@ def to_document(result: Comparison) -> dict[str, object]:
                 "unit": difference.unit,
                 "a": _estimate(difference.a),
                 "b": _estimate(difference.b),
-                "ratio": difference.ratio,
-                "z": plain(difference.z),
-                "p": difference.p,
-                "p_adjusted": difference.p_adjusted,
-                "outcome": difference.outcome,
+                **picked(difference, "ratio", "z", "p", "p_adjusted", "outcome"),
             }
             for difference in result.differences
         ],
@@ -147,29 +136,19 @@ def to_document(result: Comparison) -> dict[str, object]:
 
 
 def _estimate(estimate: Estimate | None) -> dict[str, object] | None:
-    if estimate is None:
-        return None
-    return {
-        "status": estimate.status,
-        "value": estimate.value,
-        "low": plain(estimate.low),
-        "high": plain(estimate.high),
-    }
+    return None if estimate is None else picked(estimate, "status", "value", "low", "high")
 
 
 def _table(result: Comparison, *, datasheet: bool) -> str:
     narrow = width() < FULL
-    header = f"{'axis':<8}{'term':<6}{'unit':<17}{'A':>11}{'B':>11}{'B/A':>8}{'p':>9}  outcome"
-    lines = [] if narrow else [header]
+    lines = [] if narrow else [_row("axis", "term", "unit", "A", "B", "B/A", "p", "outcome")]
     for difference in result.differences:
         lines += _lines(difference, datasheet=datasheet, narrow=narrow)
     beyond = f" beyond {result.tolerance:.3g} of A" if result.tolerance else ""
     count = len(result.significant)
-    verdict = (
-        f"{count} of {result.tested} terms differ{beyond}" if count else f"no significant difference{beyond}"
-    )
+    text = f"{count} of {result.tested} terms differ" if count else "no significant difference"
+    verdict = click.style(f"{text}{beyond}", fg="red" if count else "green", bold=True)
     tests = f"(p adjusted for {result.tested} tests, alpha {result.alpha:g})"
-    verdict = click.style(verdict, fg="red" if count else "green", bold=True)
     return "\n".join([*lines, *([verdict, tests] if narrow else [f"{verdict} {tests}"])])
 
 
@@ -179,20 +158,22 @@ def _lines(difference: Difference, *, datasheet: bool, narrow: bool) -> list[str
     if datasheet and difference.unit != "s":
         unit = TERMS[difference.symbol].datasheet_unit(difference.sensor)
     ratio = "" if difference.ratio is None else f"{difference.ratio:.4g}"
-    p = "" if difference.p_adjusted is None else _probability(difference.p_adjusted)
+    p = ""
+    if difference.p_adjusted is not None:
+        p = f"{difference.p_adjusted:.2g}" if difference.p_adjusted >= 1e-9 else "<1e-9"
     a, b = _cell(difference.a, unit), _cell(difference.b, unit)
-    outcome = (
-        click.style(difference.outcome, fg="red") if difference.outcome == "differs" else difference.outcome
-    )
+    outcome: str = difference.outcome
+    if outcome == "differs":
+        outcome = click.style(outcome, fg="red")
     if narrow:
         first = f"{difference.axis:<8}{difference.key:<6}{outcome}{f', p {p}' if p else ''}"
         return [first, f"  {a} -> {b} {unit.name}"]
-    numbers = f"{a:>11}{b:>11}{ratio:>8}{p:>9}"
-    return [f"{difference.axis:<8}{difference.key:<6}{unit.name:<17}{numbers}  {outcome}"]
+    return [_row(difference.axis, difference.key, unit.name, a, b, ratio, p, outcome)]
 
 
-def _probability(p: float) -> str:
-    return f"{p:.2g}" if p >= 1e-9 else "<1e-9"
+def _row(*cells: str) -> str:
+    axis, term, unit, a, b, ratio, p, outcome = cells
+    return f"{axis:<8}{term:<6}{unit:<17}{a:>11}{b:>11}{ratio:>8}{p:>9}  {outcome}"
 
 
 def _cell(estimate: Estimate | None, unit: DatasheetUnit) -> str:

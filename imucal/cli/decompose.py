@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal._version import __version__
-from imucal.cli._printing import echo, echo_json, force_option, print_findings, refuse, refuse_warnings, say
+from imucal.cli._printing import echo, echo_json, force_option, print_findings, refuse, say
 from imucal.cli._progress import axes_progress, smoothing_progress
-from imucal.cli.fit import FORMATS, report_folder
-from imucal.cli.parameters import Duration, LogRequest, Structure, log_options, shown
+from imucal.cli.fit import report_folder
+from imucal.cli.parameters import (
+    DURATION,
+    LogRequest,
+    json_option,
+    log_options,
+    model_option,
+    out_option,
+    pictures_option,
+)
 from imucal.errors import DataError
 from imucal.recording import AxisSeries, Recording, Sensor
 
@@ -44,40 +52,21 @@ analysed (with --strict: or a warning was found), 5 the files can't be
 written, 130 interrupted."""
 )
 @log_options
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder of the files. [default: NAME-decomposed]",
-)
+@out_option("DIR", "Folder of the files. [default: NAME-decomposed]")
 @click.option(
     "--axis", "axes", type=click.Choice(_AXES), multiple=True, help="Only this axis; may be repeated."
 )
-@shown(
-    "--model",
-    type=Structure(),
-    default="auto",
-    metavar="TEXT",
-    help='Terms to fit, such as "N + B + K" or "N + 2*GM".',
-)
+@model_option('Terms to fit, such as "N + B + K" or "N + 2*GM".')
 @click.option(
     "--every",
-    type=Duration(),
+    type=DURATION,
     metavar="TIME",
     help="Time between rows of the CSV. [default: at most 10000 rows]",
 )
 @click.option("--npz", is_flag=True, help="Write NAME.npz too: everything at the samples' rate.")
-@shown(
-    "--format",
-    "formats",
-    type=click.Choice(FORMATS),
-    multiple=True,
-    default=("png",),
-    help="Pictures; may be repeated.",
-)
+@pictures_option
 @click.option("--no-clean", is_flag=True, help="Take spikes for samples, instead of leaving them out.")
-@click.option("--json", "as_json", is_flag=True, help="Print decomposition.json on standard output.")
+@json_option("Print decomposition.json on standard output.")
 @force_option
 def command(
     *,
@@ -112,38 +101,36 @@ def command(
     with axes_progress(quiet=request.quiet) as progress:
         report = characterize(recording, settings, progress=progress)
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
+    path = recording.source.path
     described, failed = [], False
     for axis in report.axes:
+        series = recording.axis(axis.sensor, axis.axis)
+        asked = {"formats": formats, "every_s": every, "arrays": npz, "source": path}
         try:
             described.append(
-                _decompose_axis(
-                    recording.axis(axis.sensor, axis.axis), axis.fit, folder,
-                    formats=formats, every_s=every, arrays=npz, clean=not no_clean,
-                    source=recording.source.path, quiet=request.quiet,
-                )
-            )  # fmt: skip
+                _decompose_axis(series, axis.fit, folder, clean=not no_clean, quiet=request.quiet, **asked)
+            )
         except DataError as error:
             say(f"Error: {error}")
             failed = True
     if not described:
-        msg = f"{recording.source.path}: no axis can be decomposed"
+        msg = f"{path}: no axis can be decomposed"
         raise DataError(msg)
     document: dict[str, object] = {
         "schema": SCHEMA,
         "version": __version__,
-        "source": {"path": recording.source.path, "format": recording.source.format},
+        "source": {"path": path, "format": recording.source.format},
         "settings": {**settings.document(), "every_s": every},
         "axes": described,
     }
-    path = write_document(document, folder)
+    written = write_document(document, folder)
     if as_json:
         echo_json(json.dumps(document, indent=1, allow_nan=False))
     else:
         echo(_table(described))
-    say(str(path), quiet=request.quiet)
-    refuse(report.verdict, recording.source.path, f"{folder} was written", force=force)
-    if request.strict:
-        refuse_warnings(report.all_findings, recording.source.path)
+    say(written, quiet=request.quiet)
+    forbidden = report.all_findings if request.strict else ()
+    refuse(report.verdict, path, f"{folder} was written", force=force, forbidden=forbidden)
     if failed:
         click.get_current_context().exit(DataError.exit_code)
 
@@ -175,7 +162,7 @@ def _decompose_axis(
         parts = decompose(series, fit, clean=clean, progress=progress)
     paths = write_decomposition(parts, folder, **asked)
     for path in paths:
-        say(str(path), quiet=quiet)
+        say(path, quiet=quiet)
     return axis_document(parts, paths)
 
 
@@ -184,8 +171,7 @@ def _table(axes: list[dict[str, Any]]) -> str:
     lines = [f"{'axis':<9}{'part':<7}{'least':>12}{'greatest':>12}{'± (1 sd)':>11}  unit"]
     for axis in axes:
         for part in axis["components"]:
-            numbers = (
-                f"{part['least'] + 0.0:>12.4g}{part['greatest'] + 0.0:>12.4g}{part['standard_error']:>11.2g}"
-            )
-            lines.append(f"{axis['name']:<9}{part['key']:<7}{numbers}  {axis['unit']}")
+            limits = "".join(f"{part[name] + 0.0:>12.4g}" for name in ("least", "greatest"))
+            error = f"{part['standard_error']:>11.2g}"
+            lines.append(f"{axis['name']:<9}{part['key']:<7}{limits}{error}  {axis['unit']}")
     return "\n".join(lines)

@@ -1,16 +1,17 @@
 """``imucal export``: the config files of downstream filters and simulators."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, get_args
 
 import click
 from click.shell_completion import CompletionItem
 
-from imucal.cli._fleet import is_fleet, model_option, read_fleet
+from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
 from imucal.cli._printing import echo, force_option, refuse, say
 from imucal.cli._report_input import load_report, report_or_log
-from imucal.cli.parameters import LogRequest, ParamType, shown
+from imucal.cli.parameters import LogRequest, Text, shown
 from imucal.errors import WriteError
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
@@ -30,71 +31,50 @@ class _Options(TypedDict):
     topic: str | None
 
 
-class TargetName(ParamType[str]):
-    """A downstream format, or all."""
+#: What --to takes, with its title.
+_TITLES = {target.name: target.title for target in TARGETS.values()}
 
-    name = "target"
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        if value == "all":
-            return "all"
+def _target_name(text: str) -> str:
+    """Return the name of a downstream format as it was typed, or all."""
+    if text != "all":
         try:
-            find_target(str(value))
+            find_target(text)
         except ValueError as error:
-            self.fail(f"{error}, all", param, ctx)
-        return str(value)
-
-    def shell_complete(
-        self,
-        ctx: click.Context,  # noqa: ARG002 - click's signature
-        param: click.Parameter,  # noqa: ARG002
-        incomplete: str,
-    ) -> list[CompletionItem]:
-        return [
-            CompletionItem(name, help=title)
-            for name, title in [
-                *((each.name, each.title) for each in TARGETS.values()),
-                ("all", "each of them"),
-            ]
-            if name.startswith(incomplete)
-        ]
+            msg = f"{error}, all"
+            raise ValueError(msg) from error
+    return text
 
 
-class Inflation(ParamType[dict[str, float]]):
-    """``white=2,walk=10``."""
-
-    name = "inflation"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> dict[str, float]:
-        if isinstance(value, Mapping):
-            return dict(value)
-        factors: dict[str, float] = {}
-        for part in str(value).split(","):
-            name, _, number = (piece.strip() for piece in part.partition("="))
-            try:
-                factor = float(number)
-            except ValueError:
-                factor = 0.0
-            if name not in INFLATABLE or not 0 < factor < float("inf"):
-                names = ", ".join(INFLATABLE)
-                self.fail(
-                    f"{part!r} is not one of {names} with a factor, such as white=2,walk=10", param, ctx
-                )
-            factors[name] = factor
-        return factors
+def _complete_target(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    titles = {**_TITLES, "all": "each of them"}
+    return [CompletionItem(name, help=title) for name, title in titles.items() if name.startswith(incomplete)]
 
 
-def _targets_help() -> str:
-    lines = [f"  {target.name:<10} {target.title}" for target in TARGETS.values()]
-    return "\n".join([*lines, f"  {'all':<10} each of them, into a folder"])
+def _factors(text: str) -> dict[str, float]:
+    """Return the factors of ``white=2,walk=10``."""
+    factors: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, number = (piece.strip() for piece in part.partition("="))
+        try:
+            factors[name] = float(number)
+        except ValueError:
+            factors[name] = 0.0
+        if name not in INFLATABLE or not 0 < factors[name] < math.inf:
+            names = ", ".join(INFLATABLE)
+            msg = f"{part!r} is not one of {names} with a factor, such as white=2,walk=10"
+            raise ValueError(msg)
+    return factors
+
+
+_LISTED = "\n".join(f"  {name:<10} {title}" for name, title in _TITLES.items())
 
 
 @click.command(
     epilog=f"""\b
 Formats:
-{_targets_help()}
+{_LISTED}
+  all        each of them, into a folder
 
 \b
 Examples:
@@ -112,7 +92,8 @@ file can't be written."""
 @click.option(
     "--to",
     "targets",
-    type=TargetName(),
+    type=Text("target", _target_name),
+    shell_complete=_complete_target,
     multiple=True,
     required=True,
     metavar="NAME",
@@ -135,7 +116,7 @@ file can't be written."""
 )
 @click.option(
     "--inflate",
-    type=Inflation(),
+    type=Text("inflation", _factors),
     default={},
     metavar="FACTORS",
     help="Multiply white (N), walk (K), flicker (B, GM), such as white=2,walk=10; said in the file.",
@@ -152,7 +133,7 @@ file can't be written."""
     help="Fleet: the tolerance bound, which is the number for every unit, or the median unit. "
     "[default: tolerance]",
 )
-@model_option
+@fleet_model_option
 @click.option("--rostopic", metavar="NAME", help="IMU topic to write. [default: the log's]")
 @force_option
 @report_or_log
@@ -185,18 +166,18 @@ def command(
     }
     names = tuple(TARGETS) if "all" in targets else _names(targets, quiet=request.quiet)
     texts = [render(report, name, **options) for name in names]  # so that a refusal leaves no file
+    several = len(names) > 1
     if out == Path("-"):
-        if len(names) > 1:
+        if several:
             msg = "standard output takes one format; give a folder"
             raise click.BadParameter(msg, param_hint="'-o'")
         click.echo(texts[0], nl=False)
-    elif len(names) == 1:
-        echo(str(export(report, names[0], out or Path(), **options)[0]))
     else:
+        place = _folder(out or _FOLDER) if several else out or Path()
         for name in names:
-            echo(str(export(report, name, _folder(out or _FOLDER), **options)[0]))
-    _say_bounds(report, quiet=request.quiet)
-    _say_missing(report, quiet=request.quiet)
+            echo(str(export(report, name, place, **options)[0]))
+    for text in _remarks(report):
+        say(text, quiet=request.quiet)
 
 
 def _report(request: LogRequest, value: "FleetValue | None", model: str | None) -> Report:
@@ -235,23 +216,14 @@ def _folder(path: Path) -> Path:
     return path
 
 
-def _say_bounds(report: Report, *, quiet: bool) -> None:
-    """Say on standard error which numbers may be bounds: the files say which are."""
+def _remarks(report: Report) -> Iterator[str]:
+    """Yield which numbers may be bounds, and which half of the numbers the files lack."""
     for symbol in ("N", "K"):
-        axes = [axis.name for axis in report.axes if axis.fit[symbol].value is None]
-        if axes:
-            say(
+        if axes := [axis.name for axis in report.axes if axis.fit[symbol].value is None]:
+            yield (
                 f"{symbol} was not identified on {', '.join(axes)}; where a file needs it, its upper bound "
-                "stands there, with a comment (--unidentified refuse to refuse)",
-                quiet=quiet,
+                "stands there, with a comment (--unidentified refuse to refuse)"
             )
-
-
-def _say_missing(report: Report, *, quiet: bool) -> None:
-    """Say on standard error which half of the numbers the files lack."""
     for sensor in Sensor:
         if not any(axis.sensor is sensor for axis in report.axes):
-            say(
-                f"there is no {sensor} in this log; its numbers are left out, as the comment says",
-                quiet=quiet,
-            )
+            yield f"there is no {sensor} in this log; its numbers are left out, as the comment says"

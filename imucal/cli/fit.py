@@ -13,19 +13,26 @@ from imucal.cli._printing import (
     name_of_log,
     print_findings,
     refuse,
-    refuse_warnings,
     say,
     width,
 )
-from imucal.cli.parameters import LEVEL, LogRequest, Structure, TauSet, log_options, shown
+from imucal.cli.parameters import (
+    LEVEL,
+    TAU_SET,
+    LogRequest,
+    datasheet_option,
+    json_option,
+    log_options,
+    model_option,
+    out_option,
+    pictures_option,
+    shown,
+)
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
 
 if TYPE_CHECKING:
     from imucal.findings import Finding
-
-#: Pictures that can be written.
-FORMATS = ("png", "svg", "pdf")
 
 
 @click.command(
@@ -44,20 +51,8 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 5 the report can't be written, 130 interrupted."""
 )
 @log_options
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder of the report. [default: NAME-imucal]",
-)
-@shown(
-    "--model",
-    type=Structure(),
-    default="auto",
-    metavar="TEXT",
-    help='Terms, such as "N + B + K" or "N + 2*GM".',
-)
+@out_option("DIR", "Folder of the report. [default: NAME-imucal]")
+@model_option('Terms, such as "N + B + K" or "N + 2*GM".')
 @shown("--method", type=click.Choice(METHODS), default="mle", help="Estimator.")
 @shown("--level", type=LEVEL, default=0.95, help="Confidence level of every interval.")
 @shown("--ic", type=click.Choice(CRITERIA), default="bic", help="Criterion that chooses the model.")
@@ -69,7 +64,7 @@ analysed or are not noise at rest (with --strict: or a warning was found),
     metavar="N",
     help="Parts whose noise is compared; 1 for none.",
 )
-@shown("--taus", type=TauSet(), default="octave", metavar="SET", help="octave, decade, decade:20 or all.")
+@shown("--taus", type=TAU_SET, default="octave", metavar="SET", help="octave, decade, decade:20 or all.")
 @shown(
     "--edf",
     type=click.Choice(["hybrid", "model", "greenhall"]),
@@ -78,15 +73,8 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 )
 @click.option("--no-clean", is_flag=True, help="Fit spikes too, instead of leaving them out.")
 @click.option("--verify", is_flag=True, help="Check the fit against the exact likelihood (slower).")
-@shown("--datasheet/--si", default=True, help="Units of the table.")
-@shown(
-    "--format",
-    "formats",
-    type=click.Choice(FORMATS),
-    multiple=True,
-    default=("png",),
-    help="Pictures; may be repeated.",
-)
+@datasheet_option()
+@pictures_option
 @click.option("--no-html", is_flag=True, help="Write no HTML page.")
 @click.option("--no-report", is_flag=True, help="Write no files at all.")
 @click.option(
@@ -96,7 +84,7 @@ analysed or are not noise at rest (with --strict: or a warning was found),
     help="Axes fitted at a time, each in a process of its own. [default: as many as there are processors]",
 )
 @click.option("--bins", is_flag=True, help="Put each axis's binned spectrum into report.json, to pool logs.")
-@click.option("--json", "as_json", is_flag=True, help="Print report.json on standard output.")
+@json_option("Print report.json on standard output.")
 @click.option("--curve", is_flag=True, help="LOG is a table of tau and Allan deviations, without headings.")
 @force_option
 def command(
@@ -154,15 +142,7 @@ def command(
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     if curve or is_curve_table(request):
-        with request.local() as logs:
-            fit_curves(
-                logs.paths[0],
-                settings,
-                rate_hz=request.rate,
-                as_json=as_json,
-                quiet=request.quiet,
-            )
-        say("A table of deviations has no report folder; --json has all numbers.", quiet=request.quiet)
+        fit_curves(request, settings, as_json=as_json)
         return
     from imucal.cli._result_table import summary_table
     from imucal.report.json_file import dumps, to_document
@@ -183,15 +163,14 @@ def command(
             report, folder, formats=formats, html=not no_html, tell=missing.append, workers=jobs
         )
         for path in files:
-            say(str(path), quiet=request.quiet)
+            say(path, quiet=request.quiet)
         print_findings(missing, quiet=request.quiet)
         if report.verdict.usable:
-            next_step = f"imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
-            say(f"Next: {next_step}", quiet=request.quiet)
+            typed = as_typed(folder)
+            say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
     written = "nothing was written" if no_report else f"{folder} says so"
-    refuse(report.verdict, report.source.path, written, force=force)
-    if request.strict:
-        refuse_warnings((*report.all_findings, *missing), report.source.path)
+    forbidden = (*report.all_findings, *missing) if request.strict else ()
+    refuse(report.verdict, report.source.path, written, force=force, forbidden=forbidden)
 
 
 def report_folder(log: str, what: str = "imucal") -> Path:

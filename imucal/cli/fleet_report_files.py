@@ -7,7 +7,7 @@ import click
 
 from imucal.cli._fleet import say_verdict
 from imucal.cli._printing import echo, print_findings, say
-from imucal.cli.parameters import Number, quiet_option, shown
+from imucal.cli.parameters import SHARE, quiet_option, shown
 
 if TYPE_CHECKING:
     from imucal.findings import Finding
@@ -25,18 +25,8 @@ Exit codes: 0 done, 2 usage, 3 the folder is no fleet or can't be read,
 4 no log is done, 5 a file can't be written."""
 )
 @click.argument("folder", type=click.Path(path_type=Path), metavar="FLEET")
-@shown(
-    "--content",
-    type=Number(0, 1, min_open=True, max_open=True, percent=True),
-    default=0.95,
-    help="Share of all units that the tolerance bound holds.",
-)
-@shown(
-    "--confidence",
-    type=Number(0, 1, min_open=True, max_open=True, percent=True),
-    default=0.95,
-    help="How sure that is.",
-)
+@shown("--content", type=SHARE, default=0.95, help="Share of all units that the tolerance bound holds.")
+@shown("--confidence", type=SHARE, default=0.95, help="How sure that is.")
 @click.option("--html/--no-html", default=True, help="Write fleet.html.")
 @click.option("--pictures/--no-pictures", default=True, help="Write the PNGs.")
 @quiet_option

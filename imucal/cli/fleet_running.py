@@ -1,23 +1,38 @@
 """``imucal fleet run``: one noise model for many logs."""
 
-import contextlib
 import shlex
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._fleet import FixedStructure, Labels, Patience, Shard, Size, conclude, print_plan, say_plan
+from imucal.cli._fleet import (
+    FIXED_STRUCTURE,
+    LABELS,
+    PATIENCE,
+    SHARD,
+    SIZE,
+    conclude,
+    print_plan,
+    say_plan,
+)
 from imucal.cli._printing import say
 from imucal.cli._progress import fleet_progress
-from imucal.cli.parameters import LEVEL, Duration, Number, quiet_option, reading_options, shown
+from imucal.cli.parameters import (
+    DURATION,
+    LEVEL,
+    Number,
+    quiet_option,
+    reading_options,
+    shown,
+    topic_option,
+)
+from imucal.errors import ImucalError
 from imucal.resources import threads
 
 if TYPE_CHECKING:
     from imucal.fleet.store import FleetStore
-    from imucal.fleet_run import FleetPlan, FleetSettings
     from imucal.fleet_run.logs import LabelPattern
     from imucal.fleet_run.plan import LogEntry
 
@@ -79,17 +94,17 @@ Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
     help="Table with a column path; model, unit, temperature_c, started; arguments of imucal.read.",
 )
 @click.option(
-    "--labels", type=Labels(), metavar="TEXT", help="Labels in paths, such as '{model}/{unit}/*.mcap'."
+    "--labels", type=LABELS, metavar="TEXT", help="Labels in paths, such as '{model}/{unit}/*.mcap'."
 )
 @click.option(
-    "--model", type=FixedStructure(), metavar="TEXT", help=f"Terms, for every log. [default: {_MODEL}]"
+    "--model", type=FIXED_STRUCTURE, metavar="TEXT", help=f"Terms, for every log. [default: {_MODEL}]"
 )
 @click.option("--level", type=LEVEL, help=f"Confidence level of every interval. [default: {_LEVEL}]")
 @click.option("--jobs", type=click.IntRange(1, 4096), metavar="N", help="Workers. [default: all processors]")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster, such as tcp://head:8786.")
-@click.option("--shard", type=Shard(), metavar="I/N", help="Do part I of N, in this process, without Dask.")
-@click.option("--memory", type=Size(), metavar="SIZE", help="Memory of each worker, such as 2GB.")
-@shown("--timeout", type=Patience(), default="auto", metavar="TIME", help="Time of each log, such as 10min.")
+@click.option("--shard", type=SHARD, metavar="I/N", help="Do part I of N, in this process, without Dask.")
+@click.option("--memory", type=SIZE, metavar="SIZE", help="Memory of each worker, such as 2GB.")
+@shown("--timeout", type=PATIENCE, default="auto", metavar="TIME", help="Time of each log, such as 10min.")
 @shown("--reports", type=click.Choice(["none", "failed", "all"]), default="failed", help="Reports of logs.")
 @shown(
     "--max-failed",
@@ -100,10 +115,19 @@ Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
 )
 @click.option("--fresh", is_flag=True, help="Forget what the folder has, and do every log anew.")
 @click.option("--dry-run", is_flag=True, help="Print what would be done; write nothing.")
-@click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor.")
+@topic_option
 @reading_options
-@click.option("--skip", type=Duration(), default=0.0, metavar="TIME", help="Leave out the start of each log.")
-@click.option("--take", type=Duration(), metavar="TIME", help="Use only so much of each log, such as 2h.")
+@click.option(
+    "--skip",
+    "skip_s",
+    type=DURATION,
+    default=0.0,
+    metavar="TIME",
+    help="Leave out the start of each log.",
+)
+@click.option(
+    "--take", "take_s", type=DURATION, metavar="TIME", help="Use only so much of each log, such as 2h."
+)
 @click.option("--strict", is_flag=True, help="Refuse damaged logs.")
 @quiet_option
 @click.pass_context
@@ -127,8 +151,8 @@ def command(
     dry_run: bool,
     topic: tuple[str, ...],
     reading: dict[str, object],
-    skip: float,
-    take: float | None,
+    skip_s: float,
+    take_s: float | None,
     strict: bool,
     quiet: bool,
 ) -> None:
@@ -142,7 +166,9 @@ def command(
     from imucal.fleet.store import FleetStore
     from imucal.fleet_run import plan_fleet
     from imucal.fleet_run.fleet_call import fleet_settings, prepare
+    from imucal.fleet_run.on_dask import Engine
     from imucal.fleet_run.plan import as_json
+    from imucal.fleet_run.running import run_plan
 
     if shard and scheduler:
         msg = "--shard works without a cluster; give --shard or --scheduler, not both"
@@ -159,7 +185,7 @@ def command(
         shard=shard,
     )
     entries = _entries(store, logs, manifest, labels, quiet=quiet)
-    options = {**reading, "topic": topic, "skip_s": skip, "take_s": take, "strict": strict}
+    options = {**reading, "topic": topic, "skip_s": skip_s, "take_s": take_s, "strict": strict}
     plan = plan_fleet(entries, settings, None if fresh else store, reading=as_json(options))
     plan = plan.shard(*shard) if shard else plan
     if dry_run:
@@ -169,8 +195,13 @@ def command(
     for part in store.damaged():
         say(f"{part}: was cut off; its logs are done again", quiet=quiet)
     say_plan(plan, store, quiet=quiet)
-    with _saying_how_to_go_on(_resume(ctx.obj or [], out)):
-        _run(plan, settings, workers=workers, scheduler=scheduler, here=shard is not None, quiet=quiet)
+    engine = None if shard else Engine(address=scheduler, jobs=workers, memory=settings.memory)
+    try:
+        with fleet_progress(quiet=quiet or not plan.tasks) as progress:
+            run_plan(plan, settings, engine=engine, tell=progress or (lambda _: None))
+    except (KeyboardInterrupt, ImucalError):
+        say(f"What is done is kept; to go on: {_resume(ctx.obj or [], out)}")
+        raise
     conclude(ctx, store, plan, out, max_failed=max_failed, quiet=quiet)
 
 
@@ -184,42 +215,9 @@ def _kept(store: "FleetStore", *, model: str | None, level: float | None, fresh:
         raise click.UsageError(msg) from error
 
 
-def _run(
-    plan: "FleetPlan",
-    settings: "FleetSettings",
-    *,
-    workers: int,
-    scheduler: str | None,
-    here: bool,
-    quiet: bool,
-) -> None:
-    from imucal.fleet_run.on_dask import Engine
-    from imucal.fleet_run.running import run_plan
-
-    if not plan.tasks:
-        return
-    engine = None if here else Engine(address=scheduler, jobs=workers, memory=settings.memory)
-    with fleet_progress(quiet=quiet) as progress:
-        run_plan(plan, settings, engine=engine, tell=progress or (lambda _: None))
-
-
-@contextlib.contextmanager
-def _saying_how_to_go_on(resume: str) -> Iterator[None]:
-    """Print the command that goes on, where a run ends before its end."""
-    from imucal.errors import ImucalError
-
-    try:
-        yield
-    except (KeyboardInterrupt, ImucalError):
-        say(f"What is done is kept; to go on: {resume}")
-        raise
-
-
 def _resume(typed: list[str], out: Path) -> str:
     """Return the command that goes on: the one that was typed, without what must not be done again."""
     from imucal.fleet_run.plan import shown_and_url
 
     kept = [shown_and_url(word)[0] for word in typed if word not in {"--fresh", "-"}]
-    if not kept:
-        kept = ["fleet", "run", "-o", str(out)]
-    return shlex.join(["imucal", *kept])
+    return shlex.join(["imucal", *(kept or ["fleet", "run", "-o", str(out)])])

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._fleet import count, failed_logs, number_of_logs, print_failures, print_standing
+from imucal.cli._fleet import count, failed_logs, number_of, print_failures, print_standing
 from imucal.cli._printing import as_typed, echo, echo_json, say
-from imucal.cli.parameters import quiet_option
+from imucal.cli.parameters import json_option, quiet_option
 from imucal.grading import GRADES
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ Examples:
   imucal fleet status fleet --json | jq .left"""
 )
 @click.argument("folder", type=click.Path(path_type=Path), metavar="FLEET")
-@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+@json_option("Print it as JSON.")
 @quiet_option
 def command(*, folder: Path, as_json: bool, quiet: bool) -> None:
     """Say what of FLEET is done, what failed and why, and what is left; while it runs, too."""
@@ -45,7 +45,7 @@ def command(*, folder: Path, as_json: bool, quiet: bool) -> None:
     for part in damaged:
         say(f"  {part}: was cut off; the next run does its logs again", quiet=quiet)
     if left:
-        left_of = f"{len(left)} of {number_of_logs(manifest.height)}"
+        left_of = f"{len(left)} of {number_of(manifest.height, 'log')}"
         echo(f"left: {left_of}; imucal fleet run -o {as_typed(folder)} goes on")
 
 

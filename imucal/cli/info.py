@@ -8,7 +8,7 @@ import click
 from imucal.cli._info import SCHEMA, lines_of_log, log_document, read_topics
 from imucal.cli._printing import echo, echo_json, wrapped
 from imucal.cli._progress import download_progress
-from imucal.cli.parameters import reading_options
+from imucal.cli.parameters import json_option, reading_options
 from imucal.readers import LogContents, describe, logs_of
 from imucal.readers.read_options import options_of
 from imucal.readers.tables.text_source import STANDARD_INPUT
@@ -38,7 +38,7 @@ Examples:
 Exit codes: 0 done, 2 usage, 3 a log can't be read."""
 )
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
+@json_option("Print JSON on standard output.")
 @click.option(
     "--gaps/--no-gaps",
     default=None,

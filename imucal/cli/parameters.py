@@ -1,12 +1,6 @@
 """Parameters of commands: types that say what is right, and options that several commands share.
 
-Types of options that several commands share: they refuse what is out of range, and say what is right.
-
-Options of how to read a log, where it doesn't say itself.
-
-Options that several commands share.
-
-The LOG argument with the options of reading it, and what is read by them.
+Among these are the options of how to read a log, where it doesn't say itself, and the LOG argument with them.
 """
 
 import functools
@@ -16,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -26,12 +20,11 @@ from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
 
 if TYPE_CHECKING:
+    from click import ParamType
+
     from imucal.pipeline import Settings
     from imucal.readers.remote_logs import LocalLogs
     from imucal.report.result import Report
-
-if TYPE_CHECKING:
-    from click import ParamType as ParamType  # noqa: PLC0414 - offered to the commands
 else:
 
     class ParamType(click.ParamType):
@@ -41,8 +34,23 @@ else:
             return cls
 
 
-#: Written like this, averaging times are a set and not a list.
-_TAU_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
+Value = TypeVar("Value")
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Text(ParamType[Value]):
+    """What a function makes of a text; the sentence of its ValueError is the message."""
+
+    def __init__(self, name: str, parse: Callable[[str], Value]) -> None:
+        self.name, self._parse = name, parse
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Value:
+        if not isinstance(value, str):
+            return value  # type: ignore[return-value]  # a default that is no text
+        try:
+            return self._parse(value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
 
 
 class Number(click.FloatRange):
@@ -85,212 +93,210 @@ RATE = Number(1e-6, 1e9, unit="Hz")
 LEVEL = Number(0.01, 0.999999, percent=True)
 
 
-class Duration(ParamType[float]):
-    """Seconds, or a number with s, min, m, h or d."""
-
-    name = "duration"
-    _factors: ClassVar[dict[str, float]] = {"s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        if isinstance(value, int | float):
-            return float(value)
-        text = str(value).strip()
-        number = text.rstrip("smindh")
-        factor = self._factors.get(text[len(number) :] or "s")
-        try:
-            seconds = float(number) * (factor or float("nan"))
-        except ValueError:
-            seconds = float("nan")
-        if not 0 <= seconds < float("inf"):
-            self.fail(f"{text!r} is not a duration; write seconds, or such as 90s, 5min, 2.5h", param, ctx)
-        return seconds
+_SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
-class UnitName(ParamType[str]):
-    """A unit of one sensor's samples, in a spelling that can't be meant otherwise."""
+def seconds_of(text: str) -> float:
+    """Return a duration in s of a number alone, or with s, min, m, h or d.
 
-    name = "unit"
-    #: Plurals: a log's column may be called so, but "degs" typed by a person may be degrees.
-    _unclear = frozenset({"rads", "mrads", "degs", "mdegs"})
-
-    def __init__(self, sensor: Sensor) -> None:
-        self.sensor = sensor
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        text = str(value)
-        found = parse_sample_unit(text)
-        known = ", ".join(SAMPLE_UNITS[self.sensor])
-        if text.strip().lower() in self._unclear and found is not None:
-            self.fail(f"{text!r} is not clear; did you mean {found[1]!r}?", param, ctx)
-        if found is None or found[0] is not self.sensor:
-            self.fail(f"{text!r} is no unit of the {self.sensor}; expected one of {known}", param, ctx)
-        return text
-
-
-class TauSet(ParamType[str]):
-    """A set of averaging times by its name."""
-
-    name = "taus"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        text = str(value).strip()
-        if not _TAU_SET.fullmatch(text):
-            self.fail(f"{text!r} is not octave, decade, decade:20 or all", param, ctx)
-        return text
+    Raises
+    ------
+    ValueError
+        If the text is no duration.
+    """
+    text = text.strip()
+    number = text.rstrip("smindh")
+    try:
+        seconds = float(number) * _SECONDS.get(text[len(number) :], math.nan)
+    except ValueError:
+        seconds = math.nan
+    if not 0 <= seconds < math.inf:
+        msg = f"{text!r} is not a duration; write seconds, or such as 90s, 5min, 2.5h"
+        raise ValueError(msg)
+    return seconds
 
 
-class Taus(ParamType[str | tuple[float, ...]]):
-    """A set of averaging times by name, or a list of durations."""
-
-    name = "taus"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> str | tuple[float, ...]:
-        text = str(value).strip()
-        if _TAU_SET.fullmatch(text):
-            return text
-        try:
-            seconds = tuple(Duration().convert(part, param, ctx) for part in text.split(","))
-        except click.BadParameter:
-            seconds = (0.0,)
-        if min(seconds) <= 0:
-            known = "octave, decade, decade:20 or all, nor a list of times such as 0.1,1,10min"
-            self.fail(f"{text!r} is neither {known}", param, ctx)
-        return seconds
+#: Units that a column of a log may be called by, but "degs" typed by a person may be degrees.
+_UNCLEAR = frozenset({"rads", "mrads", "degs", "mdegs"})
 
 
-class Structure(ParamType[str]):
-    """The terms of a model, or auto."""
-
-    name = "structure"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from imucal.noise import parse_structure, structure_text
-
-        text = str(value)
-        try:
-            return text if text == "auto" else structure_text(parse_structure(text))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
+def _unit_of(sensor: Sensor, text: str) -> str:
+    """Return a unit of one sensor's samples, in a spelling that can't be meant otherwise."""
+    found = parse_sample_unit(text)
+    if text.strip().lower() in _UNCLEAR and found is not None:
+        msg = f"{text!r} is not clear; did you mean {found[1]!r}?"
+        raise ValueError(msg)
+    if found is None or found[0] is not sensor:
+        msg = f"{text!r} is no unit of the {sensor}; expected one of {', '.join(SAMPLE_UNITS[sensor])}"
+        raise ValueError(msg)
+    return text
 
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+#: Written like this, averaging times are a set and not a list.
+_TAU_SET = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
 
-#: How to read a log, where it doesn't say itself.
-READING = (
-    click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column."),
-    click.option(
-        "--time-unit",
-        type=click.Choice(["s", "ms", "us", "ns"]),
-        help="Unit of the time, where the log doesn't say.",
-    ),
-    click.option(
-        "--rate",
-        type=RATE,
-        metavar="HZ",
-        help="Sampling rate, where the log's own is missing or wrong.",
-    ),
-    click.option(
-        "--gyro-unit",
-        type=UnitName(Sensor.GYROSCOPE),
-        metavar="UNIT",
-        help="rad/s, deg/s, mdeg/s, …, where the log doesn't say.",
-    ),
-    click.option(
-        "--accel-unit",
-        type=UnitName(Sensor.ACCELEROMETER),
-        metavar="UNIT",
-        help="m/s^2, g, mg, …, where the log doesn't say.",
-    ),
-    click.option(
-        "--gyro-scale",
-        type=Number(min=0, min_open=True),
-        metavar="X",
-        help="rad/s per count, for raw counts.",
-    ),
-    click.option(
-        "--accel-scale",
-        type=Number(min=0, min_open=True),
-        metavar="X",
-        help="m/s^2 per count, for raw counts.",
-    ),
-    click.option("--columns", metavar="TEXT", help="Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1."),
-    click.option(
-        "--fields",
-        multiple=True,
-        metavar="TEXT",
-        help="Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v lists them.",
-    ),
-    click.option(
-        "--msg",
-        multiple=True,
-        type=click.Path(exists=True, path_type=Path),
-        metavar="FILE",
-        help="Definition (.msg) of a type the log doesn't define, or a folder of them.",
-    ),
+
+def _tau_set(text: str) -> str:
+    if not _TAU_SET.fullmatch(text.strip()):
+        msg = f"{text.strip()!r} is not octave, decade, decade:20 or all"
+        raise ValueError(msg)
+    return text.strip()
+
+
+def _taus(text: str) -> str | tuple[float, ...]:
+    if _TAU_SET.fullmatch(text.strip()):
+        return text.strip()
+    try:
+        seconds = tuple(map(seconds_of, text.split(",")))
+    except ValueError:
+        seconds = (0.0,)
+    if min(seconds) <= 0:
+        known = "octave, decade, decade:20 or all, nor a list of times such as 0.1,1,10min"
+        msg = f"{text.strip()!r} is neither {known}"
+        raise ValueError(msg)
+    return seconds
+
+
+def structure_of(text: str) -> str:
+    """Return the terms of a model in their usual order, or auto.
+
+    Raises
+    ------
+    ValueError
+        If the text names no model.
+    """
+    from imucal.noise import parse_structure, structure_text
+
+    return text if text == "auto" else structure_text(parse_structure(text))
+
+
+#: Hz: no IMU is slower or faster, and no product of these overflows.
+RATE = Number(1e-6, 1e9, unit="Hz")
+#: Beyond these levels an interval is a point or everything.
+LEVEL = Number(0.01, 0.999999, percent=True)
+#: A probability or a share, ends left out.
+SHARE = Number(0, 1, min_open=True, max_open=True, percent=True)
+_SCALE = Number(min=0, min_open=True)
+#: Seconds, or a number with s, min, m, h or d.
+DURATION = Text("duration", seconds_of)
+#: Averaging times: a set by its name; the same, or a list of durations.
+TAU_SET, TAUS = Text("taus", _tau_set), Text("taus", _taus)
+
+#: An option whose default stands in its help.
+shown = functools.partial(click.option, show_default=True)
+#: Formats of pictures that can be written.
+FORMATS = ("png", "svg", "pdf")
+
+topic_option = click.option(
+    "--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor."
 )
+quiet_option = click.option(
+    "-q", "--quiet", is_flag=True, help="Print results only: no progress, findings or paths."
+)
+pictures_option = shown(
+    "--format",
+    "formats",
+    type=click.Choice(FORMATS),
+    multiple=True,
+    default=("png",),
+    help="Pictures; may be repeated.",
+)
+
+
+def datasheet_option(text: str = "Units of the table.") -> Callable[[Command], Command]:
+    """Return the option ``--datasheet/--si`` with its help."""
+    return shown("--datasheet/--si", default=True, help=text)
+
+
+def out_option(metavar: str, text: str) -> Callable[[Command], Command]:
+    """Return the option ``-o``, a path, with its help."""
+    return click.option("-o", "--out", type=click.Path(path_type=Path), metavar=metavar, help=text)
+
+
+def model_option(text: str) -> Callable[[Command], Command]:
+    """Return the option ``--model``, the terms to fit, with its help."""
+    return shown("--model", type=Text("structure", structure_of), default="auto", metavar="TEXT", help=text)
+
+
+def json_option(text: str) -> Callable[[Command], Command]:
+    """Return the flag ``--json``, given as `as_json`, with its help."""
+    return click.option("--json", "as_json", is_flag=True, help=text)
+
+
 #: What a fields text starts with.
 _FIELDS = re.compile(r"(g|gyro|a|accel|t|time|temp|temperature)=")
-#: Name of an option of `READING` -> argument of `imucal.read`, where they differ.
-_ARGUMENTS = {"rate": "rate_hz", "msg": "message_definition"}
+#: Options of how to read a log, in the order that a report keeps.
 _READING = (
-    *("time", "time_unit", "rate", "gyro_unit", "accel_unit", "gyro_scale", "accel_scale"),
-    *("columns", "fields", "msg"),
+    *("time", "time_unit", "rate_hz", "gyro_unit", "accel_unit", "gyro_scale", "accel_scale"),
+    *("columns", "message_definition", "fields"),
 )
 
 
 def reading_options(command: Command) -> Callable[..., Any]:
     """Add the options of reading a log; the command gets them as `reading`, arguments of `imucal.read`."""
 
+    @click.option("--time", metavar="CLOCK", help="'header' or 'log' stamps; a table's time column.")
+    @click.option(
+        "--time-unit",
+        type=click.Choice(["s", "ms", "us", "ns"]),
+        help="Unit of the time, where the log doesn't say.",
+    )
+    @click.option(
+        "--rate",
+        "rate_hz",
+        type=RATE,
+        metavar="HZ",
+        help="Sampling rate, where the log's own is missing or wrong.",
+    )
+    @click.option(
+        "--gyro-unit",
+        type=Text("unit", functools.partial(_unit_of, Sensor.GYROSCOPE)),
+        metavar="UNIT",
+        help="rad/s, deg/s, mdeg/s, …, where the log doesn't say.",
+    )
+    @click.option(
+        "--accel-unit",
+        type=Text("unit", functools.partial(_unit_of, Sensor.ACCELEROMETER)),
+        metavar="UNIT",
+        help="m/s^2, g, mg, …, where the log doesn't say.",
+    )
+    @click.option("--gyro-scale", type=_SCALE, metavar="X", help="rad/s per count, for raw counts.")
+    @click.option("--accel-scale", type=_SCALE, metavar="X", help="m/s^2 per count, for raw counts.")
+    @click.option("--columns", metavar="TEXT", help="Columns of a table: t=0,g=1:4,a=4:7 or t=0,gz=1.")
+    @click.option(
+        "--fields",
+        multiple=True,
+        metavar="TEXT",
+        help="Fields of messages, such as 'gyro=gx,gy,gz accel=imu.a' or gyro.z=turn; info -v lists them.",
+    )
+    @click.option(
+        "--msg",
+        "message_definition",
+        multiple=True,
+        type=click.Path(exists=True, path_type=Path),
+        metavar="FILE",
+        help="Definition (.msg) of a type the log doesn't define, or a folder of them.",
+    )
     @functools.wraps(command)
-    def wrapper(**values: Any) -> object:  # noqa: ANN401 - click passes every option by name
-        values = with_all_fields(values)
-        reading = {_ARGUMENTS.get(name, name): values.pop(name) for name in _READING}
-        return command(reading=reading, **values)
+    def wrapper(*, logs: tuple[str, ...], fields: tuple[str, ...], **values: Any) -> object:  # noqa: ANN401
+        # What stands behind --fields without quotes, as in ``--fields gyro=g accel=a``, is no log.
+        more = [log for log in logs if fields and _FIELDS.match(log) and not Path(log).exists()]
+        values["fields"] = (*fields, *more)
+        reading = {name: values.pop(name) for name in _READING}
+        return command(logs=tuple(log for log in logs if log not in more), reading=reading, **values)
 
-    decorated: Callable[..., Any] = wrapper
-    for option in reversed(READING):
-        decorated = option(decorated)
-    return decorated
-
-
-def with_all_fields(values: dict[str, Any]) -> dict[str, Any]:
-    """Take what stands behind --fields without quotes, as in ``--fields gyro=g accel=a``, out of the logs."""
-    if not values["fields"]:
-        return values
-    more = tuple(log for log in values["logs"] if _FIELDS.match(log) and not Path(log).exists())
-    logs = tuple(log for log in values["logs"] if log not in more)
-    return {**values, "logs": logs, "fields": (*values["fields"], *more)}
-
-
-#: An option whose default stands in its help.
-shown = functools.partial(click.option, show_default=True)
-quiet_option = click.option(
-    "-q", "--quiet", is_flag=True, help="Print results only: no progress, findings or paths."
-)
+    return wrapper
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogRequest:
-    """What the user asked to read; the fields are the options of `log_options`."""
+    """What the user asked to read; `reading` holds arguments of `imucal.read`."""
 
     logs: tuple[str, ...]
-    topic: tuple[str, ...]
-    time: str | None
-    time_unit: str | None
-    rate: float | None
-    gyro_unit: str | None
-    accel_unit: str | None
-    gyro_scale: float | None
-    accel_scale: float | None
-    columns: str | None
-    fields: tuple[str, ...]
-    msg: tuple[Path, ...]
-    join: bool
+    reading: dict[str, Any]
     strict: bool
-    skip: float
-    take: float | None
+    skip_s: float
+    take_s: float | None
     quiet: bool
     verbose: bool
 
@@ -316,26 +322,10 @@ class LogRequest:
         from imucal.readers.clocks import part_between
 
         with reading_progress(quiet=self.quiet) as progress:
-            recording = read(
-                *logs.paths,
-                topic=self.topic,
-                time=self.time,
-                time_unit=self.time_unit,
-                rate_hz=self.rate,
-                gyro_unit=self.gyro_unit,
-                accel_unit=self.accel_unit,
-                gyro_scale=self.gyro_scale,
-                accel_scale=self.accel_scale,
-                columns=self.columns,
-                message_definition=self.msg,
-                fields=self.fields,
-                join=self.join,
-                strict=self.strict,
-                progress=progress,
-            )
-        if self.skip or self.take is not None:
-            end = float("inf") if self.take is None else self.skip + self.take
-            recording = part_between(recording, self.skip, end)
+            recording = read(*logs.paths, **self.reading, strict=self.strict, progress=progress)
+        if self.skip_s or self.take_s is not None:
+            end = math.inf if self.take_s is None else self.skip_s + self.take_s
+            recording = part_between(recording, self.skip_s, end)
         recording = logs.named(recording)
         _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
         return recording
@@ -354,66 +344,49 @@ class LogRequest:
 
     def settings(self) -> dict[str, object]:
         """Return what was asked, for the report: JSON values, defaults left out."""
-        asked: dict[str, object] = {
-            "topic": list(self.topic),
-            "time": self.time,
-            "time_unit": self.time_unit,
-            "rate_hz": self.rate,
-            "gyro_unit": self.gyro_unit,
-            "accel_unit": self.accel_unit,
-            "gyro_scale": self.gyro_scale,
-            "accel_scale": self.accel_scale,
-            "columns": self.columns,
-            "message_definition": [str(path) for path in self.msg],
-            "fields": list(self.fields),
-            "join": self.join,
-            "strict": self.strict,
-            "skip_s": self.skip,
-            "take_s": self.take,
+        asked = {**self.reading, "strict": self.strict, "skip_s": self.skip_s, "take_s": self.take_s}
+        return {
+            name: list(map(str, value)) if isinstance(value, tuple) else value
+            for name, value in asked.items()
+            if value
         }
-        return {name: value for name, value in asked.items() if value}
 
 
 def log_options(command: Command) -> Callable[..., Any]:
     """Add the LOG argument and the options of reading it; the command gets them as `request`."""
 
+    # Whether a log can be read is for its reader to say, with the exit code of that.
+    @click.argument(
+        "logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(allow_dash=True, readable=False)
+    )
+    @topic_option
+    @reading_options
+    @click.option(
+        "--join", is_flag=True, help="Take several LOGs as parts of one recording, whatever they look like."
+    )
+    @click.option(
+        "--skip",
+        "skip_s",
+        type=DURATION,
+        default=0.0,
+        metavar="TIME",
+        help="Leave out the start, such as 5min.",
+    )
+    @click.option("--take", "take_s", type=DURATION, metavar="TIME", help="Use only so much, such as 2h.")
+    @click.option("--strict", is_flag=True, help="Refuse a damaged log; end with exit code 4 on a warning.")
+    @quiet_option
+    @click.option("-v", "--verbose", is_flag=True, help="Say how each choice was made.")
     @functools.wraps(command)
-    def wrapper(**values: Any) -> object:  # noqa: ANN401 - click passes every option by name
-        values = with_all_fields(values)
-        names = LogRequest.__dataclass_fields__
-        request = LogRequest(**{name: values.pop(name) for name in names})
+    def wrapper(
+        *, topic: tuple[str, ...], reading: dict[str, Any], join: bool, **values: Any  # noqa: ANN401
+    ) -> object:  # fmt: skip
+        asked = {
+            name: values.pop(name) for name in ("logs", "strict", "skip_s", "take_s", "quiet", "verbose")
+        }
+        request = LogRequest(reading={"topic": topic, **reading, "join": join}, **asked)
         return command(request=request, **values)
 
-    options = (
-        # Whether a log can be read is for its reader to say, with the exit code of that.
-        click.argument(
-            "logs",
-            metavar="LOG...",
-            nargs=-1,
-            required=True,
-            type=click.Path(allow_dash=True, readable=False),
-        ),
-        click.option("--topic", multiple=True, metavar="NAME", help="Topic to read; twice for one a sensor."),
-        *READING,
-        click.option(
-            "--join",
-            is_flag=True,
-            help="Take several LOGs as parts of one recording, whatever they look like.",
-        ),
-        click.option(
-            "--skip", type=Duration(), default=0.0, metavar="TIME", help="Leave out the start, such as 5min."
-        ),
-        click.option("--take", type=Duration(), metavar="TIME", help="Use only so much, such as 2h."),
-        click.option(
-            "--strict", is_flag=True, help="Refuse a damaged log; end with exit code 4 on a warning."
-        ),
-        quiet_option,
-        click.option("-v", "--verbose", is_flag=True, help="Say how each choice was made."),
-    )
-    decorated: Callable[..., Any] = wrapper
-    for option in reversed(options):
-        decorated = option(decorated)
-    return decorated
+    return wrapper
 
 
 def _say_what_was_read(recording: Recording, *, quiet: bool, verbose: bool) -> None:

@@ -7,37 +7,39 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._printing import FULL, echo, echo_json, fitted, say, width
+from imucal.cli._printing import FULL, echo, echo_json, fitted, picked, say, width
 from imucal.cli._report_input import is_report, read_report
-from imucal.cli.parameters import LEVEL, RATE, Duration, ParamType, quiet_option, shown
+from imucal.cli.parameters import (
+    DURATION,
+    LEVEL,
+    RATE,
+    Text,
+    datasheet_option,
+    json_option,
+    quiet_option,
+    shown,
+)
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
 from imucal.remote import is_url
-from imucal.report.json_file import plain
 from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/planning/1"
 
 
-class Fraction(ParamType[float]):
-    """A positive fraction: 0.1 or 10%."""
-
-    name = "fraction"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        if isinstance(value, int | float):
-            return float(value)
-        text = str(value).strip()
-        number = text.removesuffix("%").strip()
-        try:
-            fraction = float(number) / (100 if text.endswith("%") else 1)
-        except ValueError:
-            fraction = math.nan
-        if not 0 < fraction < math.inf:
-            self.fail(f"{text!r} is not a precision; write such as 10% or 0.1", param, ctx)
-        return fraction
+def _fraction(text: str) -> float:
+    """Return a positive fraction of ``0.1`` or ``10%``."""
+    text = text.strip()
+    try:
+        fraction = float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
+    except ValueError:
+        fraction = math.nan
+    if not 0 < fraction < math.inf:
+        msg = f"{text!r} is not a precision; write such as 10% or 0.1"
+        raise ValueError(msg)
+    return fraction
 
 
 @click.command(
@@ -56,7 +58,7 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read."""
 )
 @shown(
     "--precision",
-    type=Fraction(),
+    type=Text("fraction", _fraction),
     default="10%",
     metavar="FRACTION",
     help="Wanted half-width of each term's interval, of its value.",
@@ -68,10 +70,10 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read."""
     help="Confidence level of that interval.  [default: one standard deviation, 0.683]",
 )
 @click.option(
-    "--duration", type=Duration(), metavar="TIME", help="Also say what a record so long tells, such as 3h."
+    "--duration", type=DURATION, metavar="TIME", help="Also say what a record so long tells, such as 3h."
 )
-@shown("--datasheet/--si", default=True, help="Units of a report's table.")
-@click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON (SI).")
+@datasheet_option("Units of a report's table.")
+@json_option("Print the plan as JSON (SI).")
 @quiet_option
 def command(
     *,
@@ -112,24 +114,13 @@ def to_document(result: Plan) -> dict[str, object]:
     """Return a plan as JSON values, SI; null where no record is long enough."""
     return {
         "schema": SCHEMA,
-        "precision": result.precision,
-        "level": result.level,
-        "needed_s": plain(result.needed_s),
+        **picked(result, "precision", "level", "needed_s"),
         "axes": [
             {
                 "axis": axis.axis or None,
-                "model": axis.model,
-                "rate_hz": axis.rate_hz,
-                "duration_s": axis.duration_s,
+                **picked(axis, "model", "rate_hz", "duration_s"),
                 "terms": [
-                    {
-                        "name": need.name,
-                        "value": need.value,
-                        "bounded": need.bounded,
-                        "needed_s": plain(need.needed_s),
-                        "reached": plain(need.reached),
-                        "shown": need.shown,
-                    }
+                    picked(need, "name", "value", "bounded", "needed_s", "reached", "shown")
                     for need in axis.needs
                 ],
             }

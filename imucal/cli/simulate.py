@@ -1,14 +1,21 @@
 """``imucal simulate``: a log of known truth."""
 
 import json
-import os
 from pathlib import Path
-from typing import Any
 
 import click
 
-from imucal.cli._printing import echo, echo_json, say
-from imucal.cli.parameters import RATE, Duration, Number, ParamType, quiet_option, shown
+from imucal.cli._printing import echo, echo_json, picked, say
+from imucal.cli.parameters import (
+    DURATION,
+    RATE,
+    Number,
+    Text,
+    json_option,
+    quiet_option,
+    seconds_of,
+    shown,
+)
 from imucal.noise import NoiseModel
 from imucal.units import G0
 
@@ -16,46 +23,28 @@ from imucal.units import G0
 _MOST = 1e9
 
 
-class Model(ParamType[NoiseModel]):
-    """A noise model text with values."""
-
-    name = "model"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> NoiseModel:
-        if isinstance(value, NoiseModel):
-            return value
-        try:
-            return NoiseModel.parse(str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
+_MODEL = Text("model", NoiseModel.parse)
+_LSB = Number(min=0)
 
 
-class Gap(ParamType[tuple[float, float]]):
-    """START:LENGTH, each a duration."""
-
-    name = "gap"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float]:
-        start, colon, length = str(value).partition(":")
-        if not colon:
-            self.fail(f"{value!r} is not START:LENGTH, such as 60s:2s", param, ctx)
-        duration = Duration()
-        return duration.convert(start, param, ctx), duration.convert(length, param, ctx)
+def _gap(text: str) -> tuple[float, float]:
+    """Return start and length in s of ``START:LENGTH``."""
+    start, colon, length = text.partition(":")
+    if not colon:
+        msg = f"{text!r} is not START:LENGTH, such as 60s:2s"
+        raise ValueError(msg)
+    return seconds_of(start), seconds_of(length)
 
 
-class LogName(click.Path):
-    """A log to write: its suffix is a format's."""
+def _log_to_write(_: click.Context, __: click.Parameter, path: Path) -> Path:
+    """Return the path of a log whose suffix is a format's."""
+    from imucal.log_files import WRITERS
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:  # noqa: ANN401
-        from imucal.log_files import WRITERS
-
-        path = Path(os.fsdecode(super().convert(value, param, ctx)))
-        if path.suffix.lower() not in WRITERS:
-            known = ", ".join(suffix or "none (a ROS 2 folder)" for suffix in WRITERS)
-            self.fail(f"{path.name!r} ends in {path.suffix!r}; expected one of {known}", param, ctx)
-        return path
+    if path.suffix.lower() not in WRITERS:
+        known = ", ".join(suffix or "none (a ROS 2 folder)" for suffix in WRITERS)
+        msg = f"{path.name!r} ends in {path.suffix!r}; expected one of {known}"
+        raise click.BadParameter(msg)
+    return path
 
 
 @click.command(
@@ -65,40 +54,37 @@ Examples:
   imucal simulate "N=1e-4 + K=1e-6" --accel "N=1e-3 + B=2e-4" \\
     --rate 400 --duration 2h --gap 10min:3s -o gaps.bag"""
 )
-@click.argument("model", type=Model())
+@click.argument("model", type=_MODEL)
 @click.option(
-    "--accel", type=Model(), metavar="MODEL", help="Model of the accelerometer; MODEL's where not given."
+    "--accel", type=_MODEL, metavar="MODEL", help="Model of the accelerometer; MODEL's where not given."
 )
 @click.option(
     "-o",
     "--out",
-    type=LogName(),
+    type=click.Path(path_type=Path),
+    callback=_log_to_write,
     required=True,
     metavar="FILE",
     help="Log to write: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
 )
 @shown("--rate", type=RATE, default=200.0, metavar="HZ", help="Sampling rate.")
-@shown("--duration", type=Duration(), default="10min", metavar="TIME", help="Length of the log.")
+@shown("--duration", type=DURATION, default="10min", metavar="TIME", help="Length of the log.")
 @click.option(
     "--gap",
     "gaps",
-    type=Gap(),
+    type=Text("gap", _gap),
     multiple=True,
     metavar="START:LENGTH",
     help="Lose samples there; may be repeated.",
 )
 @click.option(
-    "--gyro-lsb", type=Number(min=0), default=0.0, metavar="X", help="Resolution of the gyroscope, in rad/s."
+    "--gyro-lsb", type=_LSB, default=0.0, metavar="X", help="Resolution of the gyroscope, in rad/s."
 )
 @click.option(
-    "--accel-lsb",
-    type=Number(min=0),
-    default=0.0,
-    metavar="X",
-    help="Resolution of the accelerometer, in m/s^2.",
+    "--accel-lsb", type=_LSB, default=0.0, metavar="X", help="Resolution of the accelerometer, in m/s^2."
 )
 @shown("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="The same seed gives the same log.")
-@click.option("--json", "as_json", is_flag=True, help="Print the truth as JSON.")
+@json_option("Print the truth as JSON.")
 @quiet_option
 def command(
     *,
@@ -140,6 +126,9 @@ def command(
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     write_log(recording, out)
+    if not as_json:
+        echo(str(out))
+        return
     clock = recording.series[0].clock
     truth = {
         "gyroscope": {"model": model.text(), "lsb": gyro_lsb},
@@ -147,14 +136,8 @@ def command(
         "rate_hz": rate,
         "samples": clock.n,
         "duration_s": clock.duration_s,
-        "gaps": [{"start_s": gap.start_s, "duration_s": gap.duration_s} for gap in clock.gaps],
+        "gaps": [picked(gap, "start_s", "duration_s") for gap in clock.gaps],
         "seed": seed,
     }
-    if as_json:
-        echo_json(json.dumps(truth, indent=2))
-    else:
-        echo(str(out))
-    say(
-        f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}",
-        quiet=quiet or not as_json,
-    )
+    echo_json(json.dumps(truth, indent=2))
+    say(f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}", quiet=quiet)

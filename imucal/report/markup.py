@@ -51,7 +51,7 @@ def _shown(value: object) -> object:
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
-def both_units(sheet: str, plain: str) -> Markup:
+def both_units(sheet: str | Markup, plain: str | Markup) -> Markup:
     """Return a text in data-sheet units and in SI, of which the page shows one."""
     return Markup('<span class="sheet">{}</span><span class="si">{}</span>').format(sheet, plain)
 

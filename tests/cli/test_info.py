@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucal.cli._info import TopicReading, _jitter, _what_was_read
+from imucal.cli._info import _jitter, _what_was_read
 from imucal.findings import Finding
 from imucal.readers import TopicContents
 from imucal.recording import AxisSeries, Recording, Sensor, Source
@@ -101,7 +101,7 @@ def test_a_finding_is_said_once() -> None:
     )
     topic = TopicContents(name="/a", type="table")
     said = {("info", "dropouts", "The logger lost some. Log less.")}
-    lines = list(_what_was_read(topic, TopicReading(recording=recording), said))
+    lines = list(_what_was_read(topic, recording, said))
     assert lines == [
         "",
         "/a: 100 Hz by given rate, 9 samples, no gaps",
