@@ -97,7 +97,7 @@ def command(
 
 def _findings(recording: Recording, failed: list[Finding]) -> tuple[Finding, ...]:
     """Return what `imucal fit` would say too: of reading, of screening, and of axes without a curve."""
-    from imucal.screening import screen
+    from imucal.pipeline import screen
 
     said = {("no-data", finding.axis) for finding in failed}
     found = (*recording.findings, *screen(recording))
