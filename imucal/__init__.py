@@ -41,13 +41,12 @@ if TYPE_CHECKING:
     from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
     from imucal.noise.integrals import avar_from_acvf, avar_from_psd
-    from imucal.pipeline import Settings, characterize
+    from imucal.pipeline import Settings, characterize, screen
     from imucal.planning import plan
     from imucal.readers import read
     from imucal.recording import AxisSeries, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
     from imucal.report.exports import export
-    from imucal.screening import screen
 
 __all__ = [
     "AllanCurve",
@@ -117,13 +116,12 @@ _HOMES = {
     "imucal.grading": ("NoiseVerdict",),
     "imucal.noise": ("NoiseModel",),
     "imucal.noise.integrals": ("avar_from_acvf", "avar_from_psd"),
-    "imucal.pipeline": ("Settings", "characterize"),
+    "imucal.pipeline": ("Settings", "characterize", "screen"),
     "imucal.planning": ("plan",),
     "imucal.readers": ("read",),
     "imucal.recording": ("AxisSeries", "Recording", "Sensor"),
     "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),
     "imucal.report.exports": ("export",),
-    "imucal.screening": ("screen",),
 }
 
 # Now, as the libraries beneath ask only once how many threads they may start.

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
@@ -19,12 +20,13 @@ from imucal.fitting.cross_checks import second_opinion
 from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
+from imucal.fitting.spectral.not_noise import not_noise
 from imucal.planning import resolution_findings
 from imucal.processes import findings_or_why_not, side_by_side
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.resources import memory_limit, threads
-from imucal.screening import screen
+from imucal.screening import screen_values, worst_first
 
 #: Samples looked at at once.
 _BLOCK = 1 << 20
@@ -33,14 +35,14 @@ _BLOCK = 1 << 20
 _BYTES, _BESIDES, _ROOM = 24, 25_000_000, 300_000_000
 #: What every axis needs of libraries that are loaded when they are used.
 _LIBRARIES = ("scipy.fft", "scipy.special")
-#: A remark of the screening, and the finding of the fit that says the same with more.
-_SAID_BETTER = (("roll-off", "output-filter"), ("tone", "line"))
 #: The settings in the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
     *("max_gm", "clean", "verify", "second_opinion", "segments", "bins"),
 )
 
+#: Fewest measured temperatures that say how an axis follows it.
+_FEWEST_DEGREES = 16
 #: Samples worked on at a time, which stay in the cache.
 _PART = 1 << 15
 
@@ -107,7 +109,9 @@ def characterize(
         # Once, by the process that the others are forked from.
         for name in _LIBRARIES:
             import_module(name)
-    findings = recording.findings + screen(recording, workers=workers)
+    # What is not noise, a fit by maximum likelihood finds and says itself.
+    look = screen_values if settings.method == "mle" else screen
+    findings = recording.findings + look(recording, workers=workers)
 
     def work(series: AxisSeries) -> AxisReport | Finding:
         try:
@@ -133,6 +137,33 @@ def characterize(
         version=__version__,
         findings=_of_no_result(findings, axes, failures),
     )
+
+
+def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
+    """Return what speaks against trusting a recording, worst first; empty for a good one.
+
+    Codes: ``absurd-rate``, ``fast-rate``, ``no-data``, ``not-finite``, ``stuck``, ``saturated``,
+    ``held-samples``, ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``,
+    ``no-gravity``, ``motion``, ``touch``, and of an IMU at rest ``step``, ``cycle``, ``warm-up``,
+    ``temperature``, ``tone``, ``roll-off``. The last are what a fit by maximum likelihood
+    takes out, and says of itself. What reading the log has said already is not said again. So many axes
+    as `workers` are worked on at a time; the findings are the same for any number.
+    """
+    findings = screen_values(recording, workers=workers)
+    if any(finding.code == "motion" and finding.level == "error" for finding in findings):
+        return findings
+
+    def look(series: AxisSeries) -> tuple[Finding, ...]:
+        finite = series.finite()
+        return findings_or_why_not(
+            lambda: not_noise(finite, _temperature_at(finite, recording.temperature)),
+            what="No look for what is not noise",
+            code="not-checked",
+            axis=series.name,
+        )
+
+    found = side_by_side(look, recording.series, workers=workers)
+    return worst_first(recording, [*findings, *chain.from_iterable(found)])
 
 
 def _workers(recording: Recording, wanted: int | None) -> int:
@@ -183,7 +214,7 @@ def _characterize_axis(
     # The fit says so of a short one, for which it needs no time and no memory.
     if finite.n > _BLOCK and never_changes(finite.samples):
         raise no_noise(finite)
-    at_samples = _same_clock(series, finite, temperature)
+    at_samples = _temperature_at(finite, temperature)
     with shared_transform(finite.samples):
         curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
         density = spectrum(finite)
@@ -203,9 +234,7 @@ def _characterize_axis(
         code="spectral-ambiguity",
     )
     found += opinion
-    # Of steps the fit says more: it has taken them out, or knows that they go to and fro.
-    taken_out = {"step"} if {f.code for f in found} & {"step", "telegraph"} else set()
-    findings = [f for f in screened if f.axis == series.name and f.code not in taken_out]
+    findings = [f for f in screened if f.axis == series.name]
     findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
     overview = Overview.of(finite)
@@ -223,7 +252,7 @@ def _characterize_axis(
         spectrum=density,
         overview=overview,
         fit=result,
-        findings=_without_repeats(findings),
+        findings=tuple(dict.fromkeys(findings)),
     )
 
 
@@ -251,18 +280,16 @@ def _moments(samples: FloatArray) -> tuple[float, float]:
     return mean, float(np.sqrt(sum(float(np.sum(part * part)) for part in parts) / samples.size))
 
 
-def _same_clock(series: AxisSeries, finite: AxisSeries, temperature: Temperature | None) -> FloatArray | None:
-    """Return the temperature at each finite sample, where it was measured with them."""
-    if temperature is None or temperature.samples.shape != series.samples.shape:
+def _temperature_at(series: AxisSeries, temperature: Temperature | None) -> FloatArray | None:
+    """Return the temperature at each sample, by straight lines where it was measured at other times."""
+    if temperature is None:
         return None
-    at_samples = temperature.samples[series.usable]
-    return at_samples if at_samples.shape == finite.samples.shape and np.isfinite(at_samples).all() else None
-
-
-def _without_repeats(findings: list[Finding]) -> tuple[Finding, ...]:
-    """Leave out what the fit says better than the screening did: its filter, and the lines it left out."""
-    codes = {finding.code for finding in findings}
-    said_better = {screened for screened, fitted in _SAID_BETTER if fitted in codes}
-    # A warning says more than the remark of the fit: that the tone bends the curve.
-    kept = (finding for finding in findings if finding.code not in said_better or finding.level != "info")
-    return tuple(dict.fromkeys(kept))
+    known, clock = np.isfinite(temperature.samples), temperature.clock
+    if np.count_nonzero(known) < _FEWEST_DEGREES:
+        return None
+    if clock is series.clock and known.all():
+        return temperature.samples
+    at, seconds = series.clock.grid() * series.tau0, clock.grid()[known] * clock.tau0
+    if series.clock.start_ns is not None and clock.start_ns is not None:
+        at += (series.clock.start_ns - clock.start_ns) / 1e9
+    return np.asarray(np.interp(at, seconds, temperature.samples[known]))

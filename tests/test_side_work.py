@@ -10,13 +10,12 @@ import pytest
 from imucal import pipeline, processes, screening
 from imucal.errors import DataError
 from imucal.fitting.spectral import mle
-from imucal.pipeline import Settings, characterize
+from imucal.pipeline import Settings, characterize, screen
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries, Recording, Source
 from imucal.report import figure, html_page
 from imucal.report.json_file import load
 from imucal.report.writer import write_report
-from imucal.screening import screen
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.report.synthetic import small_report
 from tests.screening.still import recording, still
@@ -112,7 +111,7 @@ def test_a_verification_costs_no_result(monkeypatch: pytest.MonkeyPatch) -> None
     assert finding.text.startswith("The exact likelihood verifies nothing: the calculation failed ")
 
 
-_TABLES = ("_LOG_CHECKS", "_REST_CHECKS", "_AXIS_CHECKS", "_NOISE_CHECKS")
+_TABLES = ("_LOG_CHECKS", "_REST_CHECKS", "_AXIS_CHECKS")
 _CHECKS = [(table, i) for table in _TABLES for i in range(len(getattr(screening, table)))]
 
 
@@ -132,7 +131,7 @@ def test_a_check_that_fails_leaves_the_others(
     found = screen(recording(gyro, accel))
     assert ("stuck", "gyro_y") in {(f.code, f.axis) for f in found}
     failed = [finding for finding in found if finding.code == "not-checked"]
-    assert len(failed) == (5 if table in {"_AXIS_CHECKS", "_NOISE_CHECKS"} else 1)
+    assert len(failed) == (5 if table == "_AXIS_CHECKS" else 1)
     words = failing.__name__.removeprefix("check_").replace("_", " ")
     assert failed[0].text.startswith(f"No check for {words}: internal error (RuntimeError: no); ")
 

@@ -95,7 +95,7 @@ def command(
 
 def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Finding]:
     """Return what `imucal fit` would say too: of reading, of screening, and of axes without a curve."""
-    from imucal.screening import screen
+    from imucal.pipeline import screen
 
     found = (*recording.findings, *screen(recording))
     failed = [

@@ -1,6 +1,6 @@
-"""Recording -> findings: can it be trusted."""
+"""Recording -> findings: can it be trusted, as far as one can say without a model of its noise."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TypeAlias
 
@@ -8,8 +8,6 @@ from imucal.arrays import release
 from imucal.findings import Finding
 from imucal.processes import findings_or_why_not, side_by_side, try_side_work
 from imucal.recording import AxisSeries, Recording
-from imucal.screening.density import check_roll_off, check_tones
-from imucal.screening.level import check_steps, check_temperature, check_warm_up
 from imucal.screening.motion import check_motion, check_tremor, check_turned
 from imucal.screening.values import (
     check_accelerometer_unit,
@@ -23,10 +21,11 @@ from imucal.screening.values import (
     check_saturated,
     check_stuck,
     check_swapped,
+    temperature_finding,
 )
-from imucal.screening.windows import Profile, profile
+from imucal.screening.windows import Profile, amount, profile
 
-__all__ = ["AxisCheck", "LogCheck", "screen"]
+__all__ = ["amount", "screen_values", "worst_first"]
 
 AxisCheck: TypeAlias = Callable[[Profile], tuple[Finding, ...]]
 LogCheck: TypeAlias = Callable[[Sequence[Profile]], tuple[Finding, ...]]
@@ -45,29 +44,14 @@ _LOG_CHECKS: tuple[LogCheck, ...] = (
 _REST_CHECKS: tuple[LogCheck, ...] = (check_tremor, check_turned, check_motion)
 #: Checks of one axis that holds data.
 _AXIS_CHECKS: tuple[AxisCheck, ...] = (check_not_finite, check_stuck, check_saturated, check_lsb)
-#: Checks of the noise of one axis, which mean something only at rest.
-_NOISE_CHECKS: tuple[AxisCheck, ...] = (check_steps, check_warm_up, check_tones, check_roll_off)
 
 
-def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
-    """Return what speaks against trusting a recording, worst first; empty for a good one.
+def screen_values(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
+    """Return what speaks against trusting a recording's values, and against its rest; worst first.
 
-    Codes: ``absurd-rate``, ``fast-rate``, ``no-data``, ``not-finite``, ``stuck``, ``saturated``,
-    ``held-samples``, ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``,
-    ``no-gravity``, ``motion``, ``touch``, ``step``, ``warm-up``, ``temperature``, ``tone``, ``roll-off``.
-    What reading the log has said already is not said again. The samples are passed once, in blocks;
-    NaN and gaps are left out, and fewer than 16 samples in a row say nothing. So many axes as `workers`
-    are passed at a time; the findings are the same for any number.
+    The samples are passed once, in blocks; NaN and gaps are left out, and fewer than 16 samples in a row
+    say nothing. So many axes as `workers` are passed at a time; the findings are the same for any number.
     """
-    said = {(finding.code, finding.axis) for finding in recording.findings}
-    every = _all_findings(recording, workers)
-    findings = [finding for finding in every if (finding.code, finding.axis) not in said]
-    order = ("error", "warning", "info")
-    return tuple(sorted(findings, key=lambda finding: order.index(finding.level)))
-
-
-def _all_findings(recording: Recording, workers: int) -> Iterator[Finding]:
-    """Yield what each check says, in the order of the tables; one that can't judge says that."""
 
     def made(series: AxisSeries) -> tuple[Profile | None, tuple[Finding, ...]]:
         what = "The axis can't be screened"
@@ -75,26 +59,31 @@ def _all_findings(recording: Recording, workers: int) -> Iterator[Finding]:
         release(series.samples)
         return judged
 
-    profiles: list[Profile] = []
-    for one, failed in side_by_side(made, recording.series, workers=workers):
-        profiles += [one] if one else []
-        yield from failed
+    made_of = list(side_by_side(made, recording.series, workers=workers))
+    profiles = [one for one, _ in made_of if one]
     empty = [finding for p in profiles for finding in check_no_data(p)]
     dead = {finding.axis for finding in empty}
     alive = [p for p in profiles if p.name not in dead and p.windows.size]
-    yield from empty
+    findings = [finding for _, failed in made_of for finding in failed] + empty
+    findings += temperature_finding(recording.temperature)
     for log_check in _LOG_CHECKS:
-        yield from _judged(log_check, alive)
+        findings += _judged(log_check, alive)
     moved = _moved(alive)
-    yield from moved
-    checks = _AXIS_CHECKS
+    findings += moved
     if not any(finding.level == "error" for finding in moved):
-        checks += _NOISE_CHECKS
-        yield from _judged(check_gyroscope_unit, alive)
-        yield from _judged(check_temperature, alive, recording.temperature)
-    for axis_check in checks:
+        findings += _judged(check_gyroscope_unit, alive)
+    for axis_check in _AXIS_CHECKS:
         for p in alive:
-            yield from _judged(axis_check, p, axis=p.name)
+            findings += _judged(axis_check, p, axis=p.name)
+    return worst_first(recording, findings)
+
+
+def worst_first(recording: Recording, findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings, errors first, without those that reading the log has said already."""
+    said = {(finding.code, finding.axis) for finding in recording.findings}
+    order = ("error", "warning", "info")
+    new = (finding for finding in findings if (finding.code, finding.axis) not in said)
+    return tuple(sorted(new, key=lambda finding: order.index(finding.level)))
 
 
 def _moved(alive: Sequence[Profile]) -> tuple[Finding, ...]:

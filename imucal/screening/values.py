@@ -1,8 +1,7 @@
 """Values that are no measurement: none, stuck, at a limit, coarse, repeated, or those of another axis.
 
-Do the figures look like SI units: gravity, the gyroscope's noise, well-known steps.
-
-Is the sampling rate one that an IMU has.
+And do the figures look like those of an IMU in SI units: gravity, the gyroscope's noise, well-known steps,
+the sampling rate, a steady temperature.
 """
 
 import math
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.findings import Finding
-from imucal.recording import Sensor
+from imucal.recording import Sensor, Temperature
 from imucal.screening.windows import Profile, amount, excerpt, time
 from imucal.units import G0
 
@@ -412,3 +411,18 @@ def _finding(rate_hz: float) -> Finding:
         return Finding(level="warning", code="fast-rate", text=text, advice=advice)
     text = f"The samples come at {rate_hz:.4g} Hz: no IMU is so {'slow' if rate_hz < 1 else 'fast'}."
     return Finding(level="error", code="absurd-rate", text=text, advice=advice)
+
+
+#: A change of temperature that is worth a word of its own, in degrees.
+_LARGE_CHANGE = 3.0
+
+
+def temperature_finding(temperature: Temperature | None) -> tuple[Finding, ...]:
+    """Return a note on a large change of the temperature; which axes follow it is another question."""
+    degrees = temperature.samples[np.isfinite(temperature.samples)] if temperature else np.zeros(0)
+    # Means of nine, as the thermometer's own noise is no change.
+    change = float(np.ptp(np.convolve(degrees, np.full(9, 1 / 9), "valid"))) if degrees.size > 32 else 0.0
+    if change <= _LARGE_CHANGE:
+        return ()
+    text = f"The temperature changes by {change:.1f} degrees C during the log."
+    return (Finding(level="info", code="temperature", text=text),)

@@ -1,15 +1,8 @@
-"""An axis cut into short windows: the small table that most checks work on instead of the samples.
+"""What all checks of one axis share, worked out once: its windows, which are disturbed, and its density.
 
-Welch's power spectral density of the undisturbed parts of an axis.
-
-Which windows of an axis are disturbed: louder than its quiet ones, or off their level.
-
-Every limit comes from the axis's own quiet windows, so that a touch does not hide itself by raising
-the yardstick.
-
-What all checks of one axis share, worked out once.
-
-Figures as a finding says them: spans of time, and amounts in SI with the data-sheet unit beside it.
+An axis is cut into short windows: a small table that most checks work on instead of the samples. A window
+is disturbed where it is louder than the quiet ones, or off their level. Every limit comes from the axis's
+own quiet windows, so that a touch does not hide itself by raising the yardstick.
 """
 
 import math
@@ -452,28 +445,6 @@ def _lattice_step(values: FloatArray) -> float | None:
     step = float(near.sum() / np.rint(near / step).sum())
     off = np.abs(near / step - np.rint(near / step))
     return step if off.max() < _TOLERANCE else None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Blocks:
-    """Means over equal spans of time; `time_s` (middle, s) and `mean` (U) have shape (k,)."""
-
-    time_s: FloatArray
-    mean: FloatArray
-
-
-def blocks(profile: Profile, count: int) -> Blocks:
-    """Return the means of the undisturbed windows over `count` equal spans; empty spans are left out."""
-    windows = profile.windows
-    rest = ~profile.disturbed
-    middle = windows.time_s[rest] + windows.length_s / 2
-    index = np.minimum((middle / profile.series.duration_s * count).astype(np.int64), count - 1)
-    number = np.bincount(index, minlength=count)
-    filled = number > 0
-    offset = float(windows.mean[rest][0]) if middle.size else 0.0
-    total = np.bincount(index, weights=windows.mean[rest] - offset, minlength=count)
-    when = np.bincount(index, weights=middle, minlength=count)
-    return Blocks(time_s=when[filled] / number[filled], mean=offset + total[filled] / number[filled])
 
 
 def time(seconds: float) -> str:

@@ -8,7 +8,7 @@ Run as ``python -m tests.benchmarks.screening [LOGS] [SAMPLES]``.
 import sys
 from collections import Counter
 
-from imucal.screening import screen
+from imucal.pipeline import screen
 from tests.screening.still import KINDS, recording, still, unrelated_temperature
 
 

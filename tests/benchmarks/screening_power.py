@@ -8,8 +8,8 @@ import sys
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.pipeline import screen
 from imucal.recording import Sensor
-from imucal.screening import screen
 from tests.screening.still import NOISE, recording, still
 
 N, RATE = 20_000, 100.0

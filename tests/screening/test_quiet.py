@@ -8,8 +8,8 @@ import pytest
 
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
+from imucal.pipeline import screen
 from imucal.recording import AxisSeries, Recording, Source
-from imucal.screening import screen
 from tests.screening.still import KINDS, recording, still, unrelated_temperature
 
 LOGS = 6

@@ -6,7 +6,7 @@ import pytest
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.screening import screen
+from imucal.pipeline import screen
 from imucal.units import G0
 from tests.real_data import real_data
 from tests.screening.still import recording

@@ -70,22 +70,43 @@ def response_of(ordinates: Ordinates, fitted: Fitted, band: Band, rate_hz: float
     """Return the filter's kind and -3 dB corner, or None where it has none inside the band."""
     if not band.order[0]:
         return None
-    frequency = np.linspace(0.0, band.fraction, 2001)[1:]
+    frequency = _frequencies(band)
     power = _power(ordinates, fitted, frequency)
-    below = np.flatnonzero(power < 0.5)
-    if not below.size:
+    corner = _half_power(frequency, power)
+    if corner is None:
         return None
-    corner = float(frequency[below[0]])
     return Response(kind=_kind(band, frequency, power, corner), cutoff_hz=corner * rate_hz / 2)
+
+
+def corner_of(band: Band) -> float | None:
+    """Return the -3 dB corner of a band's response, as a fraction of Nyquist; None where it has none."""
+    if not band.order[0]:
+        return None
+    frequency = _frequencies(band)
+    top = 4 * float(np.sin(np.pi / 2 * band.fraction)) ** 2
+    return _half_power(frequency, _squared_response(band.response, band.zeros, top, frequency))
+
+
+def _frequencies(band: Band) -> FloatArray:
+    """Return fractions of Nyquist up to the band's end, shape (2000,)."""
+    return np.linspace(0.0, band.fraction, 2001)[1:]
+
+
+def _half_power(frequency: FloatArray, power: FloatArray) -> float | None:
+    below = np.flatnonzero(power < 0.5)
+    return float(frequency[below[0]]) if below.size else None
 
 
 def _power(ordinates: Ordinates, fitted: Fitted, frequency: FloatArray) -> FloatArray:
     """Return |H|² at fractions of Nyquist."""
-    lam = 4 * np.sin(np.pi / 2 * frequency) ** 2
-    poles, zeros = int(fitted.candidate.poles[0]), int(fitted.candidate.zeros[0])
     first = fitted.candidate.response
-    response = fitted.maximum.theta[0, first : first + poles]
-    denominator = 1 + (lam[:, None] / ordinates.top) ** np.arange(1, poles + 1) @ response
+    response = fitted.maximum.theta[0, first : first + int(fitted.candidate.poles[0])]
+    return _squared_response(response, int(fitted.candidate.zeros[0]), ordinates.top, frequency)
+
+
+def _squared_response(response: FloatArray, zeros: int, top: float, frequency: FloatArray) -> FloatArray:
+    lam = 4 * np.sin(np.pi / 2 * frequency) ** 2
+    denominator = 1 + (lam[:, None] / top) ** np.arange(1, response.size + 1) @ response
     power: FloatArray = (1 - lam / 4) ** zeros / denominator
     return power
 

@@ -2,15 +2,10 @@
 
 Each would be fitted as a random walk or flicker. One at a time, the shape that gains most beside a
 rich noise model is added to the regressors, as long as it gains more than chance and its price give.
-The search is by the whitened ordinates; what it finds is fitted before it is believed.
 
-The lowest ordinates of a record, whitened: how much each of many shapes would gain in the fit.
-
-At a given spectrum, the log-likelihood that a regressor gains is half the square of its correlation
-with the whitened ordinates, less what the regressors that are in the fit explain of both. So a
-search over hundreds of shapes costs no fit; the few best are then fitted.
-
-Disturbances in words, and where in the samples a step lies exactly.
+Which shapes are worth a fit, the whitened ordinates tell: at a given spectrum, the log-likelihood that a
+regressor gains is half the square of its correlation with them, less what the regressors that are in the
+fit explain of both.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.findings import Finding
+from imucal.findings import Finding, Level
 from imucal.fitting.spectral.blocks import Block, bin_blocks
 from imucal.fitting.spectral.likelihood import Candidates, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates, cycle_ordinates
@@ -381,6 +376,8 @@ def _with_sizes(found: Sequence[Disturbance], fits: _Fits) -> tuple[Disturbance,
     return tuple(replace(one, size=tuple(beta[name] for name in one.names)) for one in found)
 
 
+#: Time constants after which a warm-up has settled: 5 % of it is left.
+_SETTLED = 3.0
 #: The search tells a step's place to this share of the record.
 _COARSE = 1 / 1000
 
@@ -413,48 +410,53 @@ def exact_places(series: AxisSeries) -> ExactPlace:
 
 
 def disturbance_findings(
-    found: Sequence[Disturbance], series: AxisSeries, scale: float
+    found: Sequence[Disturbance], series: AxisSeries, scale: float, *, fitted: bool
 ) -> tuple[Finding, ...]:
-    """Return a finding for each kind that was taken out; `scale` is U per scaled unit."""
+    """Return a finding for each kind that was found; `scale` is U per scaled unit.
+
+    Where they are `fitted` with the noise, the finding says so.
+    """
     words = {
         "temperature": _temperature_finding,
         "warm-up": _warm_up_finding,
         "step": _step_finding,
         "cycle": _cycle_finding,
     }
-    return tuple(
-        say([one for one in found if one.kind == kind], series, scale)
-        for kind, say in words.items()
-        if any(one.kind == kind for one in found)
-    )
+    kinds = {kind: [one for one in found if one.kind == kind] for kind in words}
+    return tuple(words[kind](own, series, scale, fitted=fitted) for kind, own in kinds.items() if own)
 
 
-def _temperature_finding(found: list[Disturbance], series: AxisSeries, scale: float) -> Finding:
+def _temperature_finding(
+    found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool
+) -> Finding:
     (one,) = found
     lag = f", with a lag of {one.value * series.tau0:.3g} s" if one.value else ""
-    return Finding(
-        level="info",
-        code="temperature",
-        axis=series.name,
-        text=f"The axis follows the temperature ({_amount(one, series, scale)} per degree C{lag}); a linear "
-        "effect is taken out with the fit.",
-        advice="Use the noise model together with a temperature compensation.",
-    )
+    text = f"The axis follows the temperature ({_amount(one, series, scale)} per degree C{lag})"
+    if fitted:
+        text += "; a linear effect is taken out with the fit"
+        advice = "Use the noise model together with a temperature compensation."
+    else:
+        advice = "Record at a steady temperature, or compensate first; K and B hold the temperature's drift."
+    level: Level = "info" if fitted else "warning"
+    return Finding(level=level, code="temperature", axis=series.name, text=f"{text}.", advice=advice)
 
 
-def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float) -> Finding:
+def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, fitted: bool) -> Finding:
     (one,) = found
+    time = one.value * series.tau0
+    end = "; this drift is taken out with the fit" if fitted else ": a warm-up"
+    settled = _SETTLED * time
     return Finding(
         level="warning",
-        code="warm-up-fitted",
+        code="warm-up-fitted" if fitted else "warm-up",
         axis=series.name,
-        text=f"The axis settles exponentially, with a time constant of {one.value * series.tau0:.3g} s; this "
-        "drift is taken out with the fit.",
+        text=f"The axis settles exponentially, with a time constant of {time:.3g} s{end}.",
         advice="Leave out the first part of the record, or let the sensor warm up before recording.",
+        keep_s=(round(settled, 1), round(series.duration_s, 1)) if settled < series.duration_s / 2 else None,
     )
 
 
-def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float) -> Finding:
+def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
     """Name the jumps in order of time; the longest part without one is worth keeping."""
     found = sorted(found, key=lambda one: one.value)
     times = [one.value * series.tau0 for one in found]
@@ -462,30 +464,32 @@ def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float) ->
         f"{one.size[0] * scale:+.3g} {pretty(series.unit)} at {t:.1f} s"
         for one, t in zip(found, times, strict=True)
     ]
+    several = len(found) > 1
+    stays = "" if several else " and stays there"
+    taken_out = f"; the {'jumps are' if several else 'jump is'} taken out with the fit" if fitted else ""
     ends = np.array([0.0, *times, series.duration_s])
     longest = int(np.argmax(np.diff(ends)))
     return Finding(
         level="warning",
         code="step",
         axis=series.name,
-        text=f"The level jumps by {', '.join(jumps)}"
-        f"{'; the jumps are' if len(found) > 1 else ' and stays there; the jump is'} taken out with the fit.",
+        text=f"The level jumps by {', '.join(jumps)}{stays}{taken_out}.",
         advice="Fix the IMU so that nothing tilts it, or look for a bias that switches.",
         keep_s=(round(float(ends[longest]), 1), round(float(ends[longest + 1]), 1)),
     )
 
 
-def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float) -> Finding:
-    found = sorted(found, key=lambda one: -one.amplitude)
+def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
     cycles = [
         f"{2 * np.pi / one.value * series.tau0:.4g} s (amplitude {_amount(one, series, scale)})"
-        for one in found
+        for one in sorted(found, key=lambda one: -one.amplitude)
     ]
+    taken_out = "; taken out with the fit" if fitted else ""
     return Finding(
         level="warning",
         code="cycle",
         axis=series.name,
-        text=f"The axis swings with a period of {', '.join(cycles)}; taken out with the fit.",
+        text=f"The axis swings with a period of {', '.join(cycles)}{taken_out}.",
         advice="Look for a heating or cooling that switches, and record at a steady temperature.",
     )
 

@@ -102,6 +102,17 @@ def _limit(sureness: FloatArray, chance: float) -> FloatArray:
     return limit
 
 
+def local_level(
+    ordinates: FloatArray, kept: BoolArray | None, bins: DctBins, *, chance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean square about each bin, and how many times that a square is by `chance`, (b,) each.
+
+    The chance is that of any ordinate of a record without lines.
+    """
+    level, sureness = _level(np.square(ordinates), kept, bins)
+    return level, _limit(sureness, chance / max(ordinates.size, 1))
+
+
 def _level(square: FloatArray, kept: BoolArray | None, bins: DctBins) -> tuple[FloatArray, FloatArray]:
     """Return the median of the neighbouring bins' mean squares and its degrees of freedom, for each bin."""
     starts = bins.first - 1
@@ -286,3 +297,35 @@ def with_sines(
     places = np.array([line.frequency_hz for line in whole])
     others = [line for line in lines if not np.any(np.abs(line.frequency_hz / places - 1) < _MOST)]
     return tuple(sorted((*whole, *others), key=lambda line: -line.amplitude))
+
+
+#: Mains frequencies, in Hz, how many harmonics are looked for, and how far the grid may be off.
+_MAINS, _HARMONICS, _GRID_ERROR = (50.0, 60.0), 3, 4e-3
+
+
+def likely_cause(frequency_hz: float, *, rate_hz: float, resolution_hz: float) -> str:
+    """Return what may make a tone of some frequency in samples of some rate, in a few words.
+
+    Frequencies above half the rate appear folded: |f - k rate|. Only what fits within the
+    resolution is claimed.
+    """
+    for mains in _MAINS:
+        for harmonic in range(1, _HARMONICS + 1):
+            true = harmonic * mains
+            close = max(resolution_hz, _GRID_ERROR * true)
+            folded = abs(true - round(true / rate_hz) * rate_hz)
+            if abs(frequency_hz - folded) < close and folded > 2 * close:
+                name = f"{mains:.0f} Hz mains" + (f", harmonic {harmonic}" if harmonic > 1 else "")
+                return name if true == folded else f"{name}, folded by the sampling"
+    divisor = rate_hz / frequency_hz
+    whole = round(divisor)
+    off = abs(rate_hz / whole - frequency_hz)
+    if 2 <= whole <= 8 and off < resolution_hz < 5e-3 * frequency_hz:
+        return f"the sampling rate over {whole}: the timing of the logger or the sensor"
+    if frequency_hz < 1:
+        return "a beat of two clocks, or a heating or cooling cycle"
+    if frequency_hz < 15:
+        return "the swaying of a building or table, or a folded higher tone"
+    if frequency_hz < 250:
+        return f"a fan or motor at {60 * frequency_hz:.0f} rpm, or a folded higher tone"
+    return "electronics, or a resonance"

@@ -36,20 +36,14 @@ from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.band import Band, filter_finding, find_band, response_of
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
 from imucal.fitting.spectral.bounds import estimate_or_bound, hull_estimates, numbered, with_absent
-from imucal.fitting.spectral.disturbances import (
-    Disturbance,
-    disturbance_findings,
-    exact_places,
-    find_disturbances,
-)
 from imucal.fitting.spectral.estimates import MISFIT, Fitted, Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.not_noise import find_shapes, line_finding, tone_finding
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segments import fit_segments
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, all_structures, richest
-from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.noise.model import NoiseModel
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries
@@ -112,10 +106,6 @@ def _of_lines(lines: Sequence[Line], m: int, scale: float, rate_hz: float) -> fl
         half = np.pi * line.frequency_hz / rate_hz
         total += (line.amplitude / scale) ** 2 * np.sin(half * m) ** 4 / (m * np.sin(half)) ** 2
     return float(total)
-
-
-#: Lines named in a finding.
-_NAMED = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -200,7 +190,8 @@ def fit_mle(
     estimates = widened(estimates, segments, misfits)
     covariance = widened_covariance(names, covariance, segments, misfits)
     estimates, names = numbered(estimates, names)
-    findings = [*view.findings, *_line_findings(view.blocks.lines, series)]
+    findings = [*view.findings, *tone_finding(view.blocks, series, fitted=True)]
+    findings += line_finding(view.blocks.lines, series)
     findings += filter_finding(
         view.ordinates, fitted, band, response, rate_hz=series.rate_hz, axis=series.name
     )
@@ -272,7 +263,7 @@ def spectral_view(
 ) -> View:
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature)
-    found, findings = _disturbances(series, blocks)
+    found, findings = find_shapes(series, blocks)
     common = tuple(name for one in found for name in one.names)
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
     band = find_band(whole, richest(structure, max_gm), shortest=SHORTEST, common=common, given=structure)
@@ -284,28 +275,6 @@ def spectral_view(
         common=common,
         findings=blocks.findings + findings,
     )
-
-
-def _disturbances(
-    series: AxisSeries, blocks: SeriesBlocks
-) -> tuple[tuple[Disturbance, ...], tuple[Finding, ...]]:
-    """Return what is to be taken out with the fit, and what to say of it and of two levels."""
-    levels, no_levels = try_side_work(
-        lambda: find_telegraph(series),
-        None,
-        what="No look for two levels",
-        code="not-checked",
-        axis=series.name,
-    )
-    found, no_shapes = try_side_work(
-        lambda: find_disturbances(blocks.blocks, steps=levels is None, exact=exact_places(series)),
-        (),
-        what="No look for steps and cycles",
-        code="not-checked",
-        axis=series.name,
-    )
-    said = telegraph_finding(levels, series) + disturbance_findings(found, series, blocks.scale)
-    return found, said + no_levels + no_shapes
 
 
 def _over_time(
@@ -355,25 +324,6 @@ def _settings(band: Band, common: tuple[str, ...]) -> dict[str, object]:
         "response_zeros": band.zeros,
         "regressors": list(common),
     }
-
-
-def _line_findings(lines: tuple[Line, ...], series: AxisSeries) -> tuple[Finding, ...]:
-    if not lines:
-        return ()
-    named = ", ".join(
-        f"{line.frequency_hz:.4g} Hz (amplitude {line.amplitude:.3g} {series.unit})"
-        for line in lines[:_NAMED]
-    )
-    more = f" and {len(lines) - _NAMED} weaker ones" if len(lines) > _NAMED else ""
-    return (
-        Finding(
-            level="info",
-            code="line",
-            axis=series.name,
-            text=f"{'Line' if len(lines) == 1 else 'Lines'} at {named}{more}; left out of the fit.",
-            advice="Look for a motor, a fan or mains near the sensor; the Allan curve still holds the lines.",
-        ),
-    )
 
 
 def _misfit_findings(

@@ -12,11 +12,11 @@ from imucal.fitting.noise_fit import Goodness, Line, Response
 from imucal.fitting.spectral.band import Band, Order, filter_finding, response_of
 from imucal.fitting.spectral.estimates import Fitted
 from imucal.fitting.spectral.mle import (
-    _line_findings,
     _misfit_findings,
     _structures,
     _used,
 )
+from imucal.fitting.spectral.not_noise import line_finding
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum
 from imucal.fitting.spectral.structures import candidates_of, richest
@@ -65,7 +65,7 @@ def _band(fraction: float, order: Order, response: FloatArray) -> Band:
 def test_at_most_four_lines_are_named(count: int, text: str | None) -> None:
     """The others are counted; without a line nothing is said."""
     lines = tuple(Line(frequency_hz=float(k), amplitude=0.5 / k) for k in range(1, count + 1))
-    assert [f.text for f in _line_findings(lines, SERIES)] == ([] if text is None else [text])
+    assert [f.text for f in line_finding(lines, SERIES)] == ([] if text is None else [text])
 
 
 @pytest.mark.parametrize(("statistic", "said"), [(2.99, False), (3.0, True)])

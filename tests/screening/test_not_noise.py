@@ -1,11 +1,12 @@
-"""Tones and roll-off: their figures against the truth, and what is no tone."""
+"""Lines, filters and drifts said without a fit: their figures against the truth, and what is none."""
 
 import numpy as np
 import pytest
 
+from imucal.fitting.spectral.lines import likely_cause
+from imucal.fitting.spectral.not_noise import not_noise
 from imucal.recording import AxisSeries
-from imucal.screening.density import corner, likely_cause, tones
-from imucal.screening.windows import density, profile
+from imucal.screening.windows import density
 from tests.screening.still import KINDS
 
 N, RATE = 60_000, 200.0
@@ -16,34 +17,23 @@ def axis(samples: np.ndarray[tuple[int], np.dtype[np.float64]]) -> AxisSeries:
     return AxisSeries.from_samples(samples, rate_hz=RATE)
 
 
-@pytest.mark.parametrize("frequency", [3.0, 17.3, 41.9, 93.1])
-@pytest.mark.parametrize("amplitude", [0.2, 1.0])
-def test_frequency_and_amplitude(frequency: float, amplitude: float) -> None:
-    """The frequency to a tenth of a bin, the amplitude to 5 %: a bin beside a Hann lobe loses no more."""
-    rng = np.random.default_rng(1)
-    samples = rng.standard_normal(N) + amplitude * np.sin(2 * np.pi * frequency * np.arange(N) / RATE + 1)
-    spectrum = density(axis(samples), avoid=NONE, width=100)
-    assert spectrum is not None
-    (tone,) = tones(spectrum)
-    assert tone.frequency_hz == pytest.approx(frequency, abs=0.1 * spectrum.spacing_hz)
-    # The noise in the line's 7 bins adds its own error, below 5 % for the weaker one too.
-    assert tone.amplitude == pytest.approx(amplitude, rel=0.08)
-
-
-def test_hump_is_what_the_tone_adds_to_the_allan_variance() -> None:
-    """The closed form of the peak against A^2 sin^4(x)/x^2 over tau, and the white noise there."""
-    amplitude, frequency = 0.5, 10.0
+@pytest.mark.parametrize("amplitude", [0.08, 0.1, 0.5])
+def test_a_tone_is_a_warning_where_it_bends_the_curve(amplitude: float) -> None:
+    """The peak of A^2 sin^4(x)/x^2 over tau, against the white noise there: more than a tenth or less."""
+    frequency = 10.0
     rng = np.random.default_rng(2)
     samples = rng.standard_normal(N) + amplitude * np.sin(2 * np.pi * frequency * np.arange(N) / RATE)
-    spectrum = density(axis(samples), avoid=NONE, width=100)
-    assert spectrum is not None
-    (tone,) = tones(spectrum)
+    (found,) = (f for f in not_noise(axis(samples)) if f.code == "tone")
     tau = np.linspace(0.01, 0.1, 10_000)
     x = np.pi * frequency * tau
     avar = (amplitude * np.sin(x) ** 2 / x) ** 2
     top = int(avar.argmax())
-    white = 1 / RATE / tau[top]
-    assert tone.hump == pytest.approx(avar[top] / white, rel=0.15)
+    bends = avar[top] > 0.1 / (RATE * tau[top])
+    assert found.level == ("warning" if bends else "info")
+    assert ("which bends the Allan curve" in found.text) == bends
+    assert "Hz, perhaps the swaying of a building or table" in found.text
+    said = float(found.text.split(" Hz")[0].split()[-1])
+    assert said == pytest.approx(frequency, abs=RATE / N)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "rounded"])
@@ -51,9 +41,7 @@ def test_noise_is_no_tone(kind: str) -> None:
     """Neither slopes, nor filters, nor resonances are lines."""
     for seed in range(3):
         samples = KINDS[kind](N, np.random.default_rng(20 + seed))
-        spectrum = density(axis(samples), avoid=NONE, width=100)
-        assert spectrum is not None
-        assert tones(spectrum) == ()
+        assert "tone" not in {f.code for f in not_noise(axis(samples))}
 
 
 @pytest.mark.parametrize(
@@ -80,25 +68,26 @@ def test_likely_causes(frequency: float, rate: float, cause: str) -> None:
 @pytest.mark.parametrize("order", [1, 2, 4])
 @pytest.mark.parametrize("cutoff", [0.15, 0.3, 0.5])
 def test_the_corner_of_a_filter(order: int, cutoff: float) -> None:
-    """Half power of a Butterworth filter of known corner: to the width of a band or two.
-
-    A one-pole filter falls within its plateau already, which puts the half of that further up.
-    """
+    """Half power of a Butterworth filter, to a few percent; a steep one may end the band below it."""
     from scipy.signal import butter, sosfilt
 
     samples = sosfilt(butter(order, cutoff, output="sos"), np.random.default_rng(3).standard_normal(4 * N))
-    spectrum = density(axis(samples), avoid=NONE, width=100)
-    assert spectrum is not None
-    assert corner(spectrum) == pytest.approx(cutoff * RATE / 2, rel=0.25 if order == 1 else 0.12)
+    (found,) = (f for f in not_noise(axis(samples)) if f.code == "roll-off")
+    shown = float(found.text.split("ear ")[1].split(" Hz")[0]) / (cutoff * RATE / 2)
+    assert 0.95 < shown < 1.05 if "falls to half" in found.text else 0.3 < shown < 1.05
 
 
 @pytest.mark.parametrize("kind", ["white", "flicker", "random walk", "strong random walk", "quantization"])
 def test_noise_without_a_filter_has_no_corner(kind: str) -> None:
     """A density that is flat, or falls all the way, is no filter's."""
     for seed in range(5):
-        spectrum = profile(axis(KINDS[kind](N, np.random.default_rng(40 + seed)))).density
-        assert spectrum is not None
-        assert corner(spectrum) is None
+        found = not_noise(axis(KINDS[kind](N, np.random.default_rng(40 + seed))))
+        assert "roll-off" not in {f.code for f in found}
+
+
+def test_too_short_an_axis_says_nothing() -> None:
+    """Fewer samples than a noise model needs."""
+    assert not_noise(axis(np.arange(10.0))) == ()
 
 
 def test_density_of_white_noise_is_flat_and_two_sided() -> None:
