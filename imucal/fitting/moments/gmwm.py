@@ -34,7 +34,7 @@ from imucal.fitting.moments.search import (
 from imucal.fitting.noise_fit import Candidate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
-from imucal.noise.terms import in_order
+from imucal.noise.terms import TERMS, in_order
 from imucal.recording import AxisSeries
 
 #: Models within so much of the best criterion are reported.
@@ -102,7 +102,7 @@ def fit_gmwm(
 
 
 def _require_points(series: AxisSeries | None, points: AvarPoints, structure: tuple[str, ...]) -> None:
-    needed = len(structure) + structure.count("GM")
+    needed = sum(len(TERMS[symbol].parameters()) for symbol in structure)
     if points.size < needed:
         where = series.name if series is not None else "the curve"
         msg = (
@@ -137,8 +137,7 @@ def _with_edf(
 
 
 def _text(solution: Solution) -> str:
-    symbols = [*solution.laws, *["GM"] * solution.times.size]
-    return structure_text(in_order(symbols))
+    return structure_text(in_order([*solution.laws, *solution.kinds]))
 
 
 def _findings(

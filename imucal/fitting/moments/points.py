@@ -20,7 +20,7 @@ for one averaging time; the same argument holds for two.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeAlias
@@ -31,13 +31,13 @@ from imucal.allan.curve import AllanCurve
 from imucal.allan.intervals import excess_kurtosis, trapezoid_weights
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.errors import DataError
-from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.noise.term import NoiseTerm, PowerLawTerm
+from imucal.noise.terms import TERMS, GaussMarkov, RateRamp
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 
-#: A power law, or the correlation time in samples of a Gauss-Markov process of unit variance.
-Process: TypeAlias = PowerLaw | float
+#: A power law; or another term of unit deviation per sample, its time in samples.
+Process: TypeAlias = PowerLaw | NoiseTerm
 
 _LAWS = tuple(PowerLaw)
 _SIGNS = np.array([1.0, -2.0, 1.0])
@@ -48,8 +48,8 @@ _NEAR = np.arange(-6, 7)
 _SPREAD = np.unique(np.round(6 * 2 ** (np.arange(0, 4 * 45) / 4)).astype(np.int64))
 #: The covariance of flicker falls as the fourth power of the lag: it is summed to so many times m.
 _FLICKER_REACH = 24
-#: A Gauss-Markov covariance is summed to so many correlation times beyond the windows.
-_GAUSS_MARKOV_REACH = 20.0
+#: A covariance with a correlation time is summed to so many of these beyond the windows.
+_TIMES_REACH = 20.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -138,11 +138,13 @@ def sum_variance(process: Process, n: FloatArray) -> FloatArray:
     """Return V(n), up to a multiple of n^2, of which covariances of second differences know nothing.
 
     For a Gauss-Markov process that multiple is left out: it would cost all digits where the
-    correlation time is much longer than n.
+    correlation time is much longer than n. Of a term without a closed form `n` are whole numbers.
     """
     if isinstance(process, PowerLaw):
         return process.sum_variance(n)
-    rate = 1 / process
+    if not isinstance(process, GaussMarkov):
+        return _every_sum_variance(process, 1 << int(n.max(initial=1)).bit_length())[n.astype(np.int64)]
+    rate = 1 / process.T
     x = n * rate
     series = x**3 * (1 / 6 - x * (1 / 24 - x * (1 / 120 - x / 720)))
     rest = np.where(x < 0.02, series, -np.expm1(-x) - x + x**2 / 2)
@@ -152,11 +154,16 @@ def sum_variance(process: Process, n: FloatArray) -> FloatArray:
     return np.asarray(n * slope - rest / half)
 
 
+@lru_cache(maxsize=8)
+def _every_sum_variance(process: NoiseTerm, size: int) -> FloatArray:
+    return read_only(process.sum_variance(np.arange(size, dtype=np.float64), 1.0))
+
+
 def _pair(
     mi: int, mj: int, n: int, processes: Sequence[Process], *, overlapping: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients for one pair of averaging times: shapes (p, p) and (p,)."""
-    times = [process for process in processes if not isinstance(process, PowerLaw)]
+    times = [time for p in processes if not isinstance(p, PowerLaw) for time in p.values[1:]]
     lags, weight, of_laws = _laws(mi, mj, n, _reach(max(mi, mj), times), overlapping=overlapping)
     covariance = np.empty((len(processes), lags.size))
     for row, process in zip(covariance, processes, strict=True):
@@ -193,7 +200,7 @@ def _reach(longest: int, times: Sequence[float]) -> int:
     """Return how far from 0 lags are summed: by powers of two, so that few different grids are made."""
     reach = _FLICKER_REACH * longest
     for time in times:
-        while reach < 2 * longest + _GAUSS_MARKOV_REACH * time:
+        while reach < 2 * longest + _TIMES_REACH * time:
             reach *= 2
     return reach
 
@@ -220,16 +227,18 @@ def _lag_covariance(lags: IntArray, mi: int, mj: int, process: Process) -> Float
     signs = np.multiply.outer(_SIGNS, _SIGNS).ravel()
     # Windows that do not meet: the sum would leave rounding errors, the larger the farther apart.
     apart = np.maximum(lags - 2 * mi, -2 * mj - lags)
-    if process is PowerLaw.FLICKER:
-        meet = np.ones(lags.size, dtype=bool)
-    else:
+    if isinstance(process, GaussMarkov):
+        meet = apart < 0
+    elif isinstance(process, PowerLaw) and process is not PowerLaw.FLICKER:
         # The windows of a law that touch may share a value.
-        meet = apart <= 0 if isinstance(process, PowerLaw) else apart < 0
+        meet = apart <= 0
+    else:
+        meet = np.ones(lags.size, dtype=bool)
     covariance = np.zeros(lags.size)
     distance = np.abs(shifts[:, np.newaxis] + lags[meet].astype(np.float64))
     covariance[meet] = signs @ sum_variance(process, distance) / (-4.0 * mi * mj)
-    if not isinstance(process, PowerLaw):
-        covariance[~meet] = _gauss_markov_apart(apart[~meet], mi, mj, process)
+    if isinstance(process, GaussMarkov):
+        covariance[~meet] = _gauss_markov_apart(apart[~meet], mi, mj, process.T)
     return covariance
 
 
@@ -301,7 +310,7 @@ class AvarPoints:
         return deviation / TERMS[symbol].per_sample(self.tau0)
 
     def term(self, symbol: str, variance: float, time: float = 0.0) -> NoiseTerm:
-        """Return the term with that variance per sample and, for GM, correlation time in samples."""
+        """Return the term with that variance per sample and, where it has one, time in samples."""
         value = self.coefficient(symbol, variance)
         term = TERMS[symbol]
         return term.of(value, *[time * self.tau0] * (len(term.parameters()) - 1))
@@ -346,27 +355,44 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
     )
 
 
-def columns(m: IntArray, laws: str, times: FloatArray) -> FloatArray:
+def parts_of(structure: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the symbols of the terms without a time, and of those with one."""
+    laws = tuple(symbol for symbol in structure if len(TERMS[symbol].parameters()) == 1)
+    return laws, tuple(symbol for symbol in structure if symbol not in laws)
+
+
+def _terms(laws: Sequence[str], kinds: Sequence[str], times: Iterable[float]) -> list[NoiseTerm]:
+    """Return the terms of unit deviation per sample, their times in samples."""
+    terms = [TERMS[symbol].of(1 / TERMS[symbol].per_sample(1.0)) for symbol in laws]
+    every = zip(kinds, map(float, times), strict=True)
+    return terms + [TERMS[symbol].of(1 / TERMS[symbol].per_sample(1.0), time) for symbol, time in every]
+
+
+def columns(
+    m: IntArray, laws: Sequence[str], kinds: Sequence[str] = (), times: Iterable[float] = ()
+) -> FloatArray:
     """Return the Allan variance of each term of unit variance per sample, shape (k, p).
 
     Parameters
     ----------
     m
         Averaging factors, shape (k,).
-    laws
-        Symbols other than GM, such as ``NBK``.
+    laws, kinds
+        Symbols of the terms without a time, such as N, B and K, and of those with one.
     times
-        Correlation times of the Gauss-Markov terms, in samples, shape (g,); their columns follow.
+        The times, in samples, shape (g,); the columns of their terms follow.
     """
-    factors = m.astype(np.float64)
-    parts = [TERMS[law].of(1.0).avar(factors, 1.0) for law in laws]
-    parts += [GaussMarkov(sigma=1.0, T=float(time)).avar(factors, 1.0) for time in times]
+    parts = [term.avar(m.astype(np.float64), 1.0) for term in _terms(laws, kinds, times)]
     return np.stack(parts, axis=1) if parts else np.empty((m.size, 0))
 
 
-def processes(laws: str, times: FloatArray) -> list[Process]:
+def processes(laws: Sequence[str], kinds: Sequence[str], times: Iterable[float]) -> list[Process]:
     """Return the random processes of the terms (the ramp is none), in the order of `columns`."""
-    return [PowerLaw(law) for law in laws if law != "R"] + [float(time) for time in times]
+    return [
+        term.law if isinstance(term, PowerLawTerm) else term
+        for term in _terms(laws, kinds, times)
+        if not isinstance(term, RateRamp)
+    ]
 
 
 def _spaced(tau: FloatArray, usable: np.ndarray) -> IntArray:

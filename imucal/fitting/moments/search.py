@@ -25,21 +25,27 @@ Source: Andrews (1999), "Consistent moment selection procedures for generalized 
 estimation", Econometrica 67, 543: the criteria MMSC-BIC, MMSC-HQIC and MMSC-AIC.
 """
 
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, groupby, product
 
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import DataError
-from imucal.fitting.moments.points import AvarCovariance, AvarPoints, avar_covariance, columns, processes
+from imucal.fitting.moments.points import (
+    AvarCovariance,
+    AvarPoints,
+    avar_covariance,
+    columns,
+    parts_of,
+    processes,
+)
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval
 from imucal.fitting.settings import CRITERIA, FitSettings
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
+from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 from imucal.solvers import non_negative, root
 
 #: Correlation times a decade in the grid.
@@ -93,21 +99,22 @@ class Weight:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solution:
-    """A model at its minimum: `laws` and GM terms, their variances per sample, the sum of squares.
+    """A model at its minimum: its terms, their variances per sample, the sum of squares.
 
     Attributes
     ----------
-    laws
-        Symbols of the terms other than GM, such as ``NBK``.
+    laws, kinds
+        Symbols of the terms without a time, such as N, B and K, and of those with one.
     times
-        Correlation times in samples, shape (g,), rising.
+        Correlation times in samples, shape (g,), those of one kind rising.
     variances
-        Variances per sample of the laws, then of the GM terms, shape (p,).
+        Variances per sample of the laws, then of the terms with a time, shape (p,).
     objective
         Weighted sum of squares.
     """
 
-    laws: str
+    laws: Sequence[str]
+    kinds: Sequence[str] = ()
     times: FloatArray
     variances: FloatArray
     objective: float
@@ -119,7 +126,7 @@ class Solution:
 
     def avar(self, m: IntArray) -> FloatArray:
         """Return the model's Allan variance, shape (k,)."""
-        return columns(m, self.laws, self.times) @ self.variances
+        return columns(m, self.laws, self.kinds, self.times) @ self.variances
 
 
 def time_grid(m: IntArray, per_decade: int = _PER_DECADE) -> FloatArray:
@@ -129,9 +136,15 @@ def time_grid(m: IntArray, per_decade: int = _PER_DECADE) -> FloatArray:
 
 
 def minimise(
-    m: IntArray, avar: FloatArray, weight: Weight, laws: str, count: int, *, near: FloatArray | None = None
+    m: IntArray,
+    avar: FloatArray,
+    weight: Weight,
+    laws: Sequence[str],
+    kinds: Sequence[str],
+    *,
+    near: FloatArray | None = None,
 ) -> Solution:
-    """Return the global minimum over the variances and `count` correlation times.
+    """Return the global minimum over the variances and the correlation times.
 
     Parameters
     ----------
@@ -139,45 +152,61 @@ def minimise(
         Averaging factors and Allan variances, shape (k,).
     weight
         Of the sum of squares.
-    laws
-        Symbols of the terms other than GM.
-    count
-        Number of Gauss-Markov terms.
+    laws, kinds
+        Symbols of the terms without a time and of those with one, neighbours where they are the same.
     near
-        Correlation times of a minimum with another weight, shape (count,): they and the best place
+        Correlation times of a minimum with another weight, shape (g,): they and the best place
         of the grid are refined then, instead of the best few.
     """
     target = weight.whiten @ avar
-    fixed = weight.whiten @ columns(m, laws, np.zeros(0))
-    if count == 0:
+    fixed = weight.whiten @ columns(m, laws)
+    if not kinds:
         variances, objective = non_negative(fixed, target)
-        return Solution(laws=laws, times=np.zeros(0), variances=variances, objective=objective)
-    grid = time_grid(m, _PER_DECADE if count <= 2 else 3)
-    varied = weight.whiten @ columns(m, "", grid)
-    starts = _best_of_grid(fixed, varied, target, grid, count)
+        return Solution(laws=laws, kinds=(), times=np.zeros(0), variances=variances, objective=objective)
+    grid = time_grid(m, _PER_DECADE if len(kinds) <= 2 else 3)
+    varied = {kind: weight.whiten @ columns(m, (), [kind] * grid.size, grid) for kind in kinds}
+    starts = _best_of_grid(fixed, varied, target, grid, kinds)
     if near is not None:
         starts = [near, starts[0]]
 
     bounds = (np.log(grid[0]) - 1, np.log(grid[-1]) + 1)
 
     def residuals(logs: FloatArray) -> FloatArray:
-        matrix = np.hstack([fixed, weight.whiten @ columns(m, "", np.exp(logs))])
+        matrix = np.hstack([fixed, weight.whiten @ columns(m, (), kinds, np.exp(logs))])
         return np.asarray(target - matrix @ non_negative(matrix, target)[0])
 
     found = [_refined(residuals, np.log(start), bounds) for start in starts]
-    times = np.sort(np.exp(min(found, key=lambda pair: pair[1])[0]))
-    variances, objective = non_negative(np.hstack([fixed, weight.whiten @ columns(m, "", times)]), target)
-    return Solution(laws=laws, times=times, variances=variances, objective=objective)
+    times = np.exp(min(found, key=lambda pair: pair[1])[0])
+    times = times[np.lexsort((times, np.array([kinds.index(kind) for kind in kinds])))]
+    matrix = np.hstack([fixed, weight.whiten @ columns(m, (), kinds, times)])
+    variances, objective = non_negative(matrix, target)
+    return Solution(laws=laws, kinds=kinds, times=times, variances=variances, objective=objective)
 
 
 def _best_of_grid(
-    fixed: FloatArray, varied: FloatArray, target: FloatArray, grid: FloatArray, count: int
+    fixed: FloatArray,
+    varied: dict[str, FloatArray],
+    target: FloatArray,
+    grid: FloatArray,
+    kinds: Sequence[str],
 ) -> list[FloatArray]:
     """Return the correlation times of the best few places of the grid."""
-    places = list(combinations(range(grid.size), count))
-    costs = [non_negative(np.hstack([fixed, varied[:, place]]), target)[1] for place in places]
-    order = np.argsort(costs, kind="stable")[: _STARTS * count]
+    places = _grid_places(kinds, grid.size)
+    costs = [
+        non_negative(
+            np.column_stack([fixed, *(varied[kind][:, at] for kind, at in zip(kinds, place, strict=True))]),
+            target,
+        )[1]
+        for place in places
+    ]
+    order = np.argsort(costs, kind="stable")[: _STARTS * len(kinds)]
     return [grid[list(places[index])] for index in order]
+
+
+def _grid_places(kinds: Sequence[str], size: int) -> list[tuple[int, ...]]:
+    """Return every set of places in a grid of times, those of one kind rising."""
+    own = [combinations(range(size), len(list(terms))) for _, terms in groupby(kinds)]
+    return [tuple(place for places in one for place in places) for one in product(*own)]
 
 
 def _refined(
@@ -195,23 +224,21 @@ def _refined(
     return np.asarray(found.x, dtype=np.float64), 2 * float(found.cost)
 
 
-_ORDER = "QNBKR"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CurveSpread:
     """The covariance of the Allan variances of a curve, for any variances of a set of terms."""
 
     points: AvarPoints
-    laws: str
+    laws: Sequence[str]
     times: FloatArray
     gaussian: AvarCovariance
 
     @classmethod
-    def of_terms(cls, points: AvarPoints, laws: str, times: FloatArray) -> "CurveSpread":
-        """Return it for the laws and the correlation times (in samples) of a model."""
-        gaussian = avar_covariance(points.m, points.n, processes(laws, times), overlapping=points.overlapping)
-        return cls(points=points, laws=laws, times=times, gaussian=gaussian)
+    def of_solution(cls, points: AvarPoints, solution: Solution) -> "CurveSpread":
+        """Return it for the terms of a model."""
+        every = processes(solution.laws, solution.kinds, solution.times)
+        gaussian = avar_covariance(points.m, points.n, every, overlapping=points.overlapping)
+        return cls(points=points, laws=solution.laws, times=solution.times, gaussian=gaussian)
 
     def within(self, first: int) -> "CurveSpread":
         """Return it for the points from index `first` on."""
@@ -223,9 +250,8 @@ class CurveSpread:
         White noise of excess kurtosis g adds g avar_i avar_j / n, avar its own Allan variance:
         each Allan variance is a mean of squares in which every sample weighs the same.
         """
-        ramp = self.laws.find("R")
-        random = variances if ramp < 0 else np.delete(variances, ramp)
-        covariance = self.gaussian.at(random, float(variances[ramp]) if ramp >= 0 else 0.0)
+        ramps = [place for place, law in enumerate(self.laws) if law == "R"]
+        covariance = self.gaussian.at(np.delete(variances, ramps), float(variances[ramps].sum()))
         if self.points.excess and "N" in self.laws:
             white = float(variances[self.laws.index("N")]) / self.points.m
             covariance = covariance + self.points.excess * np.outer(white, white) / self.points.n
@@ -235,12 +261,12 @@ class CurveSpread:
 def derivatives(solution: Solution, points: AvarPoints, free: np.ndarray) -> FloatArray:
     """Return the derivatives of the model by its free variances and log correlation times."""
     step = 1e-4
-    plain = columns(points.m, solution.laws, solution.times)[:, free]
+    plain = columns(points.m, solution.laws, solution.kinds, solution.times)[:, free]
     count = solution.times.size
     if count == 0:
         return plain
-    later = columns(points.m, "", solution.times * np.exp(step))
-    sooner = columns(points.m, "", solution.times * np.exp(-step))
+    later = columns(points.m, (), solution.kinds, solution.times * np.exp(step))
+    sooner = columns(points.m, (), solution.kinds, solution.times * np.exp(-step))
     slopes = (later - sooner) / (2 * step) * solution.variances[-count:]
     return np.hstack([plain, slopes[:, free[-count:]]])
 
@@ -317,8 +343,8 @@ def model_of(points: AvarPoints, solution: Solution) -> NoiseModel:
     """Return the model of a solution, its terms in the usual order."""
     count = len(solution.laws)
     terms = [points.term(law, float(v)) for law, v in zip(solution.laws, solution.variances, strict=False)]
-    times = zip(solution.variances[count:], solution.times, strict=True)
-    terms += [points.term("GM", float(v), float(time)) for v, time in times]
+    shaped = zip(solution.kinds, solution.variances[count:], solution.times, strict=True)
+    terms += [points.term(kind, float(v), float(time)) for kind, v, time in shaped]
     return NoiseModel(terms=tuple(sorted(terms, key=lambda term: list(TERMS).index(term.symbol))))
 
 
@@ -329,12 +355,13 @@ def curve_estimates(
 
     A term that is not in the model gets the upper bound that it has when it is added.
     """
-    laws = "".join(law for law in _ORDER if law in solution.laws or law in ALWAYS)
-    spread = CurveSpread.of_terms(points, laws, solution.times)
-    reader = _Reader(spread, weight, _padded(solution, laws), solution.laws, level)
-    symbols = in_order([*laws, *["GM"] * solution.times.size])
-    gauss_markov = itertools.count(len(laws))
-    places = [next(gauss_markov) if s == "GM" else laws.index(s) for s in symbols]
+    laws = in_order({*solution.laws, *ALWAYS})
+    padded = _padded(solution, laws)
+    spread = CurveSpread.of_solution(points, padded)
+    reader = _Reader(spread, weight, padded, solution.laws, level)
+    symbols = in_order([*laws, *solution.kinds])
+    shaped = iter(range(len(laws), len(symbols)))
+    places = [laws.index(s) if s in laws else next(shaped) for s in symbols]
     entries = [
         (reader.estimate(place, key, symbol), place)
         for place, key, symbol in zip(places, term_keys(symbols), symbols, strict=True)
@@ -348,7 +375,7 @@ def curve_estimates(
     )
 
 
-def _padded(solution: Solution, laws: str) -> Solution:
+def _padded(solution: Solution, laws: Sequence[str]) -> Solution:
     """Return the solution with the laws it lacks, at variance 0."""
     given = dict(zip(solution.laws, solution.variances, strict=False))
     variances = [given.get(law, 0.0) for law in laws]
@@ -361,13 +388,13 @@ class _Reader:
     """Reads estimates off a solution; `own` are the laws of the model itself."""
 
     def __init__(
-        self, spread: CurveSpread, weight: Weight, solution: Solution, own: str, level: float
+        self, spread: CurveSpread, weight: Weight, solution: Solution, own: Sequence[str], level: float
     ) -> None:
         from scipy.special import chdtri
 
         self.points, self.spread, self.weight, self.solution = spread.points, spread, weight, solution
         self.quantile = float(chdtri(1, 1 - level))
-        self.design = weight.whiten @ columns(self.points.m, solution.laws, solution.times)
+        self.design = weight.whiten @ columns(self.points.m, solution.laws, solution.kinds, solution.times)
         self.target = weight.whiten @ self.points.avar
         self.inside = np.array([law in own for law in solution.laws] + [True] * solution.times.size)
         self.free = self.inside & (solution.variances > 0)
@@ -385,7 +412,7 @@ class _Reader:
             value=to_si(symbol, float(self.solution.variances[place])),
             low=to_si(symbol, low),
             high=to_si(symbol, high),
-            correlation_time=self._time(place - self.count) if symbol == "GM" else None,
+            correlation_time=self._time(place - self.count) if place >= self.count else None,
         )
 
     def _scatter(self, at: FloatArray, free: np.ndarray) -> FloatArray:
@@ -481,12 +508,13 @@ def dictionary(points: AvarPoints, weight: Weight) -> Solution:
     It describes almost any curve; the terms left at zero are dropped.
     """
     grid = time_grid(points.m, per_decade=3)
-    matrix = weight.whiten @ columns(points.m, _LAWS, grid)
+    matrix = weight.whiten @ columns(points.m, _LAWS, [GaussMarkov.symbol] * grid.size, grid)
     variances, objective = non_negative(matrix, weight.whiten @ points.avar)
-    laws = "".join(law for law, value in zip(_LAWS, variances, strict=False) if value > 0)
+    laws = tuple(law for law, value in zip(_LAWS, variances, strict=False) if value > 0)
     active = variances[len(_LAWS) :] > 0
     kept = np.concatenate([variances[: len(_LAWS)], variances[len(_LAWS) :][active]])
-    return Solution(laws=laws, times=grid[active], variances=kept[kept > 0], objective=objective)
+    kinds = [GaussMarkov.symbol] * int(active.sum())
+    return Solution(laws=laws, kinds=kinds, times=grid[active], variances=kept[kept > 0], objective=objective)
 
 
 def choose(
@@ -505,7 +533,7 @@ def choose(
     if not screened:
         return []
     near = [entry for entry in screened if entry[0] <= screened[0][0] + _WITHIN][:_AT_MOST]
-    solutions = [minimise(points.m, points.avar, weight, laws, count) for _, laws, count in near]
+    solutions = [minimise(points.m, points.avar, weight, laws, kinds) for _, laws, kinds in near]
     ranked = sorted(((s.objective + price * s.parameters, s) for s in solutions), key=lambda pair: pair[0])
     best = ranked[0][0]
     return [(value - best, solution) for value, solution in ranked]
@@ -513,10 +541,10 @@ def choose(
 
 def _screen(
     points: AvarPoints, weight: Weight, max_gm: int, price: float
-) -> Iterator[tuple[float, str, int]]:
+) -> Iterator[tuple[float, tuple[str, ...], tuple[str, ...]]]:
     """Yield the criterion of each structure, at the best correlation times of a grid."""
     grid = time_grid(points.m)
-    matrix = weight.whiten @ columns(points.m, _LAWS, grid)
+    matrix = weight.whiten @ columns(points.m, _LAWS, [GaussMarkov.symbol] * grid.size, grid)
     matrix = matrix / np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
     target = weight.whiten @ points.avar
     # A ridge far below what tells models apart keeps equal columns from being singular.
@@ -532,7 +560,8 @@ def _screen(
                 fixed = np.broadcast_to(np.array(laws, dtype=np.int64), (len(places), size))
                 cost = _least_cost(gram, moment, total, np.hstack([fixed, places]))
                 if np.isfinite(cost):
-                    yield cost + price * parameters, "".join(_LAWS[law] for law in laws), count
+                    kinds = (GaussMarkov.symbol,) * count
+                    yield cost + price * parameters, tuple(_LAWS[law] for law in laws), kinds
 
 
 def _least_cost(gram: FloatArray, moment: FloatArray, total: float, sets: np.ndarray) -> float:
@@ -549,8 +578,7 @@ def ranked(points: AvarPoints, weight: Weight, settings: FitSettings) -> list[tu
     structure = settings.structure
     if structure is None:
         return choose(points, weight, criterion=settings.criterion, max_gm=settings.max_gm)
-    laws, count = "".join(symbol for symbol in structure if symbol != "GM"), structure.count("GM")
-    return [(0.0, minimise(points.m, points.avar, weight, laws, count))]
+    return [(0.0, minimise(points.m, points.avar, weight, *parts_of(structure)))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -574,15 +602,15 @@ class ModelSearch:
     @cached_property
     def _rough(self) -> tuple[CurveSpread, Solution]:
         rough = dictionary(self.points, self.eta3)
-        return CurveSpread.of_terms(self.points, rough.laws, rough.times), rough
+        return CurveSpread.of_solution(self.points, rough), rough
 
     def whole(self) -> CurveFit:
         """Return the fit of all points.
 
-        One given model without GM has one minimum for any weight, so that its own weight follows from
+        One given model without a time has one minimum for any weight, so that its own weight follows from
         any start; where it describes the curve, the costly covariance of the rough fit is not asked for.
         """
-        if self.settings.structure is not None and "GM" not in self.settings.structure:
+        if self.settings.structure is not None and not parts_of(self.settings.structure)[1]:
             given = _described(self.points, ranked(self.points, self.eta3, self.settings), self.eta3)
             if given.misfit < MISFIT:
                 return given
@@ -608,7 +636,7 @@ def best_band(points: AvarPoints, search: ModelSearch) -> tuple[AvarPoints, Curv
     """
     whole = search.whole()
     structure = search.settings.structure
-    least = 6 if structure is None else len(structure) + structure.count("GM") + 3
+    least = 6 if structure is None else sum(len(TERMS[s].parameters()) for s in structure) + 3
     if not whole.misfit >= _FILTERED:
         return points, whole
     best, kept_best = whole.misfit / _CURE, None
@@ -644,15 +672,13 @@ def _described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight
 
 def _converged(points: AvarPoints, solution: Solution, weight: Weight) -> tuple[Solution, Weight, FloatArray]:
     """Return the minimum with the weight of the model itself, that weight, and the covariance."""
-    spread = CurveSpread.of_terms(points, solution.laws, solution.times)
+    spread = CurveSpread.of_solution(points, solution)
     for _ in range(_STEPS):
         if np.any(np.abs(np.log(solution.times / spread.times)) > 0.2):
-            spread = CurveSpread.of_terms(points, solution.laws, solution.times)
+            spread = CurveSpread.of_solution(points, solution)
         weight = Weight.of_covariance(spread.at(solution.variances))
         before = solution
-        solution = minimise(
-            points.m, points.avar, weight, solution.laws, solution.times.size, near=solution.times
-        )
+        solution = minimise(points.m, points.avar, weight, solution.laws, solution.kinds, near=solution.times)
         if np.allclose(solution.variances, before.variances, rtol=1e-3, atol=1e-12 * points.avar.max()):
             break
     return solution, weight, spread.at(solution.variances)

@@ -63,7 +63,7 @@ class LogCurve:
 
     def shape(self, symbol: str) -> FloatArray:
         """Return the Allan variance of a term of unit variance at the points, shape (k,)."""
-        return np.asarray(columns(self.points.m, symbol, np.zeros(0))[:, 0])
+        return np.asarray(columns(self.points.m, [symbol])[:, 0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -253,7 +253,7 @@ def _goodness(curve: LogCurve, shown: list[Reading]) -> Goodness:
 def _log_curve(points: AvarPoints) -> LogCurve:
     """Return the points with the covariance that they have under whatever noise fits the curve."""
     rough = dictionary(points, Weight.of_deviations(points.avar))
-    spread = CurveSpread.of_terms(points, rough.laws, rough.times).at(rough.variances)
+    spread = CurveSpread.of_solution(points, rough).at(rough.variances)
     model = rough.avar(points.m)
     return LogCurve(points, np.asarray(spread / (4 * np.outer(model, model))))
 

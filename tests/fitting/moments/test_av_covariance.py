@@ -11,10 +11,17 @@ from imucal.arrays import FloatArray
 from imucal.fitting.moments import points as module
 from imucal.fitting.moments.points import Process, avar_covariance, sum_variance
 from imucal.noise.model import NoiseModel
+from imucal.noise.terms import GaussMarkov
 from imucal.powerlaw import PowerLaw
 from tests.fitting.moments.curves import octave_curve
 
-PROCESSES: list[Process] = [*PowerLaw, 5.0, 300.0]
+
+def markov(time: float) -> GaussMarkov:
+    """Return a Gauss-Markov process of unit deviation."""
+    return GaussMarkov(sigma=1.0, T=float(time))
+
+
+PROCESSES: list[Process] = [*PowerLaw, markov(5.0), markov(300.0)]
 
 
 def _correlation(covariance: FloatArray) -> FloatArray:
@@ -65,7 +72,7 @@ def test_adjacent_windows_of_white_noise_have_a_closed_form() -> None:
             [2.25, 1, 0.09],
             0,
         ),
-        ("N=1 + GM(sigma=0.3, T=20) + R=5e-4", [PowerLaw.WHITE, 20.0], [1.0, 0.09], 2.5e-7),
+        ("N=1 + GM(sigma=0.3, T=20) + R=5e-4", [PowerLaw.WHITE, markov(20.0)], [1.0, 0.09], 2.5e-7),
     ],
 )
 def test_simulated_curves_scatter_as_predicted(
@@ -91,7 +98,7 @@ def test_a_gauss_markov_sum_has_the_variance_of_its_autocovariances(time: float)
     direct = np.array(
         [np.exp(-np.abs(np.subtract.outer(np.arange(k), np.arange(k))) / time).sum() for k in n]
     )
-    found = sum_variance(time, n)
+    found = sum_variance(markov(time), n)
     rest = direct - found
     npt.assert_allclose(rest, rest[-1] * (n / n[-1]) ** 2, rtol=1e-9, atol=1e-9 * np.abs(direct).max())
 
@@ -123,7 +130,7 @@ def test_lags_reach_by_powers_of_two(longest: int, times: list[float], reach: in
 
 
 @pytest.mark.parametrize("overlapping", [True, False])
-@pytest.mark.parametrize("process", [*PowerLaw, 4.0])
+@pytest.mark.parametrize("process", [*PowerLaw, markov(4.0)])
 def test_two_averaging_times_covary_as_their_squares_summed_over_all_pairs(
     process: Process, *, overlapping: bool
 ) -> None:
@@ -155,7 +162,7 @@ def test_windows_that_do_not_meet_share_nothing(process: PowerLaw) -> None:
     assert not module._lag_covariance(far, 12, 20, process).any()
 
 
-@pytest.mark.parametrize("process", [PowerLaw.FLICKER, 300.0])
+@pytest.mark.parametrize("process", [PowerLaw.FLICKER, markov(300.0)])
 def test_windows_that_do_not_meet_share_what_is_correlated(process: Process) -> None:
     """A long Gauss-Markov term and flicker are the same in both windows, ever less the farther apart."""
     near = module._lag_covariance(np.array([-41, -50, -100, -300]), 12, 20, process)
@@ -184,5 +191,5 @@ def test_a_slow_gauss_markov_term_keeps_its_digits(mi: int, mj: int) -> None:
             for a, b in product(range(3), repeat=2):
                 comb += (1, -2, 1)[a] * (1, -2, 1)[b] * sum_of(abs(lag + b * mj - a * mi))
             expected += 2 * Decimal(weight) * (comb / (-4 * mi * mj)) ** 2
-        found = avar_covariance(np.array([mi, mj]), 4 * time, [float(time)], overlapping=True)
+        found = avar_covariance(np.array([mi, mj]), 4 * time, [markov(time)], overlapping=True)
         assert float(found.at(np.ones(1))[0, 1]) == pytest.approx(float(expected), rel=1e-6)

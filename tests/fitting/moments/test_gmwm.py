@@ -69,9 +69,9 @@ def test_eta3_reaches_the_minimum_of_its_objective() -> None:
     curve = simulated_curve("N=10 + K=0.03", 100_000, np.random.default_rng(3))
     points = avar_points(None, curve)
     weight = Weight.of_deviations(_eta3_widths(points))
-    found = minimise(points.m, points.avar, weight, "NK", 0)
+    found = minimise(points.m, points.avar, weight, "NK", ())
     target = weight.whiten @ points.avar
-    design = weight.whiten @ columns(points.m, "NK", np.zeros(0))
+    design = weight.whiten @ columns(points.m, "NK")
     rng = np.random.default_rng(4)
 
     def objective(logs: FloatArray) -> float:
@@ -88,11 +88,11 @@ def test_correlation_times_are_at_the_global_minimum() -> None:
     curve = simulated_curve(text, 100_000, np.random.default_rng(5))
     points = avar_points(None, curve)
     weight = Weight.of_deviations(_eta3_widths(points))
-    found = minimise(points.m, points.avar, weight, "N", 2)
+    found = minimise(points.m, points.avar, weight, "N", ("GM", "GM"))
     times = np.geomspace(1, 3e4, 90)
     target = weight.whiten @ points.avar
     lowest = min(
-        non_negative(weight.whiten @ columns(points.m, "N", np.array([a, b])), target)[1]
+        non_negative(weight.whiten @ columns(points.m, "N", ("GM", "GM"), (a, b)), target)[1]
         for i, a in enumerate(times)
         for b in times[i + 1 :]
     )
@@ -106,7 +106,7 @@ def test_eta3_is_better_than_what_stops_early() -> None:
     for _ in range(40):
         points = avar_points(None, simulated_curve("N=1 + K=1e-3", 100_000, rng))
         weight = Weight.of_deviations(_eta3_widths(points))
-        walk = minimise(points.m, points.avar, weight, "NK", 0).variances[1]
+        walk = minimise(points.m, points.avar, weight, "NK", ()).variances[1]
         ratios.append(walk * points.scale / 1e-6)
     # Three standard errors of an RMSE of 31 % from 40 records are 10 %.
     assert np.sqrt(np.mean(np.square(np.array(ratios) - 1))) < 0.42
