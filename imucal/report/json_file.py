@@ -415,7 +415,7 @@ def _terms(fit: NoiseFit, sensor: Sensor) -> dict[str, object]:
     found: dict[str, object] = {}
     for estimate in fit.estimates:
         entry = _term(estimate, sensor)
-        if estimate.symbol == "GM":
+        if len(TERMS[estimate.symbol].parameters()) > 1:
             entry |= _gauss_markov(estimate, fit)
         found[estimate.key] = entry
     return found

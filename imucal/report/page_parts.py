@@ -23,7 +23,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, Segments, Trace
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports import TARGETS
@@ -138,7 +138,7 @@ def _term_rows(key: str, axes: list[AxisReport], units: SheetUnits) -> list[Mark
         ((numbers.si(e, sensor), units.estimate(e, sensor)), numbers.alternatives(e)) if e else None
         for e in found
     ]
-    if symbol != "GM":
+    if symbol != GaussMarkov.symbol:
         return [_row(key, TERMS[symbol].name(sensor), cells)]
     times = [None if e is None else _time(e) for e in found]
     return [
