@@ -202,7 +202,12 @@ def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:
         if (time := estimate.correlation_time) is not None:
             key = estimate.key + _TIME
             found[key] = Estimate(
-                key=key, symbol="GM", status="estimated", value=time.value, low=time.low, high=time.high
+                key=key,
+                symbol=estimate.symbol,
+                status="estimated",
+                value=time.value,
+                low=time.low,
+                high=time.high,
             )
     return found
 

@@ -263,9 +263,11 @@ def _mean(
 
 def _shown(model: NoiseModel, estimates: tuple[Estimate, ...]) -> NoiseModel:
     """Return the model with the values of the estimates, without the terms that became bounded."""
-    kept = [term for term in model.terms if term.symbol in {"GM", "R"}]
+    kept = [term for term in model.terms if len(term.values) > 1 or term.symbol == "R"]
     others = [
-        TERMS[e.symbol].of(e.value) for e in estimates if e.value is not None and e.symbol not in {"GM", "R"}
+        TERMS[e.symbol].of(e.value)
+        for e in estimates
+        if e.value is not None and len(TERMS[e.symbol].parameters()) == 1 and e.symbol != "R"
     ]
     return NoiseModel(terms=tuple(sorted((*others, *kept), key=lambda term: list(TERMS).index(term.symbol))))
 

@@ -465,7 +465,7 @@ def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> dict[str, 
         "alternatives": estimate.alternatives,
         "widening": estimate.widening,
     }
-    if estimate.symbol == "GM":
+    if len(TERMS[estimate.symbol].parameters()) > 1:
         # What a filter's state needs: T, and phi and q of x[t+1] = phi x[t] + q w[t].
         time, term = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate)
         entry["correlation_time"] = time and asdict(numbers.correlation_time(time))

@@ -50,7 +50,7 @@ def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
     """Return the term whose correlation time is the estimate's; None where the model has none."""
     terms = [term for term in fit.model.terms if isinstance(term, GaussMarkov)]
     time = estimate.correlation_time
-    if estimate.value is None or time is None or not terms:
+    if estimate.symbol != GaussMarkov.symbol or estimate.value is None or time is None or not terms:
         return None
     return min(terms, key=lambda term: abs(math.log(term.T / time.value)))
 

@@ -95,7 +95,7 @@ def covers(found: NoiseFit, key: str, sigma: float, time: float) -> bool:
     return estimate.low <= sigma <= estimate.high and told.low <= time <= told.high
 
 
-@pytest.mark.parametrize("method", ["mle"])
+@pytest.mark.parametrize("method", ["mle", "gmwm"])
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_its_coefficient_and_time_are_recovered(method: str, seed: int) -> None:
     """Both within their 95 % intervals; the model holds them, and the covariance names them."""
@@ -107,7 +107,7 @@ def test_its_coefficient_and_time_are_recovered(method: str, seed: int) -> None:
     assert found.goodness.statistic < 3
 
 
-@pytest.mark.parametrize("method", ["mle"])
+@pytest.mark.parametrize("method", ["mle", "gmwm"])
 def test_it_stands_beside_a_term_of_another_shape(method: str) -> None:
     """Each has its own time; Gauss-Markov's spectrum falls far more slowly."""
     text = "N=1e-3 + GM(sigma=5e-3, T=0.2) + SE(sigma=1e-2, T=4.0)"

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Estimate
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.recording import Axis, Sensor
 from imucal.report.result import AxisReport, Report
 
@@ -248,12 +248,14 @@ class Numbers:
         terms = [
             (estimate.correlation_time.value, estimate.value)
             for estimate in axis.fit.estimates
-            if estimate.symbol == "GM" and estimate.value and estimate.correlation_time is not None
+            if estimate.symbol == GaussMarkov.symbol
+            and estimate.value
+            and estimate.correlation_time is not None
         ]
         if not terms:
             return None
         correlation_time, sigma = max(terms)
-        return sigma * self.choices.factor("GM"), correlation_time
+        return sigma * self.choices.factor(GaussMarkov.symbol), correlation_time
 
     def slow(self, axis: AxisReport) -> SlowNoise:
         """Return the process that best stands for what is slower than white noise.

@@ -48,8 +48,8 @@ def _axis(numbers: Numbers, axis: AxisReport) -> Iterator[str]:
     yield "    states:"
     yield f"      - {{term: K, phi: 1.0, q: {real(walk.value / math.sqrt(rate_hz))}}}  # {walk.note}"
     for estimate in axis.fit.estimates:
-        if estimate.symbol == "GM" and estimate.value and estimate.correlation_time is not None:
-            sigma = estimate.value * numbers.choices.factor("GM")
+        if estimate.symbol == GaussMarkov.symbol and estimate.value and estimate.correlation_time is not None:
+            sigma = estimate.value * numbers.choices.factor(estimate.symbol)
             term = GaussMarkov(sigma=sigma, T=estimate.correlation_time.value)
             yield _state(estimate.key, term, rate_hz)
     if axis.fit["B"].value is None:
