@@ -13,7 +13,8 @@ from imucal.errors import ReadError
 from imucal.readers.clocks.from_stamps import _filled
 from imucal.readers.message_logs import steps_back, unsorted
 from imucal.readers.store import Room, Spill, copy_to, count, equal, extremes, is_constant
-from imucal.readers.tables.stamps import DAY, date_stamps, pair_stamps, rolled, to_ns, unwrapped, week_stamps
+from imucal.readers.tables.dates import DAY
+from imucal.readers.tables.stamps import date_stamps, pair_stamps, rolled, to_ns, unwrapped, week_stamps
 
 RNG = np.random.default_rng(2026)
 VALUES = RNG.integers(-1000, 1000, 500)

@@ -1,8 +1,8 @@
 """Dates and times of day as people and loggers write them -> ns."""
 
 import re
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Sequence
+from functools import lru_cache, partial
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -17,9 +17,10 @@ TextKind: TypeAlias = Literal["stamp", "date", "half"]
 NO_STAMP = int(np.iinfo(np.int64).min)
 
 _SECOND = 10**9
-HALF_DAY = 43_200 * _SECOND
+DAY = 86_400 * _SECOND
+HALF_DAY = DAY // 2
 
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_MONTHS = ("", "jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
 #: Year first; or day and month in either order, the year last; or a month by its name, as MATLAB writes it.
 _DATE = (
@@ -33,28 +34,29 @@ _TIME = (
     r"(?P<hour>\d{1,2})[:.-](?P<minute>\d{2})[:.-](?P<second>\d{2})(?:[.,:_](?P<fraction>\d{1,12}))?"
     rf"(?:\s*{_HALF})?\s*(?:Z|UTC|GMT|(?P<zone>[+-]\d{{2}}:?\d{{2}}))?"
 )
-_STAMP = re.compile(rf"\s*(?:{_DATE}(?:[T _]+|, +))?{_TIME}\s*")
-_DATE_ONLY = re.compile(rf"\s*{_DATE}\s*")
-_HALF_ONLY = re.compile(rf"\s*{_HALF}\s*")
+_PATTERNS: dict[TextKind, re.Pattern[str]] = {
+    "stamp": re.compile(rf"\s*(?:{_DATE}(?:[T _]+|, +))?{_TIME}\s*"),
+    "date": re.compile(rf"\s*{_DATE}\s*"),
+    "half": re.compile(rf"\s*{_HALF}\s*"),
+}
 
 
 def is_text_stamp(cell: str) -> bool:
     """Return whether a cell is a date with a time of day, or a time of day."""
-    return _STAMP.fullmatch(_bare(cell)) is not None
+    return _PATTERNS["stamp"].fullmatch(_bare(cell)) is not None
 
 
 def is_time_of_day(cell: str) -> bool:
     """Return whether a cell is a time of day without a date."""
-    match = _STAMP.fullmatch(_bare(cell))
+    match = _PATTERNS["stamp"].fullmatch(_bare(cell))
     return match is not None and not _has_date(match)
 
 
 def text_kind(cells: Sequence[str]) -> TextKind:
     """Return what the filled cells of a column of text are; ``stamp`` where they are nothing else."""
     filled = [_bare(cell) for cell in cells if cell]
-    if filled and all(_DATE_ONLY.fullmatch(cell) for cell in filled):
-        return "date"
-    return "half" if filled and all(_HALF_ONLY.fullmatch(cell) for cell in filled) else "stamp"
+    kinds: tuple[TextKind, ...] = ("date", "half")
+    return next((kind for kind in kinds if filled and all(map(_PATTERNS[kind].fullmatch, filled))), "stamp")
 
 
 def day_first(cells: Sequence[str]) -> bool | None:
@@ -62,7 +64,7 @@ def day_first(cells: Sequence[str]) -> bool | None:
 
     A number above 12 is a day; points stand between day, month and year.
     """
-    matches = [_DATE_ONLY.match(_bare(cell)) for cell in cells if cell]
+    matches = [_PATTERNS["date"].match(_bare(cell)) for cell in cells if cell]
     dates = [match for match in matches if match is not None and match["mark"]]
     if any(int(match["one"]) > 12 or match["mark"] == "." for match in dates):
         return True
@@ -75,11 +77,8 @@ def parse_texts(cells: Sequence[str], kind: TextKind = "stamp", *, by_day: bool 
     A date alone is its midnight, PM half a day. A text that is no time becomes the smallest int64. Dates
     with the year last begin with the month, or `by_day`.
     """
-    convert = _CONVERTERS[kind]
-    result = np.empty(len(cells), dtype=np.int64)
-    for i, cell in enumerate(cells):
-        result[i] = convert(_bare(cell), by_day)
-    return result
+    parse = partial(_ns, kind=kind, by_day=by_day)
+    return np.fromiter(map(parse, cells), dtype=np.int64, count=len(cells))
 
 
 def _bare(cell: str) -> str:
@@ -90,14 +89,20 @@ def _has_date(match: re.Match[str]) -> bool:
     return bool(match["year"] or match["late"] or match["name"])
 
 
-def _of_stamp(cell: str, by_day: bool) -> int:  # noqa: FBT001 - one signature for all converters
-    match = _STAMP.fullmatch(cell)
+def _ns(cell: str, *, kind: TextKind, by_day: bool) -> int:
+    match = _PATTERNS[kind].fullmatch(_bare(cell))
     if match is None:
         return NO_STAMP
-    day = _day(match, by_day) if _has_date(match) else 0
+    if kind == "half":
+        return HALF_DAY * (match["half"] in "pP")
+    day = _day(match, by_day=by_day) if _has_date(match) else 0
     if day == NO_STAMP:
         return NO_STAMP
-    fraction = int(((match["fraction"] or "") + "0" * 9)[:9])
+    return day * DAY + (_of_day(match) if kind == "stamp" else 0)
+
+
+def _of_day(match: re.Match[str]) -> int:
+    """Return a time of day in ns; what its time zone is ahead of UTC is taken off."""
     hour = int(match["hour"])
     if match["half"]:
         hour = hour % 12 + (12 if match["half"] in "pP" else 0)
@@ -106,39 +111,19 @@ def _of_stamp(cell: str, by_day: bool) -> int:  # noqa: FBT001 - one signature f
         sign = -1 if match["zone"][0] == "+" else 1
         digits = match["zone"][1:].replace(":", "")
         seconds += sign * (int(digits[:2]) * 3600 + int(digits[2:]) * 60)
-    return (day * 86_400 + seconds) * _SECOND + fraction
+    return seconds * _SECOND + int(f"{match['fraction'] or '':0<9}"[:9])
 
 
-def _of_date(cell: str, by_day: bool) -> int:  # noqa: FBT001 - one signature for all converters
-    match = _DATE_ONLY.fullmatch(cell)
-    day = _day(match, by_day) if match is not None else NO_STAMP
-    return day if day == NO_STAMP else day * 86_400 * _SECOND
-
-
-def _of_half(cell: str, by_day: bool) -> int:  # noqa: FBT001 - one signature for all converters
-    del by_day
-    match = _HALF_ONLY.fullmatch(cell)
-    return NO_STAMP if match is None else HALF_DAY * (match["half"] in "pP")
-
-
-_CONVERTERS: dict[TextKind, Callable[[str, bool], int]] = {
-    "stamp": _of_stamp,
-    "date": _of_date,
-    "half": _of_half,
-}
-
-
-def _day(match: re.Match[str], by_day: bool) -> int:  # noqa: FBT001 - as above
+def _day(match: re.Match[str], *, by_day: bool) -> int:
     """Return the days since 1970 of a date."""
     if match["year"]:
         return _days_since_1970(match["year"], match["month"], match["day"])
     if match["name"]:
         name = match["name"].lower()
-        month = _MONTHS.index(name) + 1 if name in _MONTHS else 0
-        return _days_since_1970(match["yearn"], str(month), match["dayn"])
-    one, two = match["one"], match["two"]
-    month_text, day = (two, one) if by_day else (one, two)
-    return _days_since_1970(match["late"], month_text, day)
+        month = str(_MONTHS.index(name)) if name in _MONTHS else ""
+        return _days_since_1970(match["yearn"], month, match["dayn"])
+    month, day = (match["two"], match["one"]) if by_day else (match["one"], match["two"])
+    return _days_since_1970(match["late"], month, day)
 
 
 @lru_cache

@@ -1,13 +1,9 @@
-"""What Parquet, MATLAB and NumPy files hold, by the packages that know them: run in a child process.
+"""What Parquet, MATLAB and NPZ files hold, a few bytes of which may unpack to very many.
 
-Every result can be pickled; see `imucal.readers.isolation`.
-
-The arrays of an NPZ file, a few bytes of which may unpack to very many.
-
-What the headers state is added up before anything is unpacked: arrays that are too large together go to
-temporary files, and where only their first values are wanted nothing else is unpacked.
-
-How much a MATLAB file unpacks to, without keeping any of it.
+Parquet and MATLAB files are read by the packages that know them, in a child process: every result can be
+pickled; see `imucal.readers.isolation`. What the headers of an NPZ file state is added up before anything is
+unpacked: arrays that are too large together go to temporary files, and where only their first values are
+wanted nothing else is unpacked. What a MATLAB file unpacks to is counted without keeping any of it.
 
 Source: MathWorks, MAT-File Format (version 5): a header of 128 bytes, then elements of a tag of 8 bytes (type
 and size) and their data; those of type 15 are zlib streams.
@@ -56,32 +52,24 @@ def parquet_columns(path: Path) -> list[ParquetColumn]:
 
     # Only the columns that are read are decoded, so that one in an unknown encoding does no harm.
     scan = pl.scan_parquet(path)
-    schema = scan.collect_schema()
-    rows = int(scan.select(pl.len()).collect()["len"].to_list()[0])
+    rows = int(scan.select(pl.len()).collect().item())
     columns = []
-    for name, dtype in schema.items():
-        parts: list[tuple[str, str | int | None]] = [(name, None)]
+    for name, dtype in scan.collect_schema().items():
+        parts: dict[str, str | int | None] = {name: None}
         if isinstance(dtype, pl.Struct):
-            parts = [(f"{name}.{field.name}", field.name) for field in dtype.fields]
-        elif isinstance(dtype, pl.List):
-            lengths = scan.head(HEAD).select(pl.col(name).list.len()).collect()[name].to_list()
-            width = max((length for length in lengths if length is not None), default=0)
-            parts = [(f"{name}[{i}]", i) for i in range(min(width, WIDEST))]
-        elif isinstance(dtype, pl.Array):
-            parts = [(f"{name}[{i}]", i) for i in range(min(dtype.shape[0], WIDEST))]
-        for label, part in parts:
-            head = scan.head(HEAD).select(_expression(dtype, name, part).alias("v")).collect()["v"]
-            columns.append(
-                ParquetColumn(
-                    label=label,
-                    name=name,
-                    part=part,
-                    rows=rows,
-                    head=head.to_numpy(),
-                    unit="ns" if isinstance(head.dtype, pl.Datetime) else None,
-                    has_gaps=head.null_count() > 0,
+            parts = {f"{name}.{field.name}": field.name for field in dtype.fields}
+        elif isinstance(dtype, pl.List | pl.Array):
+            lengths = [dtype.shape[0]] if isinstance(dtype, pl.Array) else []
+            if isinstance(dtype, pl.List):
+                lengths = (
+                    scan.head(HEAD).select(pl.col(name).list.len()).collect()[name].drop_nulls().to_list()
                 )
-            )
+            parts = {f"{name}[{i}]": i for i in range(min(max(lengths, default=0), WIDEST))}
+        for label, part in parts.items():
+            head = scan.head(HEAD).select(_expression(dtype, name, part).alias("v")).collect()["v"]
+            unit = "ns" if isinstance(head.dtype, pl.Datetime) else None
+            gaps = head.null_count() > 0
+            columns.append(ParquetColumn(label, name, part, rows, head.to_numpy(), unit, gaps))
     return columns
 
 
@@ -172,9 +160,7 @@ def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dic
         arrays = {}
         for header in headers:
             with archive.open(header.info) as member:
-                member.seek(header.start)
-                stream = cast("BinaryIO", member)
-                array = _head(stream, header) if heads else _whole(stream, header, spill=size > limit)
+                array = _read(cast("BinaryIO", member), header, heads=heads, spill=size > limit)
             arrays[header.info.filename.removesuffix(_SUFFIX)] = array
     return arrays
 
@@ -182,10 +168,8 @@ def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dic
 def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
     """Read the header of a member; a ValueError if it claims what it can't hold."""
     with archive.open(info) as member:
-        version = np.lib.format.read_magic(member)
-        read = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        )
+        first = np.lib.format.read_magic(member) == (1, 0)
+        read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(member)
         header = _Header(info, tuple(shape), bool(fortran), np.dtype(dtype), member.tell())
     if header.dtype.hasobject:
@@ -197,31 +181,30 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
     return header
 
 
-def _whole(stream: BinaryIO, header: _Header, *, spill: bool) -> NDArray[Any]:
-    """Return all of an array, read-only where it lies in a temporary file."""
-    if spill and header.size:
+def _read(stream: BinaryIO, header: _Header, *, heads: bool, spill: bool) -> NDArray[Any]:
+    """Return an array, read-only where it lies in a temporary file; of `heads` only the first values."""
+    stream.seek(header.start)
+    if spill and header.size and not heads:
         flat = np.frombuffer(map_stream(stream, header.size), dtype=header.dtype)
     else:
-        flat = np.empty(math.prod(header.shape), dtype=header.dtype)
-        _fill(stream, flat.view(np.uint8))
+        # Memory that nobody touches is never taken.
+        flat = np.zeros(math.prod(header.shape), dtype=header.dtype)
+        for part in _head(header) if heads else [slice(0, flat.size)]:
+            stream.seek(header.start + part.start * header.dtype.itemsize)
+            _fill(stream, flat[part].view(np.uint8))
     return flat.reshape(header.shape, order="F" if header.fortran else "C")
 
 
-def _head(stream: BinaryIO, header: _Header) -> NDArray[Any]:
-    """Return an array of which only the first values along its longest axis are read."""
-    # Memory that nobody touches is never taken.
-    flat = np.zeros(math.prod(header.shape), dtype=header.dtype)
+def _head(header: _Header) -> list[slice]:
+    """Return where the first values along the longest axis of an array lie."""
     lengths = header.shape[::-1] if header.fortran else header.shape
-    if flat.size:
-        at = int(np.argmax(lengths)) if lengths else 0
-        outer, longest = math.prod(lengths[:at]), lengths[at] if lengths else 1
-        inner = math.prod(lengths[at + 1 :])
-        for piece in range(outer if outer <= _MOST_PIECES else 0):
-            first = piece * longest * inner
-            stop = first + min(HEAD, longest) * inner
-            stream.seek(header.start + first * header.dtype.itemsize)
-            _fill(stream, flat[first:stop].view(np.uint8))
-    return flat.reshape(header.shape, order="F" if header.fortran else "C")
+    if not header.size:
+        return []
+    at = int(np.argmax(lengths)) if lengths else 0
+    outer, longest = math.prod(lengths[:at]), lengths[at] if lengths else 1
+    inner = math.prod(lengths[at + 1 :])
+    starts = range(0, outer * longest * inner, longest * inner) if outer <= _MOST_PIECES else ()
+    return [slice(start, start + min(HEAD, longest) * inner) for start in starts]
 
 
 def _fill(stream: BinaryIO, target: NDArray[np.uint8]) -> None:

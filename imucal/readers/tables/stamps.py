@@ -1,6 +1,6 @@
-"""Time in a table: joins of columns, counters that wrap, units that the steps show -> ns.
+"""Time in a table: which columns are it for a sensor, what their counts are, and all of it in ns.
 
-Which columns of a table are the time of a sensor, and what their counts are.
+Joins of columns, counters that wrap, texts, and units that only the steps show.
 """
 
 from collections.abc import Sequence
@@ -15,15 +15,14 @@ from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.errors import ChoiceError
 from imucal.readers.store import Room, extremes
 from imucal.readers.tables.columns import NamedTable, list_columns
-from imucal.readers.tables.dates import day_first, is_text_stamp, is_time_of_day, text_kind
+from imucal.readers.tables.dates import DAY, HALF_DAY, day_first, is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
-from imucal.readers.tables.names import NamedColumn, Role
+from imucal.readers.tables.names import NamedColumn, Role, plain_name
 from imucal.recording import Sensor
 from imucal.units import TIME_UNITS_NS, parse_time_unit
 
 _SECOND = 10**9
-DAY = 86_400 * _SECOND
 WEEK = 7 * DAY
 
 #: Counts looked at for their usual step, at each of three places.
@@ -38,21 +37,22 @@ _RATES = (1.0, 20_000.0)
 
 def date_stamps(parts: Sequence[Numbers], room: Room) -> IntArray:
     """Return times as ns since 1970 from year, month, day, hour, minute, second and perhaps nanosecond."""
-    return room.made(parts[0].size, np.int64, lambda at: _dates([part[at] for part in parts]), *parts)
 
+    def of(at: slice) -> IntArray:
+        year, month, day, hour, minute = (np.asarray(part[at], dtype=np.int64) for part in parts[:5])
+        months = ((year - 1970) * 12 + month - 1).astype("datetime64[M]")
+        days = months.astype("datetime64[D]").astype(np.int64) + day - 1
+        whole = ((days * 24 + hour) * 60 + minute) * 60 * _SECOND
+        for part, ns in zip(parts[5:], (_SECOND, 1), strict=False):
+            whole += _ns_of(part[at], ns)
+        return whole
 
-def _dates(parts: Sequence[Numbers]) -> IntArray:
-    year, month, day, hour, minute = (np.asarray(part, dtype=np.int64) for part in parts[:5])
-    months = ((year - 1970) * 12 + month - 1).astype("datetime64[M]")
-    days = months.astype("datetime64[D]").astype(np.int64) + day - 1
-    whole = ((days * 24 + hour) * 60 + minute) * 60 * _SECOND + _ns_of(parts[5], _SECOND)
-    return np.asarray(whole + (_ns_of(parts[6], 1) if len(parts) > 6 else 0), dtype=np.int64)
+    return room.made(parts[0].size, np.int64, of, *parts)
 
 
 def pair_stamps(seconds: Numbers, nanoseconds: Numbers, room: Room) -> IntArray:
     """Return times in ns from their whole seconds and the nanoseconds beside them."""
-    whole, rest = to_ns(seconds, _SECOND, room), to_ns(nanoseconds, 1, room)
-    return room.made(whole.size, np.int64, lambda part: whole[part] + rest[part], whole, rest)
+    return _sum(to_ns(seconds, _SECOND, room), to_ns(nanoseconds, 1, room), room)
 
 
 def week_stamps(weeks: Numbers, of_week: Numbers, ns: int, room: Room) -> IntArray:
@@ -61,9 +61,21 @@ def week_stamps(weeks: Numbers, of_week: Numbers, ns: int, room: Room) -> IntArr
     whole = to_ns(weeks, WEEK, room)
     # A receiver without a fix leaves the week at zero or at its last value.
     low, high = extremes(whole) if whole.size else (0, 0)
-    if low == high:
-        return rolled(tow, WEEK, room)
-    return room.made(tow.size, np.int64, lambda part: whole[part] + tow[part], whole, tow)
+    return rolled(tow, WEEK, room) if low == high else _sum(whole, tow, room)
+
+
+def text_stamps(columns: Sequence[IntArray], room: Room) -> IntArray:
+    """Return times in ns from the texts of dates and times in one column, or of dates, times, AM and PM."""
+    if len(columns) == 1:
+        return rolled(columns[0], DAY, room)
+    date, time, *half = columns
+    if half:
+        time = room.made(time.size, np.int64, lambda at: time[at] % HALF_DAY + half[0][at], time, *half)
+    return _sum(date, time, room)
+
+
+def _sum(first: IntArray, second: IntArray, room: Room) -> IntArray:
+    return room.made(first.size, np.int64, lambda at: first[at] + second[at], first, second)
 
 
 def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
@@ -227,6 +239,8 @@ _PREFERENCE = {
     **dict.fromkeys(("tick", "ticks"), 50),
     "tow": 45,
 }
+_PAIR = "seconds + nanoseconds"
+
 #: Preference of a time whose name has none of these words.
 _UNKNOWN = 40
 
@@ -271,7 +285,7 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
     Stamps come before counters; columns that are empty, or stand still over the first rows, come
     after those that go on.
     """
-    found = [*_pairs(table), *_weeks(table), *_timing_dates(table), *_dates_and_times(table, sensor)]
+    found = [*_pairs(table), *_weeks(table), *_dates(table), *_dates_and_times(table, sensor)]
     taken = {index for _, choice in found for index in choice.indices}
     for column in table.columns:
         if column.role is Role.TIME and column.index not in taken:
@@ -291,7 +305,7 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
     if len(columns) > 1 and text_kind(table.cells(indices[0])) == "date":
         return _texts(table, *columns)
     if len(columns) == 2:
-        return _pair(*columns)
+        return _joined("pair", *columns, ns=1, source=_PAIR)
     if len(columns) > 2:
         problem = f"columns {', '.join(map(str, indices))} are no date, time of day, and AM or PM"
         raise table.ask(problem)
@@ -301,20 +315,7 @@ def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
         found = next((cell for cell in table.cells(column.index) if cell), "nothing")
         problem = f"column {column.index} ({column.header}) is no time: it holds {found!r}"
         raise table.ask(problem)
-    if column.role is Role.COUNTER:
-        return _joined("counter", column)
-    return choice
-
-
-def _joined(kind: TimeKind, *columns: NamedColumn, ns: int | None = None, source: str = "") -> TimeChoice:
-    """Return the time that some columns give together."""
-    name = "+".join(column.header or str(column.index) for column in columns)
-    indices = tuple(column.index for column in columns)
-    return TimeChoice(kind=kind, indices=indices, name=name, ns=ns, ns_source=source)
-
-
-def _pair(second: NamedColumn, fraction: NamedColumn) -> TimeChoice:
-    return _joined("pair", second, fraction, ns=1, source="seconds + nanoseconds")
+    return _joined("counter", column) if column.role is Role.COUNTER else choice
 
 
 def named_time(table: NamedTable, name: str) -> TimeChoice:
@@ -328,126 +329,11 @@ def named_time(table: NamedTable, name: str) -> TimeChoice:
     return time_of_columns(table, indices)
 
 
-def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
-    filled = [cell.strip("\"'") for cell in table.cells(column.index) if cell]
-    if not filled:
-        return None
-    if sum(map(is_number, filled)) < 0.5 * len(filled):
-        if sum(map(is_text_stamp, filled)) < 0.5 * len(filled):
-            return None
-        return _texts(table, column)
-    ns, source = _unit(column, table.dialect)
-    return _joined("stamp", column, ns=ns, source=source)
-
-
-def _unit(column: NamedColumn, dialect: Dialect | None) -> tuple[int | None, str]:
-    plain = column.header.strip("\"'").lstrip("#%").strip().lower()
-    if dialect is not None:
-        for name, ns in dialect.time_ns:
-            if name == plain:
-                return ns, f"as {dialect.name} counts it"
-    unit = parse_time_unit(column.unit) if column.unit else None
-    if unit is None:
-        unit = next((u for word in column.words if (u := _word_unit(word))), None)
-    if unit is not None:
-        return TIME_UNITS_NS[unit], "from the column header"
-    return None, ""
-
-
-def _word_unit(word: str) -> str | None:
-    if len(word) > 4 and word.endswith("time"):
-        return parse_time_unit(word.removesuffix("time"))
-    return parse_time_unit(word) if len(word) > 1 else None
-
-
-def _score(column: NamedColumn, cells: Sequence[str], sensor: Sensor) -> float:
-    """Return how much a time is to be preferred: by its words, its owner, its unit and its cells."""
-    words = column.words
-    owner = _owner_score(words, sensor)
-    if owner is None:
-        return -1.0
-    preferences = [_PREFERENCE.get(word.rstrip("0123456789"), _UNKNOWN) for word in words]
-    score = max(preferences, default=_UNKNOWN) + owner + (2 if column.unit else 0)
-    score += sum(_BONUS.get(word, 0) for word in words)
-    filled = [cell for cell in cells if cell]
-    if not filled:
-        return score
-    score += _cells_score(filled)
-    return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
-
-
-def _owner_score(words: Sequence[str], sensor: Sensor) -> int | None:
-    """Return what the sensor that a name names adds; None where the time is another sensor's."""
-    named = [owner for owner, starts in _OWNERS.items() if any(word.startswith(starts) for word in words)]
-    if named:
-        return 30 if sensor in named else None
-    return -35 if any(word.startswith(_OTHER_OWNERS) for word in words) else 0
-
-
-def _cells_score(filled: Sequence[str]) -> int:
-    """Return what cells add: dates are worse than numbers, ns since 1970 better."""
-    score = 0 if is_number(filled[0].strip("\"'")) else -30
-    digits = [cell.lstrip("+-") for cell in filled]
-    return score + (10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0)
-
-
-def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    """Return seconds with nanoseconds, both whole numbers, of names that differ in nothing else."""
-    seconds: dict[tuple[str, ...], NamedColumn] = {}
-    fractions: dict[tuple[str, ...], NamedColumn] = {}
-    for column in table.columns:
-        counts = _counts(table.cells(column.index)) if column.role is Role.TIME else []
-        if not counts:
-            continue
-        spelled = {*column.words, (column.unit or "").lower()}
-        stem = tuple(word for word in column.words if word not in _SECONDS | _NANOSECONDS)
-        if _NANOSECONDS & spelled and max(counts) < 10**9:
-            fractions.setdefault(stem, column)
-        elif _SECONDS & spelled:
-            seconds.setdefault(stem, column)
-    # Nanoseconds that stand still are the last choice.
-    return [
-        (92.0 if len(set(table.cells(fraction.index))) > 1 else 4.0, _pair(seconds[stem], fraction))
-        for stem, fraction in fractions.items()
-        if stem in seconds
-    ]
-
-
-def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    week = next((c for c in table.columns if "week" in c.words and c.axis is None), None)
-    tow = next((c for c in table.columns if "tow" in c.words and c.role is Role.TIME), None)
-    if week is None or tow is None:
-        return []
-    ns = TIME_UNITS_NS.get(parse_time_unit(tow.unit) or "") if tow.unit else None
-    source = "from the column header" if ns else ""
-    return [(60.0, _joined("week", week, tow, ns=ns, source=source))]
-
-
-def _timing_dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    """Return the time that columns of year, month, day, hour, minute and second give together."""
-    parts: list[NamedColumn] = []
-    for names in _DATE_PARTS:
-        column = next((c for c in table.columns if names.intersection(c.words) and c not in parts), None)
-        if column is None or not all(map(is_number, filter(None, table.cells(column.index)))):
-            break
-        parts.append(column)
-    if len(parts) < _DATE_NEEDED:
-        return []
-    return [(58.0, _joined("date", *parts, ns=1, source="date and time"))]
-
-
-def _dates_and_times(table: NamedTable, sensor: Sensor) -> list[tuple[float, TimeChoice]]:
-    """Return the times that a column of dates and one of times of day beside it give together."""
-    found = []
-    for date, time in pairwise(table.columns):
-        cells = list(filter(None, table.cells(time.index)))
-        if text_kind(table.cells(date.index)) != "date" or not cells or not all(map(is_time_of_day, cells)):
-            continue
-        parts = [date, time]
-        after = table.columns[time.index + 1 : time.index + 2]
-        parts += [column for column in after if text_kind(table.cells(column.index)) == "half"]
-        found.append((_score(time, cells, sensor), _texts(table, *parts)))
-    return found
+def _joined(kind: TimeKind, *columns: NamedColumn, ns: int | None = None, source: str = "") -> TimeChoice:
+    """Return the time that some columns give together."""
+    name = "+".join(column.header or str(column.index) for column in columns)
+    indices = tuple(column.index for column in columns)
+    return TimeChoice(kind=kind, indices=indices, name=name, ns=ns, ns_source=source)
 
 
 def _texts(table: NamedTable, *columns: NamedColumn) -> TimeChoice:
@@ -457,16 +343,119 @@ def _texts(table: NamedTable, *columns: NamedColumn) -> TimeChoice:
     return replace(choice, by_day=bool(order), open_date=order is None)
 
 
+def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
+    """Return the time in one column, of numbers or of texts; None where most cells are neither."""
+    filled = table.filled(column.index)
+    if filled and sum(map(is_number, filled)) >= 0.5 * len(filled):
+        ns, source = _unit(column, table.dialect)
+        return _joined("stamp", column, ns=ns, source=source)
+    texts = filled and sum(map(is_text_stamp, filled)) >= 0.5 * len(filled)
+    return _texts(table, column) if texts else None
+
+
+def _unit(column: NamedColumn, dialect: Dialect | None) -> tuple[int | None, str]:
+    """Return the ns per count that the dialect or the name of a column says, and which of them does."""
+    known = dict(dialect.time_ns) if dialect is not None else {}
+    ns = known.get(plain_name(column.header))
+    if ns is not None and dialect is not None:
+        return ns, f"as {dialect.name} counts it"
+    # A word of more than a letter may be a unit, or end like ustime.
+    words = (word.removesuffix("time") if len(word) > 4 else word for word in column.words if len(word) > 1)
+    spelled = (column.unit or "", *words)
+    unit = next(filter(None, map(parse_time_unit, spelled)), None)
+    return (TIME_UNITS_NS[unit], "from the column header") if unit else (None, "")
+
+
+def _score(column: NamedColumn, cells: Sequence[str], sensor: Sensor) -> float:
+    """Return how much a time is to be preferred: by its words, its owner, its unit and its cells."""
+    words = column.words
+    owners = [owner for owner, starts in _OWNERS.items() if any(word.startswith(starts) for word in words)]
+    if owners and sensor not in owners:
+        return -1.0
+    score = max((_PREFERENCE.get(word.rstrip("0123456789"), _UNKNOWN) for word in words), default=_UNKNOWN)
+    score += sum(_BONUS.get(word, 0) for word in words) + (2 if column.unit else 0)
+    if owners:
+        score += 30
+    elif any(word.startswith(_OTHER_OWNERS) for word in words):
+        score -= 35
+    filled = [cell for cell in cells if cell]
+    if not filled:
+        return score
+    # Dates are worse than numbers, ns since 1970 better.
+    score -= 0 if is_number(filled[0].strip("\"'")) else 30
+    digits = [cell.lstrip("+-") for cell in filled]
+    score += 10 if all(len(cell) >= 18 and cell.isdigit() for cell in digits) else 0
+    return min(score, 5) if len(set(filled)) == 1 < len(filled) else score
+
+
+def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
+    """Return seconds with nanoseconds, both whole numbers, of names that differ in nothing else."""
+    seconds: dict[tuple[str, ...], NamedColumn] = {}
+    fractions: dict[tuple[str, ...], NamedColumn] = {}
+    for column in table.columns:
+        counts = _counts(table, column) if column.role is Role.TIME else []
+        if not counts:
+            continue
+        spelled = {*column.words, (column.unit or "").lower()}
+        stem = tuple(word for word in column.words if word not in _SECONDS | _NANOSECONDS)
+        if _NANOSECONDS & spelled and max(counts) < 10**9:
+            fractions.setdefault(stem, column)
+        elif _SECONDS & spelled:
+            seconds.setdefault(stem, column)
+    found = []
+    for stem, fraction in fractions.items():
+        if stem in seconds:
+            # Nanoseconds that stand still are the last choice.
+            score = 92.0 if len(set(table.cells(fraction.index))) > 1 else 4.0
+            found.append((score, _joined("pair", seconds[stem], fraction, ns=1, source=_PAIR)))
+    return found
+
+
+def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
+    """Return the GPS week with the time of the week."""
+    week = next((c for c in table.columns if "week" in c.words and c.axis is None), None)
+    tow = next((c for c in table.columns if "tow" in c.words and c.role is Role.TIME), None)
+    if week is None or tow is None:
+        return []
+    ns = TIME_UNITS_NS.get(parse_time_unit(tow.unit) or "") if tow.unit else None
+    return [(60.0, _joined("week", week, tow, ns=ns, source="from the column header" if ns else ""))]
+
+
+def _dates(table: NamedTable) -> list[tuple[float, TimeChoice]]:
+    """Return the time that columns of year, month, day, hour, minute and second give together."""
+    parts: list[NamedColumn] = []
+    for names in _DATE_PARTS:
+        column = next((c for c in table.columns if names.intersection(c.words) and c not in parts), None)
+        if column is None or not all(map(is_number, filter(None, table.cells(column.index)))):
+            break
+        parts.append(column)
+    whole = len(parts) >= _DATE_NEEDED
+    return [(58.0, _joined("date", *parts, ns=1, source="date and time"))] if whole else []
+
+
+def _dates_and_times(table: NamedTable, sensor: Sensor) -> list[tuple[float, TimeChoice]]:
+    """Return the times that a column of dates and one of times of day beside it give together."""
+    found = []
+    for date, time in pairwise(table.columns):
+        cells = list(filter(None, table.cells(time.index)))
+        if text_kind(table.cells(date.index)) != "date" or not cells or not all(map(is_time_of_day, cells)):
+            continue
+        after = table.columns[time.index + 1 : time.index + 2]
+        half = [column for column in after if text_kind(table.cells(column.index)) == "half"]
+        found.append((_score(time, cells, sensor), _texts(table, date, time, *half)))
+    return found
+
+
 def _counters(table: NamedTable) -> list[TimeChoice]:
     found = []
     for column in table.columns:
-        counts = _counts(table.cells(column.index)) if column.role is Role.COUNTER else []
+        counts = _counts(table, column) if column.role is Role.COUNTER else []
         if len(counts) > 1 and sum(b > a for a, b in pairwise(counts)) > 0.5 * len(counts):
             found.append(_joined("counter", column))
     return found
 
 
-def _counts(cells: Sequence[str]) -> list[int]:
-    """Return cells as whole numbers, the empty ones left out; nothing where one is none."""
-    filled = [cell for cell in cells if cell]
+def _counts(table: NamedTable, column: NamedColumn) -> list[int]:
+    """Return the filled cells of a column as whole numbers; nothing where one is none."""
+    filled = [cell for cell in table.cells(column.index) if cell]
     return [int(cell) for cell in filled] if all(map(str.isdecimal, filled)) else []

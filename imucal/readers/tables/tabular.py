@@ -1,6 +1,6 @@
 """Columns of numbers -> Recording: units, stamps, clocks, temperature, and how each was decided.
 
-The clock of a table's samples: from its time columns, or from a counter and a rate.
+A clock is made of the time's columns, or of a counter and a rate.
 """
 
 from collections.abc import Sequence
@@ -21,18 +21,16 @@ from imucal.readers.clocks import ClockReading, clock_from_stamps
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import Room, count, extremes
-from imucal.readers.tables.dates import HALF_DAY
 from imucal.readers.tables.plan import SensorPlan
 from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.readers.tables.stamps import (
-    DAY,
     Numbers,
     TimeChoice,
     date_stamps,
     infer_time_unit,
     pair_stamps,
     rates_by_unit,
-    rolled,
+    text_stamps,
     to_ns,
     typical_step,
     unwrapped,
@@ -43,6 +41,8 @@ from imucal.units import TIME_UNITS_NS
 
 #: A unit is that of a time where it gives the rate that the user gave, within this share.
 _AS_GIVEN = 0.1
+
+_SECOND = 10**9
 
 #: A rate that no sensor exceeds, in Hz, and a time that 64 bits can hold, in ns: about 30 years.
 _FASTEST, _LONGEST_NS = 1e6, 1e18
@@ -104,7 +104,7 @@ def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
     log_ns = _stamps(work, plan.log_time, log, sensor) if plan.log_time and log else None
     # A device's clock may start at zero, which is a stamp like any other.
     low, high = extremes(stamps)
-    shift = 1_000_000_000 if low == 0 and stamps[0] == 0 and high and log_ns is None else 0
+    shift = _SECOND if low == 0 and stamps[0] == 0 and high and log_ns is None else 0
     if shift:
         since = stamps
         stamps = work.room.made(since.size, np.int64, lambda part: since[part] + shift, since)
@@ -179,7 +179,7 @@ def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Se
     """Return the stamps of a time in ns."""
     room = work.room
     if time.kind == "text":
-        return _of_texts(cast("Sequence[IntArray]", columns), room)
+        return text_stamps(cast("Sequence[IntArray]", columns), room)
     if time.kind == "pair":
         return pair_stamps(columns[0], columns[1], room)
     if time.kind == "date":
@@ -196,18 +196,6 @@ def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Se
             )
             work.findings.append(Finding(level="info", code="wrapped", text=text))
     return to_ns(values, _ns_per_count(work, time, values, sensor), room)
-
-
-def _of_texts(columns: Sequence[IntArray], room: Room) -> IntArray:
-    """Return the stamps of texts: dates with times, or dates, times of day and perhaps AM and PM."""
-    if len(columns) == 1:
-        return rolled(columns[0], DAY, room)
-
-    def of(part: slice) -> IntArray:
-        date, time, *half = (column[part] for column in columns)
-        return np.asarray(date + (time % HALF_DAY + half[0] if half else time), dtype=np.int64)
-
-    return room.made(columns[0].size, np.int64, of, *columns)
 
 
 def _tells_time(work: Work, time: TimeChoice, columns: SensorColumns) -> bool:
@@ -252,25 +240,24 @@ def _counts_samples(values: Numbers) -> bool:
 
 def _ns_per_count(work: Work, time: TimeChoice, values: Numbers, sensor: Sensor) -> int:
     """Return ns per count: as given, as the log says, as the given rate has it, or as steps show."""
-    given, rate = work.options.time_unit, work.options.rate_hz
-    if given is not None:
-        work.decide("time unit", f"{given} for {time.name}, as given")
-        return TIME_UNITS_NS[given]
-    if time.ns is not None:
-        count = next((name for name, ns in TIME_UNITS_NS.items() if ns == time.ns), f"{time.ns} ns")
-        work.decide("time unit", f"{count} for {time.name}, {time.ns_source}")
+    rate = work.options.rate_hz
+    unit, how = work.options.time_unit, "as given"
+    if unit is None and time.ns is not None:
+        unit = next((name for name, ns in TIME_UNITS_NS.items() if ns == time.ns), f"{time.ns} ns")
+        work.decide("time unit", f"{unit} for {time.name}, {time.ns_source}")
         return time.ns
-    unit = _unit_of_rate(values, rate) if rate is not None else None
+    if unit is None and rate is not None:
+        unit, how = _unit_of_rate(values, rate), "as the given rate has it"
+    fits: tuple[str, ...] = ()
+    if unit is None:
+        unit, fits = infer_time_unit(values)
+        how = "inferred from its size and its steps"
     if unit is not None:
-        work.decide("time unit", f"{unit} for {time.name}, as the given rate has it")
-        return TIME_UNITS_NS[unit]
-    unit, fits = infer_time_unit(values)
-    if unit is not None:
-        work.decide("time unit", f"{unit} for {time.name}, inferred from its size and its steps")
+        work.decide("time unit", f"{unit} for {time.name}, {how}")
         return TIME_UNITS_NS[unit]
     if rate is not None and _counts_samples(values):
         work.decide("time unit", f"{time.name} counts samples at the given rate")
-        return max(1, round(1e9 / rate))
+        return max(1, round(_SECOND / rate))
     raise _open_unit(work.path, time, values, fits, sensor)
 
 
@@ -301,7 +288,7 @@ def _open_unit(
 
 def _counted_clock(work: Work, columns: SensorColumns) -> ClockReading:
     """Return the clock of samples that have no stamps: by their counter and a rate, or by a rate alone."""
-    plan, time = columns.plan, columns.time
+    plan, n = columns.plan, columns.axes[0].size
     rate, source = work.options.rate_hz, "given rate"
     if rate is None:
         rate, source = work.rate_hz, "rate that the log states"
@@ -313,32 +300,30 @@ def _counted_clock(work: Work, columns: SensorColumns) -> ClockReading:
         )
         raise ChoiceError(msg)
     work.decide("time", f"{rate:g} Hz, the {source}")
-    if plan.time is not None and time and time[0].dtype.kind == "i":
-        counts, _ = unwrapped(cast("IntArray", time[0]), work.room)
-        single = sum(
-            int(np.count_nonzero(np.diff(counts[part.start : part.stop + 1]) == 1))
-            for part in blocks(counts.size - 1, counts)
-        )
-        if counts.size > 1 and single >= 0.9 * (counts.size - 1):
-            first, tau = int(counts[0]), 1e9 / rate
-            reading = clock_from_stamps(
-                work.room.made(
-                    counts.size,
-                    np.int64,
-                    lambda part: 1_000_000_000 + np.round((counts[part] - first) * tau).astype(np.int64),
-                    counts,
-                ),
-                source=f"counter {plan.time.name} at the {source}",
-                rate_hz=rate,
-                room=work.room,
-            )
-            return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
+    even = ClockReading(clock=Clock.even(n, rate, source=source), order=None, findings=())
+    if plan.time is None or not columns.time or columns.time[0].dtype.kind != "i":
+        return even
+    counts, _ = unwrapped(cast("IntArray", columns.time[0]), work.room)
+    rows = blocks(counts.size - 1, counts)
+    single = sum(count(np.diff(counts[part.start : part.stop + 1]) == 1) for part in rows)
+    if counts.size < 2 or single < 0.9 * (counts.size - 1):
         text = (
             f"Counter {plan.time.name} counts more than the samples, so it can't show gaps; "
             "the rate alone is used."
         )
         work.findings.append(Finding(level="info", code="counter-unused", text=text))
-    return ClockReading(clock=Clock.even(columns.axes[0].size, rate, source=source), order=None, findings=())
+        return even
+
+    def stamps(part: slice) -> IntArray:
+        return _SECOND + np.round((counts[part] - int(counts[0])) * (_SECOND / rate)).astype(np.int64)
+
+    reading = clock_from_stamps(
+        work.room.made(counts.size, np.int64, stamps, counts),
+        source=f"counter {plan.time.name} at the {source}",
+        rate_hz=rate,
+        room=work.room,
+    )
+    return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
 
 
 #: Time and rows of a sensor -> its clock and the samples to keep: two sensors of one table share them.

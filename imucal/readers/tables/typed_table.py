@@ -3,28 +3,27 @@
 An array of three columns counts as ``name[0]``, ``name[1]``, ``name[2]`` for x, y, z; columns of others say
 nothing by their places. Arrays of different lengths are tables of their own: the gyroscope may have one, the
 accelerometer another.
-
-Parquet, NPZ, NPY and MAT files as lists of named columns.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.errors import ChoiceError, ImucalError, ReadError
-from imucal.findings import Finding
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.isolation import isolated
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import Room, join_rows
 from imucal.readers.tables.dates import parse_texts, text_kind
 from imucal.readers.tables.foreign_files import (
+    HEAD,
     WIDEST,
     mat_arrays,
     npz_arrays,
@@ -68,16 +67,13 @@ class TypedColumn:
     unit: str | None = None
     has_gaps: bool = False
 
-    def cells(self, rows: int) -> list[str]:
-        """Return the first values as the cells of a text table; an empty one for NaN."""
-        values = self.head[:rows]
+    @property
+    def cells(self) -> list[str]:
+        """The first values as the cells of a text table; an empty one for NaN."""
+        values = self.head
         if values.dtype.kind == "M":
             return [str(value) for value in values.astype("datetime64[ns]").astype(np.int64).tolist()]
         return ["" if value is None or value != value else str(value) for value in values.tolist()]  # noqa: PLR0124 - NaN
-
-    def is_text(self, text: str) -> NDArray[np.bool_]:
-        """Return which cells hold a text."""
-        return np.array([str(value) == text for value in self.values()], dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,11 +93,6 @@ class TableFile:
     def unpacked_bytes(self) -> int:
         """Bytes of all columns as numbers of eight bytes."""
         return 8 * sum(column.size for column in self.columns)
-
-
-#: The columns of a file, the sampling rate where it states one, and the shapes of its arrays.
-_Content: TypeAlias = tuple[list[TypedColumn], float | None, tuple[str, ...]]
-_Reader: TypeAlias = Callable[[Path], _Content]
 
 
 def open_table(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> TableFile:
@@ -126,16 +117,27 @@ def open_table(path: Path, *, limit: int | None = None, heads_above: int | None 
     except OSError as error:
         msg = f"{path}: can't be opened: {error.strerror or error}"
         raise ReadError(msg) from error
-    kind, reader = _reader(path, head)
-    reader = partial(_npz, limit=limit, heads_above=heads_above) if reader is _npz else reader
-    columns, rate, shapes = reader(path)
-    return TableFile(format=kind.lower(), columns=tuple(columns), rate_hz=rate, shapes=shapes)
+    kind = _kind(path, head)
+    if kind == "Parquet":
+        return TableFile(format="parquet", columns=_parquet(path))
+    if kind == "MAT":
+        return _of_arrays("mat", _mat(path))
+    try:
+        if kind == "NPZ":
+            most = column_limit() if limit is None else limit
+            return _of_arrays("npz", npz_arrays(path, limit=most, heads_above=heads_above))
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:
+        text = str(error) or type(error).__name__
+        msg = f"{path}: not a readable {kind} file: {text}"
+        raise ReadError(msg) from error
+    return TableFile(format="npy", columns=tuple(_of_array("", array)), shapes=(_shape("", array),))
 
 
-def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
-    for magic, kind, reader in _FORMATS:
-        if head.startswith(magic):
-            return kind, reader
+def _kind(path: Path, head: bytes) -> str:
+    kind = next((kind for magic, kind in _FORMATS.items() if head.startswith(magic)), None)
+    if kind is not None:
+        return kind
     if head.startswith(b"\x89HDF\r\n\x1a\n") or head[:10] == b"MATLAB 7.3":
         msg = (
             f"{path}: a MATLAB 7.3 or HDF5 file; expected MAT up to version 7; "
@@ -143,14 +145,14 @@ def _reader(path: Path, head: bytes) -> tuple[str, _Reader]:
         )
         raise ReadError(msg)
     if path.suffix.lower() == ".mat":
-        return "MAT", _mat
+        return "MAT"
     msg = f"{path}: first bytes {head[:8].hex(' ')}; expected Parquet, NPZ, NPY or MAT"
     raise ReadError(msg)
 
 
-def _parquet(path: Path) -> _Content:
+def _parquet(path: Path) -> tuple[TypedColumn, ...]:
     values = isolated(path, parquet_values, "Parquet")
-    columns = [
+    return tuple(
         TypedColumn(
             name=column.label,
             size=column.rows,
@@ -160,35 +162,10 @@ def _parquet(path: Path) -> _Content:
             has_gaps=column.has_gaps,
         )
         for column in isolated(path, parquet_columns, "Parquet")(path)
-    ]
-    return columns, None, ()
+    )
 
 
-def _npy(path: Path) -> _Content:
-    with _readable(path, "NPY"):
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    return _of_array("", array), None, (_shape("", array),)
-
-
-def _npz(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> _Content:
-    size = column_limit() if limit is None else limit
-    with _readable(path, "NPZ"):
-        arrays = npz_arrays(path, limit=size, heads_above=heads_above)
-    return _of_arrays(arrays)
-
-
-@contextmanager
-def _readable(path: Path, kind: str) -> Iterator[None]:
-    """Turn whatever NumPy raises at a damaged file into a ReadError."""
-    try:
-        yield
-    except Exception as error:
-        text = str(error) or type(error).__name__
-        msg = f"{path}: not a readable {kind} file: {text}"
-        raise ReadError(msg) from error
-
-
-def _mat(path: Path) -> _Content:
+def _mat(path: Path) -> dict[str, NDArray[Any]]:
     # The package reads it whole; the arrays are there, on their way to this process, and here.
     limit = memory_limit() // _MAT_COPIES
     if unpacks_to_more(path, limit):
@@ -198,13 +175,13 @@ def _mat(path: Path) -> _Content:
             f"or let {MEMORY} be four times what they hold"
         )
         raise ReadError(msg)
-    return _of_arrays(isolated(path, mat_arrays, "MAT")(path))
+    return isolated(path, mat_arrays, "MAT")(path)
 
 
-def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> _Content:
+def _of_arrays(form: str, arrays: Mapping[str, NDArray[Any]]) -> TableFile:
+    """Return the columns of the arrays of a file; a single number may be its sampling rate."""
     rate = None
     columns: list[TypedColumn] = []
-    shapes = [_shape(name, array) for name, array in arrays.items() if array.size != 1]
     for name, array in arrays.items():
         last = name.rpartition(".")[2].lower()
         if array.size == 1 and array.dtype.kind in "iuf":
@@ -214,7 +191,8 @@ def _of_arrays(arrays: Mapping[str, NDArray[Any]]) -> _Content:
             continue
         label, unit = _NAVEGO.get(last, ("", None))
         columns += _of_array(f"{name}.{label}" if label else name, array, unit)
-    return columns, rate, tuple(shapes[:_SHOWN])
+    shapes = [_shape(name, array) for name, array in arrays.items() if array.size != 1]
+    return TableFile(format=form, columns=tuple(columns), rate_hz=rate, shapes=tuple(shapes[:_SHOWN]))
 
 
 def _shape(name: str, array: NDArray[Any]) -> str:
@@ -230,62 +208,51 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
     if array.dtype.names is not None:
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
         return [column for label, part in parts for column in _of_array(label, part)]
-    if array.ndim > 2:
-        array = array.squeeze()
-    if array.ndim == 1:
-        return [_plain(name, array, unit)]
-    return _of_matrix(name, array, unit) if array.ndim == 2 else _of_cube(name, array, unit)
-
-
-def _of_matrix(name: str, array: NDArray[Any], unit: str | None) -> list[TypedColumn]:
-    if array.shape[0] < array.shape[1] and array.shape[0] <= WIDEST:
-        array = array.T
-    if array.shape[1] > WIDEST:
+    array = array.squeeze() if array.ndim > 2 else array
+    if not array.ndim:
         return []
-    if array.shape[1] == 1:
-        return [_plain(name, array[:, 0], unit)]
-    # Three columns are x, y and z; of others no number tells an axis.
-    place = "[{}]" if array.shape[1] == 3 else "[:,{}]"
-    labels = [name + place.format(i) if name else "" for i in range(array.shape[1])]
-    return [_plain(label, array[:, i], unit) for i, label in enumerate(labels)]
-
-
-def _of_cube(name: str, array: NDArray[Any], unit: str | None) -> list[TypedColumn]:
-    if array.ndim == 0 or array.size > WIDEST * max(array.shape):
+    longest = int(np.argmax(array.shape))
+    # A matrix lies on its side where its rows are few enough to be columns.
+    samples = longest if array.ndim > 2 or array.shape[0] <= WIDEST else 0
+    array = np.moveaxis(array, samples, 0)
+    width = math.prod(array.shape[1:])
+    if width > WIDEST:
         return []
-    array = np.moveaxis(array, int(np.argmax(array.shape)), 0)
-    places = np.ndindex(array.shape[1:])
-    return [_plain(f"{name}[{','.join(map(str, at))}]", array[:, *at], unit) for at in places]
+    return [_plain(_label(name, at, width), array[:, *at], unit) for at in np.ndindex(array.shape[1:])]
+
+
+def _label(name: str, at: tuple[int, ...], width: int) -> str:
+    """Return the name of a column of an array; three are x, y and z, of others no number tells an axis."""
+    if len(at) > 1:
+        return f"{name}[{','.join(map(str, at))}]"
+    if not at or not name or width == 1:
+        return name
+    return f"{name}[{at[0]}]" if width == 3 else f"{name}[:,{at[0]}]"
 
 
 def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColumn:
-    unit = "ns" if array.dtype.kind == "M" else unit
-    gaps = array.dtype.kind == "f" and bool(np.isnan(array[:400]).any())
+    head = array[:HEAD]
     return TypedColumn(
-        name=name, size=array.size, values=lambda: array, head=array[:400], unit=unit, has_gaps=gaps
+        name=name,
+        size=array.size,
+        values=lambda: array,
+        head=head,
+        unit="ns" if array.dtype.kind == "M" else unit,
+        has_gaps=array.dtype.kind == "f" and bool(np.isnan(head).any()),
     )
 
 
-#: First bytes, name and reader of each format.
-_FORMATS: tuple[tuple[bytes, str, _Reader], ...] = (
-    (b"PAR1", "Parquet", _parquet),
-    (b"\x93NUMPY", "NPY", _npy),
-    (b"PK", "NPZ", _npz),
-    (b"MATLAB 5.0", "MAT", _mat),
-)
-
+#: First bytes -> format.
+_FORMATS = {b"PAR1": "Parquet", b"\x93NUMPY": "NPY", b"PK": "NPZ", b"MATLAB 5.0": "MAT"}
 
 #: Tables up to this size are read to be described, in bytes: they take less than half a second.
 _SMALL = 64 << 20
-#: Rows shown to the rules that choose columns.
-_HEAD = 400
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Part:
+class _Part(NamedTuple):
     """Columns of one length and what was chosen of them."""
 
-    columns: tuple[TypedColumn, ...]
+    columns: Sequence[TypedColumn]
     plan: TablePlan
 
 
@@ -307,19 +274,19 @@ def read(path: Path, options: ReadOptions) -> Recording:
 
 
 def _read(path: Path, table: TableFile, parts: Sequence[_Part], options: ReadOptions) -> Recording:
-    sensors = [_columns(part, sensor, options) for part in parts for sensor in part.plan.sensors]
-    decisions = dict.fromkeys(decision for part in parts for decision in part.plan.decisions)
-    topics = [topic for part in parts for topic in part.plan.topics]
-    dialect = next((part.plan.dialect for part in parts if part.plan.dialect), None)
+    plans = [part.plan for part in parts]
+    found = {sensor.triad.sensor.short for plan in plans for sensor in plan.sensors}
     work = Work(
         path=str(path),
         options=options,
-        dialect=dialect,
+        dialect=next((plan.dialect for plan in plans if plan.dialect), None),
         rate_hz=table.rate_hz,
-        decisions=[*decisions],
-        findings=_findings(parts),
+        decisions=[*dict.fromkeys(decision for plan in plans for decision in plan.decisions)],
+        # What one table lacks another may hold.
+        findings=[finding for plan in plans for finding in plan.findings if finding.axis not in found],
     )
-    return assemble(work, sensors, table.format, topics)
+    sensors = [_columns(part, sensor, options) for part in parts for sensor in part.plan.sensors]
+    return assemble(work, sensors, table.format, [topic for plan in plans for topic in plan.topics])
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:
@@ -345,8 +312,8 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
 
 def _heads(part: _Part) -> _Part:
     """Return a part of which all that is read are the heads of its columns."""
-    columns = tuple(replace(c, size=len(c.head), values=partial(np.asarray, c.head)) for c in part.columns)
-    return replace(part, columns=columns)
+    columns = [replace(c, size=len(c.head), values=partial(np.asarray, c.head)) for c in part.columns]
+    return part._replace(columns=columns)
 
 
 def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
@@ -354,7 +321,12 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
     lengths = dict.fromkeys(column.size for column in table.columns if column.size > 1)
     groups = [tuple(c for c in table.columns if c.size == length) for length in lengths]
     if not groups:
-        raise _nothing(path, table)
+        found = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
+        msg = (
+            f"{path}: no columns of samples, found {found}; expected arrays of the gyroscope or the "
+            "accelerometer with a row per sample and up to 64 columns; save those columns alone"
+        )
+        raise ReadError(msg)
     parts = []
     for group in groups if len(groups) > 1 and options.columns is None else ():
         with suppress(ChoiceError):
@@ -363,51 +335,29 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
         # The indices in a columns text, and in the error that proposes one, are those of the widest table.
         widest = max(groups, key=lambda group: (len(group), group[0].size))
         return [_part(path, widest, options, table.shapes)]
-    _refuse_doubles(path, parts)
-    return parts
-
-
-def _nothing(path: Path, table: TableFile) -> ReadError:
-    """Return the error of a file without columns of samples."""
-    shown = ", ".join(table.shapes or [column.name for column in table.columns]) or "nothing"
-    return ReadError(
-        f"{path}: no columns of samples, found {shown}; expected arrays of the gyroscope or the "
-        "accelerometer with a row per sample and up to 64 columns; save those columns alone"
-    )
-
-
-def _findings(parts: Sequence[_Part]) -> list[Finding]:
-    """Return what was not found; what one table lacks another may hold."""
-    found = {plan.triad.sensor.short for part in parts for plan in part.plan.sensors}
-    return [finding for part in parts for finding in part.plan.findings if finding.axis not in found]
-
-
-def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
-    """Refuse a sensor that stands in two tables."""
-    found: dict[Sensor, list[str]] = {}
-    for triad in (plan.triad for part in parts for plan in part.plan.sensors):
-        names = found.setdefault(triad.sensor, [])
-        names.append(triad.headers[0])
+    triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
+    for sensor in Sensor:
+        names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
         if len(names) > 1:
             msg = (
-                f"{path}: two tables hold a {triad.sensor}: {' and '.join(names)}; "
+                f"{path}: two tables hold a {sensor}: {' and '.join(names[:2])}; "
                 "expected one; give the columns"
             )
             raise ChoiceError(msg)
+    return parts
 
 
 def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions, shapes: Sequence[str]) -> _Part:
-    cells = [column.cells(_HEAD) for column in columns]
     plan = make_plan(
         str(path),
         [column.name for column in columns],
-        lambda index: cells[index],
+        [column.cells for column in columns].__getitem__,
         options,
         units=[column.unit for column in columns],
         name=path.name,
         shape=", ".join(shapes),
     )
-    return _Part(columns=tuple(columns), plan=plan)
+    return _Part(columns, plan)
 
 
 def _columns(part: _Part, sensor: SensorPlan, options: ReadOptions) -> SensorColumns:
@@ -419,36 +369,27 @@ def _columns(part: _Part, sensor: SensorPlan, options: ReadOptions) -> SensorCol
         axes=join_rows([[part.columns[index].values()] for index in indices], limit=limit),
         time=_times(part, sensor.time),
         log_time=_times(part, sensor.log_time),
-        temperature=_floats(part.columns[at]) if at is not None else None,
+        temperature=np.array(part.columns[at].values(), dtype=np.float64) if at is not None else None,
         sparse=any(part.columns[index].has_gaps for index in indices),
     )
     if sensor.triad.rows is None:
         return columns
     index, tag = sensor.triad.rows
-    return columns.rows(part.columns[index].is_text(tag), Room(options.memory_limit))
+    chosen = np.array([str(value) == tag for value in part.columns[index].values()], dtype=np.bool_)
+    return columns.rows(chosen, Room(options.memory_limit))
 
 
 def _times(part: _Part, time: TimeChoice | None) -> tuple[Numbers, ...]:
-    if time is None:
-        return ()
-    columns = [part.columns[index] for index in time.indices]
-    if time.kind == "text":
-        kinds = [text_kind(column.cells(_HEAD)) for column in columns]
-        return tuple(
-            parse_texts([str(cell) for cell in column.values()], kind, by_day=time.by_day)
-            for column, kind in zip(columns, kinds, strict=True)
-        )
-    return tuple(map(_numbers, columns))
-
-
-def _numbers(column: TypedColumn) -> Numbers:
-    values = column.values()
-    if values.dtype.kind == "M":
-        return np.asarray(values.astype("datetime64[ns]").astype(np.int64))
-    if values.dtype.kind in "iu":
-        return values.astype(np.int64)
-    return np.asarray(values, dtype=np.float64)
-
-
-def _floats(column: TypedColumn) -> Any:  # noqa: ANN401 - numpy's astype
-    return np.array(column.values(), dtype=np.float64)
+    """Return the columns of a time as whole numbers or floats; texts in ns."""
+    found: list[Numbers] = []
+    for column in [part.columns[index] for index in time.indices] if time is not None else ():
+        values = column.values()
+        if time is not None and time.kind == "text":
+            found.append(parse_texts(list(map(str, values)), text_kind(column.cells), by_day=time.by_day))
+        elif values.dtype.kind == "M":
+            found.append(values.astype("datetime64[ns]").astype(np.int64))
+        elif values.dtype.kind in "iu":
+            found.append(values.astype(np.int64))
+        else:
+            found.append(np.asarray(values, dtype=np.float64))
+    return tuple(found)

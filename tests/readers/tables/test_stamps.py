@@ -5,9 +5,8 @@ import pytest
 
 from imucal.arrays import FloatArray
 from imucal.readers.store import Room
-from imucal.readers.tables.dates import NO_STAMP, parse_texts
+from imucal.readers.tables.dates import DAY, NO_STAMP, parse_texts
 from imucal.readers.tables.stamps import (
-    DAY,
     WEEK,
     date_stamps,
     infer_time_unit,

@@ -12,7 +12,7 @@ from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
 from imucal.readers.tables.foreign_files import _flatten
-from imucal.readers.tables.typed_table import TypedColumn, _of_array, _of_arrays, _plain, open_table
+from imucal.readers.tables.typed_table import _of_array, _of_arrays, _plain, open_table
 
 
 def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an array
@@ -74,21 +74,22 @@ def test_a_record_is_its_fields() -> None:
 )
 def test_a_single_number_may_be_the_rate(name: str, value: Any, rate: float | None) -> None:  # noqa: ANN401
     """Positive, finite, and called so; a single number is no column in any case."""
-    columns, found, _ = _of_arrays({name: value, "gyro": np.zeros(9)})
+    table = _of_arrays("npz", {name: value, "gyro": np.zeros(9)})
+    columns, found = table.columns, table.rate_hz
     assert found == rate
     assert [column.name for column in columns] == ([name] if value.size > 1 else []) + ["gyro"]
 
 
 def test_a_single_text_is_no_rate() -> None:
     """But a column of one."""
-    columns, rate, _ = _of_arrays({"fs": np.array(["250"])})
-    assert ([column.name for column in columns], rate) == (["fs"], None)
+    table = _of_arrays("npz", {"fs": np.array(["250"])})
+    assert ([column.name for column in table.columns], table.rate_hz) == (["fs"], None)
 
 
 def test_names_of_navego() -> None:
     """They have their units."""
-    columns, _, _ = _of_arrays({"imu.fb": np.zeros((9, 3)), "imu.WB": np.zeros((9, 3)), "other": np.zeros(9)})
-    assert [(column.name, column.unit) for column in columns[::3]] == [
+    arrays = {"imu.fb": np.zeros((9, 3)), "imu.WB": np.zeros((9, 3)), "other": np.zeros(9)}
+    assert [(column.name, column.unit) for column in _of_arrays("npz", arrays).columns[::3]] == [
         ("imu.fb.accelerometer[0]", "m/s^2"),
         ("imu.WB.gyroscope[0]", "rad/s"),
         ("other", None),
@@ -142,14 +143,13 @@ def test_gaps_are_looked_for_in_the_first_rows(at: int, gaps: bool) -> None:  # 
 def test_cells_are_those_of_a_text() -> None:
     """Empty where there is none; a date in ns."""
 
-    def cells(values: Any, rows: int = 9) -> list[str]:  # noqa: ANN401
-        array = np.asarray(values)
-        return TypedColumn(name="v", size=array.size, values=lambda: array, head=array).cells(rows)
+    def cells(values: Any) -> list[str]:  # noqa: ANN401
+        return _plain("v", np.asarray(values)).cells
 
     assert cells([1.5, np.nan, 2.0]) == ["1.5", "", "2.0"]
     assert cells(np.array(["a", None], dtype=object)) == ["a", ""]
     assert cells(np.array([5, 7], dtype="M8[us]")) == ["5000", "7000"]
-    assert cells([1, 2, 3], 2) == ["1", "2"]
+    assert cells(range(500)) == list(map(str, range(400)))
 
 
 def test_lists_of_parquet_are_columns(tmp_path: Path) -> None:
