@@ -173,8 +173,8 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     for choice, stream, decoding in zip(choices, streams, decodings, strict=True):
         work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
         if not decoding.columns.n:
-            seen = [*decoding.losses, *work.findings]
-            why = seen[0].text if seen else "the log holds none"
+            seen = [told.text for told in decoding.losses] + [told.text for told in work.findings]
+            why = seen[0] if seen else "the log holds none"
             msg = f"{path}: no message of topic {choice.topic.name} could be read: {why}"
             raise ReadError(msg)
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)

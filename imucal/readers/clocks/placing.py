@@ -1,15 +1,14 @@
-"""Each sample's place on the even grid: where samples are missing, doubled, or the clock was set.
+"""The sampling period of stamps, and each sample's place on the even grid.
+
+The period comes from stamps that jitter, repeat, come in bursts or skip samples. Let s(W) be the median over
+k of (t[k+W] - t[k]) / W. A clean log has s(W) = tau0 for every W. Bursts make s(1) too short and s(W) right
+for W beyond a burst; missing samples make s(1) right and s(W) too long. The two are told apart by
+conservation: where bursts only delay samples, t[k] - k tau0 stays bounded.
 
 With x[k] = t[k]/tau - k, missing samples lift x for good, a doubled sample lowers it for good, and a late
 sample lifts it only until the next ones have caught up. So a lift at k counts only where the *lowest* x
 among the following samples, as many as could catch up, stays above the *highest* before.
 Works block by block; memory does not grow with n.
-
-The sampling period from stamps that jitter, repeat, come in bursts or skip samples.
-
-Let s(W) be the median over k of (t[k+W] - t[k]) / W. A clean log has s(W) = tau0 for every W. Bursts make
-s(1) too short and s(W) right for W beyond a burst; missing samples make s(1) right and s(W) too long. The
-two are told apart by conservation: where bursts only delay samples, t[k] - k tau0 stays bounded.
 """
 
 import math
@@ -27,6 +26,12 @@ _RATE_BLOCK = 4096
 
 #: Relative difference of two slopes that counts as the same.
 _SAME = 0.03
+#: Samples worked on at once: what fits the processor's cache.
+_BLOCK = 1 << 16
+#: Samples that may catch up after a pause, at most.
+_REACH = 1 << 13
+#: Samples before and after a step that say where the clock stood.
+_SAMPLES_AROUND = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,25 +63,22 @@ def estimate_period(stamps: IntArray) -> Period | None:
     positive = steps[steps > 0]
     if not positive.size:
         return None
-    quantum = resolution(steps)
+    quantum = int(np.gcd.reduce(np.abs(steps[:100_000])))
     short, wide = _slope(blocks, 1), _plateau(blocks)
     if not wide > 0:
         return None
     unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
+    burst, near = 1, steps
     if unit < 0.97 * wide and _skips(steps, unit) and not _only_late(blocks, steps, wide, unit, quantum):
         near = positive[np.abs(positive / unit - 1) < 0.25]
-        unit = float(near.mean())
-        return Period(tau_ns=unit, jitter=_jitter(near, unit), burst=1, resolution_ns=quantum)
-    if short > 0 and abs(wide / short - 1) <= _SAME:
-        return Period(tau_ns=wide, jitter=_jitter(steps, wide), burst=1, resolution_ns=quantum)
-    pauses = steps[steps > 1.5 * wide]
-    burst = int(np.ceil(percentile(pauses, 75) / wide)) if pauses.size > steps.size / 1000 else 1
-    return Period(tau_ns=wide, jitter=_jitter(steps, wide), burst=burst, resolution_ns=quantum)
-
-
-def resolution(steps: IntArray) -> int:
-    """Return the greatest common divisor of the steps, in ns; 0 where all are zero."""
-    return int(np.gcd.reduce(np.abs(steps[:100_000])))
+        wide = float(near.mean())
+    elif not short > 0 or abs(wide / short - 1) > _SAME:
+        pauses = steps[steps > 1.5 * wide]
+        burst = int(np.ceil(percentile(pauses, 75) / wide)) if pauses.size > steps.size / 1000 else 1
+    # The standard deviation of one stamp, from the median absolute deviation of steps.
+    deviation = 1.4826 * median(np.abs(near - median(near)))
+    jitter = deviation / math.sqrt(2) / wide
+    return Period(tau_ns=wide, jitter=jitter, burst=burst, resolution_ns=quantum)
 
 
 def _blocks(stamps: IntArray) -> list[IntArray]:
@@ -146,20 +148,6 @@ def _conserved(blocks: list[IntArray], tau: float) -> bool:
     return bool(ranges) and median(ranges) <= 3 * median(pauses) + 2
 
 
-def _jitter(steps: IntArray | FloatArray, tau: float) -> float:
-    """Return the standard deviation of one stamp in samples, from the median absolute deviation of steps."""
-    deviation = 1.4826 * median(np.abs(steps - median(steps)))
-    return deviation / math.sqrt(2) / tau
-
-
-#: Samples worked on at once: what fits the processor's cache.
-_BLOCK = 1 << 16
-#: Samples that may catch up after a pause, at most.
-_REACH = 1 << 13
-#: Samples before and after a step that say where the clock stood.
-_SAMPLES_AROUND = 8
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Breaks:
     """Where the samples do not follow each other.
@@ -175,6 +163,11 @@ class Breaks:
     at: IntArray
     missing: IntArray
     doubled: IntArray
+
+
+_NONE: IntArray = np.zeros(0, dtype=np.int64)
+#: Nothing is missing.
+NO_BREAKS = Breaks(at=_NONE, missing=_NONE, doubled=_NONE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,7 +195,7 @@ def step_statistics(stamps: IntArray, tau: float) -> Steps:
 
     A single stamp out of order is no reset: the median of five after it is not below that of five before.
     """
-    found = []
+    found = [_NONE]
     same = back = 0
     even = True
     for part in blocks(stamps.size - 1, stamps, size=_BLOCK):
@@ -216,8 +209,7 @@ def step_statistics(stamps: IntArray, tau: float) -> Steps:
         back += int(np.count_nonzero(steps < 0))
         if low < -0.5 * tau:
             found.append(_resets(stamps, np.flatnonzero(steps < -0.5 * tau) + start + 1))
-    resets = np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
-    return Steps(same=same, back=back, resets=resets, even=even)
+    return Steps(same=same, back=back, resets=np.concatenate(found), even=even)
 
 
 def _resets(stamps: IntArray, at: IntArray) -> IntArray:
@@ -230,28 +222,24 @@ def _resets(stamps: IntArray, at: IntArray) -> IntArray:
     return chosen
 
 
-def find_breaks(stamps: IntArray, period: Period) -> Breaks:
-    """Return the missing and doubled samples of stamps in ns, shape (n,), of one clock."""
+def find_breaks(stamps: IntArray, period: Period, resets: IntArray | None = None) -> Breaks:
+    """Return the missing and doubled samples of stamps in ns, shape (n,).
+
+    Parameters
+    ----------
+    resets
+        Samples at which the clock was set, shape (r,): each stretch between two is looked at by itself.
+    """
     spread = (period.burst - 1) if period.burst > 1 else min(3 * period.jitter, 0.3)
     near = min(max(_SAMPLES_AROUND, 2 * period.burst), _REACH)
-    at, missing, doubled = [], [], []
-    for first, block, inner in _odd_blocks(stamps, period.tau_ns):
-        lifts, counts, extra = _breaks(block, inner, period, near, spread)
-        at.append(lifts + first)
-        missing.append(counts)
-        doubled.append(extra + first)
-    empty = [np.zeros(0, dtype=np.int64)]
-    return Breaks(
-        at=np.concatenate(at or empty),
-        missing=np.concatenate(missing or empty),
-        doubled=np.concatenate(doubled or empty),
-    )
-
-
-#: Nothing is missing.
-NO_BREAKS = Breaks(
-    at=np.zeros(0, dtype=np.int64), missing=np.zeros(0, dtype=np.int64), doubled=np.zeros(0, dtype=np.int64)
-)
+    at, missing, doubled = [_NONE], [_NONE], [_NONE]
+    for start, stop in pairwise([0, *(_NONE if resets is None else resets).tolist(), stamps.size]):
+        for first, block, inner in _odd_blocks(stamps[start:stop], period.tau_ns):
+            lifts, counts, extra = _breaks(block, inner, period, near, spread)
+            at.append(lifts + (start + first))
+            missing.append(counts)
+            doubled.append(extra + (start + first))
+    return Breaks(at=np.concatenate(at), missing=np.concatenate(missing), doubled=np.concatenate(doubled))
 
 
 def fit_period(
@@ -276,7 +264,7 @@ def fit_period(
     at, missing = breaks.at[exact], breaks.missing[exact]
     moment = weight = square = 0.0
     count = 0
-    whole: _Grid | None = None
+    whole: tuple[FloatArray, FloatArray, float] | None = None
     for part in blocks(stamps.size, stamps, size=_BLOCK):
         first, block = part.start, stamps[part]
         lo, hi = np.searchsorted(starts, [first, first + block.size])
@@ -285,17 +273,19 @@ def fit_period(
         lo, hi = np.searchsorted(at, [first, first + block.size])
         if hi == lo and edges.size == 1 and block.size == _BLOCK:
             # Most blocks are whole: their places are always the same.
-            grid = whole = whole or _Grid(np.arange(_BLOCK, dtype=np.float64), tau, edges, sizes)
+            whole = whole or _grid(np.arange(_BLOCK, dtype=np.float64), tau, edges, sizes)
+            times, centred, squares = whole
         else:
             skipped = np.zeros(block.size)
             skipped[at[lo:hi] - first] = missing[lo:hi]
-            grid = _Grid(np.cumsum(skipped) + np.arange(block.size, dtype=np.float64), tau, edges, sizes)
+            places = np.cumsum(skipped) + np.arange(block.size, dtype=np.float64)
+            times, centred, squares = _grid(places, tau, edges, sizes)
         late = (block - block[0]).astype(np.float64)
-        late -= grid.times
+        late -= times
         _center(late, edges, sizes)
-        place = _without_outliers(grid.place, late, edges, sizes)
+        place = _without_outliers(centred, late, edges, sizes)
         moment += _dot(place, late)
-        weight += grid.weight if place is grid.place else _dot(place, place)
+        weight += squares if place is centred else _dot(place, place)
         square += _dot(late, late)
         count += block.size - edges.size
     if weight == 0 or count < 1:
@@ -309,17 +299,13 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return float(np.einsum("i,i", a, b))
 
 
-class _Grid:
-    """The places of a block's samples on the grid, as floats, shape (n,), and the period times each.
-
-    The mean of each run is taken from the places; `weight` is the sum of their squares.
-    """
-
-    def __init__(self, place: FloatArray, tau: float, edges: IntArray, sizes: IntArray) -> None:
-        self.times = tau * place
-        _center(place, edges, sizes)
-        self.place = place
-        self.weight = _dot(place, place)
+def _grid(
+    place: FloatArray, tau: float, edges: IntArray, sizes: IntArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the times of places, shape (n,), these about the mean of their run, and the sum of their squares."""
+    times = tau * place
+    _center(place, edges, sizes)
+    return times, place, _dot(place, place)
 
 
 def _without_outliers(place: FloatArray, late: FloatArray, edges: IntArray, sizes: IntArray) -> FloatArray:
@@ -367,9 +353,8 @@ def _breaks(
     steps = np.diff(block)
     odd = np.flatnonzero((steps > 1.5 * tau) | (steps < 0.5 * tau)) + 1
     odd = odd[(odd >= max(inner.start, 1)) & (odd < inner.stop)]
-    nothing = np.zeros(0, dtype=np.int64)
     if not odd.size:
-        return nothing, nothing, nothing
+        return _NONE, _NONE, _NONE
     x = (block - block[0]) / tau
     x -= np.arange(block.size)
     jump = x[odd] - x[odd - 1]
@@ -381,7 +366,7 @@ def _breaks(
     size = np.minimum(np.round(jumps[real]), np.round(rise[real] + spread))
     missing = np.maximum(size, 1).astype(np.int64)
     if period.burst > 1:
-        return lifts[real], missing, nothing
+        return lifts[real], missing, _NONE
     falls = odd[jump < 0]
     if falls.size:
         # Without the lifts that stay, x only falls for good at a doubled sample; catching up never takes
