@@ -302,7 +302,7 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
 def _grid(
     place: FloatArray, tau: float, edges: IntArray, sizes: IntArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return the times of places, shape (n,), these about the mean of their run, and the sum of their squares."""
+    """Return the times of places, shape (n,), these about the mean of their run, and the sum of squares."""
     times = tau * place
     _center(place, edges, sizes)
     return times, place, _dot(place, place)
