@@ -173,7 +173,7 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     for choice, stream, decoding in zip(choices, streams, decodings, strict=True):
         work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
         if not decoding.columns.n:
-            seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
+            seen = [told.text for told in decoding.losses] + [told.text for told in work.findings]
             why = seen[0] if seen else "the log holds none"
             msg = f"{path}: no message of topic {choice.topic.name} could be read: {why}"
             raise ReadError(msg)

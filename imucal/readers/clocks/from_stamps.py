@@ -1,12 +1,10 @@
-"""Stamps -> clock: the rate, what is missing, and what the stamps look like, as findings.
+"""Stamps -> clock: the rate, what is missing, and what the stamps look like.
 
-Samples keep the order of the log: it is the order in which the sensor gave them, while stamps jitter.
-The rate and each sample's place on the even grid come from `imucal.readers.clocks.placing`.
+Samples keep the order of the log: it is the order in which the sensor gave them, while stamps jitter. The
+rate and each sample's place on the even grid come from `imucal.readers.clocks.placing`.
 """
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -15,6 +13,7 @@ from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.readers.clocks.placing import (
+    NO_BREAKS,
     Breaks,
     Period,
     Steps,
@@ -26,6 +25,15 @@ from imucal.readers.clocks.placing import (
 from imucal.readers.store import Room, count, equal, is_constant
 from imucal.recording import Recording
 
+#: Name of the time at which a message was recorded.
+LOG_TIME = "log time"
+
+#: Share of zero stamps above which stamps are of no use.
+_ZEROS = 0.01
+#: A jump forward longer than this, in ns, is the clock being set, not a gap. One day.
+_DAY = 86_400 * 10**9
+#: More resets of a clock than one in so many samples: the stamps are noise.
+_RESETS = 20
 #: Share of missing samples up to which gaps are not worth a warning.
 _FEW = 1e-3
 #: Samples looked at, evenly spread.
@@ -34,59 +42,72 @@ _MOST = 100_000
 _SHORTEST, _DRIFT = 60.0, 5e-4
 
 
-def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> Iterator[Finding]:
-    """Yield what the stamps of `n` samples show apart from gaps and jumps."""
-    same, extra, tau = steps.same, breaks.doubled.size, period.tau_ns
-    fine = period.resolution_ns < tau / 50
+def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
+    """Return what the stamps show apart from gaps and jumps."""
+    notes: list[Finding] = []
+    same, back, tau, doubled = steps.same, steps.back, period.tau_ns, breaks.doubled.size
     if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
         text = (
             f"Stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling period of "
             f"{tau / 1e6:.4g} ms; the rate is measured over many samples."
         )
-        yield Finding(level="info", code="coarse-stamps", text=text)
+        notes.append(_info("coarse-stamps", text))
     if period.burst > 1:
         text = (
             f"Samples arrive in bursts of about {period.burst}; they are taken as evenly spaced at "
             f"{1e9 / tau:.6g} Hz."
         )
-        yield Finding(level="info", code="bursts", text=text)
-    elif same and (extra or fine):
-        fate = f"{extra} that are one too many are dropped" if extra else "all are kept"
+        notes.append(_info("bursts", text))
+    elif same and (doubled or period.resolution_ns < tau / 50):
+        fate = f"{doubled} that are one too many are dropped" if doubled else "all are kept"
         text = f"{same} of {n} samples carry the stamp of the one before; {fate}."
-        yield Finding(level="warning", code="duplicate-stamps", text=text)
-    elif extra:
-        text = f"{extra} of {n} samples are one too many for the clock and are dropped."
-        yield Finding(level="warning", code="extra-samples", text=text)
-    if steps.back:
-        text = f"{steps.back} of {n} stamps are earlier than the one before; samples keep the log's order."
-        yield Finding(level="info", code="stamps-out-of-order", text=text)
+        notes.append(_warning("duplicate-stamps", text))
+    elif doubled:
+        text = f"{doubled} of {n} samples are one too many for the clock and are dropped."
+        notes.append(_warning("extra-samples", text))
+    if back:
+        text = f"{back} of {n} stamps are earlier than the one before; samples keep the log's order."
+        notes.append(_info("stamps-out-of-order", text))
+    return notes
 
 
-def jump_notes(stamps: IntArray, jumps: Mapping[int, int]) -> Iterator[Finding]:
-    """Yield a finding for the settings of the clock, with the largest."""
-    if jumps:
-        steps = {at: (int(stamps[at]) - int(stamps[at - 1])) / 1e9 for at in jumps}
-        largest = max(steps, key=lambda at: abs(steps[at]))
-        often = "once" if len(jumps) == 1 else f"{len(jumps)} times"
-        text = (
-            f"The clock was set {often}, at most by {steps[largest]:+.6g} s "
-            f"at sample {largest}; samples before and after are kept apart."
-        )
-        yield Finding(level="warning", code="clock-jump", text=text)
+def _info(code: str, text: str) -> Finding:
+    return Finding(level="info", code=code, text=text)
 
 
-def gap_notes(clock: Clock) -> Iterator[Finding]:
-    """Yield a finding for the missing samples, with the longest gap."""
-    if gaps := clock.gaps:
-        longest = max(gaps, key=lambda gap: gap.missing)
-        share = clock.missing / clock.grid_size
-        lost = f"{clock.missing} sample{'' if clock.missing == 1 else 's'} ({share:.2g} of all)"
-        text = (
-            f"{lost} {'is' if clock.missing == 1 else 'are'} missing in "
-            f"{'one gap' if len(gaps) == 1 else f'{len(gaps)} gaps'}; "
-            f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
-        )
-        yield Finding(level="warning" if share > _FEW else "info", code="gaps", text=text)
+def _warning(code: str, text: str) -> Finding:
+    return Finding(level="warning", code=code, text=text)
+
+
+def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
+    """Return a finding for the settings of the clock, with the largest."""
+    if not jumps:
+        return []
+    step, at = max(
+        ((int(stamps[at]) - int(stamps[at - 1]), at) for at in jumps), key=lambda jump: abs(jump[0])
+    )
+    times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
+    text = (
+        f"The clock was set {times}, at most by {step / 1e9:+.6g} s at sample {at}; "
+        "samples before and after are kept apart."
+    )
+    return [_warning("clock-jump", text)]
+
+
+def gap_notes(clock: Clock) -> list[Finding]:
+    """Return a finding for the missing samples, with the longest gap."""
+    gaps = clock.gaps
+    if not gaps:
+        return []
+    longest = max(gaps, key=lambda gap: gap.missing)
+    share = clock.missing / clock.grid_size
+    samples, are = ("sample", "is") if clock.missing == 1 else ("samples", "are")
+    text = (
+        f"{clock.missing} {samples} ({share:.2g} of all) {are} missing in "
+        f"{'one gap' if len(gaps) == 1 else f'{len(gaps)} gaps'}; "
+        f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
+    )
+    return [_warning("gaps", text) if share > _FEW else _info("gaps", text)]
 
 
 def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
@@ -100,12 +121,12 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
     text = f"Messages were recorded {usual * 1e3:.4g} ms after their stamps, at most {most * 1e3:.4g} ms."
     if abs(usual) > 86_400:
         text = f"Stamps and log time count from different times: {usual:.6g} s apart."
-    findings = [Finding(level="info", code="delay", text=text)]
+    findings = [_info("delay", text)]
     own, other = (int(some[-1]) - int(some[0])) / 1e9, (int(recorded[-1]) - int(recorded[0])) / 1e9
     if min(own, other) > _SHORTEST and abs(own / other - 1) > _DRIFT:
         ratio = f"{own / other - 1:+.2%}"
         text = f"The stamps span {own:.6g} s, the log time {other:.6g} s: the clocks differ by {ratio}."
-        findings.append(Finding(level="warning", code="clocks-differ", text=text))
+        findings.append(_warning("clocks-differ", text))
     return findings
 
 
@@ -122,17 +143,6 @@ def part_between(recording: Recording, start_s: float, end_s: float) -> Recordin
     gaps = [note for clock in clocks.values() for note in gap_notes(clock)]
     others = [finding for finding in part.findings if finding.code != "gaps"]
     return replace(part, findings=tuple(dict.fromkeys([*others, *gaps])))
-
-
-#: Name of the time at which a message was recorded.
-LOG_TIME = "log time"
-
-#: Share of zero stamps above which stamps are of no use.
-_ZEROS = 0.01
-#: A jump forward longer than this, in ns, is the clock being set, not a gap. One day.
-_DAY = 86_400 * 10**9
-#: More resets of a clock than one in so many samples: the stamps are noise.
-_RESETS = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -232,9 +242,8 @@ class _Stamps:
         return ClockReading(clock=clock, order=self.order, findings=tuple(self.notes))
 
     def _drop(self, repeated: BoolArray, twice: int) -> None:
-        of = f"{twice} of {self.stamps.size} samples"
-        text = f"{of} repeat the stamp and the values of the one before; they are dropped."
-        self.notes.append(Finding(level="warning", code="duplicate-stamps", text=text))
+        text = f"{twice} of {self.stamps.size} samples repeat the stamp and the values of the one before"
+        self.notes.append(_warning("duplicate-stamps", f"{text}; they are dropped."))
         keep = self.room.made(repeated.size, np.bool_, lambda part: ~repeated[part], repeated)
         self.order = self.room.places(keep)
         self.stamps = self.room.chosen(self.stamps, keep)
@@ -251,12 +260,11 @@ class _Stamps:
         elif 0 < zeros <= _ZEROS * n:
             self.stamps = _filled(stamps, self.room)
             text = f"{zeros} of {n} stamps are zero; those samples are placed between their neighbours."
-            self.notes.append(Finding(level="info", code="zero-stamps", text=text))
+            self.notes.append(_info("zero-stamps", text))
 
     def _use(self, log_ns: IntArray, why: str) -> None:
         """Take log time instead of the stamps."""
-        found = f"The stamps ({self.source}) {why}"
-        text = f"{found}; the time at which messages were recorded is used instead."
+        text = f"The stamps ({self.source}) {why}; the time at which messages were recorded is used instead."
         advice = "Log time carries the delays of the computer; let the driver stamp the messages."
         self.notes.append(Finding(level="warning", code="log-time-used", text=text, advice=advice))
         self.stamps, self.source = np.ascontiguousarray(log_ns, dtype=np.int64), LOG_TIME
@@ -270,13 +278,10 @@ class _Stamps:
             times = f"{resets.size} times in {stamps.size} samples"
             msg = f"the stamps ({self.source}) go back {times}; expected a clock"
             raise DataError(msg)
-        edges = [0, *resets.tolist(), stamps.size]
-        breaks = Breaks.joined([])
+        breaks = NO_BREAKS
         # The first estimate of the period is good to a percent: gaps of a hundred samples to one.
         for longest in (10,) if steps.even else (10, 1000):
-            if not steps.even:
-                parts = ((first, find_breaks(stamps[first:last], period)) for first, last in pairwise(edges))
-                breaks = Breaks.joined(parts)
+            breaks = breaks if steps.even else find_breaks(stamps, period, resets)
             tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
             if 0.5 < tau / period.tau_ns < 2:
                 period = replace(period, tau_ns=tau)
@@ -287,7 +292,7 @@ class _Stamps:
         measured = 1e9 / period.tau_ns
         if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
             text = f"The rate given, {rate_hz:g} Hz, is not the one the stamps show, {measured:.6g} Hz."
-            notes.append(Finding(level="warning", code="rate-given", text=text))
+            notes.append(_warning("rate-given", text))
         clock = Clock(
             source=self.source,
             rate_hz=rate_hz or measured,

@@ -1,8 +1,9 @@
-"""The sampling period of stamps that jitter, repeat, come in bursts or skip samples, and each sample's place.
+"""The sampling period of stamps, and each sample's place on the even grid.
 
-Let s(W) be the median over k of (t[k+W] - t[k]) / W. A clean log has s(W) = tau0 for every W. Bursts make
-s(1) too short and s(W) right for W beyond a burst; missing samples make s(1) right and s(W) too long. The
-two are told apart by conservation: where bursts only delay samples, t[k] - k tau0 stays bounded.
+The period comes from stamps that jitter, repeat, come in bursts or skip samples. Let s(W) be the median over
+k of (t[k+W] - t[k]) / W. A clean log has s(W) = tau0 for every W. Bursts make s(1) too short and s(W) right
+for W beyond a burst; missing samples make s(1) right and s(W) too long. The two are told apart by
+conservation: where bursts only delay samples, t[k] - k tau0 stays bounded.
 
 With x[k] = t[k]/tau - k, missing samples lift x for good, a doubled sample lowers it for good, and a late
 sample lifts it only until the next ones have caught up. So a lift at k counts only where the *lowest* x
@@ -11,7 +12,7 @@ Works block by block; memory does not grow with n.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,12 +20,18 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, blocks, distinct, median, percentile
 
-#: Runs of samples that the period is taken from, and samples in each; all samples where there are fewer.
-_RUNS = 10
-_RUN = 4096
+#: Blocks of neighbouring samples looked at, and samples in each; all samples where there are fewer.
+_BLOCKS = 10
+_RATE_BLOCK = 4096
 
 #: Relative difference of two slopes that counts as the same.
 _SAME = 0.03
+#: Samples worked on at once: what fits the processor's cache.
+_BLOCK = 1 << 16
+#: Samples that may catch up after a pause, at most.
+_REACH = 1 << 13
+#: Samples before and after a step that say where the clock stood.
+_SAMPLES_AROUND = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,54 +58,51 @@ class Period:
 
 def estimate_period(stamps: IntArray) -> Period | None:
     """Return the sampling period of stamps in ns, shape (n,); None where they don't advance."""
-    runs = _runs(stamps)
-    steps = np.concatenate([np.diff(run) for run in runs])
+    blocks = _blocks(stamps)
+    steps = np.concatenate([np.diff(block) for block in blocks])
     positive = steps[steps > 0]
     if not positive.size:
         return None
-    quantum = resolution(steps)
-    short, wide = _slope(runs, 1), _plateau(runs)
+    quantum = int(np.gcd.reduce(np.abs(steps[:100_000])))
+    short, wide = _slope(blocks, 1), _plateau(blocks)
     if not wide > 0:
         return None
     unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
-    if unit < 0.97 * wide and _skips(steps, unit) and not _only_late(runs, steps, wide, unit, quantum):
+    burst, near = 1, steps
+    if unit < 0.97 * wide and _skips(steps, unit) and not _only_late(blocks, steps, wide, unit, quantum):
         near = positive[np.abs(positive / unit - 1) < 0.25]
-        unit = float(near.mean())
-        return Period(tau_ns=unit, jitter=_jitter(near, unit), burst=1, resolution_ns=quantum)
-    if short > 0 and abs(wide / short - 1) <= _SAME:
-        return Period(tau_ns=wide, jitter=_jitter(steps, wide), burst=1, resolution_ns=quantum)
-    pauses = steps[steps > 1.5 * wide]
-    burst = int(np.ceil(percentile(pauses, 75) / wide)) if pauses.size > steps.size / 1000 else 1
-    return Period(tau_ns=wide, jitter=_jitter(steps, wide), burst=burst, resolution_ns=quantum)
+        wide = float(near.mean())
+    elif not short > 0 or abs(wide / short - 1) > _SAME:
+        pauses = steps[steps > 1.5 * wide]
+        burst = int(np.ceil(percentile(pauses, 75) / wide)) if pauses.size > steps.size / 1000 else 1
+    # The standard deviation of one stamp, from the median absolute deviation of steps.
+    deviation = 1.4826 * median(np.abs(near - median(near)))
+    jitter = deviation / math.sqrt(2) / wide
+    return Period(tau_ns=wide, jitter=jitter, burst=burst, resolution_ns=quantum)
 
 
-def resolution(steps: IntArray) -> int:
-    """Return the greatest common divisor of the steps, in ns; 0 where all are zero."""
-    return int(np.gcd.reduce(np.abs(steps[:100_000])))
-
-
-def _runs(stamps: IntArray) -> list[IntArray]:
+def _blocks(stamps: IntArray) -> list[IntArray]:
     """Return runs of neighbouring stamps, spread over the log."""
-    if stamps.size <= _RUNS * _RUN:
+    if stamps.size <= _BLOCKS * _RATE_BLOCK:
         return [stamps]
-    starts = np.linspace(0, stamps.size - _RUN, _RUNS).astype(np.int64)
-    return [stamps[start : start + _RUN] for start in starts.tolist()]
+    starts = np.linspace(0, stamps.size - _RATE_BLOCK, _BLOCKS).astype(np.int64)
+    return [stamps[start : start + _RATE_BLOCK] for start in starts.tolist()]
 
 
-def _slope(runs: list[IntArray], width: int) -> float:
-    """Return the median of (t[k+W] - t[k]) / W, in ns per sample; NaN where no run is long enough."""
-    spans = [run[width:] - run[:-width] for run in runs if run.size > width]
+def _slope(blocks: list[IntArray], width: int) -> float:
+    """Return the median of (t[k+W] - t[k]) / W, in ns per sample; NaN where no block is long enough."""
+    spans = [block[width:] - block[:-width] for block in blocks if block.size > width]
     return median(np.concatenate(spans)) / width if spans else np.nan
 
 
-def _plateau(runs: list[IntArray]) -> float:
+def _plateau(blocks: list[IntArray]) -> float:
     """Return the slope at the first width from which a wider window changes nothing, in ns per sample."""
-    longest = max(run.size for run in runs)
+    longest = max(block.size for block in blocks)
     widths = [w for w in (16, 32, 64, 128, 256, 512, 1024, 2048) if w <= longest // 3]
     if not widths:
-        run = max(runs, key=len)
-        return (int(run[-1]) - int(run[0])) / (run.size - 1)
-    slopes = [_slope(runs, width) for width in widths]
+        block = max(blocks, key=len)
+        return (int(block[-1]) - int(block[0])) / (block.size - 1)
+    slopes = [_slope(blocks, width) for width in widths]
     changes = [abs(b / a - 1) if a > 0 else np.inf for a, b in pairwise(slopes)]
     for index, change in enumerate(changes):
         if change <= _SAME:
@@ -116,46 +120,32 @@ def _skips(steps: IntArray, unit: float) -> bool:
     return bool(single >= 0.3 and whole >= 0.9)
 
 
-def _only_late(runs: list[IntArray], steps: IntArray, tau: float, unit: float, quantum: int) -> bool:
+def _only_late(blocks: list[IntArray], steps: IntArray, tau: float, unit: float, quantum: int) -> bool:
     """Say whether steps that look like whole multiples come from bursts, or from coarse stamps, instead.
 
     Coarse stamps are multiples of a power of ten, such as 1 ms; a sampling period seldom is one of the two
     at once. Pauses between bursts are several units long, and there is more than a pair of them.
     """
     longer = steps[steps > 1.4 * unit]
-    if not _conserved(runs, tau) or longer.size < 3:
+    if not _conserved(blocks, tau) or longer.size < 3:
         return False
     coarse = quantum > unit / 2 and np.log10(quantum) % 1 == 0
     return bool(coarse or median(longer) >= 4 * unit)
 
 
-def _conserved(runs: list[IntArray], tau: float) -> bool:
+def _conserved(blocks: list[IntArray], tau: float) -> bool:
     """Say whether t[k] - k tau stays within a few pauses: samples are late, none is missing."""
     ranges: list[float] = []
     pauses: list[float] = []
-    for run in runs:
-        for start in range(0, max(run.size - 1024, 0) + 1, 2048):
-            part = (run[start : start + 2048] - run[start]) / tau
+    for block in blocks:
+        for start in range(0, max(block.size - 1024, 0) + 1, 2048):
+            part = (block[start : start + 2048] - block[start]) / tau
             if part.size < 3:
                 continue
             late = part - np.linspace(0.0, part[-1], part.size)
             ranges.append(float(np.ptp(late)))
             pauses.append(percentile(np.diff(part), 95))
     return bool(ranges) and median(ranges) <= 3 * median(pauses) + 2
-
-
-def _jitter(steps: IntArray | FloatArray, tau: float) -> float:
-    """Return the standard deviation of one stamp in samples, from the median absolute deviation of steps."""
-    deviation = 1.4826 * median(np.abs(steps - median(steps)))
-    return deviation / math.sqrt(2) / tau
-
-
-#: Samples worked on at once: what fits the processor's cache.
-_BLOCK = 1 << 16
-#: Samples that may catch up after a pause, at most.
-_REACH = 1 << 13
-#: Samples before and after a step that say where the clock stood.
-_SAMPLES_AROUND = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,16 +164,10 @@ class Breaks:
     missing: IntArray
     doubled: IntArray
 
-    @classmethod
-    def joined(cls, parts: Iterable[tuple[int, "Breaks"]]) -> "Breaks":
-        """Return the breaks of several parts of a log, each given with its first sample; none of no part."""
-        found = list(parts)
-        none = np.zeros(0, dtype=np.int64)
-        return cls(
-            at=np.concatenate([none, *(part.at + first for first, part in found)]),
-            missing=np.concatenate([none, *(part.missing for _, part in found)]),
-            doubled=np.concatenate([none, *(part.doubled + first for first, part in found)]),
-        )
+
+_NONE: IntArray = np.zeros(0, dtype=np.int64)
+#: Nothing is missing.
+NO_BREAKS = Breaks(at=_NONE, missing=_NONE, doubled=_NONE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,7 +195,7 @@ def step_statistics(stamps: IntArray, tau: float) -> Steps:
 
     A single stamp out of order is no reset: the median of five after it is not below that of five before.
     """
-    found = []
+    found = [_NONE]
     same = back = 0
     even = True
     for part in blocks(stamps.size - 1, stamps, size=_BLOCK):
@@ -225,8 +209,7 @@ def step_statistics(stamps: IntArray, tau: float) -> Steps:
         back += int(np.count_nonzero(steps < 0))
         if low < -0.5 * tau:
             found.append(_resets(stamps, np.flatnonzero(steps < -0.5 * tau) + start + 1))
-    resets = np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
-    return Steps(same=same, back=back, resets=resets, even=even)
+    return Steps(same=same, back=back, resets=np.concatenate(found), even=even)
 
 
 def _resets(stamps: IntArray, at: IntArray) -> IntArray:
@@ -239,12 +222,24 @@ def _resets(stamps: IntArray, at: IntArray) -> IntArray:
     return chosen
 
 
-def find_breaks(stamps: IntArray, period: Period) -> Breaks:
-    """Return the missing and doubled samples of stamps in ns, shape (n,), of one clock."""
+def find_breaks(stamps: IntArray, period: Period, resets: IntArray | None = None) -> Breaks:
+    """Return the missing and doubled samples of stamps in ns, shape (n,).
+
+    Parameters
+    ----------
+    resets
+        Samples at which the clock was set, shape (r,): each stretch between two is looked at by itself.
+    """
     spread = (period.burst - 1) if period.burst > 1 else min(3 * period.jitter, 0.3)
     near = min(max(_SAMPLES_AROUND, 2 * period.burst), _REACH)
-    odd = _odd_blocks(stamps, period.tau_ns)
-    return Breaks.joined((first, _breaks(block, inner, period, near, spread)) for first, block, inner in odd)
+    at, missing, doubled = [_NONE], [_NONE], [_NONE]
+    for start, stop in pairwise([0, *(_NONE if resets is None else resets).tolist(), stamps.size]):
+        for first, block, inner in _odd_blocks(stamps[start:stop], period.tau_ns):
+            lifts, counts, extra = _breaks(block, inner, period, near, spread)
+            at.append(lifts + (start + first))
+            missing.append(counts)
+            doubled.append(extra + (start + first))
+    return Breaks(at=np.concatenate(at), missing=np.concatenate(missing), doubled=np.concatenate(doubled))
 
 
 def fit_period(
@@ -269,7 +264,7 @@ def fit_period(
     at, missing = breaks.at[exact], breaks.missing[exact]
     moment = weight = square = 0.0
     count = 0
-    whole: _Grid | None = None
+    whole: tuple[FloatArray, FloatArray, float] | None = None
     for part in blocks(stamps.size, stamps, size=_BLOCK):
         first, block = part.start, stamps[part]
         lo, hi = np.searchsorted(starts, [first, first + block.size])
@@ -278,17 +273,19 @@ def fit_period(
         lo, hi = np.searchsorted(at, [first, first + block.size])
         if hi == lo and edges.size == 1 and block.size == _BLOCK:
             # Most blocks are whole: their places are always the same.
-            grid = whole = whole or _Grid(np.arange(_BLOCK, dtype=np.float64), tau, edges, sizes)
+            whole = whole or _grid(np.arange(_BLOCK, dtype=np.float64), tau, edges, sizes)
+            times, centred, squares = whole
         else:
             skipped = np.zeros(block.size)
             skipped[at[lo:hi] - first] = missing[lo:hi]
-            grid = _Grid(np.cumsum(skipped) + np.arange(block.size, dtype=np.float64), tau, edges, sizes)
+            places = np.cumsum(skipped) + np.arange(block.size, dtype=np.float64)
+            times, centred, squares = _grid(places, tau, edges, sizes)
         late = (block - block[0]).astype(np.float64)
-        late -= grid.times
+        late -= times
         _center(late, edges, sizes)
-        place = _without_outliers(grid.place, late, edges, sizes)
+        place = _without_outliers(centred, late, edges, sizes)
         moment += _dot(place, late)
-        weight += grid.weight if place is grid.place else _dot(place, place)
+        weight += squares if place is centred else _dot(place, place)
         square += _dot(late, late)
         count += block.size - edges.size
     if weight == 0 or count < 1:
@@ -302,17 +299,13 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
     return float(np.einsum("i,i", a, b))
 
 
-class _Grid:
-    """The places of a block's samples on the grid, as floats, shape (n,), and the period times each.
-
-    The mean of each run is taken from the places; `weight` is the sum of their squares.
-    """
-
-    def __init__(self, place: FloatArray, tau: float, edges: IntArray, sizes: IntArray) -> None:
-        self.times = tau * place
-        _center(place, edges, sizes)
-        self.place = place
-        self.weight = _dot(place, place)
+def _grid(
+    place: FloatArray, tau: float, edges: IntArray, sizes: IntArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the times of places, shape (n,), these about the mean of their run, and the sum of squares."""
+    times = tau * place
+    _center(place, edges, sizes)
+    return times, place, _dot(place, place)
 
 
 def _without_outliers(place: FloatArray, late: FloatArray, edges: IntArray, sizes: IntArray) -> FloatArray:
@@ -352,14 +345,16 @@ def _odd_blocks(stamps: IntArray, tau: float) -> Iterator[tuple[int, IntArray, s
         yield first, stamps[first:last], slice(start - first, min(start + _BLOCK, n) - first)
 
 
-def _breaks(block: IntArray, inner: slice, period: Period, near: int, spread: float) -> Breaks:
-    """Return where samples of a block are missing or doubled, as places in it."""
+def _breaks(
+    block: IntArray, inner: slice, period: Period, near: int, spread: float
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Return lifts, their sizes and doubled samples of a block, as places in it."""
     tau = period.tau_ns
     steps = np.diff(block)
     odd = np.flatnonzero((steps > 1.5 * tau) | (steps < 0.5 * tau)) + 1
     odd = odd[(odd >= max(inner.start, 1)) & (odd < inner.stop)]
     if not odd.size:
-        return Breaks.joined([])
+        return _NONE, _NONE, _NONE
     x = (block - block[0]) / tau
     x -= np.arange(block.size)
     jump = x[odd] - x[odd - 1]
@@ -371,7 +366,7 @@ def _breaks(block: IntArray, inner: slice, period: Period, near: int, spread: fl
     size = np.minimum(np.round(jumps[real]), np.round(rise[real] + spread))
     missing = np.maximum(size, 1).astype(np.int64)
     if period.burst > 1:
-        return Breaks(at=lifts[real], missing=missing, doubled=np.zeros(0, dtype=np.int64))
+        return lifts[real], missing, _NONE
     falls = odd[jump < 0]
     if falls.size:
         # Without the lifts that stay, x only falls for good at a doubled sample; catching up never takes
@@ -383,7 +378,7 @@ def _breaks(block: IntArray, inner: slice, period: Period, near: int, spread: fl
         after = np.maximum(_extreme(x[::-1], np.maximum, near)[::-1], x)
         fall = _extreme(x, np.minimum, back)[falls] - after[falls]
         falls = falls[fall > 0.5]
-    return Breaks(at=lifts[real], missing=missing, doubled=falls)
+    return lifts[real], missing, falls
 
 
 def _extreme(x: FloatArray, better: Callable[..., FloatArray], width: int) -> FloatArray:

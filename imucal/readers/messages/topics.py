@@ -1,11 +1,8 @@
-"""The topics of a log: which of them carry IMU samples, and which numbers those are.
-
-Which topics to read: what the caller says, or the only ones that fit; never a silent pick.
-"""
+"""The topics of a log: which carry IMU samples, in which numbers, and which to read; never a silent pick."""
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -21,6 +18,9 @@ from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
+_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+#: Topics listed in a message.
+_MOST = 24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,45 +87,35 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
             groups.setdefault((channel.topic, plain_type(channel.type)), []).append((number, channel))
     return [
         topic
-        for (name, _), channels in groups.items()
-        for topic in _topics(name, channels, containers, options, wanted)
+        for channels in groups.values()
+        for topic in _topics(channels, containers[channels[0][0]], options, wanted)
     ]
 
 
 def _topics(
-    name: str,
-    channels: list[tuple[int, Channel]],
-    containers: Sequence[Container],
-    options: ReadOptions,
-    wanted: FieldsText | None,
+    channels: list[tuple[int, Channel]], container: Container, options: ReadOptions, wanted: FieldsText | None
 ) -> list[Topic]:
     """Return a topic as one entry for each IMU that its messages hold; one without IMU samples as it is."""
-    number, channel = channels[0]
+    channel = channels[0][1]
+    name = channel.topic
+    whole = Topic(name=name, type=channel.type, channels=tuple(channels))
     imus: dict[str, ImuFields] = {}
-    leaves, reason = Leaves(()), ""
     try:
-        leaves = _leaves(channel, containers[number], options)
+        leaves = _leaves(channel, container, options)
+        whole = replace(whole, leaves=leaves)
         if wanted is not None:
             asked = leaves.asked(wanted, options.time_unit)
             imus, reason = ({"": asked}, "") if isinstance(asked, ImuFields) else ({}, f"it has no {asked}")
         else:
-            imus = _known(name, channel, leaves, options)
+            imus = _known(channel, leaves, options)
             reason = "" if imus else _unreachable(leaves)
     except DefinitionError as error:
         reason = str(error)
     if not imus:
         meant = wanted or _looks_like_imu(channel) or name in options.topics or is_given(channel, options)
-        said = reason if meant else ""
-        return [Topic(name=name, type=channel.type, channels=tuple(channels), reason=said, leaves=leaves)]
+        return [replace(whole, reason=reason if meant else "")]
     return [
-        Topic(
-            name=f"{name}:{part}" if part else name,
-            type=channel.type,
-            channels=tuple(channels),
-            imu=imu,
-            part=part,
-            leaves=leaves,
-        )
+        replace(whole, name=f"{name}:{part}" if part else name, imu=imu, part=part)
         for part, imu in imus.items()
     ]
 
@@ -159,16 +149,17 @@ def _leaves(channel: Channel, container: Container, options: ReadOptions) -> Lea
     return Leaves(ros_trees.leaves_of(channel.type, definition.text, definition.more, ros1=ros1))
 
 
-def _known(name: str, channel: Channel, leaves: Leaves, options: ReadOptions) -> dict[str, ImuFields]:
+def _known(channel: Channel, leaves: Leaves, options: ReadOptions) -> dict[str, ImuFields]:
     """Return the IMUs that the fields of a channel's messages are recognised as."""
     if channel.encoding == "json":
         vectors = tuple(v for v in JSON_FIELDS.vectors if leaves.vector(v.paths) is not None)
         known = len(vectors) == 2 or (not leaves.all and _looks_like_imu(channel))
         return {"": JSON_FIELDS} if known else {}
-    said = _said(name, options)
     if channel.encoding == "protobuf":
-        return find_imus(channel.type, protobuf_messages.fields_of(channel), name, said)
-    return find_imus(channel.type, definition_of_channel(channel, options).fields(channel), name, said)
+        fields = protobuf_messages.fields_of(channel)
+    else:
+        fields = definition_of_channel(channel, options).fields(channel)
+    return find_imus(channel.type, fields, channel.topic, _said(channel.topic, options))
 
 
 def _said(name: str, options: ReadOptions) -> Sensor | None:
@@ -191,11 +182,6 @@ def _unreachable(leaves: Leaves) -> str:
         "it has no angular velocity or linear acceleration by name; say which of its fields they are by a "
         f"fields text{example}; found {leaves.shown()}"
     )
-
-
-_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-#: Topics listed in a message.
-_MOST = 24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -229,7 +215,14 @@ def choose(
         return _named(path, topics, options, live)
     carrying = [topic for topic in topics if topic.imu is not None and topic.count != 0]
     if options.fields and not carrying:
-        raise _no_fields(path, topics)
+        lines = [
+            f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
+            for topic in topics
+            if topic.leaves.all or topic.reason
+        ]
+        listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
+        msg = f"{path}: no topic has the fields of the fields text; found in its topics\n{listed}"
+        raise ChoiceError(msg)
     fitting = [topic for topic in carrying if topic.imu is not None and not topic.imu.plain]
     if len(fitting) == 1:
         return [_whole(fitting[0], "the only topic with IMU samples")]
@@ -238,41 +231,30 @@ def choose(
     return _refuse(path, topics, carrying)
 
 
-def _no_fields(path: Path, topics: Sequence[Topic]) -> ChoiceError:
-    """Return the error where no topic has the fields that the user named; it lists what there is."""
-    lines = [
-        f"  {topic.name} ({topic.type}): {topic.reason}; found {topic.leaves.shown()}"
-        for topic in topics
-        if topic.leaves.all or topic.reason
-    ]
-    listed = "\n".join(lines[:_MOST]) or "  nothing that can be read"
-    return ChoiceError(f"{path}: no topic has the fields of the fields text; found in its topics\n{listed}")
-
-
 def table(topics: Sequence[Topic]) -> str:
     """Return the topics as lines of name, type, messages, rate and duration."""
-    rows = [_row(topic) for topic in topics[:_MOST]]
-    widths = [max(len(row[i]) for row in rows) for i in range(4)] if rows else []
+    rows = []
+    for topic in topics[:_MOST]:
+        count = "? messages" if topic.count is None else f"{topic.count} messages"
+        rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
+        duration = "" if topic.duration_s is None else f"{topic.duration_s:.4g} s"
+        rows.append((topic.name, topic.type, count, rate, duration))
+    a, b, c, d, _ = (max(map(len, column)) for column in zip(*rows, strict=True)) if rows else [0] * 5
     lines = [
-        "  " + "  ".join([row[0].ljust(widths[0]), row[1].ljust(widths[1]), row[2].rjust(widths[2]),
-                          row[3].rjust(widths[3]), row[4]]).rstrip()
-        for row in rows
-    ]  # fmt: skip
+        f"  {n:{a}}  {t:{b}}  {count:>{c}}  {rate:>{d}}  {last}".rstrip() for n, t, count, rate, last in rows
+    ]
     if len(topics) > _MOST:
         lines.append(f"  and {len(topics) - _MOST} more")
     return "\n".join(lines)
 
 
-def _row(topic: Topic) -> tuple[str, str, str, str, str]:
-    count = "? messages" if topic.count is None else f"{topic.count} messages"
-    rate = "" if topic.rate_hz is None else f"{topic.rate_hz:.4g} Hz"
-    duration = "" if topic.duration_s is None else f"{topic.duration_s:.4g} s"
-    return topic.name, topic.type, count, rate, duration
-
-
 def _whole(topic: Topic, how: str) -> Choice:
     sensors = topic.imu.sensors if topic.imu is not None else ()
     return Choice(topic=topic, sensors=sensors, how=how)
+
+
+def _unreadable(path: Path, topic: Topic, why: str) -> ChoiceError:
+    return ChoiceError(f"{path}: topic {topic.name} of type {topic.type or 'unknown'} can't be read: {why}")
 
 
 def _named(
@@ -287,24 +269,22 @@ def _named(
         if topic.imu is None:
             why = topic.reason or "its messages have no angular velocity or linear acceleration"
             why += f"; found {topic.leaves.shown()}" if options.fields else ""
-            msg = f"{path}: topic {topic.name} of type {topic.type or 'unknown'} can't be read: {why}"
-            raise ChoiceError(msg)
+            raise _unreadable(path, topic, why)
         if topic.count == 0:
             msg = f"{path}: topic {topic.name} has no messages; found\n{table(topics)}"
             raise ChoiceError(msg)
     if len(found) == 1:
         return [_whole(found[0], "as asked for")]
-    first, second = found
-    a, b = live(first), live(second)
-    if _GYRO in a and _ACCEL in b:
-        pair = (first, second)
-    elif _GYRO in b and _ACCEL in a:
-        pair = (second, first)
-    else:
-        what = "; ".join(f"{topic.name}: {_words(live(topic))}" for topic in found)
-        msg = f"{path}: the two topics are not a gyroscope and an accelerometer ({what})"
-        raise ChoiceError(msg)
-    return _pair(*pair, "as asked for")
+    alive = [live(topic) for topic in found]
+    for gyro, accel in ((0, 1), (1, 0)):
+        if _GYRO in alive[gyro] and _ACCEL in alive[accel]:
+            return _pair(found[gyro], found[accel], "as asked for")
+    what = "; ".join(
+        f"{topic.name}: {' and '.join(sorted(sensors)) or 'no samples that change'}"
+        for topic, sensors in zip(found, alive, strict=True)
+    )
+    msg = f"{path}: the two topics are not a gyroscope and an accelerometer ({what})"
+    raise ChoiceError(msg)
 
 
 def _find(path: Path, topics: Sequence[Topic], name: str) -> Topic:
@@ -337,10 +317,6 @@ def _pair(gyro: Topic, accel: Topic, how: str) -> list[Choice]:
     ]
 
 
-def _words(sensors: frozenset[Sensor]) -> str:
-    return " and ".join(sorted(sensors)) or "no samples that change"
-
-
 def _refuse(path: Path, topics: Sequence[Topic], carrying: Sequence[Topic]) -> NoReturn:
     if carrying:
         msg = (
@@ -350,14 +326,9 @@ def _refuse(path: Path, topics: Sequence[Topic], carrying: Sequence[Topic]) -> N
         raise ChoiceError(msg)
     unreadable = [topic for topic in topics if topic.reason and topic.count != 0]
     if unreadable:
-        topic = unreadable[0]
-        msg = f"{path}: topic {topic.name} of type {topic.type or 'unknown'} can't be read: {topic.reason}"
-        raise ChoiceError(msg)
+        raise _unreadable(path, unreadable[0], unreadable[0].reason)
     listed = table(topics) or "  no topics"
-    able = [topic for topic in topics if topic.count != 0 and topic.leaves.proposal()]
-    how = "".join(
-        f"\n{topic.name} may be read by a fields text such as {topic.leaves.proposal()!r}"
-        for topic in able[:3]
-    )
+    able = [(topic.name, text) for topic in topics if topic.count != 0 and (text := topic.leaves.proposal())]
+    how = "".join(f"\n{name} may be read by a fields text such as {text!r}" for name, text in able[:3])
     msg = f"{path}: no topic carries a gyroscope or an accelerometer; found\n{listed}{how}"
     raise ChoiceError(msg)

@@ -1,7 +1,6 @@
 """Messages that are read one by one into a tree: JSON, protobuf, and ROS messages with lists in them.
 
-Messages that hold lists of samples: each element is one, at its own time or spread over the message's.
-
+A message is one sample, or each element of a list in it is one, at its own time or spread over the message's.
 A driver that reads its sensor's buffer sends some samples at once. Where they carry no stamps of their own,
 the message's is that of the last one, which was taken just before it was sent; the others lie before it, as
 far apart as samples usually are: the median over all messages of the time since the message before, divided
@@ -17,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray, blocks
+from imucal.arrays import IntArray, blocks
 from imucal.readers.containers import Batch, Loss
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
@@ -48,6 +47,8 @@ _ONE = re.compile(r"([^\[\]]+)\[\d+\]\.")
 
 #: The steps of a path: names, indices, and None for each element of a list.
 Steps: TypeAlias = tuple[str | int | None, ...]
+#: A sample: its stamp in ns, its numbers, and the temperature.
+Sample: TypeAlias = tuple[int, list[float], float]
 
 
 class TreeDecoder:
@@ -67,10 +68,10 @@ class TreeDecoder:
         self.imu = imu
         self._parse = parse
         self._kind = kind
-        self.vectors = [[_steps(path) for path in vector.paths] for vector in imu.vectors]
+        self._vectors = [[_steps(path) for path in vector.paths] for vector in imu.vectors]
         stamp = imu.stamp
-        self.stamp = None if stamp is None else [_steps(path) for path in (stamp.sec, stamp.nanosec) if path]
-        self.temperature = _steps(imu.temperature) if imu.temperature else None
+        self._stamp = None if stamp is None else [_steps(path) for path in (stamp.sec, stamp.nanosec) if path]
+        self._temperature = _steps(imu.temperature) if imu.temperature else None
         self.notes: list[Loss] = []
         #: List of which one element is read -> how many it has in the first message.
         self.lengths: dict[str, int] = {}
@@ -81,9 +82,11 @@ class TreeDecoder:
         if not lists or self.lengths:
             return
         with suppress(DamagedError):
-            few = batch.checked()
-            for data in messages_in(few.part(np.arange(min(few.n, 1)))):
-                self.lengths = self.parsed(data, lambda tree: {name: _length(tree, name) for name in lists})
+            checked = batch.checked()
+            if checked.n:
+                self.lengths = self._parsed(
+                    checked.first(), lambda tree: {name: len(_follow(tree, _steps(name))) for name in lists}
+                )
 
     def fast(self, batch: Batch, columns: Columns, first: int) -> bool:
         """There is no fast way."""
@@ -92,16 +95,12 @@ class TreeDecoder:
 
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:
         """Decode messages; raises DamagedError where one can't be read, or has not the fields wanted."""
-        stamps = np.empty(batch.n, dtype=np.int64)
-        values = np.empty((batch.n, sum(len(vector.axes) for vector in self.imu.vectors)))
-        warmth = np.empty(batch.n)
-        for row, data in enumerate(messages_in(batch)):
-            stamps[row], values[row], warmth[row] = self.parsed(data, self._sample)
+        samples = [self._parsed(data, self._sample) for data in _messages_in(batch)]
         part = slice(first, first + batch.n)
-        write_samples(columns, part, values, stamps, warmth)
+        _write(columns, part, samples)
         columns.log[part] = batch.log_ns
 
-    def parsed(self, data: bytes, take: Callable[[Any], Result]) -> Result:
+    def _parsed(self, data: bytes, take: Callable[[Any], Result]) -> Result:
         """Return what is taken from a message; raises DamagedError where that can't be read."""
         try:
             return take(self._parse(data))
@@ -110,18 +109,18 @@ class TreeDecoder:
             msg = f"a {self._kind} message has no IMU sample: {type(error).__name__} {error}"
             raise DamagedError(msg) from error
 
-    def _sample(self, tree: Any) -> tuple[int, list[float], float]:  # noqa: ANN401 - any tree
-        numbers = [number for paths in self.vectors for number in _vector(tree, paths)]
-        warmth = number_of(follow(tree, self.temperature)) if self.temperature else math.nan
-        return self.time_of(tree), numbers, warmth
+    def _sample(self, tree: Any) -> Sample:  # noqa: ANN401 - any tree
+        numbers = [number for paths in self._vectors for number in _vector(tree, paths)]
+        warmth = _number(_follow(tree, self._temperature)) if self._temperature else math.nan
+        return self._time_of(tree), numbers, warmth
 
-    def time_of(self, tree: Any) -> int:  # noqa: ANN401 - any tree
-        """Return the stamp in ns; 0 where there is none."""
-        if self.stamp is None:
+    def _time_of(self, tree: Any) -> int:  # noqa: ANN401 - any tree
+        """Return the stamp of a message in ns; 0 where there is none."""
+        if self._stamp is None:
             return 0
-        return self.ns_of([follow(tree, steps) for steps in self.stamp]) if self.stamp else stamp_of(tree)
+        return self._ns_of([_follow(tree, steps) for steps in self._stamp]) if self._stamp else stamp_of(tree)
 
-    def ns_of(self, parts: Sequence[Any]) -> int:
+    def _ns_of(self, parts: Sequence[Any]) -> int:
         """Return the ns of a time: of seconds and nanoseconds, or of a count of its own unit."""
         if len(parts) == 2:
             return int(parts[0]) * 1_000_000_000 + int(parts[1])
@@ -132,7 +131,53 @@ class TreeDecoder:
         return int(count) * scale
 
 
-def messages_in(batch: Batch) -> Iterator[bytes]:
+class ListDecoder(TreeDecoder):
+    """Decodes messages of which each element of a list is a sample."""
+
+    def elements(self, batch: Batch, like: Columns) -> tuple[Columns, list[Loss]]:
+        """Return the samples of some messages in columns of their own, and which messages were lost."""
+        samples: list[Sample] = []
+        log: list[int] = []
+        losses = []
+        times = np.broadcast_to(batch.log_ns, batch.n).tolist()
+        for data, log_ns in zip(_messages_in(batch), times, strict=True):
+            try:
+                found = self._parsed(data, self._samples)
+            except DamagedError as error:
+                losses.append(Loss(code=error.code, text=str(error), messages=1))
+                continue
+            samples += found
+            log += [log_ns] * len(found)
+        columns = like.like(len(samples))
+        columns.log[:] = log
+        _write(columns, slice(0, len(samples)), samples)
+        return columns, losses
+
+    def _samples(self, tree: Any) -> list[Sample]:  # noqa: ANN401 - any tree
+        """Return the samples in a message."""
+        columns = [_each(tree, steps) for paths in self._vectors for steps in paths]
+        n = len(columns[0])
+        if any(len(column) != n for column in columns):
+            msg = f"lists of {', '.join(str(len(column)) for column in columns)} elements"
+            raise ValueError(msg)
+        rows = [[_number(value) for value in row] for row in zip(*columns, strict=True)]
+        warmth = [math.nan] * n
+        if self._temperature:
+            warmth = [_number(value) for value in _for_each(tree, self._temperature, n)]
+        if self._stamp:
+            parts = [_for_each(tree, steps, n) for steps in self._stamp]
+            times = [self._ns_of(time) for time in zip(*parts, strict=True)]
+        else:
+            times = [self._time_of(tree)] * n
+        return list(zip(times, rows, warmth, strict=True))
+
+
+def tree_decoder(imu: ImuFields, parse: Parse = json.loads, kind: str = "JSON") -> TreeDecoder:
+    """Return what decodes messages by their trees: a sample each, or one of each element."""
+    return (ListDecoder if imu.lists else TreeDecoder)(imu, parse, kind)
+
+
+def _messages_in(batch: Batch) -> Iterator[bytes]:
     """Yield the bytes of each message."""
     starts = batch.payload()
     ends = starts + batch.sizes
@@ -141,15 +186,17 @@ def messages_in(batch: Batch) -> Iterator[bytes]:
         yield bytes(view[start:end])
 
 
-def write_samples(
-    columns: Columns, part: slice, values: FloatArray, stamps: IntArray, warmth: FloatArray
-) -> None:
-    """Write samples, shape (n, axes) of all sensors in their order, to some rows of the columns."""
+def _write(columns: Columns, part: slice, samples: Sequence[Sample]) -> None:
+    """Write samples to some rows of the columns."""
+    if not samples:
+        return
+    stamps, values, warmth = zip(*samples, strict=True)
     columns.stamps[part] = stamps
     if columns.temperature is not None:
         columns.temperature[part] = warmth
-    for row, axis in zip([row for rows in columns.vectors.values() for row in rows], values.T, strict=True):
-        row[part] = axis
+    rows = [row for rows in columns.vectors.values() for row in rows]
+    for row, numbers in zip(rows, zip(*values, strict=True), strict=True):
+        row[part] = numbers
 
 
 def _steps(path: str) -> Steps:
@@ -157,119 +204,50 @@ def _steps(path: str) -> Steps:
     return tuple(name or (int(index) if index else None) for index, name in _STEP.findall(path))
 
 
-def _length(tree: Any, name: str) -> int:  # noqa: ANN401 - any tree
-    return len(follow(tree, _steps(name)))
-
-
-def follow(tree: Any, steps: Steps) -> Any:  # noqa: ANN401 - any tree
+def _follow(tree: Any, steps: Steps) -> Any:  # noqa: ANN401 - any tree
     """Return what a path leads to, which has no None among its steps."""
     for step in steps:
         tree = tree[step] if isinstance(step, int) or isinstance(tree, Mapping) else getattr(tree, str(step))
     return tree
 
 
+def _each(tree: Any, steps: Steps) -> list[Any]:  # noqa: ANN401 - any tree
+    """Return what a path leads to in each element of its list."""
+    at = steps.index(None)
+    return [_follow(element, steps[at + 1 :]) for element in _follow(tree, steps[:at])]
+
+
+def _for_each(tree: Any, steps: Steps, n: int) -> list[Any]:  # noqa: ANN401 - any tree
+    """Return what a path leads to in each of n elements, or n times what it leads to in the message."""
+    return _each(tree, steps) if None in steps else [_follow(tree, steps)] * n
+
+
 def stamp_of(message: Mapping[str, Any]) -> int:
     """Return the stamp of a JSON message in ns; 0 where there is none."""
     owner = message.get("header", message)
     stamp = next((owner[name] for name in _STAMPS if name in owner), None)
-    if stamp is None:
-        return 0
     if isinstance(stamp, Mapping):
         sec = next((stamp[name] for name in _SECONDS if name in stamp), 0)
         rest = next((stamp[name] for name in _NANOSECONDS if name in stamp), 0)
         return int(sec) * 1_000_000_000 + int(rest)
-    if isinstance(stamp, int):
-        return stamp
-    return 0
+    return stamp if isinstance(stamp, int) else 0
 
 
 def _vector(tree: Any, paths: Sequence[Steps]) -> list[float]:  # noqa: ANN401 - any tree
     """Return the numbers at some paths, or the three of the mapping or list at one."""
-    values = [follow(tree, steps) for steps in paths]
-    if len(paths) == 1 and not is_number(values[0]):
+    values = [_follow(tree, steps) for steps in paths]
+    if len(paths) == 1 and not (values[0] is None or isinstance(values[0], int | float | np.number)):
         value = values[0]
         values = [value[axis] for axis in "xyz"] if isinstance(value, Mapping) else list(value)
         if len(values) != 3:
             msg = f"a vector of {len(values)} numbers"
             raise ValueError(msg)
-    return [number_of(value) for value in values]
+    return [_number(value) for value in values]
 
 
-def is_number(value: Any) -> bool:  # noqa: ANN401 - whatever stands in a tree
-    """Return whether a value is one number, or the null that stands for NaN."""
-    return value is None or isinstance(value, int | float | np.number)
-
-
-def number_of(value: Any) -> float:  # noqa: ANN401 - whatever stands in a tree
-    """Return a value as a float; NaN of none."""
+def _number(value: Any) -> float:  # noqa: ANN401 - whatever stands in a tree
+    """Return a value as a float; NaN of the null that stands for it."""
     return math.nan if value is None else float(value)
-
-
-def tree_decoder(imu: ImuFields, parse: Parse = json.loads, kind: str = "JSON") -> TreeDecoder:
-    """Return what decodes messages by their trees: a sample each, or one of each element."""
-    return (ListDecoder if imu.lists else TreeDecoder)(imu, parse, kind)
-
-
-class ListDecoder(TreeDecoder):
-    """Decodes messages of which each element of a list is a sample."""
-
-    def elements(self, batch: Batch, like: Columns) -> tuple[Columns, list[Loss]]:
-        """Return the samples of some messages in columns of their own, and which messages were lost."""
-        stamps: list[int] = []
-        values: list[list[float]] = []
-        warmth: list[float] = []
-        log: list[int] = []
-        losses = []
-        for data, log_ns in zip(
-            messages_in(batch), np.broadcast_to(batch.log_ns, batch.n).tolist(), strict=True
-        ):
-            try:
-                times, rows, warm = self.parsed(data, self._samples)
-            except DamagedError as error:
-                losses.append(Loss(code=error.code, text=str(error), messages=1))
-                continue
-            stamps += times
-            values += rows
-            warmth += warm
-            log += [log_ns] * len(rows)
-        columns = like.like(len(log))
-        columns.log[:] = log
-        width = sum(len(vector.axes) for vector in self.imu.vectors)
-        write_samples(
-            columns,
-            slice(0, len(log)),
-            np.array(values, dtype=np.float64).reshape(-1, width),
-            np.array(stamps, dtype=np.int64),
-            np.array(warmth, dtype=np.float64),
-        )
-        return columns, losses
-
-    def _samples(self, tree: Any) -> tuple[list[int], list[list[float]], list[float]]:  # noqa: ANN401 - any tree
-        """Return the stamps, the numbers and the temperatures of the elements in a message."""
-        columns = [_each(tree, steps) for paths in self.vectors for steps in paths]
-        n = len(columns[0])
-        if any(len(column) != n for column in columns):
-            msg = f"lists of {', '.join(str(len(column)) for column in columns)} elements"
-            raise ValueError(msg)
-        rows = [[number_of(value) for value in row] for row in zip(*columns, strict=True)]
-        warmth = [math.nan] * n
-        if self.temperature:
-            warmth = [number_of(value) for value in self._for_each(tree, self.temperature, n)]
-        if not self.stamp:
-            return [self.time_of(tree)] * n, rows, warmth
-        parts = [self._for_each(tree, steps, n) for steps in self.stamp]
-        return [self.ns_of(time) for time in zip(*parts, strict=True)], rows, warmth
-
-    @staticmethod
-    def _for_each(tree: Any, steps: Steps, n: int) -> list[Any]:  # noqa: ANN401 - any tree
-        """Return what a path leads to in each of n elements, or n times what it leads to in the message."""
-        return _each(tree, steps) if None in steps else [follow(tree, steps)] * n
-
-
-def _each(tree: Any, steps: Steps) -> list[Any]:  # noqa: ANN401 - any tree
-    """Return what a path leads to in each element of its list."""
-    at = steps.index(None)
-    return [follow(element, steps[at + 1 :]) for element in follow(tree, steps[:at])]
 
 
 def spread_times(times: IntArray, messages: Sequence[IntArray]) -> None:

@@ -9,6 +9,7 @@ from imucal.clock import Segment
 from imucal.readers.clocks import placing
 from imucal.readers.clocks.from_stamps import _believable, _filled, _segments
 from imucal.readers.clocks.placing import (
+    NO_BREAKS,
     Breaks,
     Period,
     _extreme,
@@ -22,7 +23,6 @@ from imucal.readers.store import Room
 TAU = 1000
 EVEN = np.arange(200, dtype=np.int64) * TAU
 NONE = np.zeros(0, dtype=np.int64)
-NOTHING = Breaks.joined([])
 PERIOD = Period(tau_ns=float(TAU), jitter=0.0, burst=1, resolution_ns=1)
 
 
@@ -167,7 +167,7 @@ def test_the_period_between_breaks() -> None:
     assert fit_period(kept, 1000.0, wrong, NONE, longest=49)[0] == pytest.approx(1010.0)
     assert fit_period(kept, 1000.0, wrong, NONE, longest=50)[0] > 1020
     reset = np.where(np.arange(400) < 150, true, true - 90_000)
-    assert fit_period(reset, 1000.0, NOTHING, np.array([150]), longest=10)[0] == pytest.approx(1010.0)
+    assert fit_period(reset, 1000.0, NO_BREAKS, np.array([150]), longest=10)[0] == pytest.approx(1010.0)
     doubled = np.insert(true, 77, true[77])
     again = Breaks(at=NONE, missing=NONE, doubled=np.array([78]))
     assert fit_period(doubled, 1000.0, again, NONE, longest=10)[0] == pytest.approx(1010.0)
@@ -176,20 +176,20 @@ def test_the_period_between_breaks() -> None:
 def test_what_is_left_after_the_period() -> None:
     """The standard deviation has the samples less the runs to divide by; one sample has none."""
     stamps = EVEN + np.where(np.arange(200) % 2, 30, -30)
-    tau, jitter = fit_period(stamps, 1000.0, NOTHING, NONE, longest=10)
+    tau, jitter = fit_period(stamps, 1000.0, NO_BREAKS, NONE, longest=10)
     assert tau == pytest.approx(1000.0, abs=0.01)
     assert jitter == pytest.approx(30 * np.sqrt(200 / 199), rel=1e-4)
-    assert fit_period(EVEN[:2], 990.0, NOTHING, NONE, longest=10) == (1000.0, 0.0)
-    assert fit_period(EVEN[:1], 1000.0, NOTHING, NONE, longest=10) == (1000.0, 0.0)
+    assert fit_period(EVEN[:2], 990.0, NO_BREAKS, NONE, longest=10) == (1000.0, 0.0)
+    assert fit_period(EVEN[:1], 1000.0, NO_BREAKS, NONE, longest=10) == (1000.0, 0.0)
 
 
 def test_a_stamp_that_is_far_off_has_no_weight() -> None:
     """One of two hundred moves neither period nor jitter."""
     stamps = EVEN + np.where(np.arange(200) % 2, 30, -30)
-    expected = fit_period(stamps, 1000.0, NOTHING, NONE, longest=10)
+    expected = fit_period(stamps, 1000.0, NO_BREAKS, NONE, longest=10)
     for by in (10**9, -(10**9)):
         wrong = stamps + (np.arange(200) == 20) * by
-        assert fit_period(wrong, 1000.0, NOTHING, NONE, longest=10) == pytest.approx(expected, rel=5e-3)
+        assert fit_period(wrong, 1000.0, NO_BREAKS, NONE, longest=10) == pytest.approx(expected, rel=5e-3)
 
 
 @pytest.mark.parametrize(
@@ -252,9 +252,9 @@ def test_a_long_log_may_have_long_gaps() -> None:
 def test_a_reset_misses_what_the_log_time_says() -> None:
     """At least one sample, and just one without log time."""
     reset = np.array([100])
-    assert _believable(EVEN, None, NOTHING, reset, float(TAU))[1] == {100: 1}
-    assert _believable(EVEN, EVEN, NOTHING, reset, float(TAU))[1] == {100: 1}
-    assert _believable(EVEN, late(100, 4 * TAU), NOTHING, reset, float(TAU))[1] == {100: 4}
+    assert _believable(EVEN, None, NO_BREAKS, reset, float(TAU))[1] == {100: 1}
+    assert _believable(EVEN, EVEN, NO_BREAKS, reset, float(TAU))[1] == {100: 1}
+    assert _believable(EVEN, late(100, 4 * TAU), NO_BREAKS, reset, float(TAU))[1] == {100: 4}
 
 
 def test_runs_between_breaks() -> None:

@@ -7,13 +7,11 @@ from imucal.arrays import IntArray, median
 from imucal.readers.clocks import placing
 from imucal.readers.clocks.placing import (
     _conserved,
-    _jitter,
     _only_late,
     _plateau,
     _skips,
     _slope,
     estimate_period,
-    resolution,
 )
 
 
@@ -112,16 +110,25 @@ def test_jitter_and_median() -> None:
     """A stamp's share of the deviation of steps; medians of even and odd counts."""
     assert median([3, 1, 2]) == 2.0
     assert median([4, 1, 2, 8]) == 3.0
-    assert _jitter(np.array([9, 10, 11, 9, 10, 11, 12]), 10.0) == pytest.approx(1.4826 / np.sqrt(2) / 10)
+    period = estimate_period(stamps(np.resize([9, 10, 11, 10, 11, 9], 600)))
+    assert period is not None
+    assert period.jitter == pytest.approx(1.4826 / np.sqrt(2) / 10, rel=0.01)
 
 
 @pytest.mark.parametrize(
     ("found", "quantum"),
-    [(steps((6, 1), (-9, 1)), 3), (steps((0, 4)), 0), (steps((0, 1), (5, 1)), 5), (steps((7, 1)), 7)],
+    [
+        (steps((6, 20), (9, 20)), 3),
+        (steps((6, 40), (-9, 1)), 3),
+        (steps((0, 1), (5, 40)), 5),
+        (steps((7, 1)), 7),
+    ],
 )
 def test_resolution(found: IntArray, quantum: int) -> None:
-    """The greatest common divisor."""
-    assert resolution(found) == quantum
+    """The greatest common divisor of the steps, back and forth."""
+    period = estimate_period(stamps(found))
+    assert period is not None
+    assert period.resolution_ns == quantum
 
 
 @pytest.mark.parametrize(
@@ -152,11 +159,11 @@ def test_no_period(found: IntArray) -> None:
 
 def test_long_logs_are_looked_at_in_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """All samples up to a limit, beyond it some runs from the first to the last."""
-    monkeypatch.setattr(placing, "_RUN", 4)
-    monkeypatch.setattr(placing, "_RUNS", 3)
+    monkeypatch.setattr(placing, "_RATE_BLOCK", 4)
+    monkeypatch.setattr(placing, "_BLOCKS", 3)
     place = np.arange(13)
-    assert [block.tolist() for block in placing._runs(place[:12])] == [[*range(12)]]
-    assert [block.tolist() for block in placing._runs(place)] == [
+    assert [block.tolist() for block in placing._blocks(place[:12])] == [[*range(12)]]
+    assert [block.tolist() for block in placing._blocks(place)] == [
         [0, 1, 2, 3],
         [4, 5, 6, 7],
         [9, 10, 11, 12],
