@@ -12,30 +12,22 @@ averaged over tau = m tau0, the first becomes
 
 Source: Guerrier, Molinari, Stebler: Allan variance, lemmas 4.1 and 4.2; IEEE Std 952-1997, eq. (C.4).
 
-A psd as a function of frequency that checks what it returns.
-
-Panels of the integral of a psd times sin^4: what one costs does not grow with the averaging factor.
-
-On a panel that sin^4 crosses many times the psd over the squared sine is a sum of Legendre polynomials,
-whose integrals against cosines are spherical Bessel functions (Filon's idea).
-
-Source: Filon's idea with Legendre polynomials: Bakhvalov & Vasil'eva (1968), USSR Comput. Math. 8, 241.
-
-The integral of a psd times the kernel of the Allan variance, octave by octave.
-
-It is taken panel by panel, four an octave, narrower where the psd asks for it. Octaves follow each other
-towards 0 (and infinity) until what is left is a geometric tail.
+The integral is taken octave by octave, where sin^4 turns often as integrals against cosines, whose cost
+does not grow with m; towards 0 (and infinity) until what is left is a geometric tail.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import FloatArray
 
 #: A psd of frequencies in Hz, shape (k,); or frequencies that rise, and the psd there.
 Psd: TypeAlias = Callable[[FloatArray], ArrayLike] | tuple[ArrayLike, ArrayLike]
@@ -83,206 +75,118 @@ def _function_of_points(
     return (lambda at: np.exp(np.interp(np.log(at), x, y))), f
 
 
-#: A density of frequencies in cycles a sample, of any shape.
-Density: TypeAlias = Callable[[FloatArray], FloatArray]
-#: A panel over which the phase of sin^4 grows by less is summed as it is.
-_CALM = 4.0
-#: Gauss's nodes of a panel, and Legendre polynomials through them.
-_NODES = 16
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Panels:
-    """Intervals of frequency, shape (p,), and the density at Gauss's nodes in each, shape (p, nodes)."""
-
-    left: FloatArray
-    right: FloatArray
-    nodes: FloatArray
-    values: FloatArray
-    sampled: bool
-
-    @classmethod
-    def of(cls, left: FloatArray, right: FloatArray, density: Density, *, sampled: bool) -> "Panels":
-        """Return panels between `left` and `right`, shape (p,), of a density of nodes, shape (p, nodes)."""
-        x, _ = np.polynomial.legendre.leggauss(_NODES)
-        nodes = (left + right)[:, np.newaxis] / 2 + (right - left)[:, np.newaxis] / 2 * x
-        return cls(left=left, right=right, nodes=nodes, values=density(nodes), sampled=sampled)
-
-    def _lower(self) -> FloatArray:
-        """Return what the squared sine of m is divided by, over m, shape (p, nodes)."""
-        half = np.pi * self.nodes
-        return np.sin(half) if self.sampled else half
-
-    def roughness(self) -> FloatArray:
-        """Return how large each panel's highest polynomials are beside its largest, shape (p,)."""
-        greatest = self.values.max(axis=1, keepdims=True)
-        size = np.abs(self._coefficients(self.values / np.where(greatest > 0, greatest, 1.0)))
-        return np.asarray(size[:, -3:].max(axis=1) / np.maximum(size.max(axis=1), 0.1))
-
-    @staticmethod
-    def _coefficients(values: FloatArray) -> FloatArray:
-        """Return the coefficients of Legendre polynomials through the nodes, shape (p, nodes)."""
-        x, weight = np.polynomial.legendre.leggauss(_NODES)
-        order = np.arange(_NODES)
-        basis = np.polynomial.legendre.legvander(x, _NODES - 1) * weight[:, np.newaxis]
-        return np.asarray(values @ basis * (order + 0.5))
-
-    def integrate(self, m: FloatArray) -> FloatArray:
-        """Return 2 * the integral over each panel at each m, shape (k, p)."""
-        width = self.right - self.left
-        calm = np.pi * np.outer(m, width) < _CALM
-        total = np.zeros(calm.shape)
-        _, weight = np.polynomial.legendre.leggauss(_NODES)
-        lower = self._lower()
-        for i, factor in enumerate(m.tolist()):
-            here = calm[i]
-            if here.any():
-                sine = np.sin(np.pi * factor * self.nodes[here])
-                # In this order, so that nothing underflows at the lowest frequencies.
-                kernel = 2 * (sine / (factor * lower[here])) ** 2
-                inside = (self.values[here] * sine) * sine * kernel
-                total[i, here] = inside @ weight * width[here]
-        wild = ~calm.all(axis=0)
-        if wild.any():
-            shape = self._coefficients(self.values[wild] / lower[wild] ** 2)
-            mixed = _against_sines(shape, self.left[wild], self.right[wild], m)
-            total[:, wild] = np.where(calm[:, wild], total[:, wild], mixed)
-        return total
-
-
-def _against_sines(shape: FloatArray, left: FloatArray, right: FloatArray, m: FloatArray) -> FloatArray:
-    """Return 4/m² * the integral of a sum of Legendre polynomials times sin^4(pi m f), shape (k, p).
-
-    sin^4 u = 3/8 - cos(2u)/2 + cos(4u)/8, and P_j against exp(i z x) over [-1, 1] is 2 i^j j_j(z).
-    """
-    from scipy.special import spherical_jn
-
-    half, middle = (right - left) / 2, (left + right) / 2
-    order = np.arange(shape.shape[1])
-    total = np.empty((m.size, half.size))
-    for i, factor in enumerate(m.tolist()):
-        value = 0.375 * 2 * shape[:, 0]
-        for share, turns in ((-0.5, 2 * np.pi * factor), (0.125, 4 * np.pi * factor)):
-            bessel = spherical_jn(order, (turns * half)[:, np.newaxis])
-            # Whole cycles are taken off first, or the cosine loses their digits.
-            cycles = np.remainder(turns / (2 * np.pi) * middle, 1.0) * 2 * np.pi
-            angle = cycles[:, np.newaxis] + np.pi / 2 * order
-            value = value + share * 2 * np.sum(shape * bessel * np.cos(angle), axis=1)
-        total[i] = 4 / factor**2 * half * value
-    return total
-
-
-#: Panels of an octave, and most of them after halving.
-_PER_OCTAVE, _MOST_PANELS = 4, 20_000
-#: Relative error that panels are halved for, and how many times one is halved.
-_TOLERANCE, _HALVINGS = 1e-11, 60
-#: Octaves beyond the band of the shortest and longest averages: a batch, and all of them.
-_BATCH, _FURTHEST = 32, 448
+#: Octaves beyond the band of the shortest and longest averages, at most.
+_FURTHEST = 448
 #: A tail whose octaves shrink by less than this goes on for ever.
 _DIVERGENT = 1 - 1e-6
 #: Part of the whole below which a tail is of no interest.
 _NEGLIGIBLE = 1e-14
+#: A phase of sin^4 that grows by less in a piece is integrated as it is.
+_CALM = 4.0
+#: Relative error that is asked for, the largest that is taken, and how many times a piece is halved for it.
+_WANTED, _WORST, _HALVINGS = 1e-11, 1e-6, 200
+
+
+#: Distances from a break, over its frequency, between which the psd is integrated by itself.
+_CLOSER = 0.5 ** np.arange(1, 31)
+
+
+class _InfiniteError(ValueError):
+    """The psd is infinite at some frequency."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PsdIntegral:
-    """2 * integral of density * kernel, in cycles a sample, for every m at once.
+class _PsdIntegral:
+    """2 * integral of density * kernel at one m, in cycles a sample.
 
-    `density` takes frequencies of shape (p, nodes); `tau0` is for messages.
+    `tau0` is for messages, `errors` are those of the pieces and where these begin.
     """
 
-    density: Density
-    m: FloatArray
+    density: Callable[[float], float]
+    m: float
     sampled: bool
     breaks: FloatArray
     tau0: float
+    errors: list[tuple[float, float]] = field(default_factory=list)
 
-    def total(self) -> FloatArray:
-        """Return the integral at each m, shape (k,)."""
-        if not self.m.size:
-            return np.zeros(0)
-        # Between them lie the frequencies that averages of all lengths look at.
-        octaves = math.ceil(math.log2(float(self.m.max()))) + 4
+    def total(self) -> float:
+        """Return the integral: octaves, and beyond them a tail towards 0 (and infinity)."""
+        # Between them lie the frequencies that averages of this length look at.
         high = 0.5 if self.sampled else 8.0
-        edges = high * 0.5 ** np.arange(octaves + math.log2(high) + 1)
-        # What errors are held against; a peak that it misses only makes it stricter.
-        rough = self._octaves(edges, None).sum(axis=0)
-        total: FloatArray = self._octaves(edges, rough).sum(axis=0)
-        total = total + self._tail(float(edges[-1]), 0.5, total)
-        return total if self.sampled else total + self._tail(high, 2.0, total)
+        low = 2.0 ** -(math.ceil(math.log2(self.m)) + 5)
+        total = sum(self._octave(low * 2.0**i) for i in range(round(math.log2(high / low))))
+        total += self._tail(low / 2, 0.5, total)
+        if not self.sampled:
+            total += self._tail(high, 2.0, total)
+        error, place = max(self.errors)
+        if error > _WORST * total:
+            msg = f"psd is too rough near {place / self.tau0:.6g} Hz to be integrated; smooth it first"
+            raise ValueError(msg)
+        return total
 
-    def _tail(self, edge: float, ratio: float, total: FloatArray) -> FloatArray:
+    def _tail(self, edge: float, ratio: float, total: float) -> float:
         """Return the sum over the octaves that follow each other from `edge` without end."""
-        parts = np.zeros((0, self.m.size))
-        for batch in range(_FURTHEST // _BATCH):
-            edges = edge * ratio ** np.arange(batch * _BATCH, (batch + 1) * _BATCH + 1.0)
-            parts = np.concatenate([parts, self._octaves(edges, total, ending=True)])
-            finite = np.isfinite(parts).all(axis=1)
-            if not finite.all():
-                parts = parts[: int(np.argmin(finite))]
-                break
-            if np.all(parts[-1] <= _NEGLIGIBLE * (total + parts.sum(axis=0))):
-                return np.asarray(parts.sum(axis=0))
+        parts: list[float] = []
+        with suppress(_InfiniteError):
+            for i in range(_FURTHEST):
+                parts.append(self._octave(edge * ratio**i))
+                if parts[-1] <= _NEGLIGIBLE * (total + sum(parts)):
+                    return sum(parts)
         # What is left falls by a steady factor an octave, or does not.
-        fall = np.ones(self.m.size)
-        if len(parts) >= 8:
-            last, before = parts[-4:].sum(axis=0), parts[-8:-4].sum(axis=0)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                fall = np.where(last > 0, last / before, 0.0) ** 0.25
-        if not np.all(fall < _DIVERGENT):
+        fall = (sum(parts[-4:]) / sum(parts[-8:-4])) ** 0.25 if len(parts) >= 8 else 1.0
+        if not fall < _DIVERGENT:
             where, steep = ("0", "1/f^3") if ratio < 1 else ("infinity", "f")
             msg = (
                 f"the Allan variance is infinite: towards a frequency of {where} the psd grows like {steep}"
                 " or more steeply"
             )
             raise ValueError(msg)
-        return np.asarray(parts.sum(axis=0) + parts[-1] * fall / (1 - fall))
+        return sum(parts) + parts[-1] * fall / (1 - fall)
 
-    def _octaves(self, edges: FloatArray, scale: FloatArray | None, *, ending: bool = False) -> FloatArray:
-        """Return the integral between neighbouring `edges`, shape (o + 1,), at each m: shape (o, k).
+    def _octave(self, low: float) -> float:
+        inside = self.breaks[(self.breaks > low) & (self.breaks < 2 * low)].tolist()
+        return sum(self._piece(a, b) for a, b in pairwise([low, *inside, 2 * low]))
 
-        Panels are halved until their errors are nothing beside `scale`; not at all without one. At an
-        end the integral may be infinite.
-        """
-        octave, left, right = self._layout(edges)
-        total = np.zeros((edges.size - 1, self.m.size))
-        for halving in range(_HALVINGS + 1):
-            panels = Panels.of(left, right, self.density, sampled=self.sampled)
-            finite = np.isfinite(panels.values)
-            if not finite.all() and not ending:
-                at = float(panels.nodes.ravel()[int(np.argmin(finite))])
-                msg = f"psd must be finite, got inf at {at / self.tau0:.6g} Hz"
-                raise ValueError(msg)
-            broken = ~finite.all(axis=1)
-            total[octave[broken]] = np.inf
-            panels = replace(panels, values=np.where(finite, panels.values, 0.0))
-            part = panels.integrate(self.m)
-            done = np.ones(left.size, dtype=bool)
-            if scale is not None:
-                error = panels.roughness()
-                small = np.all(error * part <= _TOLERANCE * scale[:, np.newaxis], axis=0)
-                done = small | (error <= _TOLERANCE) | broken | (halving == _HALVINGS)
-            np.add.at(total, octave[done & ~broken], part[:, done & ~broken].T)
-            if done.all():
-                break
-            octave, left, right = np.tile(octave[~done], 2), left[~done], right[~done]
-            middle = (left + right) / 2
-            left, right = np.concatenate([left, middle]), np.concatenate([middle, right])
-            if left.size > _MOST_PANELS:
-                msg = f"psd is too rough near {left[0] / self.tau0:.6g} Hz to be integrated; smooth it first"
-                raise ValueError(msg)
-        return total
+    def _piece(self, low: float, high: float) -> float:
+        """Return the integral over a piece; with sin^4 u = 3/8 - cos(2u)/2 + cos(4u)/8 where that turns."""
+        if math.pi * self.m * (high - low) < _CALM:
+            return self._quad(self._whole, low, high)
+        mean = self._quad(self._smooth, low, high)
+        if mean == 0:
+            return 0.0
+        turns = 2 * math.pi * self.m
+        two, four = (self._quad(self._smooth, low, high, omega, mean) for omega in (turns, 2 * turns))
+        return 0.375 * mean - 0.5 * two + 0.125 * four
 
-    def _layout(self, edges: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the first panels: the octave that each lies in, its left and its right end."""
-        rising = np.sort(edges)
-        places = np.exp2(np.arange((rising.size - 1) * _PER_OCTAVE + 1) / _PER_OCTAVE) * rising[0]
-        inside = self.breaks[(self.breaks > rising[0]) & (self.breaks < rising[-1])]
-        ends = np.union1d(places, inside)
-        octave = np.searchsorted(rising, (ends[:-1] + ends[1:]) / 2) - 1
-        if edges[0] > edges[-1]:
-            octave = edges.size - 2 - octave
-        return octave, ends[:-1], ends[1:]
+    def _quad(
+        self,
+        function: Callable[[float], float],
+        low: float,
+        high: float,
+        omega: float = 0.0,
+        size: float = 0.0,
+    ) -> float:
+        """Return the integral of a function, times a cosine where `omega`; its error is beside `size`."""
+        from scipy.integrate import quad
+
+        weight = {"weight": "cos", "wvar": omega, "epsrel": 0.0} if omega else {"epsrel": _WANTED}
+        value, error, *_ = quad(
+            function, low, high, epsabs=_WANTED * size, limit=_HALVINGS, full_output=1, **weight
+        )
+        self.errors.append((error, low))
+        return float(value)
+
+    def _lower(self, f: float) -> float:
+        """Return the root of what sin^4 is divided by."""
+        return self.m * (math.sin(math.pi * f) if self.sampled else math.pi * f)
+
+    def _smooth(self, f: float) -> float:
+        return 4 * self.density(f) / self._lower(f) ** 2
+
+    def _whole(self, f: float) -> float:
+        sine = math.sin(math.pi * self.m * f)
+        # In this order, so that nothing underflows at the lowest frequencies.
+        return self.density(f) * sine * sine * (2 * sine / self._lower(f)) ** 2
 
 
 #: An autocovariance of lags 0, 1, 2 …, shape (k,); or its values there, 0 beyond.
@@ -336,16 +240,25 @@ def avar_from_psd(
         msg = f"tau0 must be positive and finite, got {tau0}"
         raise ValueError(msg)
     density, kinks = psd_function(psd)
-    kinks = np.concatenate([kinks, np.asarray(breaks, dtype=np.float64)]) * tau0
+    # What peaks at a break is looked at ever more closely towards it.
+    near = np.outer(np.asarray(breaks, dtype=np.float64), 1 + np.outer([-1.0, 0.0, 1.0], _CLOSER))
+    kinks = np.concatenate([kinks, near.ravel()]) * tau0
     distinct, place = np.unique(factors, return_inverse=True)
-    integral = PsdIntegral(
-        density=lambda f: density(f / tau0) / tau0,
-        m=distinct,
-        sampled=sampled,
-        breaks=np.unique(kinks[np.isfinite(kinks) & (kinks > 0)]),
-        tau0=tau0,
-    )
-    return integral.total()[place].reshape(np.shape(m))
+    kinks = np.unique(kinks[np.isfinite(kinks) & (kinks > 0)])
+
+    @cache
+    def at(f: float) -> float:
+        value = float(density(np.array([f / tau0]))[0]) / tau0
+        if math.isinf(value):
+            msg = f"psd must be finite, got inf at {f / tau0:.6g} Hz"
+            raise _InfiniteError(msg)
+        return value
+
+    total = [
+        _PsdIntegral(density=at, m=factor, sampled=sampled, breaks=kinks, tau0=tau0).total()
+        for factor in distinct.tolist()
+    ]
+    return np.array(total)[place].reshape(np.shape(m))
 
 
 def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
