@@ -1,16 +1,14 @@
-"""From the samples of an axis to its Allan curve.
+"""From the samples of an axis to its Allan curve: at once, or for logs beyond memory by a cascade.
 
-The streaming octave cascade: one pass over all axes, constant memory, for logs beyond memory.
-
-Level j holds every 2^j-th point of the integrated samples and serves the factors m' 2^j with m'
-from 128 to 255; level 0 serves every factor below 256 and is exact. So the start points of a large
-factor lie at most m/128 apart: values differ from the exact ones by some 0.2 % of their interval's
-width (at m/32 by up to 2 %), and the degrees of freedom count it.
+The cascade goes once over all axes in constant memory, octave by octave. Level j holds every 2^j-th
+point of the integrated samples and serves the factors m' 2^j with m' from 128 to 255; level 0 serves
+every factor below 256 and is exact. So the start points of a large factor lie at most m/128 apart:
+values differ from the exact ones by some 0.2 % of their interval's width (at m/32 by up to 2 %), and
+the degrees of freedom count it.
 """
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +17,7 @@ from imucal.allan.intervals import degrees_of_freedom, fit_curve, gappy_degrees_
 from imucal.allan.variance import (
     ESTIMATORS,
     Estimator,
+    GappyVariances,
     SquareSum,
     estimator_named,
     longest_run,
@@ -33,13 +32,16 @@ from imucal.resources import memory_limit
 
 #: Level 0 serves the factors below twice this, every other level those from this up.
 _BASE = 128
-
 #: Points a level takes in before it works on them; the axes take turns in the cache.
-_BLOCK = 32768
-_SMALLEST_BLOCK = 4096
-
+_BLOCK, _SMALLEST_BLOCK = 32768, 4096
 #: The mean of so many first samples is taken out, so that the integral stays small.
 _REFERENCE = 65536
+#: A set of averaging times with so many a decade; ten is what data sheets draw.
+_DECADE, _PER_DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?"), 10
+#: Bytes per sample that the exact curve works in: the integral and the transform of the intervals.
+_WORK = 32
+#: Samples of a mapped file that are looked at at once.
+_PIECE = 1 << 20
 
 _OVERLAPPING = ESTIMATORS["overlapping"]
 
@@ -117,13 +119,18 @@ class Cascade:
             If fewer than 2 samples were fed.
         """
         self._settle()
-        m, stride, terms, avar = self._values(axis)
+        shifts = np.repeat(np.arange(len(self._levels)), [level.m.size for level in self._levels])
+        stride = np.int64(1) << shifts
+        m = np.concatenate([level.m for level in self._levels]) * stride
+        terms = np.concatenate([level.terms for level in self._levels])
+        sums = np.concatenate([level.sums(axis) for level in self._levels])
         keep = (terms > 0) & (m <= _OVERLAPPING.drawn(self._n))
         if not keep.any():
             msg = f"{self._n} samples are too few for an Allan variance; at least 2 neighbours are needed"
             raise DataError(msg)
-        m, stride, terms, avar = m[keep], stride[keep], terms[keep], avar[keep]
-        model = fit_curve(m.astype(np.float64), avar, np.maximum(terms * stride / m, 1.0))
+        m, stride, terms = m[keep], stride[keep], terms[keep]
+        avar = sums[keep] / (2.0 * m.astype(np.float64) ** 2 * terms)
+        model = fit_curve(m, avar, np.maximum(terms * stride / m, 1.0))
         edf = [
             model_edf(model, factor, count, _OVERLAPPING, stride=step)
             for factor, count, step in zip(m.tolist(), terms.tolist(), stride.tolist(), strict=True)
@@ -175,17 +182,6 @@ class Cascade:
             if self._levels[index].ready:
                 self._pass_on(index)
             index += 1
-
-    def _values(self, axis: int) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        """Return m, stride, number of differences and variance of every factor, each of shape (k,)."""
-        shifts = np.repeat(np.arange(len(self._levels)), [level.m.size for level in self._levels])
-        small = np.concatenate([level.m for level in self._levels])
-        stride = np.int64(1) << shifts
-        m = small * stride
-        terms = np.concatenate([level.terms for level in self._levels])
-        sums = np.concatenate([level.sums(axis) for level in self._levels])
-        avar = sums / (2.0 * m.astype(np.float64) ** 2 * np.maximum(terms, 1))
-        return m, stride, terms, avar
 
 
 class _Level:
@@ -252,16 +248,6 @@ class _Level:
         self._kept = self.waiting = self._odd = 0
 
 
-_DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?")
-
-#: Points per decade of ``decade``; ten is what data sheets draw.
-_PER_DECADE = 10
-#: Bytes per sample that the exact curve works in: the integral and the transform of the intervals.
-_WORK = 32
-#: Samples of a mapped file that are looked at at once.
-_PIECE = 1 << 20
-
-
 def allan_curve(
     series: AxisSeries,
     *,
@@ -299,28 +285,37 @@ def allan_curve(
 
     Source: IEEE Std 952-1997, Annex C; NIST SP 1065 (2008).
     """
-    chosen = _Choice(taus=taus, estimator=estimator_named(estimator), edf=edf)
-    per_octave = chosen.factors_per_octave()
-    if per_octave and _WORK * series.n > memory_limit():
+    chosen = estimator_named(estimator)
+    if (
+        chosen is _OVERLAPPING
+        and isinstance(taus, str)
+        and taus != "all"
+        and _WORK * series.n > memory_limit()
+    ):
+        per_octave = 1 if taus == "octave" else max(1, round(_per_decade(str(taus)) * np.log10(2)))
         return _streamed(series, per_octave)
     series = series.finite()
-    return _gappy(series, chosen) if series.clock.missing else _exact(series, chosen)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Choice:
-    """What the caller asked for."""
-
-    taus: str | Sequence[float]
-    estimator: Estimator
-    edf: str
-
-    def factors_per_octave(self) -> int:
-        """Return how dense a streamed curve is to be; 0 where only the exact one will do."""
-        if self.estimator.name != "overlapping" or not isinstance(self.taus, str) or self.taus == "all":
-            return 0
-        name, _, per_decade = self.taus.partition(":")
-        return 1 if name == "octave" else max(1, round(int(per_decade or 10) * np.log10(2)))
+    if not series.clock.missing:
+        computed, m = "exact", _factors(series, taus, chosen, series.n)
+        avar = variances(series.samples, m, chosen)
+        freedom = degrees_of_freedom(series.samples, m, chosen, edf)
+    else:
+        computed, values = _of_gaps(series, taus, chosen)
+        m, avar = values.m, values.avar
+        freedom, edf = (
+            gappy_degrees_of_freedom(series, values, chosen, edf),
+            "model" if edf == "hybrid" else edf,
+        )
+    return AllanCurve(
+        tau=m.astype(np.float64) * series.tau0,
+        m=m,
+        avar=avar,
+        edf=freedom,
+        n=series.n,
+        estimator=estimator,
+        computed=computed,
+        edf_method=edf,
+    )
 
 
 def _streamed(series: AxisSeries, per_octave: int) -> AllanCurve:
@@ -338,28 +333,16 @@ def _streamed(series: AxisSeries, per_octave: int) -> AllanCurve:
     return cascade.curve(0, rate_hz=series.rate_hz)
 
 
-def _exact(series: AxisSeries, chosen: _Choice) -> AllanCurve:
-    estimator = chosen.estimator
-    m = _factors(series, chosen, series.n)
-    return AllanCurve(
-        tau=m.astype(np.float64) * series.tau0,
-        m=m,
-        avar=variances(series.samples, m, estimator),
-        edf=degrees_of_freedom(series.samples, m, estimator, chosen.edf),
-        n=series.n,
-        estimator=estimator.name,
-        edf_method=chosen.edf,
-    )
-
-
-def _gappy(series: AxisSeries, chosen: _Choice) -> AllanCurve:
-    if chosen.estimator.name == "overlapping":
-        how = "windows"
-        values = window_variances(series, _factors(series, chosen, series.clock.grid_size))
+def _of_gaps(
+    series: AxisSeries, taus: str | Sequence[float], estimator: Estimator
+) -> tuple[str, GappyVariances]:
+    """Return how the variances of a series with missing samples are computed, and those."""
+    if estimator.name == "overlapping":
+        m = _factors(series, taus, estimator, series.clock.grid_size)
+        how, values = "windows", window_variances(series, m)
     else:
-        how = "runs"
-        m = _factors(series, chosen, longest_run(series.clock))
-        values = run_variances(series, m, chosen.estimator)
+        m = _factors(series, taus, estimator, longest_run(series.clock))
+        how, values = "runs", run_variances(series, m, estimator)
     if not values.m.size:
         msg = (
             f"{series.name}: too many samples are missing for an Allan variance: {series.n} of "
@@ -367,34 +350,21 @@ def _gappy(series: AxisSeries, chosen: _Choice) -> AllanCurve:
             "above zero"
         )
         raise DataError(msg)
-    return AllanCurve(
-        tau=values.m.astype(np.float64) * series.tau0,
-        m=values.m,
-        avar=values.avar,
-        edf=gappy_degrees_of_freedom(series, values, chosen.estimator, chosen.edf),
-        n=series.n,
-        estimator=chosen.estimator.name,
-        computed=how,
-        edf_method="model" if chosen.edf == "hybrid" else chosen.edf,
-    )
+    return how, values
 
 
-def _factors(series: AxisSeries, chosen: _Choice, span: int) -> IntArray:
+def _factors(series: AxisSeries, taus: str | Sequence[float], estimator: Estimator, span: int) -> IntArray:
     """Return the averaging factors for a series of `span` places."""
-    largest = chosen.estimator.largest(span)
+    largest = estimator.largest(span)
     if largest < 1:
-        needed = chosen.estimator.order + 1 - chosen.estimator.integrations
+        needed = estimator.order + 1 - estimator.integrations
         msg = (
-            f"{series.name}: {span} neighbouring samples are too few for the {chosen.estimator.name} "
+            f"{series.name}: {span} neighbouring samples are too few for the {estimator.name} "
             f"estimator; at least {needed} are needed"
         )
         raise DataError(msg)
     return averaging_factors(
-        chosen.taus,
-        tau0=series.tau0,
-        largest=largest,
-        drawn=chosen.estimator.drawn(span),
-        name=series.name,
+        taus, tau0=series.tau0, largest=largest, drawn=estimator.drawn(span), name=series.name
     )
 
 
@@ -436,6 +406,12 @@ def averaging_factors(
         return np.arange(1, largest + 1, dtype=np.int64)
     if taus == "octave":
         return np.int64(1) << np.arange(drawn.bit_length(), dtype=np.int64)
+    per_decade = _per_decade(taus)
+    steps = np.arange(int(np.log10(drawn) * per_decade + 1e-9) + 1)
+    return np.unique(np.round(10.0 ** (steps / per_decade)).astype(np.int64))
+
+
+def _per_decade(taus: str) -> int:
     match = _DECADE.fullmatch(taus)
     if match is None:
         msg = (
@@ -443,9 +419,7 @@ def averaging_factors(
             "'all' or a list of seconds"
         )
         raise ValueError(msg)
-    per_decade = int(match["count"] or _PER_DECADE)
-    steps = np.arange(int(np.log10(drawn) * per_decade + 1e-9) + 1)
-    return np.unique(np.round(10.0 ** (steps / per_decade)).astype(np.int64))
+    return int(match["count"] or _PER_DECADE)
 
 
 def _from_seconds(taus: Sequence[float], *, tau0: float, largest: int, name: str) -> IntArray:

@@ -9,9 +9,9 @@ greenhall
     Of the power law that the lag-1 autocorrelation names at each averaging time, as Stable32 prints
     them. On few averages it often names the wrong law, which costs 10 to 15 % of coverage.
 
-Exact degrees of freedom of an estimator for a sum of power-law noises.
-
-A variance is the mean square of M differences d_t. For Gaussian noise
+The generic model is the four power laws and a drift that best describe a spectrum. It need not be true:
+the intervals of a curve only need the local shape of the spectrum. Its degrees of freedom are exact. A
+variance is the mean square of M differences d_t. For Gaussian noise
 
     Var = (2/M) Σ_{|k|<M} (1 - |k|/M) s(k)² + (4 µ²/M) Σ (1 - |k|/M) s(k),   EDF = 2 (s(0) + µ²)² / Var
 
@@ -21,16 +21,13 @@ difference's coefficients, s(k) = -½ Σ_j a_j V(k + j m) / scale.
 
 Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on finite
 differences", PTTI 35, eqs. 6-10; the power laws' V(n) in place of their continuous limit.
-
-The generic model: the four power laws (and a drift) that best describe a spectrum.
-
-It need not be true: the intervals of a curve only need the local shape of the spectrum.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from math import comb
+from typing import TypeAlias
 
 import numpy as np
 
@@ -47,19 +44,16 @@ from imucal.allan.variance import Estimator, GappyVariances, sum_of_squares
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
+from imucal.solvers import non_negative
 
 #: Up to so many lags are summed one by one; beyond, on a graded grid.
 _ALL_LAGS = 1024
-
 #: Lags that stand alone about each kink, and points per octave beyond them.
 _DENSE, _PER_OCTAVE = 24, 16
-
 #: Flicker's covariance dies like k^-4; this many averaging times hold all but 1e-6 of its squares.
 _FAR = 32
-
 #: The twice integrated estimator is evaluated at most at this factor; its covariance then is scaled.
 _MODIFIED_LIMIT = 32
-
 #: Slope of the modified variance over log m, by law, where m is large.
 _MODIFIED_SLOPES: dict[PowerLaw, float] = {
     PowerLaw.QUANTIZATION: -3,
@@ -67,6 +61,26 @@ _MODIFIED_SLOPES: dict[PowerLaw, float] = {
     PowerLaw.FLICKER: 0,
     PowerLaw.WALK: 1,
 }
+#: A drift has zero mean beyond this ordinate, to 1e-6 of its squares.
+_DRIFT_ORDINATES = 128
+#: Twice the log likelihood that a drift must gain: the 95 % quantile of chi-squared with 1 dof.
+_DRIFT_GAIN = 3.84
+#: Rounds of Fisher scoring, and of the updates that give its start.
+_ROUNDS, _UPDATES = 30, 20
+#: Added to the diagonal of the laws' correlation, so that laws that are alike are not singular.
+_RIDGE = 1e-12
+#: Up to n / 256 the spectrum has enough ordinates in the passband to need no model.
+_CROSSOVER = 256
+#: The kurtosis of a difference of two independent values is half of each one's.
+_HALVED = 2.0
+#: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
+_UNIFORM = -1.2
+#: Fewer averages than this name no power law; the one named at the averaging time before stays.
+_FEWEST = 30
+#: Largest exponent p of f^p that each law stands for, rising; what is flatter is quantization.
+_EXPONENTS = ((-1.5, PowerLaw.WALK), (-0.5, PowerLaw.FLICKER), (0.5, PowerLaw.WHITE))
+#: Elements of a work array.
+_BLOCK = 32768
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +131,8 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *
     variances = np.array(model.variances)
     if not variances.any() and not model.drift:
         variances = np.array([0.0, 1.0, 0.0, 0.0])
-    mean_square = _drift_square(model.drift, m, estimator)
+    # A drift gives a second difference a mean; a third sees none.
+    mean_square = (model.drift * m) ** 2 / 2 if estimator.order - estimator.integrations == 1 else 0.0
     if estimator.integrations == 2 and m > _MODIFIED_LIMIT:
         ratio = m / _MODIFIED_LIMIT
         variances = variances * np.array([ratio ** _MODIFIED_SLOPES[law] for law in PowerLaw])
@@ -131,13 +146,6 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *
     total = float(weights @ covariance**2) + 2 * mean_square * lag_sum
     level = float(covariance[0]) + mean_square
     return max(terms * level**2 / total, 1.0) if total > 0 else terms
-
-
-def _drift_square(drift: float, m: int, estimator: Estimator) -> float:
-    """Return the squared mean that a drift gives a difference; a third difference sees none."""
-    if estimator.order - estimator.integrations != 1:
-        return 0.0
-    return drift**2 * m * m / 2
 
 
 @lru_cache(maxsize=128)
@@ -183,25 +191,18 @@ def _graded(m: int, last: int, order: int) -> IntArray:
 
 def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatArray:
     """Return s(k); beyond the reach of the difference only flicker's is not zero."""
-    inside = (k <= estimator.order * m) | (law is PowerLaw.FLICKER)
-    covariance = np.zeros(k.shape)
-    covariance[inside] = _comb(law, k[inside], m, estimator)
-    return covariance
-
-
-def _comb(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatArray:
     difference = np.array([1.0])
-    for _ in range(estimator.order if estimator.integrations == 1 else estimator.order - 1):
+    for _ in range(estimator.order + 1 - estimator.integrations):
         difference = np.convolve(difference, [1.0, -1.0])
-    comb = np.convolve(difference, difference[::-1])
-    half = comb.size // 2
-    total = np.zeros(k.shape)
-    for index, coefficient in enumerate(comb):
-        shifted = k + (index - half) * m
+    inside = (k <= estimator.order * m) | (law is PowerLaw.FLICKER)
+    total = np.zeros(int(inside.sum()))
+    for shift, coefficient in enumerate(np.convolve(difference, difference[::-1]), start=1 - difference.size):
+        shifted = k[inside] + shift * m
         total += coefficient * (
             law.sum_variance(shifted) if estimator.integrations == 1 else _smoothed(law, shifted, m)
         )
-    covariance: FloatArray = -0.5 * total / estimator.scale(m)
+    covariance = np.zeros(k.shape)
+    covariance[inside] = -0.5 * total / estimator.scale(m)
     return covariance
 
 
@@ -210,17 +211,6 @@ def _smoothed(law: PowerLaw, n: FloatArray, m: int) -> FloatArray:
     steps = np.arange(1 - m, m, dtype=np.float64)
     summed: FloatArray = law.sum_variance(n[:, None] + steps) @ (m - np.abs(steps))
     return summed
-
-
-#: A drift has zero mean beyond this ordinate, to 1e-6 of its squares.
-_DRIFT_ORDINATES = 128
-
-#: Twice the log likelihood that a drift must gain: the 95 % quantile of chi-squared with 1 dof.
-_DRIFT_GAIN = 3.84
-
-_ROUNDS = 30
-#: Added to the diagonal of the laws' correlation, so that laws that are alike are not singular.
-_RIDGE = 1e-12
 
 
 def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> GenericModel:
@@ -262,7 +252,7 @@ def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> Gen
     return GenericModel(variances=tuple(plain.tolist()))
 
 
-def fit_curve(m: FloatArray, avar: FloatArray, weight: FloatArray) -> GenericModel:
+def fit_curve(m: IntArray | FloatArray, avar: FloatArray, weight: FloatArray) -> GenericModel:
     """Return the generic model nearest to a curve, where there is no spectrum to fit.
 
     Parameters
@@ -273,7 +263,7 @@ def fit_curve(m: FloatArray, avar: FloatArray, weight: FloatArray) -> GenericMod
         Rough degrees of freedom of each value, shape (k,).
     """
     good = avar > 0
-    basis = np.array([law.avar(m[good]) for law in PowerLaw])
+    basis = np.array([law.avar(m[good].astype(np.float64)) for law in PowerLaw])
     variances = _non_negative(basis / avar[good], np.ones(int(good.sum())), weight[good])
     return GenericModel(variances=tuple(variances.tolist()))
 
@@ -313,7 +303,7 @@ def _start(basis: FloatArray, level: FloatArray, count: FloatArray) -> FloatArra
     """Return a start by multiplicative updates, which keep variances positive and never diverge."""
     variances = np.array([np.quantile(level / law, 0.25) for law in basis]) / len(basis)
     variances += np.array([float((level * count).sum() / (law * count).sum()) for law in basis]) * 1e-6
-    for _ in range(20):
+    for _ in range(_UPDATES):
         spectrum = variances @ basis
         variances = variances * np.sqrt(
             (basis @ (count * level / spectrum**2)) / (basis @ (count / spectrum))
@@ -327,71 +317,13 @@ def _score(spectrum: FloatArray, power: FloatArray, count: FloatArray, floor: fl
 
 
 def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return the weights v >= 0 that minimise Σ weight (target - v @ basis)², shape (4,).
-
-    Source: Lawson & Hanson (1974), Solving Least Squares Problems, ch. 23.
-    """
+    """Return the weights v >= 0 that minimise Σ weight (target - v @ basis)², shape (4,)."""
     scale = np.sqrt(np.maximum((basis**2) @ weight, np.finfo(np.float64).tiny))
     unit = basis / scale[:, None]
     gram, moment = (unit * weight) @ unit.T, (unit * weight) @ target
-    gram += _RIDGE * np.eye(len(basis))
-    values = np.zeros(len(basis))
-    free = np.zeros(len(basis), dtype=bool)
-    for _ in range(3 * len(basis)):
-        slope = np.where(free, -np.inf, moment - gram @ values)
-        if slope.max() <= 1e-10 * np.abs(moment).max():
-            break
-        free[int(np.argmax(slope))] = True
-        values = _inside(gram, moment, values, free)
-        free = values > 0
-    return values / scale
-
-
-def _inside(gram: FloatArray, moment: FloatArray, values: FloatArray, free: BoolArray) -> FloatArray:
-    """Walk from `values` towards the free minimum, dropping each weight that reaches zero."""
-    free = free.copy()
-    while True:
-        chosen = np.flatnonzero(free)
-        wanted = np.zeros(values.size)
-        wanted[chosen] = np.linalg.solve(gram[np.ix_(chosen, chosen)], moment[chosen])
-        low = chosen[wanted[chosen] <= 0]
-        if not low.size:
-            return wanted
-        step = np.min(values[low] / (values[low] - wanted[low]))
-        values = values + step * (wanted - values)
-        values[low[values[low] <= 1e-15]] = 0.0
-        free &= values > 0
-        if not free.any():
-            return np.zeros(values.size)
-
-
-#: Up to n / 256 the spectrum has enough ordinates in the passband to need no model.
-_CROSSOVER = 256
-
-#: The kurtosis of a difference of two independent values is half of each one's.
-_HALVED = 2.0
-
-#: Excess kurtosis of a uniform distribution: the lightest tails that are believed.
-_UNIFORM = -1.2
-
-#: Fewer averages than this name no power law; the one named at the averaging time before stays.
-_FEWEST = 30
-
-#: Largest exponent p of f^p that each law stands for, rising; what is flatter is quantization.
-_EXPONENTS = ((-1.5, PowerLaw.WALK), (-0.5, PowerLaw.FLICKER), (0.5, PowerLaw.WHITE))
-
-#: Elements of a work array.
-_BLOCK = 32768
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Question:
-    """What a method is asked: degrees of freedom of `m` (k,) with `terms` (k,) differences each."""
-
-    samples: FloatArray
-    m: IntArray
-    terms: FloatArray
-    estimator: Estimator
+    root = np.asarray(np.linalg.cholesky(gram + _RIDGE * np.eye(len(basis))), dtype=np.float64)
+    right = np.asarray(np.linalg.solve(root, moment), dtype=np.float64)
+    return non_negative(root.T, right)[0] / scale
 
 
 def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, method: str) -> FloatArray:
@@ -419,50 +351,44 @@ def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, m
 
     Source: Greenhall & Riley (2003), PTTI 35; Percival & Walden (2000), ch. 8 (the spectral form).
     """
-    chosen = _method_named(method)
     terms = np.array([estimator.terms(samples.size, mi) for mi in m.tolist()], dtype=np.float64)
-    question = _Question(samples=samples, m=m, terms=terms, estimator=estimator)
-    edf: FloatArray = np.maximum(chosen(question), 1.0)
-    return edf
+    return np.maximum(_method_named(method)(samples, m, terms, estimator), 1.0)
 
 
-def _hybrid(question: _Question) -> FloatArray:
-    samples, m, estimator = question.samples, question.m, question.estimator
-    used, bins, ordinates = _transformed(samples)
+def _hybrid(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: Estimator) -> FloatArray:
+    bins, ordinates = _transformed(samples)
     power = bin_power(ordinates, bins)
-    short = (m <= used // _CROSSOVER) & estimator.overlapping
+    short = (m <= bins.n // _CROSSOVER) & estimator.overlapping
     edf = np.empty(m.size)
-    edf[short] = spectral_edf(power, bins, m[short], question.terms[short], estimator)
+    edf[short] = spectral_edf(power, bins, m[short], terms[short], estimator)
     if not short.all():
         model = fit_spectrum(ordinates, power, bins)
-        long = replace(question, m=m[~short], terms=question.terms[~short])
-        edf[~short] = _of_models([model] * long.m.size, long)
-    return _less_for_heavy_tails(edf, question)
+        edf[~short] = _of_models([model] * m.size, m[~short], terms[~short], estimator)
+    return less_for_heavy_tails(edf, samples, m, estimator)
 
 
-def _model(question: _Question) -> FloatArray:
-    _, bins, ordinates = _transformed(question.samples)
+def _model(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: Estimator) -> FloatArray:
+    bins, ordinates = _transformed(samples)
     model = fit_spectrum(ordinates, bin_power(ordinates, bins), bins)
-    return _of_models([model] * question.m.size, question)
+    return _of_models([model] * m.size, m, terms, estimator)
 
 
-def _greenhall(question: _Question) -> FloatArray:
+def _greenhall(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: Estimator) -> FloatArray:
     models = [
         GenericModel(variances=tuple(float(law is named) for law in PowerLaw))
-        for named in named_laws(question.samples, question.m)
+        for named in named_laws(samples, m)
     ]
-    return _of_models(models, question)
+    return _of_models(models, m, terms, estimator)
 
+
+#: Of samples, degrees of freedom at `m` (k,) with `terms` (k,) differences each, of an estimator.
+_Method: TypeAlias = Callable[[FloatArray, IntArray, FloatArray, Estimator], FloatArray]
 
 #: Name -> method.
-EDF_METHODS: dict[str, Callable[[_Question], FloatArray]] = {
-    "hybrid": _hybrid,
-    "model": _model,
-    "greenhall": _greenhall,
-}
+EDF_METHODS: dict[str, _Method] = {"hybrid": _hybrid, "model": _model, "greenhall": _greenhall}
 
 
-def _method_named(name: str) -> Callable[[_Question], FloatArray]:
+def _method_named(name: str) -> _Method:
     if name not in EDF_METHODS:
         msg = f"edf method {name!r} is not known: expected one of {', '.join(EDF_METHODS)}"
         raise ValueError(msg)
@@ -498,16 +424,18 @@ def _exponent(values: FloatArray, differences: int = 0) -> float:
     return _exponent(np.diff(values), differences + 1)
 
 
-def _transformed(samples: FloatArray) -> tuple[int, DctBins, FloatArray]:
-    """Return how many samples were used, their bins and DCT-II ordinates."""
+def _transformed(samples: FloatArray) -> tuple[DctBins, FloatArray]:
+    """Return bins and DCT-II ordinates of as many samples as are quick to transform."""
     used = max(fast_length(samples.size), 2)
-    return used, dct_bins(used), dct_ordinates(samples[:used])
+    return dct_bins(used), dct_ordinates(samples[:used])
 
 
-def _of_models(models: Sequence[GenericModel], question: _Question) -> FloatArray:
+def _of_models(
+    models: Sequence[GenericModel], m: IntArray, terms: FloatArray, estimator: Estimator
+) -> FloatArray:
     """Return the degrees of freedom of each factor under its own model."""
-    triples = zip(models, question.m.tolist(), question.terms.tolist(), strict=True)
-    return np.array([model_edf(model, m, terms, question.estimator) for model, m, terms in triples])
+    triples = zip(models, m.tolist(), terms.tolist(), strict=False)
+    return np.array([model_edf(model, factor, number, estimator) for model, factor, number in triples])
 
 
 def spectral_edf(
@@ -574,27 +502,32 @@ def _excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None) -> float
     mean = float((samples[-1] - samples[0]) / (samples.size - 1))
     count = second = fourth = 0.0
     for start in range(0, samples.size - 1, _BLOCK):
-        stop = min(start + _BLOCK, samples.size - 1)
-        part = samples[start + 1 : stop + 1] - samples[start:stop]
+        part = np.diff(samples[start : start + _BLOCK + 1])
         part -= mean
         np.square(part, out=part)
         if neighbours is not None:
-            part = part[neighbours[start:stop]]
+            part = part[neighbours[start : start + _BLOCK]]
         count += part.size
         second += float(part.sum())
         fourth += sum_of_squares(part)
     return count * fourth / second**2 - 3 if second > 0 else 0.0
 
 
-def _less_for_heavy_tails(
-    edf: FloatArray, question: _Question, neighbours: BoolArray | None = None
+def less_for_heavy_tails(
+    edf: FloatArray,
+    samples: FloatArray,
+    m: IntArray,
+    estimator: Estimator,
+    neighbours: BoolArray | None = None,
 ) -> FloatArray:
-    """Widen for tails heavier than a Gaussian's: Var gains kappa/n where windows are not too few."""
-    kappa = max(_HALVED * excess_kurtosis(question.samples, neighbours), _UNIFORM)
-    n, order = question.samples.size, question.estimator.order
-    independent = n - order * question.m + 1.0
+    """Return fewer degrees of freedom for tails heavier than a Gaussian's, more for lighter ones.
+
+    Var gains kappa/n where windows are not too few; `neighbours` as in `excess_kurtosis`.
+    """
+    kappa = max(_HALVED * excess_kurtosis(samples, neighbours), _UNIFORM)
+    independent = samples.size - estimator.order * m + 1.0
     corrected = edf / (1 + kappa * edf / (2 * np.maximum(independent, 1)))
-    return np.where(independent >= order * question.m, corrected, edf)
+    return np.where(independent >= estimator.order * m, corrected, edf)
 
 
 def gappy_degrees_of_freedom(
@@ -611,13 +544,9 @@ def gappy_degrees_of_freedom(
     ValueError
         If the method is unknown.
     """
-    chosen = _method_named(method)
-    question = _Question(samples=series.samples, m=values.m, terms=values.terms, estimator=estimator)
-    if chosen is _greenhall:
-        return np.maximum(_greenhall(question), 1.0)
-    m = values.m.astype(np.float64)
-    model = fit_curve(m, values.avar, np.maximum(values.terms / m, 1.0))
-    edf = _of_models([model] * m.size, question) / values.inflation**2
+    if _method_named(method) is _greenhall:
+        return np.maximum(_greenhall(series.samples, values.m, values.terms, estimator), 1.0)
+    model = fit_curve(values.m, values.avar, np.maximum(values.terms / values.m, 1.0))
+    edf = _of_models([model] * values.m.size, values.m, values.terms, estimator) / values.inflation**2
     neighbours = np.diff(series.clock.grid()) == 1
-    corrected: FloatArray = np.maximum(_less_for_heavy_tails(edf, question, neighbours), 1.0)
-    return corrected
+    return np.maximum(less_for_heavy_tails(edf, series.samples, values.m, estimator, neighbours), 1.0)

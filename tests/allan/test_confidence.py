@@ -10,13 +10,12 @@ from imucal.allan import allan_curve
 from imucal.allan.dct import bin_power, dct_bins, dct_ordinates, ramp_ordinates
 from imucal.allan.intervals import (
     GenericModel,
-    _less_for_heavy_tails,
-    _Question,
     degrees_of_freedom,
     excess_kurtosis,
     fit_curve,
     fit_spectrum,
     gappy_degrees_of_freedom,
+    less_for_heavy_tails,
     model_edf,
     named_laws,
     spectral_edf,
@@ -201,20 +200,19 @@ def test_thirty_averages_name_a_law_and_fewer_do_not() -> None:
 def test_tails_count_while_windows_are_not_too_few(m: int) -> None:
     """Of n = 99 as long as n - 2m + 1 >= 2m, that is to m = 25: then Var gains kappa/n of the square."""
     samples = np.random.default_rng(13).laplace(size=99)
-    question = _Question(samples=samples, m=np.array([m]), terms=np.ones(1), estimator=OVERLAPPING)
     steps = np.diff(samples)
     steps -= steps.mean()
     kappa = 2 * (np.mean(steps**4) / np.mean(steps**2) ** 2 - 3)
     assert kappa > 0.5
     expected = 10 / (1 + kappa * 10 / (2 * (100 - 2 * m))) if m <= 25 else 10.0
-    assert _less_for_heavy_tails(np.array([10.0]), question)[0] == pytest.approx(expected)
+    found = less_for_heavy_tails(np.array([10.0]), samples, np.array([m]), OVERLAPPING)[0]
+    assert found == pytest.approx(expected)
 
 
 def test_the_lightest_tails_that_are_believed_are_uniform() -> None:
     """Two values in turn have an excess of -2; -1.2 is what counts."""
     samples = np.cumsum(np.resize([1.0, -1.0], 400))
-    question = _Question(samples=samples, m=np.array([1]), terms=np.ones(1), estimator=OVERLAPPING)
-    found = _less_for_heavy_tails(np.array([10.0]), question)[0]
+    found = less_for_heavy_tails(np.array([10.0]), samples, np.array([1]), OVERLAPPING)[0]
     assert found == pytest.approx(10 / (1 - 1.2 * 10 / (2 * 399)))
 
 
