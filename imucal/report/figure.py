@@ -1,27 +1,16 @@
 """The pictures of a report: each axis by itself, and the three axes of a sensor together.
 
-Drawn through matplotlib's object interface on the Agg canvas: no window, no pyplot, no state that
-outlives a call. Sizes are chosen so that the smallest text has 9 px at a width of 800 px.
+Drawn through matplotlib's object interface on the Agg canvas: no window, no pyplot, no state that outlives a
+call; side by side where processes may be forked, since each is worth half a second. Sizes are chosen so that
+the smallest text has 9 px at a width of 800 px.
 
-The spectrum as it is drawn: its lowest bins merged, so that no single ordinate rules the eye.
+Colours are darkened from Okabe & Ito (2008), "Color universal design", so that they also serve as text on
+white (contrast above 4.5); every colour comes with its own line style or marker as well. Those of a term
+stand in its class.
 
-Colours and line styles, one set for pictures and page; those of a term stand in its class.
-
-Darkened from Okabe & Ito (2008), "Color universal design", so that they also serve as text on
-white (contrast above 4.5); every colour comes with its own line style or marker as well.
-
-Ticks of logarithmic axes: few, readable, and a tenth of the drawing time of matplotlib's own.
-
-Matplotlib makes an object of every minor tick, of which two log-log plots have hundreds, and sets
-every power of ten by its formula parser. Here the minor ticks of an axis are one artist.
-
-What the plots of a picture share: sizes, axes, read-offs.
-
-The Allan deviation as a plot: points and intervals, the model and its terms, the read-offs.
-
-The spectrum as a plot: the root of the two-sided psd, in which white noise has the height N.
-
-The pictures of a report, drawn side by side where processes may be forked: each is worth half a second.
+Ticks are our own: matplotlib makes an object of every minor tick, of which two log-log plots have hundreds,
+and sets every power of ten by its formula parser. Here the minor ticks of an axis are one artist, which takes
+a tenth of the time.
 """
 
 import io
@@ -205,6 +194,8 @@ def tick_label(value: float) -> str:
 
 #: Text sizes in points, for a figure 10 inches wide.
 TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 8.5
+LABEL_STYLE: dict[str, Any] = {"fontsize": LABEL_SIZE, "color": INK, "labelpad": 3}
+LEGEND_STYLE: dict[str, Any] = {"fontsize": LEGEND_SIZE, "frameon": False, "labelcolor": INK}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,13 +229,36 @@ def style_axes(
     axes.set_yscale("log")
     axes.set_xlim(*x_limits)
     axes.set_ylim(*y_limits)
-    axes.set_axisbelow(True)
-    for spine, visible in (("left", True), ("bottom", True), ("top", False), ("right", False)):
-        axes.spines[spine].set_visible(visible)
-        axes.spines[spine].set_color(FRAME)
-    axes.set_xlabel(x, fontsize=LABEL_SIZE, color=INK, labelpad=3)
-    axes.set_ylabel(y, fontsize=LABEL_SIZE, color=INK, labelpad=3)
+    quiet_frame(axes)
+    axes.set_xlabel(x, **LABEL_STYLE)
+    axes.set_ylabel(y, **LABEL_STYLE)
     draw_ticks(axes)
+
+
+def quiet_frame(axes: "Axes") -> None:
+    """Leave only the left and the lower side of the frame, under what is drawn."""
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(FRAME)
+
+
+def write_head(figure: "Figure", title: str, subtitle: str, *, below: float = 0.38) -> None:
+    """Write the title at the top left, and a line so many inches below the edge."""
+    height = figure.get_figheight()
+    style: dict[str, Any] = {"color": INK, "va": "top"}
+    figure.text(0.012, 1 - 0.10 / height, title, fontsize=TITLE_SIZE, fontweight="bold", **style)
+    figure.text(0.012, 1 - below / height, subtitle, fontsize=LEGEND_SIZE, **style)
+
+
+def write_foot(figure: "Figure", source: str, version: str) -> None:
+    """Write the log's name, cut at its start, and imucal's version."""
+    name = printable(source)
+    shown = name if len(name) <= 90 else f"…{name[-89:]}"
+    # A dollar sign in a name starts no formula.
+    style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
+    y = 0.07 / figure.get_figheight()
+    figure.text(0.012, y, shown, **style)
+    figure.text(0.988, y, f"imucal {version}", ha="right", **style)
 
 
 def limits(values: FloatArray, *, below: float, above: float) -> tuple[float, float]:
@@ -269,19 +283,14 @@ def term_entries(axis: AxisReport, terms: list[Drawn]) -> list[Any]:
         symbol, bounded = drawn.estimate.symbol, drawn.estimate.value is None
         stroke = TERMS[symbol].stroke
         name = f"{symbol}{' bound:' if bounded else ''} {TERMS[symbol].name(axis.sensor)}"
-        marker: dict[str, Any] = {"marker": "v" if bounded else "D", "markersize": 5.5}
-        face = "white" if bounded else stroke.light
-        entries[symbol] = Line2D(
-            [],
-            [],
-            color=stroke.light,
-            linewidth=1.3,
-            label=name,
-            markerfacecolor=face,
-            **marker,
-            **dashes(stroke),
-        )
+        line: dict[str, Any] = {"color": stroke.light, "linewidth": 1.3, "label": name}
+        entries[symbol] = Line2D([], [], **line, **_read_off_mark(stroke, bounded=bounded), **dashes(stroke))
     return list(entries.values())
+
+
+def _read_off_mark(stroke: Stroke, *, bounded: bool) -> dict[str, Any]:
+    face = "white" if bounded else stroke.light
+    return {"marker": "v" if bounded else "D", "markersize": 5.5, "markerfacecolor": face}
 
 
 def drawn_terms(axis: AxisReport) -> list[Drawn]:
@@ -291,12 +300,14 @@ def drawn_terms(axis: AxisReport) -> list[Drawn]:
     for estimate in axis.fit.estimates:
         if TERMS[estimate.symbol].repeatable:
             term: NoiseTerm | None = numbers.gauss_markov_term(axis.fit, estimate)
-        elif estimate.value is None:
-            term = _bound(estimate)
-        else:
+        elif estimate.value is not None:
             term = by_symbol.get(estimate.symbol)
+        else:
+            known = math.isfinite(estimate.high) and estimate.high > 0
+            term = TERMS[estimate.symbol].of(estimate.high) if known else None
         if term is not None:
-            found.append(_drawn(estimate, term))
+            tau_s, height = term.read_off()
+            found.append(Drawn(estimate=estimate, term=term, tau_s=tau_s, height=height))
     return found
 
 
@@ -310,17 +321,6 @@ def estimate_text(
         return text
     time = numbers.with_uncertainty(numbers.correlation_time(estimate.correlation_time))
     return f"{text}\nT {time}"
-
-
-def _bound(estimate: Estimate) -> NoiseTerm | None:
-    if not (math.isfinite(estimate.high) and estimate.high > 0):
-        return None
-    return TERMS[estimate.symbol].of(estimate.high)
-
-
-def _drawn(estimate: Estimate, term: NoiseTerm) -> Drawn:
-    tau_s, height = term.read_off()
-    return Drawn(estimate=estimate, term=term, tau_s=tau_s, height=height)
 
 
 #: The vertical axis reaches this far below the curve to show a read-off, never further.
@@ -448,10 +448,9 @@ def _term(  # noqa: PLR0917 - drawing takes what is drawn
         at = float(tau[np.argmax(np.where((tau > left * 2) & (tau < right / 2), line / total, 0))])
     text = estimate_text(drawn.estimate, axis.sensor, units)
     if at is not None and left < at < right and bottom < height < top:
-        face = "white" if bounded else stroke.light
-        mark: dict[str, Any] = {"marker": "v" if bounded else "D", "markersize": 5.5, "markerfacecolor": face}
+        mark = _read_off_mark(stroke, bounded=bounded)
         axes.plot([at], [height], color=stroke.light, linestyle="none", zorder=8, **mark)
-        return [Label(text=text, x=np.array([at]), y=np.array([height]), colour=stroke.light)]
+        return [_mark_label(text, at, height, stroke.light)]
     in_view = (line > bottom * 1.1) & (line < top / 1.1) & (tau > left) & (tau < right)
     inside = np.flatnonzero(in_view)
     if not inside.size:
@@ -465,12 +464,10 @@ def _term(  # noqa: PLR0917 - drawing takes what is drawn
 
 def _minimum(axes: "Axes", axis: AxisReport, units: SheetUnits) -> Label:
     """Ring the lowest point of the curve; return its label."""
-    floor = units.minimum(axis)
     adev, tau = axis.fit.curve.minimum
     adev *= units.level.factor
     axes.plot([tau], [adev], marker="o", markersize=8, markerfacecolor="none", color=INK, zorder=9)
-    text = f"minimum {numbers.with_interval(floor)}"
-    return Label(text=text, x=np.array([tau]), y=np.array([adev]), colour=INK)
+    return _mark_label(f"minimum {numbers.with_interval(units.minimum(axis))}", tau, adev, INK)
 
 
 #: At most this many lines are named, the strongest first; all are marked.
@@ -496,7 +493,10 @@ def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
     axes.plot(frequency, root, color=DATA.light, linewidth=1.0, zorder=4)
     grid = np.geomspace(axis.spectrum.frequency[0], axis.spectrum.frequency[-1], 200)
     for drawn in drawn_terms(axis):
-        _figure_psd_term(axes, axis, drawn, grid, factor)
+        density = np.sqrt(drawn.term.psd(grid, 1 / axis.fit.rate_hz)) * factor
+        stroke = TERMS[drawn.estimate.symbol].stroke
+        if drawn.estimate.value is not None and np.any(density > 0):
+            axes.plot(grid, density, color=stroke.light, linewidth=1.1, zorder=3, **dashes(stroke))
     if axis.fit.model.terms:
         model = np.sqrt(axis.fit.model.psd(grid, rate_hz=axis.fit.rate_hz)) * factor
         axes.plot(grid, model, color=MODEL.light, linewidth=1.8, zorder=6)
@@ -529,13 +529,6 @@ def draw_psd_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits
     )
 
 
-def _figure_psd_term(axes: "Axes", axis: AxisReport, drawn: Drawn, grid: FloatArray, factor: float) -> None:
-    density = np.sqrt(drawn.term.psd(grid, 1 / axis.fit.rate_hz)) * factor
-    stroke = TERMS[drawn.estimate.symbol].stroke
-    if drawn.estimate.value is not None and np.any(density > 0):
-        axes.plot(grid, density, color=stroke.light, linewidth=1.1, zorder=3, **dashes(stroke))
-
-
 def _unused_band(axes: "Axes", axis: AxisReport) -> list[Any]:
     """Grey what lies outside the band of the fit."""
     band = axis.fit.goodness.band_hz
@@ -543,9 +536,7 @@ def _unused_band(axes: "Axes", axis: AxisReport) -> list[Any]:
         return []
     left, right = axes.get_xlim()
     spectrum = axis.spectrum.frequency
-    spans = []
-    if spectrum[0] < band[0]:
-        spans.append((left, band[0]))
+    spans = [(left, band[0])] if spectrum[0] < band[0] else []
     if spectrum[-1] > band[1] * 1.01:
         spans.append((band[1], right))
     style: dict[str, Any] = {"color": UNUSED, "alpha": 0.3, "linewidth": 0, "zorder": 1}
@@ -560,26 +551,17 @@ def _lines(axes: "Axes", axis: AxisReport, entries: list[Any], factor: float) ->
         return []
     at = [line.frequency_hz for line in lines]
     heights = [_height(axis, line) * factor for line in lines]
-    entries += axes.plot(
-        at,
-        heights,
-        marker="v",
-        markersize=6,
-        color=LEFT_OUT,
-        linestyle="none",
-        zorder=9,
-        label="line left out of the fit",
-    )
+    mark: dict[str, Any] = {"marker": "v", "markersize": 6, "color": LEFT_OUT, "linestyle": "none"}
+    entries += axes.plot(at, heights, zorder=9, label="line left out of the fit", **mark)
     strongest = sorted(zip(lines, heights, strict=True), key=lambda pair: -pair[0].amplitude)[:_NAMED_LINES]
     return [
-        Label(
-            text=f"{line.frequency_hz:.4g} Hz",
-            x=np.array([line.frequency_hz]),
-            y=np.array([height]),
-            colour=LEFT_OUT,
-        )
+        _mark_label(f"{line.frequency_hz:.4g} Hz", line.frequency_hz, height, LEFT_OUT)
         for line, height in strongest
     ]
+
+
+def _mark_label(text: str, x: float, y: float, colour: str) -> Label:
+    return Label(text=text, x=np.array([x]), y=np.array([y]), colour=colour)
 
 
 def _height(axis: AxisReport, line: Line) -> float:
@@ -620,10 +602,11 @@ _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 def axis_figure(report: Report, axis: AxisReport) -> "Figure":
     """Return the Allan deviation and the psd of one axis, with all that the fit says about them."""
     figure, left, right = _figure(report, rows=4)
-    _verdict(figure, report)
     fit, units = axis.fit, sheet_units(report, axis.sensor)
     structure = str(fit.model) or "no term shown"
-    _head(figure, axis_title(axis), f"{_recording_text(axis)}   ·   model {structure} ({fit.method.upper()})")
+    write_head(
+        figure, axis_title(axis), f"{_recording_text(axis)}   ·   model {structure} ({fit.method.upper()})"
+    )
     entries = draw_allan(left, axis, units)
     names = {str(entry.get_label()) for entry in entries}
     entries += [entry for entry in draw_psd(right, axis, units) if str(entry.get_label()) not in names]
@@ -634,9 +617,7 @@ def axis_figure(report: Report, axis: AxisReport) -> "Figure":
         ncols=min(4, len(entries)),
         columnspacing=1.6,
         handlelength=3.2,
-        fontsize=LEGEND_SIZE,
-        frameon=False,
-        labelcolor=INK,
+        **LEGEND_STYLE,
     )
     return figure
 
@@ -656,8 +637,7 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     units = sheet_units(report, sensor)
     rows = _rows(axes, units)
     figure, left, right = _figure(report, rows=len(rows) + 2)
-    _verdict(figure, report)
-    _head(figure, str(sensor).capitalize(), _recording_text(axes[0]))
+    write_head(figure, str(sensor).capitalize(), _recording_text(axes[0]))
     draw_allan_overview(left, axes, units)
     draw_psd_overview(right, axes, units)
     _write_table(figure, axes, rows)
@@ -699,7 +679,7 @@ def axis_title(axis: AxisReport) -> str:
 
 
 def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
-    """Return a figure with two plots and room for `rows` lines of text under them."""
+    """Return a figure with verdict and foot, two plots, and room for `rows` lines of text under them."""
     bottom = _AXIS_ROOM + _ROW * rows + 0.1
     height = bottom + _PLOT_HEIGHT + _HEAD
     figure = new_figure(_WIDTH, height, _DPI)
@@ -707,28 +687,12 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
         figure.add_axes((place, bottom / height, width, _PLOT_HEIGHT / height))
         for place, width in (_LEFT, _RIGHT)
     ]
-    name = printable(report.source.name)
-    shown = name if len(name) <= 90 else f"…{name[-89:]}"
-    # A dollar sign in a name starts no formula.
-    style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
-    figure.text(0.012, 0.07 / height, shown, **style)
-    figure.text(0.988, 0.07 / height, f"imucal {report.version}", ha="right", **style)
-    return figure, plots[0], plots[1]
-
-
-def _verdict(figure: "Figure", report: Report) -> None:
-    """Write the verdict at the top right: a picture is passed on without its page."""
-    text, height = report.verdict.sentence, figure.get_figheight()
+    write_foot(figure, report.source.name, report.version)
+    # The verdict at the top right: a picture is passed on without its page.
+    lines = "\n".join(textwrap.wrap(report.verdict.sentence, 110))
     style: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": _GRADES[report.verdict.grade], "wrap": False}
-    lines = textwrap.wrap(text, 110)
-    figure.text(0.988, 1 - 0.12 / height, "\n".join(lines), ha="right", va="top", **style)
-
-
-def _head(figure: "Figure", title: str, subtitle: str) -> None:
-    height = figure.get_figheight()
-    style: dict[str, Any] = {"color": INK, "va": "top"}
-    figure.text(0.012, 1 - 0.10 / height, title, fontsize=TITLE_SIZE, fontweight="bold", **style)
-    figure.text(0.012, 1 - 0.38 / height, subtitle, fontsize=LEGEND_SIZE, **style)
+    figure.text(0.988, 1 - 0.12 / height, lines, ha="right", va="top", **style)
+    return figure, plots[0], plots[1]
 
 
 def _recording_text(axis: AxisReport) -> str:
@@ -823,7 +787,7 @@ def draw(report: Report, formats: Sequence[str], *, small: bool, workers: int | 
         for name in _LIBRARIES:
             import_module(name)
     drawn = Drawings()
-    work = partial(_drawings_drawn, report, formats=tuple(formats), small=small)
+    work = partial(_draw_one, report, formats=tuple(formats), small=small)
     for one in side_by_side(work, items, workers=count):
         drawn.files |= one.files
         drawn.small |= one.small
@@ -841,7 +805,7 @@ def _stem(item: AxisReport | Sensor) -> str:
     return item.short if isinstance(item, Sensor) else item.name
 
 
-def _drawings_drawn(
+def _draw_one(
     report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...], small: bool
 ) -> Drawings:
     """Draw one picture once, and make all of its files."""

@@ -1,6 +1,6 @@
-"""The picture of a decomposition: averaged samples, the smoothed bias, and below it each of its parts.
+"""The files of a decomposition: a table, arrays, a document about all axes, and a picture.
 
-The files of a decomposition: a table, arrays, a picture, and a document about all axes.
+The picture shows averaged samples, the smoothed bias, and below it each of its parts.
 """
 
 import io
@@ -22,16 +22,18 @@ from imucal.noise.terms import TERMS
 from imucal.report import numbers
 from imucal.report.figure import (
     FADED,
-    FRAME,
     GRID,
     INK,
-    LABEL_SIZE,
+    LABEL_STYLE,
     LEGEND_SIZE,
+    LEGEND_STYLE,
     MODEL,
     SMALL_SIZE,
-    TITLE_SIZE,
     new_figure,
+    quiet_frame,
     render,
+    write_foot,
+    write_head,
 )
 from imucal.report.sheet_units import level_unit
 from imucal.units import duration, pretty
@@ -70,19 +72,21 @@ def bias_figure(parts: Decomposition, *, source: str = "") -> "Figure":
         bottom -= _PART + _SPACE
         axes = figure.add_axes((_LEFT, bottom / height, _RIGHT - _LEFT, _PART / height))
         _draw_part(axes, view, part, unit)
-    axes.set_xlabel(f"time ({time_unit})", fontsize=LABEL_SIZE, color=INK, labelpad=3)
-    _write(figure, parts, source)
+    axes.set_xlabel(f"time ({time_unit})", **LABEL_STYLE)
+    series, count = parts.series, f"{int(np.isfinite(parts.samples).sum()):,}".replace(",", " ")
+    recorded = f"{duration(parts.n * series.tau0)} at {series.rate_hz:.6g} Hz   ·   {count} samples"
+    title = f"{str(series.sensor).capitalize()} {series.axis}: what the bias did"
+    write_head(figure, title, f"{recorded}   ·   model {parts.model}", below=0.42)
+    write_foot(figure, source, __version__)
     figure.legend(
         handles=entries,
         loc="upper right",
         bbox_to_anchor=(_RIGHT, 1 - 0.04 / height),
         ncols=3,
-        fontsize=LEGEND_SIZE,
-        frameon=False,
-        labelcolor=INK,
         handlelength=2.4,
         columnspacing=1.4,
         markerscale=1.8,
+        **LEGEND_STYLE,
     )
     return figure
 
@@ -181,29 +185,11 @@ def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> No
     room = 0.06 * (high - low) or 1.0
     axes.set_ylim(low - room, high + room)
     axes.set_xlim(view.time[0], max(float(view.time[-1]), view.time[0] + 1e-9))
-    axes.set_axisbelow(True)
-    for spine, visible in (("left", True), ("bottom", True), ("top", False), ("right", False)):
-        axes.spines[spine].set_visible(visible)
-        axes.spines[spine].set_color(FRAME)
+    quiet_frame(axes)
     axes.grid(visible=True, color=GRID, linewidth=0.8)
     axes.tick_params(labelsize=SMALL_SIZE, colors=INK, length=3)
-    axes.set_ylabel(label, fontsize=LABEL_SIZE, color=INK, labelpad=3)
+    axes.set_ylabel(label, **LABEL_STYLE)
     axes.yaxis.set_label_coords(-0.06, 0.5)
-
-
-def _write(figure: "Figure", parts: Decomposition, source: str) -> None:
-    """Write title, subtitle and foot."""
-    height, series = figure.get_figheight(), parts.series
-    style: dict[str, Any] = {"color": INK, "va": "top"}
-    title = f"{str(series.sensor).capitalize()} {series.axis}: what the bias did"
-    figure.text(0.012, 1 - 0.10 / height, title, fontsize=TITLE_SIZE, fontweight="bold", **style)
-    count = f"{int(np.isfinite(parts.samples).sum()):,}".replace(",", " ")
-    text = f"{duration(parts.n * series.tau0)} at {series.rate_hz:.6g} Hz   ·   {count} samples   ·   "
-    figure.text(0.012, 1 - 0.42 / height, f"{text}model {parts.model}", fontsize=LEGEND_SIZE, **style)
-    shown = source if len(source) <= 90 else f"…{source[-89:]}"
-    foot: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": FADED, "va": "bottom", "parse_math": False}
-    figure.text(0.012, 0.07 / height, shown, **foot)
-    figure.text(0.988, 0.07 / height, f"imucal {__version__}", ha="right", **foot)
 
 
 #: Of the document, whose name marks a folder as one of decompositions.
@@ -275,17 +261,15 @@ def write_decomposition(
         made[f"{name}.{form}"] = lambda form=form: render(bias_figure(parts, source=source), form)  # type: ignore[misc]
     if arrays:
         made[f"{name}.npz"] = lambda: _arrays(parts)
-    return tuple(_bias_files_write(out / file, content()) for file, content in made.items())
+    return tuple(_write(out / file, content()) for file, content in made.items())
 
 
 def write_document(document: dict[str, object], out: Path) -> Path:
     """Write the document about all axes, which marks the folder; its path."""
-    return _bias_files_write(
-        out / DOCUMENT, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
-    )
+    return _write(out / DOCUMENT, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
 
 
-def _bias_files_write(path: Path, content: bytes) -> Path:
+def _write(path: Path, content: bytes) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

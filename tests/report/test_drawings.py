@@ -32,13 +32,13 @@ def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, 
     """Two at a time where two are asked for; their results come in the order of the files."""
     marks = tmp_path / "marks"
     marks.mkdir()
-    work = drawings._drawings_drawn
+    work = drawings._draw_one
 
     def marked(*arguments: object, **named: object) -> object:
         (marks / str(os.getpid())).touch()
         return work(*arguments, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(drawings, "_drawings_drawn", marked)
+    monkeypatch.setattr(drawings, "_draw_one", marked)
     monkeypatch.setattr("imucal.processes.may_fork", lambda: True)
     report = _two_axes()
     found = draw(report, ("png",), small=True, workers=2)

@@ -87,7 +87,6 @@ TARGETS = (
         name="px4",
         title="PX4 EKF2 parameters",
         file_name="px4_ekf2.params",
-        heading="PX4 EKF2 parameters",
         source="source: ekf2/EKF/covariance.cpp; QGroundControl, ParameterManager.cc; run: pymavlink",
         kind=f"discrete at EKF2's own period dt = {_PX4_S:g} s, SI, whatever the rate of the IMU",
         formulas=("NOISE = N / sqrt(dt), B_NOISE = K / sqrt(dt)",),
@@ -103,7 +102,6 @@ TARGETS = (
         name="ardupilot",
         title="ArduPilot EKF3 (EK3) parameters",
         file_name="ardupilot_ek3.parm",
-        heading="ArduPilot EKF3 (EK3) parameters",
         source="source: AP_NavEKF3_core.cpp (CovariancePrediction), AP_NavEKF3.cpp; run: pymavlink",
         kind=f"discrete at EK3's own period dt = {_EK3_S:g} s, SI, whatever the rate of the IMU",
         formulas=(

@@ -66,7 +66,6 @@ TARGETS = (
         name="gazebo",
         title="Gazebo / SDF imu sensor",
         file_name="gazebo_imu.sdf",
-        heading="Gazebo / SDF imu sensor",
         source="source: gz-sensors src/GaussianNoiseModel.cc; SDFormat noise.sdf",
         kind="stddev is discrete, right for update_rate only; dynamic_bias_stddev is a continuous density",
         formulas=(

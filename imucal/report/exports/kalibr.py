@@ -7,7 +7,16 @@ Continuous densities; Kalibr divides by sqrt(dt) itself and refuses a value that
 import numpy as np
 
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.target import Target, four, matrix, opencv_yaml, plain, quoted, real, yaml_body
+from imucal.report.exports.target import (
+    Target,
+    four,
+    keyed_body,
+    matrix,
+    opencv_yaml,
+    plain,
+    quoted,
+    stream_rate,
+)
 
 #: The four keys, as EuRoC and Kimera-VIO have them too.
 KEYS = four(
@@ -21,13 +30,12 @@ def _topic(numbers: Numbers) -> str:
     return f"rostopic: {quoted(name)}  # {plain(remark)}"
 
 
-def _rate(numbers: Numbers) -> str:
-    return f"update_rate: {real(numbers.stream_hz)}  # Hz, of the {numbers.sensors[0]}"
+_RATE = stream_rate("update_rate")
 
 
 def _intrinsics(numbers: Numbers) -> list[str]:
     unit, zero = np.eye(3).tolist(), np.zeros((3, 3)).tolist()
-    lines = [f"  {_topic(numbers)}", "  time_offset: 0.0", f"  {_rate(numbers)}", '  model: "kalibr"']
+    lines = [f"  {_topic(numbers)}", "  time_offset: 0.0", f"  {_RATE(numbers)[0]}", '  model: "kalibr"']
     for key, rows in (("Tw", unit), ("R_IMUtoGYRO", unit), ("Ta", unit), ("R_IMUtoACC", unit), ("Tg", zero)):
         lines += [f"  {key}:", *matrix(rows, "    ")]
     return lines
@@ -38,21 +46,19 @@ TARGETS = (
         name="kalibr",
         title="Kalibr imu.yaml",
         file_name="kalibr_imu.yaml",
-        heading="Kalibr imu.yaml",
         source="source: aslam_offline_calibration/kalibr/python/kalibr_common/ConfigReader.py",
         kind="continuous-time densities, SI; Kalibr makes them discrete with update_rate",
         formulas=(FORMULA,),
-        body=yaml_body(KEYS, below=lambda numbers: (_topic(numbers), _rate(numbers))),
+        body=keyed_body(KEYS, below=lambda numbers: (_topic(numbers), *_RATE(numbers))),
     ),
     Target(
         name="openvins",
         title="OpenVINS kalibr_imu_chain.yaml",
         file_name="kalibr_imu_chain.yaml",
-        heading="OpenVINS kalibr_imu_chain.yaml",
         source="source: config/euroc_mav/kalibr_imu_chain.yaml, ov_core/src/utils/opencv_yaml_parse.h",
         kind="continuous-time densities, SI; OpenVINS makes them discrete with the stamps of the messages",
         formulas=(FORMULA,),
-        body=yaml_body(
+        body=keyed_body(
             KEYS,
             above=("imu0:", "  T_i_b:", *matrix(np.eye(4).tolist(), "    ")),
             below=_intrinsics,

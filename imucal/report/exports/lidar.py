@@ -23,9 +23,9 @@ from imucal.report.exports.target import (
     four,
     json_object,
     json_origins,
+    keyed_body,
     real,
     vector,
-    yaml_body,
 )
 from imucal.units import G0
 
@@ -85,16 +85,13 @@ TARGETS = (
         name="lio-sam",
         title="LIO-SAM params.yaml (IMU part)",
         file_name="lio_sam_imu.yaml",
-        heading="LIO-SAM params.yaml, its IMU part",
         source="source: config/params.yaml, src/imuPreintegration.cpp",
         kind="continuous-time densities, SI; GTSAM makes them discrete with the stamps",
         formulas=("Noise = N, BiasN = K; no factor of the rate",),
-        body=yaml_body(
+        body=keyed_body(
             four("imuAccNoise imuAccBiasN imuGyrNoise imuGyrBiasN"),
             above=("lio_sam:",),
-            below=lambda numbers: (  # noqa: ARG005
-                f"  imuGravity: {real(G0)}  # m/s^2, standard gravity; set that of your place",
-            ),
+            below=(f"  imuGravity: {real(G0)}  # m/s^2, standard gravity; set that of your place",),
             indent="  ",
         ),
         notes=("ROS 2: put the keys under '/**: ros__parameters:' in place of 'lio_sam:'",),
@@ -107,7 +104,7 @@ TARGETS = (
         source="source: src/IMU_Processing.hpp (UndistortPcl), include/IKFoM_toolkit",
         kind=_PER_SAMPLE,
         formulas=(_VARIANCES,),
-        body=yaml_body(_FAST_KEYS, above=("mapping:",), indent="  "),
+        body=keyed_body(_FAST_KEYS, above=("mapping:",), indent="  "),
         notes=(_ros2("'mapping:'"),),
         aliases=("fastlio2",),
     ),
@@ -119,7 +116,7 @@ TARGETS = (
         source="source: src/IMU_Processing.cpp (UndistortPcl), config/avia.yaml",
         kind=_PER_SAMPLE,
         formulas=(_VARIANCES,),
-        body=yaml_body(_FAST_KEYS, above=("imu:",), indent="  "),
+        body=keyed_body(_FAST_KEYS, above=("imu:",), indent="  "),
         notes=(_ros2("'imu:'"),),
     ),
     Target(
@@ -133,7 +130,7 @@ TARGETS = (
             "imu_meas_cov, cov_input = N^2 * f; b_cov = K^2 * f (variances: an inflation enters squared)",
             "imu_time_inte = 1 / f: the period at which the covariance is propagated",
         ),
-        body=yaml_body(
+        body=keyed_body(
             _POINT_KEYS,
             above=("mapping:",),
             below=lambda numbers: (
@@ -150,7 +147,6 @@ TARGETS = (
         name="glim",
         title="GLIM config_sensors.json (IMU part)",
         file_name="glim_sensors.json",
-        heading="GLIM config_sensors.json, its IMU part",
         source="source: src/glim/common/imu_integration.cpp, src/glim/odometry/odometry_estimation_imu.cpp",
         kind="continuous-time densities, SI; imu_bias_noise is discrete, from scan to scan",
         formulas=(

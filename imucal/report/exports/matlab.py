@@ -19,6 +19,7 @@ from imucal.report.exports.target import (
     Body,
     Key,
     Target,
+    below_comment,
     comment,
     real,
     triad,
@@ -65,7 +66,7 @@ def _factor_body(numbers: Numbers) -> Body:
 
 
 def _layout(head: Sequence[str], body: Sequence[str]) -> str:
-    return "\n".join([*comment(head, "%"), *body]) + "\n"
+    return below_comment(head, body, "%")
 
 
 def _params(name: str, function: str, groups: dict[str, tuple[Number, Number, Number]]) -> list[str]:
@@ -93,7 +94,6 @@ TARGETS = (
         name="factor-imu",
         title="MATLAB factorIMUParameters",
         file_name="factor_imu_parameters.m",
-        heading="MATLAB factorIMUParameters",
         source="source: cerescodegen imu_factor.cpp, as shipped with the toolbox; documentation",
         kind="continuous-time covariances (densities squared), SI, whatever unit the documentation gives",
         formulas=("Noise = N^2, BiasNoise = K^2 of each axis; the code divides Noise by the sample time",),

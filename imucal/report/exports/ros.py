@@ -35,7 +35,6 @@ TARGETS = (
         name="ros",
         title="ROS sensor_msgs/Imu covariances",
         file_name="ros_imu_covariance.yaml",
-        heading="ROS sensor_msgs/Imu covariances",
         source="source: sensor_msgs/msg/Imu.msg",
         kind="discrete variances per sample, SI, right for the rate beside each only",
         formulas=("diagonal = N^2 * f of each axis (a variance: an inflation enters squared)",),

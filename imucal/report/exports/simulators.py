@@ -95,7 +95,6 @@ TARGETS = (
         name="airsim",
         title="AirSim settings.json (Imu sensor)",
         file_name="airsim_imu.json",
-        heading="AirSim settings.json, its Imu sensor",
         source="source: AirLib/include/sensors/imu/ImuSimpleParams.hpp, ImuSimple.hpp",
         kind="continuous-time densities, in the units of AirSim's settings; AirSim makes them discrete",
         formulas=(
@@ -110,7 +109,6 @@ TARGETS = (
         name="carla",
         title="CARLA attributes of sensor.other.imu",
         file_name="carla_imu.json",
-        heading="CARLA attributes of sensor.other.imu",
         source="source: CarlaUE4 Carla/Sensor/InertialMeasurementUnit.cpp",
         kind="discrete standard deviations per message, SI, right for sensor_tick only",
         formulas=("noise_*_stddev = N * sqrt(f) of each axis, sensor_tick = 1 / f",),

@@ -1,13 +1,12 @@
-"""One downstream format: its file, how numbers are spelled in it, and the comment at its head.
+"""One downstream format: its file, its keys and their formulas, and the comment at its head.
 
 The comment says how the numbers came about; numbers are spelled so that the consumers' own parsers
 read them.
-
-Files of keys and numbers: which term a key holds, by which formula, and how its line is spelled.
 """
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -19,6 +18,9 @@ from imucal.report.result import AxisReport
 
 #: The numbers that stand in a file, and its lines without the comment at the head.
 Body: TypeAlias = tuple[Sequence[Number], Sequence[str]]
+#: Lines of a file that are the same in every one, or follow from the numbers.
+Lines: TypeAlias = Sequence[str] | Callable[[Numbers], Sequence[str]]
+_YAML_LINE = "{name}: {value}  # {remark}"
 
 _POLICIES = {
     "worst": "worst: the largest of the sensor's axes",
@@ -77,9 +79,9 @@ def comment(lines: Iterable[str], sign: str = "#") -> list[str]:
     return [f"{sign} {plain(line)}".rstrip() for line in lines]
 
 
-def below_comment(head: Sequence[str], body: Sequence[str]) -> str:
-    """Return the text of a file whose comments start with ``#``."""
-    return "\n".join([*comment(head), *body]) + "\n"
+def below_comment(head: Sequence[str], body: Sequence[str], sign: str = "#") -> str:
+    """Return the text of a file whose comments start with a sign."""
+    return "\n".join([*comment(head, sign), *body]) + "\n"
 
 
 def beside_json(head: Sequence[str], body: Sequence[str]) -> str:
@@ -106,7 +108,8 @@ class Target:
     file_name
         Name of the file where the user gives a folder.
     heading
-        The consumer and its file, for the comment.
+        The consumer and its file, for the comment; where none is given the title, ``config (IMU part)``
+        as ``config, its IMU part``.
     source
         What was read to know what the consumer does with the numbers: files of its source, or its
         documentation; and what was run.
@@ -133,11 +136,11 @@ class Target:
     name: str
     title: str
     file_name: str
-    heading: str
     source: str
     kind: str
     formulas: tuple[str, ...]
     body: Callable[[Numbers], Body]
+    heading: str = ""
     carries: str = "N K"
     per_axis: bool = False
     own_rates: bool = False
@@ -148,6 +151,11 @@ class Target:
     def is_called(self, name: str) -> bool:
         """Return whether this is its own name, whatever the case and the signs between letters."""
         return name_key(name) == name_key(self.name)
+
+    def __post_init__(self) -> None:
+        if not self.heading:
+            heading = re.sub(r" \((.+)\)$", r", its \1", self.title)
+            object.__setattr__(self, "heading", heading)
 
     def render(self, numbers: Numbers) -> str:
         """Return the text of the file; raises `DataError` where a number is missing."""
@@ -323,25 +331,27 @@ def entries(numbers: Numbers, keys: Iterable[Key]) -> list[Entry]:
     return found
 
 
-def lines(found: Iterable[Entry], layout: str = "{name}: {value}  # {remark}") -> list[str]:
+def lines(found: Iterable[Entry], layout: str = _YAML_LINE) -> list[str]:
     """Return one line a number; the layout knows name, value and remark (unit and origin)."""
     return [layout.format(name=e.name, value=real(e.value), remark=e.remark) for e in found]
 
 
-def yaml_body(
-    keys: tuple[Key, ...],
-    above: Sequence[str] = (),
-    below: Callable[[Numbers], Sequence[str]] = lambda numbers: (),  # noqa: ARG005 - none
-    indent: str = "",
+def keyed_body(
+    keys: tuple[Key, ...], *, above: Lines = (), below: Lines = (), indent: str = "", layout: str = _YAML_LINE
 ) -> Callable[[Numbers], Body]:
-    """Return the body of a YAML file: the lines above, the keys, the lines below."""
+    """Return the body of a file of keys: the lines above, the keys (see `lines`), the lines below."""
 
     def body(numbers: Numbers) -> Body:
         found = entries(numbers, keys)
-        middle = lines(found, indent + "{name}: {value}  # {remark}")
-        return [entry.number for entry in found], [*above, *middle, *below(numbers)]
+        head, tail = (part(numbers) if callable(part) else part for part in (above, below))
+        return [entry.number for entry in found], [*head, *lines(found, indent + layout), *tail]
 
     return body
+
+
+def stream_rate(key: str, unit: str = "Hz, ") -> Callable[[Numbers], Sequence[str]]:
+    """Return the line of a key that holds the rate of the file's stream."""
+    return lambda numbers: [f"{key}: {real(numbers.stream_hz)}  # {unit}of the {numbers.sensors[0]}"]
 
 
 def json_object(name: str, members: Iterable[tuple[str, str]], indent: str = "  ") -> list[str]:

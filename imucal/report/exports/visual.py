@@ -21,19 +21,18 @@ from imucal.report.exports.target import (
     Body,
     Key,
     Target,
+    below_comment,
     beside_json,
-    comment,
-    entries,
     four,
     json_object,
     json_origins,
-    lines,
+    keyed_body,
     opencv_yaml,
     quoted,
     real,
+    stream_rate,
     triad,
     vector,
-    yaml_body,
 )
 from imucal.units import G0
 
@@ -53,45 +52,31 @@ def _gravity(name: str) -> str:
 
 
 def _orbslam3_rate(numbers: Numbers) -> list[str]:
-    rate = numbers.stream_hz
     return [
-        f"IMU.Frequency: {real(rate)}  # Hz, of the {numbers.sensors[0]}",
+        *stream_rate("IMU.Frequency")(numbers),
         '# A config without File.version: "1.0" goes through the old loader, which takes an integer alone:',
-        f"# IMU.Frequency: {round(rate)}",
+        f"# IMU.Frequency: {round(numbers.stream_hz)}",
     ]
 
 
-def _kimera_tail(numbers: Numbers) -> list[str]:  # noqa: ARG001 - the others depend on them
-    return [
-        "imu_integration_sigma: 1.0e-08  # of the integration's rounding, not of the sensor",
-        "imu_time_shift: 0.0",
-        "do_initial_time_alignment: 0",
-        f"n_gravity: {vector((0.0, 0.0, -G0))}",
-    ]
+_RATE_HZ = stream_rate("rate_hz", unit="")
+_KIMERA_TAIL = (
+    "imu_integration_sigma: 1.0e-08  # of the integration's rounding, not of the sensor",
+    "imu_time_shift: 0.0",
+    "do_initial_time_alignment: 0",
+    f"n_gravity: {vector((0.0, 0.0, -G0))}",
+)
 
 
-def _euroc(numbers: Numbers) -> Body:
-    found = entries(numbers, KEYS)
-    text = [
-        "sensor_type: imu",
-        f"comment: {quoted(numbers.report.source.path)}",
-        *_identity(said="identity: the body frame is the IMU's; set yours"),
-        f"rate_hz: {real(numbers.stream_hz)}  # of the {numbers.sensors[0]}",
-        *lines(found),
-    ]
-    return [entry.number for entry in found], text
+def _kimera_head(numbers: Numbers) -> list[str]:
+    pose = _identity(said="identity: Kimera-VIO takes no other")
+    return ["imu_preintegration_type: 1", *pose, *_RATE_HZ(numbers)]
 
 
-def _kimera(numbers: Numbers) -> Body:
-    found = entries(numbers, KEYS)
-    text = [
-        "imu_preintegration_type: 1",
-        *_identity(said="identity: Kimera-VIO takes no other"),
-        f"rate_hz: {real(numbers.stream_hz)}  # of the {numbers.sensors[0]}",
-        *lines(found),
-        *_kimera_tail(numbers),
-    ]
-    return [entry.number for entry in found], text
+def _euroc_head(numbers: Numbers) -> list[str]:
+    pose = _identity(said="identity: the body frame is the IMU's; set yours")
+    comment = f"comment: {quoted(numbers.report.source.path)}"
+    return ["sensor_type: imu", comment, *pose, *_RATE_HZ(numbers)]
 
 
 _ROVIO = (
@@ -102,15 +87,8 @@ _ROVIO = (
 )
 
 
-def _rovio(numbers: Numbers) -> Body:
-    found = entries(numbers, _ROVIO)
-    middle = lines(found, "        {name} {value};  {remark}")
-    text = ["Prediction", "{", "    PredictionNoise", "    {", *middle, "    }", "}"]
-    return [entry.number for entry in found], text
-
-
 def _info(head: Sequence[str], body: Sequence[str]) -> str:
-    return "\n".join([*comment(head, ";"), *body]) + "\n"
+    return below_comment(head, body, ";")
 
 
 _BASALT = (
@@ -136,16 +114,15 @@ TARGETS = (
         name="vins",
         title="VINS-Mono / VINS-Fusion config (IMU part)",
         file_name="vins_imu.yaml",
-        heading="VINS-Mono / VINS-Fusion config, its IMU part",
         source="source: vins_estimator/src/factor/integration_base.h",
         kind="discrete standard deviations per sample, SI, right for the rate f above only",
         formulas=(
             "acc_n, gyr_n = N * sqrt(2 f): VINS averages two samples but takes half of the variance twice",
             "acc_w, gyr_w = K * sqrt(f)",
         ),
-        body=yaml_body(
+        body=keyed_body(
             four("acc_n acc_w gyr_n gyr_w", HALVED_TWICE, SAMPLE),
-            below=lambda numbers: (_gravity("g_norm"),),  # noqa: ARG005
+            below=(_gravity("g_norm"),),
         ),
         layout=opencv_yaml,
         aliases=("vinsmono", "vinsfusion"),
@@ -154,14 +131,13 @@ TARGETS = (
         name="orbslam3",
         title="ORB-SLAM3 config (IMU part)",
         file_name="orbslam3_imu.yaml",
-        heading="ORB-SLAM3 config, its IMU part",
         source="source: src/Tracking.cc (ParseIMUParamFile), src/Settings.cc, src/ImuTypes.cc",
         kind="continuous-time densities, SI; ORB-SLAM3 makes them discrete with IMU.Frequency",
         formulas=(
             f"Noise = N, Walk = K; {_PLAIN}",
             "IMU.Frequency must be the true rate: the code takes N * sqrt(f) and K / sqrt(f)",
         ),
-        body=yaml_body(four("IMU.NoiseAcc IMU.AccWalk IMU.NoiseGyro IMU.GyroWalk"), below=_orbslam3_rate),
+        body=keyed_body(four("IMU.NoiseAcc IMU.AccWalk IMU.NoiseGyro IMU.GyroWalk"), below=_orbslam3_rate),
         layout=opencv_yaml,
         aliases=("orbslam",),
     ),
@@ -169,14 +145,13 @@ TARGETS = (
         name="okvis2",
         title="OKVIS2 config (imu_parameters)",
         file_name="okvis2_imu.yaml",
-        heading="OKVIS2 config, its imu_parameters",
         source="source: okvis_ceres/src/ImuError.cpp, okvis_common/src/ViParametersReader.cpp",
         kind="continuous-time densities, SI; OKVIS2 multiplies their squares by dt",
         formulas=(f"sigma_a_c, sigma_g_c = N; sigma_aw_c, sigma_gw_c = K; {_PLAIN}",),
-        body=yaml_body(
+        body=keyed_body(
             four("sigma_a_c sigma_aw_c sigma_g_c sigma_gw_c"),
             above=("imu_parameters:",),
-            below=lambda numbers: (f"    {_gravity('g')}",),  # noqa: ARG005
+            below=(f"    {_gravity('g')}",),
             indent="    ",
         ),
         notes=(f"{_OWN_KEYS} (a_max, g_max, sigma_ba, sigma_bg, a0, g0, T_BS …)",),
@@ -186,11 +161,10 @@ TARGETS = (
         name="kimera-vio",
         title="Kimera-VIO ImuParams.yaml",
         file_name="ImuParams.yaml",
-        heading="Kimera-VIO ImuParams.yaml",
         source="source: src/imu-frontend/ImuFrontendParams.cpp, src/imu-frontend/ImuFrontend.cpp",
         kind="continuous-time densities, SI; squared and handed to GTSAM, which uses the stamps",
         formulas=(FORMULA,),
-        body=_kimera,
+        body=keyed_body(KEYS, above=_kimera_head, below=_KIMERA_TAIL),
         notes=("imu_preintegration_type: 1; for 0 the code sets GTSAM's biasAccOmegaInt to the identity",),
         layout=opencv_yaml,
         aliases=("kimera",),
@@ -203,7 +177,7 @@ TARGETS = (
         source="source: src/msckf_vio.cpp (loadParameters, processModel)",
         kind="continuous-time densities, SI; the filter multiplies their squares by dt",
         formulas=(f"gyro, acc = N; gyro_bias, acc_bias = K; {_PLAIN}",),
-        body=yaml_body(four("acc acc_bias gyro gyro_bias"), above=("noise:",), indent="  "),
+        body=keyed_body(four("acc acc_bias gyro gyro_bias"), above=("noise:",), indent="  "),
         notes=('load it in the node\'s own namespace: <rosparam command="load" file="…"/> inside its tag',),
         aliases=("smsckf",),
     ),
@@ -211,17 +185,13 @@ TARGETS = (
         name="svo-pro",
         title="SVO Pro calibration (imu_params)",
         file_name="svo_pro_imu.yaml",
-        heading="SVO Pro calibration, its imu_params",
         source="source: svo_common/include/svo/common/imu_calibration.h, svo/src/imu_handler.cpp",
         kind="continuous-time densities, SI",
         formulas=(f"sigma_acc_c, sigma_omega_c = N; sigma_acc_bias_c, sigma_omega_bias_c = K; {_PLAIN}",),
-        body=yaml_body(
+        body=keyed_body(
             four("sigma_acc_c sigma_acc_bias_c sigma_omega_c sigma_omega_bias_c"),
             above=("imu_params:",),
-            below=lambda numbers: (
-                f"  imu_rate: {real(numbers.stream_hz)}  # Hz, of the {numbers.sensors[0]}",
-                f"  {_gravity('g')}",
-            ),
+            below=lambda numbers: (*stream_rate("  imu_rate")(numbers), f"  {_gravity('g')}"),
             indent="  ",
         ),
         notes=(f"{_OWN_KEYS} (delay_imu_cam, max_imu_delta_t, acc_max, omega_max, sigma_integration)",),
@@ -231,11 +201,16 @@ TARGETS = (
         name="rovio",
         title="ROVIO rovio.info (PredictionNoise)",
         file_name="rovio_imu.info",
-        heading="ROVIO rovio.info, its PredictionNoise",
         source="source: include/rovio/ImuPrediction.hpp, cfg/rovio.info",
         kind="continuous-time covariances (densities squared), SI; ROVIO scales them with dt",
         formulas=("vel, att = N^2; acb, gyb = K^2 of each axis (an inflation enters squared)",),
-        body=_rovio,
+        body=keyed_body(
+            _ROVIO,
+            above=("Prediction", "{", "    PredictionNoise", "    {"),
+            below=("    }", "}"),
+            indent=" " * 8,
+            layout="{name} {value};  {remark}",
+        ),
         per_axis=True,
         notes=("include this file at the end of your rovio.info, or copy the lines into it",),
         layout=_info,
@@ -244,7 +219,6 @@ TARGETS = (
         name="basalt",
         title="Basalt calibration.json (IMU part)",
         file_name="basalt_imu.json",
-        heading="Basalt calibration.json, its IMU part",
         source="source: basalt-headers calibration.hpp, eigen_io.h; src/vi_estimator (bias_weight)",
         kind="continuous-time densities, SI; Basalt makes them discrete with imu_update_rate",
         formulas=(f"noise_std = N, bias_std = K of each axis; {_PLAIN}",),
@@ -263,12 +237,10 @@ TARGETS = (
         source="documentation: isaac_ros_visual_slam, parameters",
         kind="continuous-time densities, SI; the node makes them discrete with calibration_frequency",
         formulas=(f"noise_density = N, random_walk = K; {_PLAIN}",),
-        body=yaml_body(
+        body=keyed_body(
             four("accel_noise_density accel_random_walk gyro_noise_density gyro_random_walk"),
             above=("/**:", "  ros__parameters:"),
-            below=lambda numbers: (
-                f"    calibration_frequency: {real(numbers.stream_hz)}  # Hz, of the {numbers.sensors[0]}",
-            ),
+            below=stream_rate("    calibration_frequency"),
             indent="    ",
         ),
         aliases=("cuvslam",),
@@ -277,11 +249,10 @@ TARGETS = (
         name="euroc",
         title="EuRoC (ASL dataset) sensor.yaml",
         file_name="euroc_sensor.yaml",
-        heading="EuRoC (ASL dataset) sensor.yaml",
         source="documentation: Burri et al. (2016), The EuRoC micro aerial vehicle datasets",
         kind="continuous-time densities, SI",
         formulas=(FORMULA,),
-        body=_euroc,
+        body=keyed_body(KEYS, above=_euroc_head),
         aliases=("asl",),
     ),
 )
