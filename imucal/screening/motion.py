@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding, Level
 from imucal.recording import Sensor
 from imucal.screening.values import gravity
@@ -32,6 +33,10 @@ _POSE_WINDOWS, _LEAST_GRAVITY = 5, 0.5
 _BAND_HZ = (0.5, 10.0)
 #: Rate in it, in rad/s rms, that no gyroscope shows at rest: ten times what a poor one does.
 _LOUD = 3e-3
+#: Shortest and longest stretch that is transformed, in samples; least of them, as many as are wanted of a
+#: short log, and the most that are taken of a long one, spread evenly over it.
+_SHORTEST, _LONGEST = 256, 16384
+_LEAST, _WANTED, _MOST = 4, 16, 256
 #: The band's density must exceed that of the upper half of all frequencies by this: it is no white noise.
 _COLOURED = 8.0
 
@@ -73,17 +78,53 @@ def check_tremor(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 def _tremor(profile: Profile) -> float:
     """Return the rms rate in the band, in rad/s, where it is loud and coloured; else 0."""
-    density = profile.density
-    if density is None:
-        return 0.0
     low, high = _BAND_HZ
-    band = (density.frequency >= low) & (density.frequency <= high)
-    upper = density.frequency > 0.5 * density.frequency[-1]
-    if not band.any() or high > 0.5 * density.frequency[-1]:
+    if 4 * high > profile.series.rate_hz or (psd := density_at_rest(profile)) is None:
         return 0.0
-    rms = float(np.sqrt(2 * density.psd[band].sum() * density.spacing_hz))
-    coloured = density.psd[band].mean() > _COLOURED * density.psd[upper].mean()
+    frequency = np.linspace(0, profile.series.rate_hz / 2, psd.size)
+    band = (frequency >= low) & (frequency <= high)
+    if not band.any():
+        return 0.0
+    rms = float(np.sqrt(2 * psd[band].sum() * frequency[1]))
+    coloured = psd[band].mean() > _COLOURED * psd[frequency > frequency[-1] / 2].mean()
     return rms if rms > _LOUD and coloured else 0.0
+
+
+def density_at_rest(profile: Profile) -> FloatArray | None:
+    """Return the two-sided density, in U²/Hz, of the stretches that hold no gap and no disturbance.
+
+    Shape (k,), at equal spacing from 0 to the Nyquist frequency, by Hann windows that overlap by half;
+    None where fewer than four of 256 samples fit. O(n log n), and no more than 256 stretches however long
+    the log is.
+
+    Source: Welch (1967), IEEE Trans. Audio Electroacoust. 15(2).
+    """
+    series, size = profile.series, _LONGEST
+    while size > _SHORTEST and size * _WANTED > series.n:
+        size //= 2
+    while (starts := _stretches(profile, size)).size < _LEAST:
+        size //= 2
+        if size < _SHORTEST:
+            return None
+    if starts.size > _MOST:
+        starts = starts[np.linspace(0, starts.size - 1, _MOST).astype(np.int64)]
+    taper = np.hanning(size + 1)[:-1]
+    power = np.zeros(size // 2 + 1)
+    for start in starts.tolist():
+        samples = series.samples[start : start + size]
+        transform = np.fft.rfft((samples - samples.mean()) * taper)
+        power += transform.real**2 + transform.imag**2
+    return power * (series.tau0 / (starts.size * (taper @ taper)))
+
+
+def _stretches(profile: Profile, size: int) -> IntArray:
+    """Return where undisturbed stretches of some size begin, shape (k,)."""
+    windows, segments = profile.windows, profile.series.clock.segments
+    avoid = windows.start[profile.disturbed]
+    starts = [np.arange(s.start, s.stop - size + 1, size // 2) for s in segments if s.size >= size]
+    every = np.concatenate([np.zeros(0, dtype=np.int64), *starts])
+    before = np.searchsorted(avoid, every - windows.width, side="right")
+    return np.asarray(every[np.searchsorted(avoid, every + size) == before])
 
 
 def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.findings import Finding
+from imucal.findings import Finding, Level
 from imucal.recording import Sensor, Temperature
 from imucal.screening.windows import Profile, amount, excerpt, time
 from imucal.units import G0
@@ -37,19 +37,21 @@ _LEAST = 64
 def check_no_data(profile: Profile) -> tuple[Finding, ...]:
     """Return an error for an axis that holds no sample, or one value only."""
     series = profile.series
+    first = float(series.samples[0]) if series.n else math.nan
+    if series.n and not (profile.windows.size and profile.constant):
+        return ()
+    code = "no-data"
     if series.n == 0:
         text = f"{series.name} holds no finite sample."
-        return (_error("no-data", text, "Look at the driver or at the choice of columns.", series.name),)
-    if not profile.windows.size or not profile.constant:
-        return ()
-    first = float(series.samples[0])
-    if first == 0:
+        advice = "Look at the driver or at the choice of columns."
+    elif first == 0:
         text = f"{series.name} is 0 in all of its {series.n} samples: the driver does not fill it."
-        return (_error("no-data", text, "Read this sensor from another topic or column.", series.name),)
-    text = f"{series.name} never changes: all of its {series.n} samples are {first:.6g} {series.unit}."
-    return (
-        _error("stuck", text, "Look at the sensor and its driver; this axis can't be used.", series.name),
-    )
+        advice = "Read this sensor from another topic or column."
+    else:
+        code = "stuck"
+        text = f"{series.name} never changes: all of its {series.n} samples are {first:.6g} {series.unit}."
+        advice = "Look at the sensor and its driver; this axis can't be used."
+    return (Finding(level="error", code=code, text=text, advice=advice, axis=series.name),)
 
 
 def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
@@ -58,17 +60,14 @@ def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
     if not count or not series.n:
         return ()
     share = count / (count + series.n)
+    samples, are = ("sample", "is") if count == 1 else ("samples", "are")
+    level: Level = "warning" if share > _MANY else "info"
+    text = (
+        f"{count} {samples} of {series.name} ({share:.2g} of all) {are} NaN, infinite or absurdly large and "
+        "left out."
+    )
     return (
-        Finding(
-            level="warning" if share > _MANY else "info",
-            code="not-finite",
-            text=(
-                f"{count} {'sample' if count == 1 else 'samples'} of {series.name} ({share:.2g} of all) "
-                f"{'is' if count == 1 else 'are'} NaN, infinite or absurdly large and left out."
-            ),
-            advice="Look at the driver.",
-            axis=series.name,
-        ),
+        Finding(level=level, code="not-finite", text=text, advice="Look at the driver.", axis=series.name),
     )
 
 
@@ -241,10 +240,6 @@ def _correlation(one: Profile, two: Profile) -> float:
     return xy / (xx**0.5 * yy**0.5) if xx > 0 and yy > 0 else 0.0
 
 
-def _error(code: str, text: str, advice: str, axis: str) -> Finding:
-    return Finding(level="error", code=code, text=text, advice=advice, axis=axis)
-
-
 #: Gravity as an uncalibrated accelerometer may show it, in m/s²: 20 % off at most.
 _GRAVITY = (0.8 * G0, 1.2 * G0)
 #: Below this, in m/s², there is no gravity in the figures, whatever their unit.
@@ -269,42 +264,20 @@ def gravity(profiles: Sequence[Profile]) -> float | None:
 
 def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return an error when gravity is in the gyroscope and not in the accelerometer."""
+    gyro, accel = (gravity(_of(sensor, profiles)) for sensor in Sensor)
     if not swapped(profiles):
         return ()
-    gyro = gravity([p for p in profiles if p.series.sensor is Sensor.GYROSCOPE])
-    accel = gravity([p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER])
-    return (
-        Finding(
-            level="error",
-            code="swapped-sensors",
-            text=(
-                f"At rest the gyroscope shows {gyro:.3g}, as gravity would, and the accelerometer "
-                f"{accel:.2g}: the two are swapped."
-            ),
-            advice="Name the columns or topics of each sensor when reading.",
-        ),
+    text = (
+        f"At rest the gyroscope shows {gyro:.3g}, as gravity would, and the accelerometer "
+        f"{accel:.2g}: the two are swapped."
     )
-
-
-def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return a finding when the length of gravity is not that of m/s²."""
-    accel = [p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER]
-    length = gravity(accel)
-    if length is None or swapped(profiles):
-        return ()
-    return _accelerometer(accel, length)
-
-
-def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return a finding when a gyroscope at rest does not look like rad/s: its steps, noise or mean."""
-    gyro = [p for p in profiles if p.series.sensor is Sensor.GYROSCOPE]
-    return () if swapped(profiles) else _gyroscope(gyro, gravity(gyro))
+    advice = "Name the columns or topics of each sensor when reading."
+    return (Finding(level="error", code="swapped-sensors", text=text, advice=advice),)
 
 
 def swapped(profiles: Sequence[Profile]) -> bool:
     """Whether gravity is in the gyroscope and not in the accelerometer."""
-    gyro = gravity([p for p in profiles if p.series.sensor is Sensor.GYROSCOPE])
-    accel = gravity([p for p in profiles if p.series.sensor is Sensor.ACCELEROMETER])
+    gyro, accel = (gravity(_of(sensor, profiles)) for sensor in Sensor)
     if gyro is None or accel is None:
         return False
     in_si = _GRAVITY[0] < gyro < _GRAVITY[1] and accel < 1
@@ -312,80 +285,69 @@ def swapped(profiles: Sequence[Profile]) -> bool:
     return in_si or in_g
 
 
-def _accelerometer(accel: Sequence[Profile], length: float) -> tuple[Finding, ...]:
-    if _GRAVITY[0] <= length <= _GRAVITY[1]:
+def _of(sensor: Sensor, profiles: Sequence[Profile]) -> list[Profile]:
+    return [p for p in profiles if p.series.sensor is sensor]
+
+
+def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return a finding when the length of gravity is not that of m/s²."""
+    accel = _of(Sensor.ACCELEROMETER, profiles)
+    length = gravity(accel)
+    if length is None or swapped(profiles) or _GRAVITY[0] <= length <= _GRAVITY[1]:
         return ()
     if length < _NO_GRAVITY:
-        text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
+        code, text = "no-gravity", f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
         advice = "If a driver takes gravity off, log the raw acceleration: the filter's noise is in this one."
-        return (Finding(level="warning", code="no-gravity", text=text, advice=advice, axis="accel"),)
-    guess = _accelerometer_guess(accel, length)
-    return (
-        Finding(
-            level="warning",
-            code="unit-suspect",
-            text=f"|a| is {length:.4g} at rest, where m/s^2 would give {G0:.1f}: {guess}.",
-            advice="Name the accelerometer's unit when reading; every figure of it scales with the unit.",
-            axis="accel",
-        ),
-    )
+    else:
+        guess = _accelerometer_guess(accel, length)
+        code, text = "unit-suspect", f"|a| is {length:.4g} at rest, where m/s^2 would give {G0:.1f}: {guess}."
+        advice = "Name the accelerometer's unit when reading; every figure of it scales with the unit."
+    return (Finding(level="warning", code=code, text=text, advice=advice, axis="accel"),)
 
 
 def _accelerometer_guess(accel: Sequence[Profile], length: float) -> str:
     for unit, expected in (("g", 1.0), ("mg", 1e3), ("ug", 1e6)):
-        if abs(length / expected - 1) < 0.15 and not (unit == "mg" and _unit_check_counts(accel)):
+        if abs(length / expected - 1) < 0.15 and not (unit == "mg" and _are_counts(accel)):
             return f"the unit looks like {unit}"
     # g taken for m/s² twice, or m/s² taken for g
     if abs(length / G0**2 - 1) < 0.15:
         return "m/s^2 seem to have been taken for g"
-    return "these look like raw counts" if _unit_check_counts(accel) or length > 1e3 else "no known unit fits"
+    return "these look like raw counts" if _are_counts(accel) or length > 1e3 else "no known unit fits"
 
 
-def _gyroscope(gyro: Sequence[Profile], rate: float | None) -> tuple[Finding, ...]:
-    reason = _counts_reason(gyro) or _lsb_reason(gyro) or _noise_reason(gyro) or _rate_reason(rate)
-    if reason is None:
-        return ()
-    return (
-        Finding(
-            level="warning",
-            code="unit-suspect",
-            text=f"The gyroscope may not be in rad/s: {reason}.",
-            advice="Name the gyroscope's unit when reading; every figure of it scales with the unit.",
-            axis="gyro",
-        ),
-    )
-
-
-def _unit_check_counts(profiles: Sequence[Profile]) -> bool:
+def _are_counts(profiles: Sequence[Profile]) -> bool:
     """Whether all axes step by exactly 1."""
     return bool(profiles) and all(p.lsb == 1 and float(p.series.samples[0]).is_integer() for p in profiles)
 
 
-def _counts_reason(gyro: Sequence[Profile]) -> str | None:
-    return "all its values are whole numbers, as raw counts are" if _unit_check_counts(gyro) else None
+def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return a finding when a gyroscope at rest does not look like rad/s: its steps, noise or mean."""
+    gyro = _of(Sensor.GYROSCOPE, profiles)
+    reason = None if swapped(profiles) else _gyroscope_reason(gyro)
+    if reason is None:
+        return ()
+    text = f"The gyroscope may not be in rad/s: {reason}."
+    advice = "Name the gyroscope's unit when reading; every figure of it scales with the unit."
+    return (Finding(level="warning", code="unit-suspect", text=text, advice=advice, axis="gyro"),)
 
 
-def _lsb_reason(gyro: Sequence[Profile]) -> str | None:
-    known = [(lsb, p.lsb) for p in gyro if p.lsb for lsb in _GYRO_LSB if abs(p.lsb / lsb - 1) < _AGREE]
-    if not known or len(known) < len(gyro):
-        return None
-    return f"its steps of {known[0][1]:.5g} are a usual LSB in deg/s"
-
-
-def _noise_reason(gyro: Sequence[Profile]) -> str | None:
+def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
+    """Return what says that a gyroscope is in another unit, the surest sign first; None for rad/s."""
+    if _are_counts(gyro):
+        return "all its values are whole numbers, as raw counts are"
+    known = [p.lsb for p in gyro if p.lsb and any(abs(p.lsb / lsb - 1) < _AGREE for lsb in _GYRO_LSB)]
+    if known and len(known) == len(gyro):
+        return f"its steps of {known[0]:.5g} are a usual LSB in deg/s"
     density = [p.noise * math.sqrt(p.series.tau0) for p in gyro]
-    if not density or min(density) < _NOISY:
-        return None
-    return (
-        f"its noise, {max(density):.2g} rad/s/sqrt(Hz), is more than gyroscopes have; "
-        f"in deg/s it would be {math.radians(max(density)):.2g} rad/s/sqrt(Hz)"
-    )
-
-
-def _rate_reason(rate: float | None) -> str | None:
-    if rate is None or rate < _BIASED:
-        return None
-    return f"it shows {rate:.3g} at rest, {math.degrees(rate):.0f} deg/s if in rad/s"
+    if density and min(density) >= _NOISY:
+        return (
+            f"its noise, {max(density):.2g} rad/s/sqrt(Hz), is more than gyroscopes have; "
+            f"in deg/s it would be {math.radians(max(density)):.2g} rad/s/sqrt(Hz)"
+        )
+    rate = gravity(gyro)
+    if rate is not None and rate >= _BIASED:
+        return f"it shows {rate:.3g} at rest, {math.degrees(rate):.0f} deg/s if in rad/s"
+    return None
 
 
 #: Slowest and fastest, in Hz: averages of 1 s are logged, and no bench instrument gives more than 100 kHz.
@@ -400,17 +362,17 @@ def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     Every density and every time of the result follows the rate. Instruments on a bench sample at up to
     100 kHz, which is also 100 Hz with stamps in a wrong unit: a rate between is a warning.
     """
-    rates = dict.fromkeys(p.series.rate_hz for p in profiles)
-    return tuple(_finding(rate) for rate in rates if not _SLOWEST <= rate <= _FASTEST_MEMS)
-
-
-def _finding(rate_hz: float) -> Finding:
+    found = []
     advice = "Look at the unit of the stamps (s, ms, us, ns), or give the sampling rate in Hz."
-    if _FASTEST_MEMS < rate_hz <= _FASTEST:
-        text = f"The samples come at {rate_hz:.4g} Hz: no MEMS sensor is so fast."
-        return Finding(level="warning", code="fast-rate", text=text, advice=advice)
-    text = f"The samples come at {rate_hz:.4g} Hz: no IMU is so {'slow' if rate_hz < 1 else 'fast'}."
-    return Finding(level="error", code="absurd-rate", text=text, advice=advice)
+    for rate in dict.fromkeys(p.series.rate_hz for p in profiles):
+        samples = f"The samples come at {rate:.4g} Hz"
+        if _FASTEST_MEMS < rate <= _FASTEST:
+            text = f"{samples}: no MEMS sensor is so fast."
+            found.append(Finding(level="warning", code="fast-rate", text=text, advice=advice))
+        elif not _SLOWEST <= rate <= _FASTEST:
+            text = f"{samples}: no IMU is so {'slow' if rate < 1 else 'fast'}."
+            found.append(Finding(level="error", code="absurd-rate", text=text, advice=advice))
+    return tuple(found)
 
 
 #: A change of temperature that is worth a word of its own, in degrees.
