@@ -9,7 +9,13 @@ from typing import NoReturn
 from imucal.errors import ChoiceError
 from imucal.readers.containers import Channel, Container
 from imucal.readers.messages import protobuf_messages, ros_trees
-from imucal.readers.messages.definitions import DefinitionError, definition_of_channel, is_given, plain_type
+from imucal.readers.messages.definitions import (
+    DefinitionError,
+    Field,
+    definition_of_channel,
+    is_given,
+    plain_type,
+)
 from imucal.readers.messages.leaves import Leaves, leaves_of_tree
 from imucal.readers.messages.loader import first_message
 from imucal.readers.messages.message_types import FieldsText, ImuFields, find_imus, parse_fields_text
@@ -156,7 +162,7 @@ def _known(channel: Channel, leaves: Leaves, options: ReadOptions) -> dict[str, 
         known = len(vectors) == 2 or (not leaves.all and _looks_like_imu(channel))
         return {"": JSON_FIELDS} if known else {}
     if channel.encoding == "protobuf":
-        fields = protobuf_messages.fields_of(channel)
+        fields: Sequence[Field] = protobuf_messages.fields_of(channel)
     else:
         fields = definition_of_channel(channel, options).fields(channel)
     return find_imus(channel.type, fields, channel.topic, _said(channel.topic, options))
