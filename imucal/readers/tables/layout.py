@@ -1,8 +1,7 @@
-"""How a text table is laid out: delimiter, header, units, preamble, where the data start.
+"""How a text table is laid out: delimiter and decimal point, header, units, preamble, where the data start.
 
-Lines of a text table cut into cells: by which delimiter, with which decimal point, and which are rows.
-
-The header of a text table: names of its columns, in one row or two, and a row of their units.
+The head is cut by each delimiter; the one that gives the most cells of rows of numbers, under a header that
+fits them, is taken. A header may take two lines, and a row of units may stand below it.
 """
 
 import csv
@@ -66,8 +65,11 @@ def line_splits(lines: Sequence[str]) -> list[LineSplit]:
     """Return the ways of cutting a table's first lines that give rows of numbers, the likeliest first."""
     lines = list(lines[:_LINES])
     only = _named_delimiter(lines)
-    splits = _splits(lines, (only,)) if only else []
-    return splits or _splits(lines, _DELIMITERS) or _splits(lines, _DELIMITERS, narrow=True)
+    for delimiters, narrow in (((only,) if only else (), False), (_DELIMITERS, False), (_DELIMITERS, True)):
+        splits = [split for delimiter in delimiters if (split := _split(lines, delimiter, narrow=narrow))]
+        if splits:
+            return sorted(splits, key=lambda split: -split.score)
+    return []
 
 
 def _named_delimiter(lines: Sequence[str]) -> str | None:
@@ -93,19 +95,14 @@ def split_line(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _splits(lines: Sequence[str], delimiters: Sequence[str], *, narrow: bool = False) -> list[LineSplit]:
-    """Return the ways of cutting the lines that give rows of numbers, the likeliest first."""
-    splits = [split for delimiter in delimiters if (split := _split(lines, delimiter, narrow=narrow))]
-    return sorted(splits, key=lambda split: -split.score)
-
-
 def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> LineSplit | None:
+    """Return the lines cut by a delimiter; None where that gives no rows, of one or two cells if `narrow`."""
     if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
         return None
-    ended = delimiter != ";" and _have_ends(lines)
+    ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
     if ended:
         lines = [line.rstrip("; \t") for line in lines]
-    rows = _cells(lines, delimiter)
+    rows = [split_line(line, delimiter) if line.strip() else [] for line in lines]
     # Where commas part the cells, one within a cell stood in quotes.
     decimal = _decimal(rows)
     width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
@@ -116,16 +113,6 @@ def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> LineSplit |
         rows = [[" ".join(row)] if row else [] for row in rows]
     start = _start(fitting, len(lines))
     return LineSplit(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start), ended)
-
-
-def _cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
-    """Return the cells of each line; none of an empty one."""
-    return [split_line(line, delimiter) if line.strip() else [] for line in lines]
-
-
-def _have_ends(lines: Sequence[str]) -> bool:
-    """Return whether most lines end with a semicolon."""
-    return sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
 
 
 def without_ends(block: bytes) -> bytes:
@@ -168,14 +155,16 @@ def _start(fitting: Sequence[int], lines: int) -> int:
 
 
 def _decimal(rows: Sequence[Sequence[str]]) -> str:
-    commas = sum(bool(_COMMA_NUMBER.fullmatch(cell)) for row in rows for cell in row)
-    points = sum(bool(_DOT_NUMBER.fullmatch(cell)) for row in rows for cell in row)
+    cells = [cell for row in rows for cell in row]
+    commas, points = (sum(map(bool, map(number.fullmatch, cells))) for number in (_COMMA_NUMBER, _DOT_NUMBER))
     return "," if commas > points else "."
 
 
 def _numbers(row: Sequence[str], decimal: str) -> int:
-    plain = sum(1 for cell in row if _NUMBER.fullmatch(cell))
-    return plain + (sum(1 for cell in row if _COMMA_NUMBER.fullmatch(cell)) if decimal == "," else 0)
+    """Return how many cells of a row are numbers."""
+    return sum(
+        bool(_NUMBER.fullmatch(cell) or (decimal == "," and _COMMA_NUMBER.fullmatch(cell))) for cell in row
+    )
 
 
 #: Names of a header's second row, and what stands in brackets beside them.
@@ -216,27 +205,16 @@ def _is_axes(row: Sequence[str]) -> bool:
 
 
 def _two_rows(above: Sequence[str], row: list[str]) -> list[str]:
-    """Join a header of two lines: groups above, x, y, z below."""
-    if not _is_axes(row) or not 2 <= len(above) <= len(row) + 1 or not any(above):
-        return _labelled(row)
-    group, names = "", []
-    for name, axis in zip_longest(above[: len(row)], row, fillvalue=""):
-        group = name or group
-        names.append(f"{group} {axis}".strip())
-    return names
-
-
-def _labelled(row: list[str]) -> list[str]:
-    """Give repeated names x, y, z the name of the column before them, as rosbag_to_csv means it."""
-    if Counter(cell.lower() for cell in row)["x"] < 2:
+    """Join a header of two lines, groups above, x, y, z below; or groups and axes that stand in one line."""
+    grouped = _is_axes(row) and 2 <= len(above) <= len(row) + 1 and any(above)
+    if not grouped and Counter(cell.lower() for cell in row)["x"] < 2:
         return row
-    label, names = "", []
-    for cell in row:
-        if cell.lower() in {"x", "y", "z", "w"}:
-            names.append(f"{label} {cell}".strip())
-        else:
-            label = cell
-            names.append(cell)
+    group, names = "", []
+    for label, cell in zip_longest(above[: len(row)] if grouped else (), row, fillvalue=""):
+        # rosbag_to_csv names a vector before its axes, which are x, y, z again and again.
+        named = grouped or cell.lower() in {"x", "y", "z", "w"}
+        group = label or group if named else cell
+        names.append(f"{group} {cell}".strip() if named else cell)
     return names
 
 

@@ -57,6 +57,11 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
+def _stems(words: Sequence[str]) -> list[str]:
+    """Return words without the numbers at their ends."""
+    return [word.rstrip("0123456789") or word for word in words]
+
+
 #: Names with one of these hold no raw sample of either sensor.
 _REJECTED = _words(
     "cov covariance orientation quat quaternion mag magn compass euler bias biases gravity grav free user "
@@ -182,23 +187,22 @@ def _without_brackets(text: str) -> tuple[str, str | None, int | None]:
 
 def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
     """Take the axis out of the words of a name; also return before which word of the rest it stood."""
-    for position in range(len(words) - 1, -1, -1):
-        if words[position] in _AXES:
-            return words[:position] + words[position + 1 :], _AXES[words[position]], position
-    for position in range(len(words) - 1, -1, -1):
-        match = _GLUED.fullmatch(words[position])
+    for at in reversed(range(len(words))):
+        if words[at] in _AXES:
+            return words[:at] + words[at + 1 :], _AXES[words[at]], at
+    for at in reversed(range(len(words))):
+        match = _GLUED.fullmatch(words[at])
         if match:
             sensor, axis = match["sensor"] or match["sensor2"], match["axis"] or match["axis2"]
             number = [match["number"]] if match["number"] else []
-            named = [*words[:position], sensor, *number, *words[position + 1 :]]
-            return named, _AXES[axis], position + 1
+            return [*words[:at], sensor, *number, *words[at + 1 :]], _AXES[axis], at + 1
     rate = any(word in {"rate", "angular", "gyro"} for word in words)
-    for position, word in enumerate(words):
+    for at, word in enumerate(words):
         if word in _ATTITUDE and rate:
-            return words[:position] + words[position + 1 :], _ATTITUDE[word], position
-        if word.removesuffix("rate") in _ATTITUDE and word.endswith("rate"):
-            axis_at = _ATTITUDE[word.removesuffix("rate")]
-            return [*words[:position], "rate", *words[position + 1 :]], axis_at, position + 1
+            return words[:at] + words[at + 1 :], _ATTITUDE[word], at
+        stem = word.removesuffix("rate")
+        if stem != word and stem in _ATTITUDE:
+            return [*words[:at], "rate", *words[at + 1 :]], _ATTITUDE[stem], at + 1
     return words, None, len(words)
 
 
@@ -237,25 +241,19 @@ def _agreed(role: Role, unit: str) -> Role | None:
 
 
 def _role(words: list[str], axis: int | None, *, omega: bool) -> Role:
-    stems = [word.rstrip("0123456789") or word for word in words]
-    if _is_time(words) and not (axis is not None and _sensor(stems, omega=omega)):
+    stems = _stems(words)
+    sensor = _sensor(stems, omega=omega)
+    if _is_time(words) and (axis is None or sensor is None):
         return Role.TIME
     if axis is not None:
-        return _axis_role(stems, omega=omega)
-    if any(stem in _COUNTER_WORDS for stem in stems) and not _NOT_COUNTER.intersection(stems):
+        if _rejects(stems, sensor):
+            return Role.OTHER
+        if sensor is not None:
+            return Role(str(sensor))
+        return Role.VECTOR if _VECTOR_WORDS.issuperset(stems) else Role.OTHER
+    if _COUNTER_WORDS.intersection(stems) and not _NOT_COUNTER.intersection(stems):
         return Role.COUNTER
-    if stems and any(stem in {"temp", "temperature", "temps"} for stem in stems):
-        return Role.TEMPERATURE
-    return Role.OTHER
-
-
-def _axis_role(stems: list[str], *, omega: bool) -> Role:
-    sensor = _sensor(stems, omega=omega)
-    if _rejects(stems, sensor):
-        return Role.OTHER
-    if sensor is not None:
-        return Role(str(sensor))
-    return Role.VECTOR if all(stem in _VECTOR_WORDS for stem in stems) else Role.OTHER
+    return Role.TEMPERATURE if {"temp", "temperature", "temps"}.intersection(stems) else Role.OTHER
 
 
 def _rejects(stems: Sequence[str], sensor: Sensor | None) -> bool:
@@ -266,7 +264,7 @@ def _rejects(stems: Sequence[str], sensor: Sensor | None) -> bool:
 
 def is_of_something_else(column: NamedColumn) -> bool:
     """Return whether a name says that the column is no raw sample; one that says nothing may be."""
-    return _rejects([word.rstrip("0123456789") or word for word in column.words], None)
+    return _rejects(_stems(column.words), None)
 
 
 def _sensor(stems: list[str], *, omega: bool) -> Sensor | None:
@@ -280,10 +278,8 @@ def _sensor(stems: list[str], *, omega: bool) -> Sensor | None:
 
 
 def _is_time(words: list[str]) -> bool:
-    stems = [word.rstrip("0123456789") or word for word in words]
-    if _NOT_TIME.intersection(stems):
-        return False
-    return any(
+    stems = _stems(words)
+    return not _NOT_TIME.intersection(stems) and any(
         stem in _TIME_WORDS or stem.startswith(("timestamp", "datetime")) or stem.endswith(("time", "stamp"))
         for stem in stems
     )

@@ -210,18 +210,13 @@ def infer_gyro_unit(rows: FloatArray, *, rate_hz: float | None, accel_unit: str 
         return UnitGuess(reason="there are no finite samples")
     if bool((rows == np.round(rows)).all()) and bool(rows.any()):
         return UnitGuess(reason="the rates are integer counts of an unknown scale")
-    return _by_step(rows) or _by_size(rows, rate_hz, accel_unit)
-
-
-def _by_step(rows: FloatArray) -> UnitGuess | None:
-    """Return the unit in which the converter's step is a known one."""
     step = converter_step(rows)
     for unit, factor in (("deg/s", 1.0), ("rad/s", _DEGREE)):
         for known in _STEPS:
             if step is not None and abs(step / (known * factor) - 1) < _STEP_TOLERANCE:
                 reason = f"the rates come in steps of {step:.6g}, a converter's {known:.6g} deg/s"
                 return UnitGuess(unit=unit, reason=reason)
-    return None
+    return _by_size(rows, rate_hz, accel_unit)
 
 
 def _by_size(rows: FloatArray, rate_hz: float | None, accel_unit: str | None) -> UnitGuess:

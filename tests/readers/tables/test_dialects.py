@@ -62,7 +62,7 @@ def _wrong_names(dialect: Dialect) -> list[str]:
 
 
 def _without_example(dialect: Dialect, folder: Path, styles: Sequence[Style]) -> list[str]:
-    """Read the examples of a dialect: one of them must show the entry."""
+    """Read the examples of a dialect: one must show the entry, and each of its sensors be found."""
     examples = [s for s in styles if s.layout == dialect.name and not s.file.endswith(".zip")]
     if not examples:
         example = f"Style(layout={dialect.name!r})"
@@ -72,17 +72,21 @@ def _without_example(dialect: Dialect, folder: Path, styles: Sequence[Style]) ->
         given: dict[str, Any] = dict(style.options)
         options = ReadOptions(**given)
         with open_text(write(style, folder)) as source:
+            names = lay_out(source.name, source.head, options).headers
+            teach = f"{_strange(names)} name none; teach them to imucal/readers/tables/names.py"
             try:
-                found = plan_of_head(source, options)[1].dialect
+                plan = plan_of_head(source, options)[1]
             except ChoiceError as error:
-                names = lay_out(source.name, source.head, options).headers
-                sentence = (
-                    f"no sensor is found in its example {style.name!r}: {_strange(names)} name none; "
-                    f"teach them to imucal/readers/tables/names.py ({error})"
-                )
-                return [sentence]
+                return [f"no sensor is found in its example {style.name!r}: {teach} ({error})"]
+        found = plan.dialect
         if found is dialect:
-            return []
+            read_of = {sensor.triad.sensor for sensor in plan.sensors}
+            held = {Sensor.GYROSCOPE: style.gyro, Sensor.ACCELEROMETER: style.accel}
+            return [
+                f"no {sensor} is found in its example {style.name!r}: {teach}"
+                for sensor, there in held.items()
+                if there and sensor not in read_of
+            ]
         taken.append(f"{style.name!r} shows {found.headers if found else 'no dialect'}")
     sentence = (
         f"no example shows this entry with headers {dialect.headers} ({'; '.join(taken)}): "
@@ -150,6 +154,20 @@ def test_what_is_forgotten_is_said(
     monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, broken))
     said = forgotten(broken, tmp_path, (*STYLES, EXAMPLE), WORDS)
     assert any(each.startswith(f"{broken.name}: {sentence}") for each in said), said
+
+
+def test_a_sensor_that_is_never_found_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dialect is complete only where each sensor of its example is read."""
+    half = replace(ACME, headers=("turn_gyro_x", "push_x"))
+    example = replace(EXAMPLE, build=lambda true: _acme_text(true).replace("push_accel", "push"))
+    monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, half))
+    sentence = (
+        "Acme: no accelerometer is found in its example 'Acme logger': push_x, push_y, push_z name none; "
+        "teach them to imucal/readers/tables/names.py"
+    )
+    assert forgotten(half, tmp_path, (*STYLES, example), WORDS) == [sentence]
+    alone = replace(example, accel=False)
+    assert forgotten(half, tmp_path, (*STYLES, alone), WORDS) == []
 
 
 def test_a_word_for_a_sensor_that_nobody_knows_is_said(
