@@ -6,6 +6,7 @@ more than `_MAX_RATIO`, unless it is small anyway, and never beyond the size tha
 
 import bz2
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -65,15 +66,13 @@ def decompress(kind: str, data: memoryview, size: int) -> memoryview:
     if size > max(_SMALL, _MAX_RATIO * len(data)):
         msg = f"a chunk of {len(data)} bytes claims to hold {size}"
         raise DamagedError(msg)
-    unpack = _UNPACK.get(kind)
-    if unpack is None:
+    if kind not in _UNPACK:
         msg = f"compression {kind!r} is unknown; expected one of zstd, lz4, bz2"
         raise DamagedError(msg, code="compression")
     try:
-        raw = unpack(data, size)
+        raw = _UNPACK[kind](data, size)
     except _damage() as error:
-        article = "an" if kind == "lz4" else "a"
-        msg = f"{article} {kind} chunk is damaged: {error}"
+        msg = f"{'an' if kind == 'lz4' else 'a'} {kind} chunk is damaged: {error}"
         raise DamagedError(msg) from error
     if len(raw) != size:
         msg = f"a chunk holds {len(raw)} bytes instead of the {size} it claims"
@@ -84,9 +83,9 @@ def decompress(kind: str, data: memoryview, size: int) -> memoryview:
 def decompress_prefix(kind: str, data: memoryview, size: int) -> bytes:
     """Return as much as a cut chunk still gives: the bytes before the cut."""
     size = min(size, max(_SMALL, _MAX_RATIO * len(data)))
-    try:
-        if kind in {"", "none"}:
-            return bytes(data[:size])
+    if kind in {"", "none"}:
+        return bytes(data[:size])
+    with suppress(*_damage()):
         if kind == "zstd":
             return _unpack_zstd_prefix(data, size)
         if kind == "lz4":
@@ -95,8 +94,6 @@ def decompress_prefix(kind: str, data: memoryview, size: int) -> bytes:
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(bytes(data), max_length=size))
         if kind == "bz2":
             return bz2.BZ2Decompressor().decompress(data, max_length=size)
-    except _damage():
-        pass
     return b""
 
 
@@ -139,13 +136,11 @@ def _unpack_zstd_prefix(data: memoryview, size: int) -> bytes:
     import zstandard
 
     joined = bytearray()
-    try:
+    with suppress(zstandard.ZstdError):
         for part in zstandard.ZstdDecompressor().read_to_iter(bytes(data)):
             joined += part
             if len(joined) >= size:
                 break
-    except zstandard.ZstdError:
-        pass
     return bytes(joined[:size])
 
 
@@ -172,13 +167,12 @@ def _unpack_lz4(data: memoryview, size: int) -> bytes:
     if used == len(data):
         return bytes(raw)
     # ROS bags may hold several frames in a row.
-    parts, length = [raw], len(raw)
-    while used < len(data) and length < size:
+    joined = bytearray(raw)
+    while used < len(data) and len(joined) < size:
         raw, more = lz4.frame.decompress(data[used:], return_bytes_read=True)
         used += more
-        length += len(raw)
-        parts.append(raw)
-    return b"".join(parts)
+        joined += raw
+    return bytes(joined)
 
 
 def _unpack_bz2(data: memoryview, size: int) -> bytes:

@@ -47,6 +47,9 @@ class LogFile:
         if position < 0 or position + len(view) > self.size:
             msg = f"bytes {position} to {position + len(view)} lie beyond the end of the file"
             raise DamagedError(msg, code="truncated")
+        self._fill(position, view)
+
+    def _fill(self, position: int, view: memoryview) -> None:
         done = 0
         while done < len(view):
             count = self._read_some(position + done, view[done:])

@@ -1,23 +1,26 @@
-"""Logs by URL: readers get copies on this machine, users read of URLs.
-
-A remote file read by parts, in the place of a `LogFile`: an index without the samples.
-"""
+"""Logs by URL: readers get copies on this machine, or parts of a file; users read of URLs."""
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 
 from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.readers.contents import LogContents
-from imucal.readers.files import DamagedError, LogFile
+from imucal.readers.files import LogFile
 from imucal.readers.read_options import Progress
 from imucal.recording import LogFileInfo, Recording
 from imucal.remote import LocalCopy, RemoteLog, fetched, is_url, logs_at
 from imucal.remote.addresses import RemoteFile
 from imucal.remote.stores import store_of
+
+#: Bytes of a block: small reads are rounded to these, as an answer takes as long as some of its bytes.
+_BLOCK = 1 << 17
+#: Beyond this share of the file, and this many bytes, downloading it takes less time than asking for parts.
+_SHARE, _LEAST = 4, 1 << 22
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,46 +110,32 @@ def local_logs(
     if not any(isinstance(log, RemoteLog) or is_url(log) for log in logs):
         yield LocalLogs(tuple(Path(str(log)) for log in logs))
         return
-    found = [one for log in logs for one in _identified(log)]
-    tell = _summed(progress, [log.size or 0 for log in found if isinstance(log, RemoteLog)])
+    found: list[Path | RemoteLog] = []
+    for log in logs:
+        if isinstance(log, RemoteLog):
+            found.append(log)
+        else:
+            found += logs_at(str(log)) if is_url(log) else [Path(log)]
+    total = sum(log.size or 0 for log in found if isinstance(log, RemoteLog))
+    before = 0
     with ExitStack() as stack:
         paths, copies = [], []
-        for log in found:
-            if isinstance(log, Path):
-                paths.append(log)
+        for one in found:
+            if isinstance(one, Path):
+                paths.append(one)
                 continue
-            copy = stack.enter_context(fetched(log, progress=next(tell), exact=log in logs))
-            copies.append(copy)
-            paths.append(copy.path)
+            tell = _as_part(progress, before, total) if progress else None
+            before += one.size or 0
+            copies.append(stack.enter_context(fetched(one, progress=tell, exact=one in logs)))
+            paths.append(copies[-1].path)
         local = LocalLogs(tuple(paths), tuple(copies))
         with local.errors_named():
             yield local
 
 
-def _identified(log: str | Path | RemoteLog) -> list[Path | RemoteLog]:
-    if isinstance(log, RemoteLog):
-        return [log]
-    if not is_url(log):
-        return [Path(log)]
-    return [*logs_at(str(log))]
-
-
-def _summed(progress: Progress | None, sizes: Sequence[int]) -> Iterator[Progress | None]:
-    """Yield for each log what tells of it as a part of all."""
-
-    def of(before: int) -> Callable[[int, int], None]:
-        return lambda done, _: progress(before + done, sum(sizes)) if progress else None
-
-    before = 0
-    for size in sizes:
-        yield of(before) if progress else None
-        before += size
-
-
-#: Bytes of a block: small reads are rounded to these, as an answer takes as long as some of its bytes.
-_BLOCK = 1 << 17
-#: Beyond this share of the file, and this many bytes, downloading it takes less time than asking for parts.
-_SHARE, _LEAST = 4, 1 << 22
+def _as_part(progress: Progress, before: int, total: int) -> Progress:
+    """Return what tells of one log as a part of all, behind those `before` it."""
+    return lambda done, _: progress(before + done, total)
 
 
 class TooMuchError(Exception):
@@ -173,10 +162,7 @@ class RangedFile(LogFile):
         """Let the blocks go."""
         self._blocks.clear()
 
-    def into(self, position: int, view: memoryview) -> None:
-        if position < 0 or position + len(view) > self.size:
-            msg = f"bytes {position} to {position + len(view)} lie beyond the end of the file"
-            raise DamagedError(msg, code="truncated")
+    def _fill(self, position: int, view: memoryview) -> None:
         if not len(view):
             return
         first, last = position // _BLOCK, (position + len(view) - 1) // _BLOCK
@@ -189,14 +175,12 @@ class RangedFile(LogFile):
     def _fetch(self, first: int, last: int) -> None:
         """Ask for the blocks that are missing, neighbours in one request."""
         missing = [index for index in range(first, last + 1) if index not in self._blocks]
-        while missing:
-            count = next((i for i, index in enumerate(missing) if index != missing[0] + i), len(missing))
-            start, stop = missing[0] * _BLOCK, min((missing[count - 1] + 1) * _BLOCK, self.size)
+        for _, run in groupby(enumerate(missing), key=lambda item: item[1] - item[0]):
+            indices = [index for _, index in run]
+            start, stop = indices[0] * _BLOCK, min((indices[-1] + 1) * _BLOCK, self.size)
             self.fetched += stop - start
             if self.fetched > self._most:
                 raise TooMuchError
             data = self._store.read(self._remote, start, stop)
-            for index in missing[:count]:
-                at = index * _BLOCK - start
-                self._blocks[index] = data[at : at + _BLOCK]
-            missing = missing[count:]
+            for place, index in enumerate(indices):
+                self._blocks[index] = data[place * _BLOCK : (place + 1) * _BLOCK]

@@ -8,7 +8,7 @@ from typing import cast
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import unpack_file
-from imucal.readers.containers.container import Batch, Channel, Container, Task
+from imucal.readers.containers.container import Batch, Container, Task
 from imucal.readers.containers.mcap import McapFile
 from imucal.readers.containers.rosbag2_folder import Folder, open_folder
 from imucal.readers.containers.sqlite import SqliteFile, batch_of_blobs
@@ -58,7 +58,7 @@ def _open(
     with path.open("rb") as file:
         head = file.read(16)
     if head.startswith(_ZSTD):
-        return _Unpacked(path, folder, counts, progress)
+        return _Unpacked(path, lambda unpacked: _open(unpacked, folder, counts, None), progress)
     if head.startswith(b"SQLite format 3"):
         base = SqliteFile(path, counts)
         return _ZstdMessages(base) if folder.per_message or base.sample() == _ZSTD else base
@@ -73,11 +73,28 @@ def mcap_part(folder: Folder, log: McapFile) -> Container:
     return _ZstdMessages(log) if folder.per_message else log
 
 
-class _Unpacked:
-    """A file compressed as a whole, unpacked into a temporary one that goes when it is closed."""
+class _Wrapped:
+    """A container that gives what another one holds."""
+
+    def __init__(self, inner: Container) -> None:
+        self._inner = inner
+        self.path, self.format, self.size = inner.path, inner.format, inner.size
+        self.compression, self.parallel = inner.compression, inner.parallel
+        self.channels, self.findings = inner.channels, inner.findings
+        self.start_ns, self.end_ns = inner.start_ns, inner.end_ns
+
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        return self._inner.tasks(keys)
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+class _Unpacked(_Wrapped):
+    """A file compressed as a whole, unpacked into a temporary folder that goes when it is closed."""
 
     def __init__(
-        self, path: Path, folder: Folder, counts: Mapping[str, int] | None, progress: Progress | None
+        self, path: Path, open_inner: Callable[[Path], Container], progress: Progress | None
     ) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="imucal-")
         target = Path(self._folder.name) / path.name.removesuffix(".zst").removesuffix(".zstd")
@@ -93,43 +110,27 @@ class _Unpacked:
             msg = f"{path}: can't be unpacked to {target.parent}: {error.strerror or error}"
             raise ReadError(msg) from error
         try:
-            self._inner = _open(target, folder, counts, None)
+            super().__init__(open_inner(target))
         except ReadError as error:
             self._folder.cleanup()
             msg = str(error).replace(str(target), str(path))
             raise type(error)(msg) from error
-        self.path, self.format, self.size = path, self._inner.format, size
-        self.parallel = self._inner.parallel
-        self.compression = "zstd, whole file"
-        self.start_ns, self.end_ns = self._inner.start_ns, self._inner.end_ns
-        self.findings = self._inner.findings
+        self.path, self.size, self.compression = path, size, "zstd, whole file"
         if damage is not None:
             text = f"The file is cut or damaged: {damage}; what came before is read."
             self.findings.append(Finding(level="warning", code="truncated", text=text))
-        self.channels: list[Channel] = list(self._inner.channels)
-
-    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
-        return self._inner.tasks(keys)
 
     def close(self) -> None:
-        self._inner.close()
+        super().close()
         self._folder.cleanup()
 
 
-class _ZstdMessages:
+class _ZstdMessages(_Wrapped):
     """A container whose messages are compressed one by one (rosbag2's compression mode MESSAGE)."""
 
-    compression = "zstd, each message"
-    parallel = False
-
     def __init__(self, inner: Container) -> None:
-        self._inner = inner
-        self.path, self.format, self.size = inner.path, inner.format, inner.size
-        self.channels, self.findings = inner.channels, inner.findings
-        self.start_ns, self.end_ns = inner.start_ns, inner.end_ns
-
-    def close(self) -> None:
-        self._inner.close()
+        super().__init__(inner)
+        self.compression, self.parallel = "zstd, each message", False
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         for task in self._inner.tasks(keys):

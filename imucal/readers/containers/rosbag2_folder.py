@@ -57,9 +57,9 @@ def folder_of(path: Path, inside: Sequence[str], metadata: str) -> Folder:
     """
     present = {name: path / name for name in inside if name.endswith(ENDINGS)}
     names, mode, counts = parse_metadata(metadata)
-    files = [(name, _present(present, name)) for name in names]
-    found = tuple(file for _, file in files if file is not None)
-    missing = tuple(name for name, file in files if file is None)
+    files = {name: _present(present, name) for name in names}
+    found = tuple(file for file in files.values() if file is not None)
+    missing = tuple(name for name, file in files.items() if file is None)
     if not found:
         found = tuple(sorted(present.values(), key=natural))
         counts = None
@@ -114,11 +114,8 @@ def natural(path: Path) -> tuple[tuple[int, int, str], ...]:
 def _present(present: dict[str, Path], name: str) -> Path | None:
     """Return the file of a name, which may have been unpacked or packed since the metadata were written."""
     base = Path(name).name
-    for ending in ("", ".zstd", ".zst"):
-        if base + ending in present:
-            return present[base + ending]
-    bare = re.sub(r"\.zstd?$", "", base)
-    return present.get(bare)
+    names = (base, base + ".zstd", base + ".zst", re.sub(r"\.zstd?$", "", base))
+    return next((present[other] for other in names if other in present), None)
 
 
 def _unquoted(value: str) -> str:

@@ -57,21 +57,18 @@ class Leaf:
 def _refuse_half_lists(vectors: Sequence[Vector], stamp: Stamp | None) -> None:
     """Refuse samples of which some are those of each element of a list, and others those of the message."""
     paths = [path for vector in vectors for path in vector.paths]
-    each = [path for path in paths if EACH in path]
-    times = [path for path in (stamp.sec, stamp.nanosec) if EACH in path] if stamp is not None else []
-    if each and len(each) < len(paths):
-        other = next(path for path in paths if EACH not in path)
-        msg = f"{each[0]} is that of each element, {other} is not; expected {EACH} in both, or in none"
-        raise ChoiceError(msg)
-    if times and not each:
-        msg = f"{times[0]} is that of each element, {paths[0]} is not; expected {EACH} in both, or in none"
+    times = [stamp.sec, stamp.nanosec] if stamp is not None else []
+    each = [path for path in (*paths, *times) if EACH in path]
+    single = [path for path in paths if EACH not in path]
+    if each and single:
+        msg = f"{each[0]} is that of each element, {single[0]} is not; expected {EACH} in both, or in none"
         raise ChoiceError(msg)
 
 
 def _axis_of(sensor: Sensor, path: str) -> Axis:
     """Return the axis that the name of a number tells; a ChoiceError where it tells none."""
-    letters = _LETTER.findall(path)
-    axis = next((axis for axis in AXES if letters and axis == letters[-1].lower()), None)
+    last = (_LETTER.findall(path) or [""])[-1].lower()
+    axis = next((axis for axis in AXES if axis == last), None)
     if axis is None:
         msg = (
             f"the field {path} is one number, and its name does not say of which axis; "
@@ -160,12 +157,10 @@ class Leaves:
 
         Of a topic that has the fields of one sensor only, that one is returned: the other may be on another.
         """
-        vectors, missing = [], ""
-        for sensor in Sensor:
-            vector = self._asked_vector(sensor, wanted.of(sensor))
-            vectors += [vector] if vector is not None else []
-            if vector is None and wanted.of(sensor).paths:
-                missing = missing or ",".join(wanted.of(sensor).paths)
+        found = {sensor: self._asked_vector(sensor, wanted.of(sensor)) for sensor in Sensor}
+        vectors = [vector for vector in found.values() if vector is not None]
+        lacking = (",".join(wanted.of(sensor).paths) for sensor, vector in found.items() if vector is None)
+        missing = next(filter(None, lacking), "")
         stamp = self.stamp(wanted.time, time_unit) if wanted.time else self._stamp_of(vectors)
         if not vectors or (wanted.time and stamp is None):
             return missing or ",".join(wanted.time)
@@ -199,12 +194,10 @@ class Leaves:
 
     def proposal(self) -> str:
         """Return a fields text for these fields, by their names; empty where none is named as a sensor."""
-        parts = []
-        for sensor in Sensor:
-            found = next((text for stem, text in self._triads() if _sensor(stem) is sensor), "")
-            if found:
-                parts.append(f"{sensor.short}={found}")
-        return " ".join(parts)
+        found: dict[Sensor | None, str] = {}
+        for stem, text in self._triads():
+            found.setdefault(_sensor(stem), text)
+        return " ".join(f"{sensor.short}={found[sensor]}" for sensor in Sensor if sensor in found)
 
     def _triads(self) -> Iterable[tuple[str, str]]:
         """Yield the name of each vector without its axis, and its paths."""

@@ -2,9 +2,8 @@
 
 A type is recognised by its fields, not by its name: any message with an ``angular_velocity`` or a
 ``linear_acceleration`` (or the usual other spellings), at any depth. Plain vectors of ``geometry_msgs``
-are read only where the user names the topic.
-
-The text in which a user says which fields of messages are which: ``gyro=gx,gy,gz accel=ax,ay,az``.
+are read only where the user names the topic. The user may say which fields they are:
+``gyro=gx,gy,gz accel=ax,ay,az``.
 """
 
 import re
@@ -29,6 +28,34 @@ _FORM = "gyro=PATH,PATH,PATH accel=PATH,PATH,PATH time=PATH, or gyro.z=PATH"
 
 #: What stands in a path for each element of a list.
 EACH = "[]"
+
+_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+
+#: Names of a vector, best first.
+_STEMS: dict[Sensor, tuple[str, ...]] = {
+    _GYRO: ("angular_velocity", "gyro_rad", "gyro", "gyroscope", "angular_rate", "angularrate", "body_rate",
+            "rotation_rate", "gyro_rate"),
+    _ACCEL: ("linear_acceleration", "accelerometer_m_s2", "accel", "acceleration", "accelerometer", "acc",
+             "specific_force"),
+}  # fmt: skip
+#: What a message's own level is called where a field of it holds another IMU.
+TOP = "top"
+#: Nanoseconds -> seconds, as ROS and protobuf call them.
+_PARTS = {"nanosec": "sec", "nanos": "seconds"}
+_TEMPERATURE = re.compile(r"(^|[._])(temperature|temp|imu_temperature|imu_temp)$")
+
+#: Types whose vectors may be anything: path of the vector, and its sensor (None: the topic's name says).
+_PLAIN: dict[str, tuple[str, Sensor | None]] = {
+    "geometry_msgs/Vector3Stamped": ("vector", None),
+    "geometry_msgs/Vector3": ("", None),
+    "geometry_msgs/TwistStamped": ("twist.angular", _GYRO),
+    "geometry_msgs/Twist": ("angular", _GYRO),
+    "geometry_msgs/TwistWithCovarianceStamped": ("twist.twist.angular", _GYRO),
+    "nav_msgs/Odometry": ("twist.twist.angular", _GYRO),
+    "geometry_msgs/AccelStamped": ("accel.linear", _ACCEL),
+    "geometry_msgs/Accel": ("linear", _ACCEL),
+    "geometry_msgs/AccelWithCovarianceStamped": ("accel.accel.linear", _ACCEL),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,35 +209,6 @@ class ImuFields:
         return (*paths, self.temperature) if self.temperature else tuple(paths)
 
 
-_GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-
-#: Names of a vector, best first.
-_STEMS: dict[Sensor, tuple[str, ...]] = {
-    _GYRO: ("angular_velocity", "gyro_rad", "gyro", "gyroscope", "angular_rate", "angularrate", "body_rate",
-            "rotation_rate", "gyro_rate"),
-    _ACCEL: ("linear_acceleration", "accelerometer_m_s2", "accel", "acceleration", "accelerometer", "acc",
-             "specific_force"),
-}  # fmt: skip
-#: What a message's own level is called where a field of it holds another IMU.
-TOP = "top"
-#: Nanoseconds -> seconds, as ROS and protobuf call them.
-_PARTS = {"nanosec": "sec", "nanos": "seconds"}
-_TEMPERATURE = re.compile(r"(^|[._])(temperature|temp|imu_temperature|imu_temp)$")
-
-#: Types whose vectors may be anything: path of the vector, and its sensor (None: the topic's name says).
-_PLAIN: dict[str, tuple[tuple[str, Sensor | None], ...]] = {
-    "geometry_msgs/Vector3Stamped": (("vector", None),),
-    "geometry_msgs/Vector3": (("", None),),
-    "geometry_msgs/TwistStamped": (("twist.angular", _GYRO),),
-    "geometry_msgs/Twist": (("angular", _GYRO),),
-    "geometry_msgs/TwistWithCovarianceStamped": (("twist.twist.angular", _GYRO),),
-    "nav_msgs/Odometry": (("twist.twist.angular", _GYRO),),
-    "geometry_msgs/AccelStamped": (("accel.linear", _ACCEL),),
-    "geometry_msgs/Accel": (("linear", _ACCEL),),
-    "geometry_msgs/AccelWithCovarianceStamped": (("accel.accel.linear", _ACCEL),),
-}
-
-
 def find_imus(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> dict[str, ImuFields]:
     """Return what messages of a type can give: one entry for each IMU in a message.
 
@@ -259,7 +257,7 @@ def _imu(
     return ImuFields(
         stamp=_stamp(free),
         vectors=vectors,
-        temperature=_temperature(free),
+        temperature=next((path for path in _floats(free) if _TEMPERATURE.search(path)), ""),
         standard=standard,
         others=tuple(_field_name(paths) for paths in spare),
     )
@@ -276,15 +274,12 @@ def sensor_of_topic(topic: str) -> Sensor | None:
 
 
 def _plain(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> ImuFields | None:
-    vectors = []
-    for path, fixed in _PLAIN.get(name, ()):
-        kind = fixed or sensor or sensor_of_topic(topic)
-        paths = _xyz(fields, path + "." if path else "")
-        if kind is not None and paths:
-            vectors.append(Vector(sensor=kind, paths=paths))
-    if not vectors:
+    path, fixed = _PLAIN.get(name, ("", None))
+    kind = fixed or sensor or sensor_of_topic(topic)
+    paths = _xyz(fields, path + "." if path else "")
+    if name not in _PLAIN or kind is None or not paths:
         return None
-    return ImuFields(stamp=_stamp(fields), vectors=tuple(vectors), plain=True)
+    return ImuFields(stamp=_stamp(fields), vectors=(Vector(sensor=kind, paths=paths),), plain=True)
 
 
 def _px4(name: str, fields: Sequence[Field]) -> ImuFields | None:
@@ -295,20 +290,19 @@ def _px4(name: str, fields: Sequence[Field]) -> ImuFields | None:
     clock = next((path for path in ("timestamp_sample", "timestamp") if path in paths), None)
     stamp = Stamp(sec=clock) if clock else None
     if {"delta_angle", "delta_velocity", "delta_angle_dt"} <= paths:
-        angle = Vector(sensor=_GYRO, paths=("delta_angle",), divisor="delta_angle_dt")
         velocity_dt = "delta_velocity_dt" if "delta_velocity_dt" in paths else "dt"
+        angle = Vector(sensor=_GYRO, paths=("delta_angle",), divisor="delta_angle_dt")
         velocity = Vector(sensor=_ACCEL, paths=("delta_velocity",), divisor=velocity_dt)
         return ImuFields(stamp=stamp, vectors=(angle, velocity))
     single = {"px4_msgs/SensorGyro": _GYRO, "px4_msgs/SensorAccel": _ACCEL}.get(name)
-    if single is not None and {"x", "y", "z"} <= paths:
-        vector = Vector(sensor=single, paths=("x", "y", "z"))
+    if single is not None and paths.issuperset(AXES):
         temperature = "temperature" if "temperature" in paths else ""
-        return ImuFields(stamp=stamp, vectors=(vector,), temperature=temperature)
-    if {"gyro_rad", "accelerometer_m_s2"} <= paths:
-        gyro = Vector(sensor=_GYRO, paths=("gyro_rad",))
-        accel = Vector(sensor=_ACCEL, paths=("accelerometer_m_s2",))
-        return ImuFields(stamp=Stamp(sec="timestamp"), vectors=(gyro, accel))
-    return None
+        return ImuFields(stamp=stamp, vectors=(Vector(sensor=single, paths=AXES),), temperature=temperature)
+    both = {_GYRO: "gyro_rad", _ACCEL: "accelerometer_m_s2"}
+    if not paths.issuperset(both.values()):
+        return None
+    vectors = tuple(Vector(sensor=sensor, paths=(path,)) for sensor, path in both.items())
+    return ImuFields(stamp=Stamp(sec="timestamp"), vectors=vectors)
 
 
 def _imus(found: dict[Sensor, list[tuple[str, tuple[str, ...]]]]) -> dict[str, dict[Sensor, tuple[str, ...]]]:
@@ -334,16 +328,12 @@ def _called(fields: Sequence[Field], stem: str) -> list[tuple[str, tuple[str, ..
     vectors: list[tuple[str, tuple[str, ...]]] = []
     for field in fields:
         owner, _, last = field.path.rpartition(".")
-        if field.code not in {"f4", "f8"}:
-            continue
-        if field.kind == "array" and field.count == 3 and last == stem:
+        above, _, name = owner.rpartition(".")
+        if field.kind == "array" and field.count == 3 and last == stem and field.code in {"f4", "f8"}:
             vectors.append((owner, (field.path,)))
-        elif field.kind == "number" and last == "x" and owner.rpartition(".")[2] == stem:
-            paths = _xyz(fields, owner + ".")
-            vectors += [(owner.rpartition(".")[0], paths)] if paths else []
-        elif field.kind == "number" and last == stem + "_x":
+        elif field.kind == "number" and ((last == "x" and name == stem) or last == stem + "_x"):
             paths = _xyz(fields, field.path.removesuffix("x"))
-            vectors += [(owner, paths)] if paths else []
+            vectors += [(above if last == "x" else owner, paths)] if paths else []
     return vectors
 
 
@@ -352,11 +342,15 @@ def _field_name(paths: tuple[str, ...]) -> str:
     return paths[0] if len(paths) == 1 else paths[0][:-2]
 
 
+def _floats(fields: Sequence[Field]) -> list[str]:
+    """Return the paths of single floats."""
+    return [field.path for field in fields if field.kind == "number" and field.code in {"f4", "f8"}]
+
+
 def _xyz(fields: Sequence[Field], prefix: str) -> tuple[str, ...]:
     """Return the paths prefix + x, y, z, or nothing."""
-    paths = tuple(prefix + axis for axis in "xyz")
-    numbers = {field.path for field in fields if field.kind == "number" and field.code in {"f4", "f8"}}
-    return paths if numbers.issuperset(paths) else ()
+    paths = tuple(prefix + axis for axis in AXES)
+    return paths if set(_floats(fields)).issuperset(paths) else ()
 
 
 def _stamp(fields: Sequence[Field]) -> Stamp | None:
@@ -366,9 +360,3 @@ def _stamp(fields: Sequence[Field]) -> Stamp | None:
         if last in _PARTS and owner.rpartition(".")[2] in {"stamp", "timestamp", "time"}:
             return Stamp(sec=f"{owner}.{_PARTS[last]}", nanosec=field.path)
     return None
-
-
-def _temperature(fields: Sequence[Field]) -> str:
-    """Return the path of a temperature, or empty."""
-    numbers = (field for field in fields if field.kind == "number" and field.code in {"f4", "f8"})
-    return next((field.path for field in numbers if _TEMPERATURE.search(field.path)), "")

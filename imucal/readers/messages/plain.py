@@ -1,19 +1,12 @@
-"""Where the fields of many messages lie, found for all of them at once from the message definition.
+"""Messages of ROS 1 and CDR -> numbers: by a template for messages of one shape, by a walk for the others.
 
-A position is kept as one integer while all strings and sequences so far have the same length in every
-message, and as an int64 vector otherwise; there is no loop over messages.
+The walk finds where the fields of many messages lie for all of them at once: a position is one integer while
+all strings and sequences so far have the same length in every message, and an int64 vector otherwise; there
+is no loop over messages. Layouts: ROS 1 (no alignment); CDR and XCDR2 (numbers aligned to their size, at most
+8 or 4 bytes, from the end of the four bytes of encapsulation). Source: OMG DDS-XTypes 1.3, 7.4.
 
-Layouts: ROS 1 (no alignment); CDR and XCDR2 (numbers aligned to their size, at most 8 or 4 bytes, from
-the end of the four bytes of encapsulation). Source: OMG DDS-XTypes 1.3, 7.4.
-
-Fields of messages -> columns: one gather a vector, whatever the layout.
-
-The fast way: a channel whose messages all repeat the shape of the first one.
-
-Every record is compared with the first one (its head, its encapsulation, the lengths of its strings), so
-nothing is taken on trust; what differs goes to the walk.
-
-Messages -> numbers in columns: the fast way for messages of one shape, the walk for the others.
+The template is the shape of a channel's first message. Every record is compared with it (its head, its
+encapsulation, the lengths of its strings), so nothing is taken on trust; what differs goes to the walk.
 """
 
 import re
@@ -26,6 +19,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.readers.containers import Alike, Batch, Bytes, Loss, gather
+from imucal.readers.containers.container import Guard
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.definitions import Field
 from imucal.readers.messages.message_types import ImuFields, Stamp, Vector
@@ -34,6 +28,15 @@ from imucal.recording import Sensor
 
 #: From the start of the payload: the same for all messages, or one for each.
 Position: TypeAlias = int | IntArray
+#: A position and a width, and the sensor, the position in them and the type of each vector there.
+_Span: TypeAlias = tuple[int, int, tuple[tuple[Sensor, int, str], ...]]
+#: One element of an array.
+_ELEMENT = re.compile(r"(.+)\[(\d+)\]")
+#: Longest head of a message that is gathered at once, in bytes.
+_HEAD = 256
+#: Widest span gathered at once: up to about here bytes in between cost less than another gather.
+_WIDEST = 128
+_SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +62,22 @@ class Layout:
     order: str = "<"
     align: int = 8
 
+    def aligned(self, at: Position, size: int) -> Position:
+        """Round a position up to the alignment of a number of `size` bytes."""
+        step = min(size, self.align)
+        return at if step <= 1 else (at + (step - 1)) & -step
+
+
+#: Encapsulation, as a big-endian number -> layout. Source: OMG DDS-XTypes 1.3, table 60; DDSI-RTPS 10.2.
+_ENCAPSULATIONS = {
+    0x0000: Layout(order=">", align=8),
+    0x0001: Layout(order="<", align=8),
+    0x0006: Layout(order=">", align=4),
+    0x0007: Layout(order="<", align=4),
+}
+_ROS1 = Layout(order="<", align=1)
+_CDR = _ENCAPSULATIONS[0x0001]
+
 
 @dataclass(slots=True, eq=False)
 class Found:
@@ -67,10 +86,6 @@ class Found:
     places: dict[str, Place] = field(default_factory=dict)
     lengths: list[tuple[Position, NDArray[np.int64] | int]] = field(default_factory=list)
     end: Position = 0
-
-
-#: One element of an array.
-_ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 
 
 class Walker:
@@ -101,52 +116,42 @@ class Walker:
         at: Position = 0
         for entry in self.fields:
             if entry.kind in {"number", "array"}:
-                at = _align(at, entry.size, layout)
-                if entry.path in self.wanted:
-                    found.places[entry.path] = Place(at, layout.order + entry.code)
-                self._note_elements(entry, at, layout, found)
+                at = layout.aligned(at, entry.size)
+                self._note(entry, at, layout, found)
                 at = at + entry.size * entry.count
-            else:
-                at = self._skip(buffer, starts, at, entry, layout, found)
+                continue
+            # A string or a sequence, behind its length.
+            at = layout.aligned(at, 4)
+            length = self._length(buffer, starts + at, entry, layout)
+            found.lengths.append((at, length))
+            first = at + 4 if entry.kind == "string" else layout.aligned(at + 4, entry.size)
+            self._note(entry, first, layout, found)
+            end = first + length * (entry.size * entry.count if entry.kind != "string" else 1)
+            # No alignment follows the length of an empty sequence.
+            known = isinstance(length, int)
+            at = (end if length else at + 4) if known else np.where(np.greater(length, 0), end, at + 4)
         found.end = at
         return found
 
-    def _note_elements(self, entry: Field, at: Position, layout: Layout, found: Found) -> None:
-        """Note the places of the wanted elements of an array that starts at `at`."""
+    def _note(self, entry: Field, at: Position, layout: Layout, found: Found) -> None:
+        """Note the place of a wanted field, and of the wanted elements of an array that starts at `at`."""
+        if entry.path in self.wanted:
+            found.places[entry.path] = Place(at, layout.order + entry.code)
         for index, path in self.elements.get(entry.path, {}).items():
             found.places[path] = Place(at + index * entry.size, layout.order + entry.code)
 
-    def _skip(  # noqa: PLR0917 - all that a step of the walk knows
-        self, buffer: Bytes, starts: IntArray, at: Position, entry: Field, layout: Layout, found: Found
-    ) -> Position:
-        """Return the position after a string or a sequence."""
-        at = _align(at, 4, layout)
-        words = gather(buffer, starts + at, 4).view(layout.order + "u4").astype(np.int64)
-        first = int(words[0])
-        length: IntArray | int = first if bool((words == first).all()) else words
-        if int(np.max(length)) * max(entry.size * entry.count, 1) > len(buffer):
-            msg = f"{entry.path} claims {int(np.max(length))} elements, more than its chunk holds"
+    def _length(self, buffer: Bytes, at: IntArray, entry: Field, layout: Layout) -> IntArray | int:
+        """Return the elements of a string or a sequence: one number where all messages have as many."""
+        words = gather(buffer, at, 4).view(layout.order + "u4").astype(np.int64)
+        least, most = int(words.min()), int(words.max())
+        if most * max(entry.size * entry.count, 1) > len(buffer):
+            msg = f"{entry.path} claims {most} elements, more than its chunk holds"
             raise DamagedError(msg)
-        found.lengths.append((at, length))
-        at = at + 4
-        if entry.path in self.elements:
-            last = max(self.elements[entry.path])
-            if int(np.min(length)) <= last:
-                msg = f"{entry.path} has {int(np.min(length))} elements in a message, and no [{last}]"
-                raise DamagedError(msg)
-            self._note_elements(entry, _align(at, entry.size, layout), layout, found)
-        if entry.kind == "string":
-            return at + length
-        size = entry.size * entry.count
-        if isinstance(length, int):
-            return _align(at, entry.size, layout) + length * size if length else at
-        return np.where(length > 0, _align(at, entry.size, layout) + length * size, at)
-
-
-def _align(at: Position, size: int, layout: Layout) -> Position:
-    """Round a position up to the alignment of a number of `size` bytes."""
-    step = min(size, layout.align)
-    return at if step <= 1 else (at + (step - 1)) & -step
+        last = max(self.elements.get(entry.path, {}), default=-1)
+        if least <= last:
+            msg = f"{entry.path} has {least} elements in a message, and no [{last}]"
+            raise DamagedError(msg)
+        return most if least == most else words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,17 +241,6 @@ def _apart(first: Position, second: Position, size: int) -> bool:
     return bool(np.all(np.asarray(second) - np.asarray(first) == size))
 
 
-#: A position from the start of a record, and the bytes that every record has there.
-_Guard = tuple[int, bytes]
-#: A position and a width, and the sensor, the position in them and the type of each vector there.
-_Span = tuple[int, int, tuple[tuple[Sensor, int, str], ...]]
-#: Longest head of a message that is gathered at once, in bytes.
-_HEAD = 256
-#: Widest span gathered at once: up to about here bytes in between cost less than another gather.
-_WIDEST = 128
-_SECOND = 1_000_000_000
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Template:
     """The shape of the messages of a channel; positions count from the start of a record.
@@ -272,7 +266,7 @@ class Template:
         The other vectors.
     """
 
-    guards: tuple[_Guard, ...]
+    guards: tuple[Guard, ...]
     alike: Alike
     head: int
     end: int
@@ -340,11 +334,16 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
         return None
     skip, end = batch.header + (4 if code else 0), batch.header + batch.sizes
     places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
-    alike = _alike(batch, found, layout, code, skip)
-    head = _head(batch, alike, places, imu)
-    if head > min(_HEAD, end) or skip + _fixed(found.end) > end:
-        return None
-    if imu.stamp is not None and places[imu.stamp.sec].dtype[1] == "f":
+    # What every record must repeat: its head, the encapsulation and the lengths of strings.
+    u4 = np.dtype(layout.order + "u4")
+    alike = [*batch.guards, *([(batch.header, code)] if code else [])]
+    alike += [(skip + _fixed(at), np.array(_fixed(size), dtype=u4).tobytes()) for at, size in found.lengths]
+    times = [places[path] for path in (imu.stamp.sec, imu.stamp.nanosec) if path] if imu.stamp else []
+    ends = [at + len(value) for at, value in alike]
+    ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
+    head = max([*ends, (batch.log_at or 0) + 8])
+    head = whole if (whole := -(-head // 8) * 8) <= end else head
+    if head > min(_HEAD, end) or skip + _fixed(found.end) > end or (times and times[0].dtype[1] == "f"):
         return None
     plain = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
     return Template(
@@ -372,29 +371,8 @@ def _spans(vectors: list[tuple[Sensor, Place]]) -> tuple[_Span, ...]:
     return tuple(spans)
 
 
-def _alike(batch: Batch, found: Found, layout: Layout, code: bytes, skip: int) -> tuple[_Guard, ...]:
-    """Return what every record must repeat: its head, the encapsulation and the lengths of strings."""
-    u4 = np.dtype(layout.order + "u4")
-    lengths = [
-        (skip + _fixed(at), np.array(_fixed(length), dtype=u4).tobytes()) for at, length in found.lengths
-    ]
-    encapsulation = [(batch.header, code)] if code else []
-    return (*batch.guards, *encapsulation, *lengths)
-
-
-def _head(batch: Batch, alike: Sequence[_Guard], places: dict[str, Place], imu: ImuFields) -> int:
-    """Return how many bytes at the start of a record hold what is alike, and the stamps."""
-    ends = [at + len(value) for at, value in alike]
-    if imu.stamp is not None:
-        times = [places[path] for path in (imu.stamp.sec, imu.stamp.nanosec) if path]
-        ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
-    head = max([*ends, (batch.log_at or 0) + 8])
-    whole = -(-head // 8) * 8
-    return whole if whole <= batch.header + batch.sizes else head
-
-
 def _gather(buffer: Bytes, starts: IntArray, at: int, width: int) -> NDArray[np.void]:
-    """Copy `width` bytes from ``starts + at``, whose bounds were checked; see `walker.gather`."""
+    """Copy `width` bytes from ``starts + at``, whose bounds were checked; see `gather`."""
     count = len(buffer) - at - width + 1
     view: NDArray[np.void] = np.ndarray((count,), f"V{width}", buffer=buffer, offset=at, strides=(1,))
     return view[starts]
@@ -408,17 +386,6 @@ def _cells(rows: NDArray[np.void], at: int, dtype: str) -> NDArray[Any]:
 def _fixed(at: Position) -> int:
     """Return the position that a walk of one message gives."""
     return int(np.asarray(at).reshape(-1)[0])
-
-
-#: Encapsulation, as a big-endian number -> layout. Source: OMG DDS-XTypes 1.3, table 60; DDSI-RTPS 10.2.
-_ENCAPSULATIONS = {
-    0x0000: Layout(order=">", align=8),
-    0x0001: Layout(order="<", align=8),
-    0x0006: Layout(order=">", align=4),
-    0x0007: Layout(order="<", align=4),
-}
-_ROS1 = Layout(order="<", align=1)
-_CDR = _ENCAPSULATIONS[0x0001]
 
 
 @dataclass(frozen=True, slots=True)

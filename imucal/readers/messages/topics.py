@@ -11,7 +11,6 @@ from imucal.readers.containers import Channel, Container
 from imucal.readers.messages import protobuf_messages, ros_trees
 from imucal.readers.messages.definitions import (
     DefinitionError,
-    Field,
     definition_of_channel,
     is_given,
     plain_type,
@@ -161,10 +160,9 @@ def _known(channel: Channel, leaves: Leaves, options: ReadOptions) -> dict[str, 
         vectors = tuple(v for v in JSON_FIELDS.vectors if leaves.vector(v.paths) is not None)
         known = len(vectors) == 2 or (not leaves.all and _looks_like_imu(channel))
         return {"": JSON_FIELDS} if known else {}
-    if channel.encoding == "protobuf":
-        fields: Sequence[Field] = protobuf_messages.fields_of(channel)
-    else:
-        fields = definition_of_channel(channel, options).fields(channel)
+    protobuf = channel.encoding == "protobuf"
+    definition = None if protobuf else definition_of_channel(channel, options)
+    fields = definition.fields(channel) if definition else tuple(protobuf_messages.fields_of(channel))
     return find_imus(channel.type, fields, channel.topic, _said(channel.topic, options))
 
 
