@@ -3,16 +3,13 @@
 The DCT-II of a sampled noise is almost exactly uncorrelated: for white noise and a random walk it
 is so exactly. A few hundred sums of squared ordinates hold what the spectrum of a recording says.
 
-Source: the boundary conditions of the DCT-II, Strang (1999), SIAM Review 41, 135.
+A long record is transformed by many short transforms, for the sake of memory. SciPy's transform of n
+samples keeps 15 n bytes of sines for the next one of that length. Split in two factors, n = rows * columns,
+a transform needs tables of a factor's length only, and each piece of work stays in the processor's cache.
 
-The DCT-II of long records by many short transforms: without tables of the record's length.
-
-SciPy's transform of n samples keeps 15 n bytes of sines for the next one of that length, and strides
-through the whole array again and again. Split in two factors, n = rows * columns, a transform needs tables
-of a factor's length, and each piece of work stays in the processor's cache.
-
-Source: Bailey (1990), "FFTs in external or hierarchical memory", J. Supercomputing 4, 23; the DCT-II as a
-real transform of the even samples, then the odd ones backwards: Makhoul (1980), IEEE Trans. ASSP 28, 27.
+Source: the boundary conditions of the DCT-II, Strang (1999), SIAM Review 41, 135; Bailey (1990), "FFTs in
+external or hierarchical memory", J. Supercomputing 4, 23; the DCT-II as a real transform of the even
+samples, then the odd ones backwards: Makhoul (1980), IEEE Trans. ASSP 28, 27.
 """
 
 import math
@@ -32,16 +29,24 @@ from imucal.recording import AxisSeries
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 
-#: Shorter transforms are quicker, and their tables small, in one piece.
+#: The tables of shorter transforms are small: they are made in one piece.
 LONG = 500_000
 #: Values of a piece that is worked on at once, and the fewest neighbours in it.
 _PIECE, _FEWEST = 1 << 16, 16
 #: The first factor of a length n is about n to this power: measured from 5e5 to 2e7.
 _SHARE = 0.43
+#: Ordinates that are squared at a time.
+_BLOCK = 65536
+#: Shorter transforms are quick at any length, longer ones where no prime factor is larger than this.
+_QUICK, _PRIME = 65536, 127
+#: Angles of a ramp whose sines are computed; those of the others follow from them.
+_TABLE = 1 << 12
+#: Largest share of the samples that a quick length leaves out.
+_CUT = 1e-4
 
 
 def dct2(samples: FloatArray, mean: float = 0.0) -> FloatArray:
-    """Return the orthonormal DCT-II of `samples` less a constant, shape (n,), as is quickest."""
+    """Return the orthonormal DCT-II of `samples` less a constant, shape (n,), in little memory."""
     if samples.size >= LONG:
         return four_step_dct(samples, mean)
     from scipy.fft import dct
@@ -171,16 +176,6 @@ def _turns(rows: IntArray, n: int, columns: int) -> ComplexArray:
     products = far[:, :, np.newaxis] * near[:, np.newaxis, :]
     turns: ComplexArray = products.reshape(rows.size, -1)[:, :columns]
     return turns
-
-
-#: Ordinates that are squared at a time.
-_BLOCK = 65536
-#: Shorter transforms are quick at any length, longer ones where no prime factor is larger than this.
-_QUICK, _PRIME = 65536, 127
-#: Angles of a ramp whose sines are computed; those of the others follow from them.
-_TABLE = 1 << 12
-#: Largest share of the samples that a quick length leaves out.
-_CUT = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

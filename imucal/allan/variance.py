@@ -1,12 +1,11 @@
-"""Exact variances of any estimator in cache-sized passes: no full-length temporaries.
+"""Variances of any estimator: exact, in cache-sized passes without full-length temporaries, and with gaps.
 
 Small factors are served block by block, all factors while a block is in the cache; each block is
 integrated on its own, because a difference of second order or more does not see the offset and
 the slope that this leaves out. Large factors walk over the whole integral in columns, so that
 each chunk is read once a step.
 
-The table of estimators: each is the mean square of a difference of the integrated samples.
-
+Each estimator is the mean square of a difference of the integrated samples.
 With x the sum of the samples (the angle, for a gyroscope) and z the sum of x:
 
 ==============  ==================================================  =========
@@ -19,7 +18,7 @@ hadamard        x[t+3m] - 3 x[t+2m] + 3 x[t+m] - x[t], every t       6 m²
 Source: NIST SP 1065 (2008), eqs. 9, 11, 15 (modified: its inner sum of m second differences of
 x is a third difference of z), 22 (overlapping Hadamard).
 
-Variances of a series with missing samples; nothing is ever interpolated.
+Where samples are missing, nothing is ever interpolated:
 
 windows
     For ``overlapping``: the means of two neighbouring windows of what is there, each at least half
@@ -42,6 +41,18 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray, aligned
 from imucal.clock import Clock
 from imucal.recording import AxisSeries
+
+#: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
+_BLOCK = 32768
+#: Factors up to this are served block by block.
+_SMALL = 8192
+#: Row of a sum of squares. OpenBLAS hands a dot product of more than 10,000 elements to its
+#: threads, which stall when others want the processors: up to 50 times slower.
+_ROW = 8192
+#: The pattern of losses is followed for so many mean gaps, and at most so many samples.
+_MEAN_GAPS, _LONGEST = 4, 256
+#: Places of the grid that one FFT takes when the pattern is correlated.
+_CHUNK = 1 << 17
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,17 +122,6 @@ def estimator_named(name: str) -> Estimator:
         msg = f"estimator {name!r} is not known: expected one of {', '.join(ESTIMATORS)}"
         raise ValueError(msg)
     return ESTIMATORS[name]
-
-
-#: Elements of a work array: a few of them fit in a second-level cache of 1 MB.
-_BLOCK = 32768
-
-#: Factors up to this are served block by block.
-_SMALL = 8192
-
-#: Row of a sum of squares. OpenBLAS hands a dot product of more than 10,000 elements to its
-#: threads, which stall when others want the processors: up to 50 times slower.
-_ROW = 8192
 
 
 def variances(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
@@ -301,13 +301,6 @@ def _strided_sums(total: FloatArray, m: IntArray, order: int) -> FloatArray:
     return np.array([sum_of_squares(np.diff(total[::factor], order)) for factor in m.tolist()])
 
 
-#: The pattern of losses is followed for so many mean gaps, and at most so many samples.
-_MEAN_GAPS, _LONGEST = 4, 256
-
-#: Places of the grid that one FFT takes when the pattern is correlated.
-_CHUNK = 1 << 17
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GappyVariances:
     """Variances at the factors that the data could give.
@@ -346,11 +339,10 @@ def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
     share = series.n / series.clock.grid_size / 2
     raw, added, counts = np.zeros((3, m.size))
     for i, factor in enumerate(m.tolist()):
-        found = _windows(integrals, factor, max(share * factor, 1.0))
-        counts[i] = found.count
-        if found.count:
-            raw[i] = found.squares / found.count / 2
-            added[i] = found.lost / found.count / 2 * pattern.variance(found.inside, factor)
+        counts[i], squares, lost, inside = _windows(integrals, factor, max(share * factor, 1.0))
+        if counts[i]:
+            raw[i] = squares / counts[i] / 2
+            added[i] = lost / counts[i] / 2 * pattern.variance(inside, factor)
     return _positive(m, raw - added, counts, raw)
 
 
@@ -388,79 +380,42 @@ def _runs(clock: Clock) -> list[tuple[int, int]]:
     return runs
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Integrals:
-    """Running sums on the even grid, each of shape (grid + 1,): of samples, squares and counts."""
-
-    values: FloatArray
-    squares: FloatArray
-    filled: FloatArray
-
-
-def _integrals(series: AxisSeries) -> _Integrals:
+def _integrals(series: AxisSeries) -> FloatArray:
+    """Return running sums on the even grid, shape (3, grid + 1): of samples, squares and counts."""
     clock, mean = series.clock, float(series.samples.mean())
-    values, filled = np.zeros(clock.grid_size + 1), np.zeros(clock.grid_size + 1)
+    sums = np.zeros((3, clock.grid_size + 1))
     for segment in clock.segments:
         start = segment.offset - clock.segments[0].offset + 1
         place = slice(start, start + segment.size)
-        np.subtract(series.samples[segment.start : segment.stop], mean, out=values[place])
-        filled[place] = 1.0
-    squares = np.square(values)
-    for amounts in (values, squares, filled):
-        np.cumsum(amounts, out=amounts)
-    return _Integrals(values=values, squares=squares, filled=filled)
+        np.subtract(series.samples[segment.start : segment.stop], mean, out=sums[0, place])
+        sums[2, place] = 1.0
+    np.square(sums[0], out=sums[1])
+    return np.cumsum(sums, axis=1, out=sums)
 
 
-@dataclass(slots=True)
-class _Found:
-    """What the windows of one factor hold.
+def _windows(integrals: FloatArray, m: int, fewest: float) -> tuple[float, float, float, float]:
+    """Go through all pairs of neighbouring windows of `m` places with at least `fewest` filled.
 
-    The sum of squared differences, their number, the sum of 1/C - 1/m over both windows of each, and
-    the pooled variance inside windows as its sum of squares and its degrees of freedom.
+    Return their number, the sum of squared differences, the sum of 1/C - 1/m over both windows of each,
+    and the mean variance inside windows, in U².
     """
-
-    squares: float = 0.0
-    count: float = 0.0
-    lost: float = 0.0
-    scatter: float = 0.0
-    freedom: float = 0.0
-
-    @property
-    def inside(self) -> float:
-        """Mean variance inside windows, in U²."""
-        return self.scatter / self.freedom if self.freedom > 0 else 0.0
-
-
-def _windows(integrals: _Integrals, m: int, fewest: float) -> _Found:
-    """Go through all pairs of neighbouring windows of `m` places with at least `fewest` filled."""
-    found = _Found()
-    total = integrals.values.size - 2 * m
-    for start in range(0, total, _BLOCK):
-        stop = min(start + _BLOCK, total)
-        first, first_size = _mean(integrals, m, start, stop, found)
-        second, second_size = _mean(integrals, m, start + m, stop + m, found)
-        both = (first_size >= fewest) & (second_size >= fewest)
-        second -= first
-        second *= both
-        found.squares += sum_of_squares(second)
-        found.count += float(np.count_nonzero(both))
-        lost = 1 / np.maximum(first_size, 1.0) + 1 / np.maximum(second_size, 1.0) - 2 / m
-        found.lost += float(lost.sum(where=both))
-    return found
-
-
-def _mean(
-    integrals: _Integrals, m: int, start: int, stop: int, found: _Found
-) -> tuple[FloatArray, FloatArray]:
-    """Return mean and number of samples of the windows from `start` to `stop`; count their scatter."""
-    values, squares, filled = integrals.values, integrals.squares, integrals.filled
-    total = values[start + m : stop + m] - values[start:stop]
-    size: FloatArray = filled[start + m : stop + m] - filled[start:stop]
-    mean: FloatArray = total / np.maximum(size, 1.0)
-    scatter = squares[start + m : stop + m] - squares[start:stop]
-    found.scatter += float(scatter.sum()) - float((total * mean).sum())
-    found.freedom += float(np.maximum(size - 1.0, 0.0).sum())
-    return mean, size
+    count = squares = lost = scatter = freedom = 0.0
+    end = integrals.shape[1] - 2 * m
+    for start in range(0, end, _BLOCK):
+        stop = min(start + _BLOCK, end)
+        means, sizes, both = [], [], np.ones(stop - start, dtype=bool)
+        for first, last in ((start, stop), (start + m, stop + m)):
+            total, square, size = integrals[:, first + m : last + m] - integrals[:, first:last]
+            filled = np.maximum(size, 1.0)
+            means.append(total / filled)
+            sizes.append(filled)
+            both &= size >= fewest
+            scatter += float(square.sum()) - float((total * means[-1]).sum())
+            freedom += float((filled - 1.0).sum())
+        squares += sum_of_squares((means[1] - means[0]) * both)
+        count += float(np.count_nonzero(both))
+        lost += float((1 / sizes[0] + 1 / sizes[1] - 2 / m).sum(where=both))
+    return count, squares, lost, scatter / freedom if freedom > 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

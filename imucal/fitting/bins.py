@@ -1,11 +1,11 @@
 """Bins: what the likelihood of one axis needs, so that it can be evaluated again without the samples.
 
-Bins in a few kilobytes, for a store of thousands of logs: what rounding takes is far below chance.
-
-A bin's power is a chi-squared variable, so that its logarithm need be known to a small share of its own
-deviation only, and a product with a regressor to a small share of the square root of both squares. Rounded
-so, all of it is integers, of which many high bytes are alike: they compress. Regressors are taken out first,
-by a reference that is kept exactly: else the rounding of a strong trend would be larger than the noise.
+For a store of thousands of logs they are packed into a few kilobytes: what rounding takes is far below
+chance. A bin's power is a chi-squared variable, so that its logarithm need be known to a small share of
+its own deviation only, and a product with a regressor to a small share of the square root of both squares.
+Rounded so, all of it is integers, of which many high bytes are alike: they compress. Regressors are taken
+out first, by a reference that is kept exactly: else the rounding of a strong trend would be larger than
+the noise.
 """
 
 import struct
@@ -105,9 +105,8 @@ def pack(bins: Bins) -> bytes:
     differs by less than 1e-6 of a value.
     """
     reference = _reference(bins)
-    rest = bins.power - 2 * reference @ bins.cross + np.einsum("i,ijb,j->b", reference, bins.gram, reference)
+    rest, left = _less(bins.power, bins.cross, bins.gram, reference)
     rest = np.maximum(rest, 1e-12 * bins.power)
-    left = bins.cross - np.einsum("ijb,j->ib", bins.gram, reference)
     count = _counts(bins.n, bins.start, bins.first)
     fine = _DEVIATION * np.sqrt(count / 2)
     columns = [
@@ -115,12 +114,13 @@ def pack(bins: Bins) -> bytes:
         _logarithms(bins.size / count, fine),
         _logarithms(rest / count, fine),
     ]
+    steps = _CORRELATION if len(bins.names) == 1 else _EXACT
     for i, law in enumerate(_laws(bins.names, bins.n, bins.start, bins.first, count)):
         columns.append(_logarithms(bins.gram[i, i] / law, _EXACT, rise=True))
         columns += [
             _correlations(bins.gram[i, j], bins.gram[i, i] * bins.gram[j, j], _EXACT) for j in range(i)
         ]
-        columns.append(_correlations(left[i], rest * bins.gram[i, i], _fine(bins.names)))
+        columns.append(_correlations(left[i], rest * bins.gram[i, i], steps))
     names = "\n".join(bins.names).encode()
     head = _HEAD.pack(
         *(PACKED_VERSION, bins.version, bins.n.size, len(bins.names), count.size, len(names)),
@@ -164,13 +164,13 @@ def _unpacked(data: bytes) -> Bins:
     power = count * rest_of.logarithms(total, fine)
     gram = np.zeros((regressors, regressors, total))
     cross = np.zeros((regressors, total))
+    steps = _CORRELATION if len(names) == 1 else _EXACT
     for i, law in enumerate(_laws(names, n, start, first, count)):
         gram[i, i] = law * rest_of.logarithms(total, _EXACT, rise=True)
         for j in range(i):
             gram[i, j] = gram[j, i] = rest_of.correlations(gram[i, i] * gram[j, j], _EXACT)
-        cross[i] = rest_of.correlations(power * gram[i, i], _fine(names))
-    power = power + 2 * reference @ cross + np.einsum("i,ijb,j->b", reference, gram, reference)
-    cross = cross + np.einsum("ijb,j->ib", gram, reference)
+        cross[i] = rest_of.correlations(power * gram[i, i], steps)
+    power, cross = _less(power, cross, gram, -reference)
     return Bins(
         n=n,
         start=start,
@@ -187,6 +187,14 @@ def _unpacked(data: bytes) -> Bins:
     )
 
 
+def _less(
+    power: FloatArray, cross: FloatArray, gram: FloatArray, beta: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return power and products without so much of each regressor, shape (r,)."""
+    rest: FloatArray = power - 2 * beta @ cross + np.einsum("i,ijb,j->b", beta, gram, beta)
+    return rest, cross - np.einsum("ijb,j->ib", gram, beta)
+
+
 def _counts(n: IntArray, start: IntArray, first: IntArray) -> FloatArray:
     """Return how many ordinates each bin spans, shape (b,)."""
     ends = np.append(first[1:], 0)
@@ -200,17 +208,13 @@ def _reference(bins: Bins) -> FloatArray:
     beta = np.zeros(len(bins.names))
     used, smooth = bins.size > 0, np.ones(_SMOOTH)
     for _ in range(_ROUNDS):
-        rest = bins.power - 2 * beta @ bins.cross + np.einsum("i,ijb,j->b", beta, bins.gram, beta)
+        rest, _ = _less(bins.power, bins.cross, bins.gram, beta)
         near = np.convolve(np.maximum(rest, 0.0), smooth, "same"), np.convolve(bins.size, smooth, "same")
         weight = np.where(used, near[1], 0.0) / np.maximum(near[0], 1e-300)
         square, product = bins.gram @ weight, bins.cross @ weight
         root = np.sqrt(np.maximum(np.diag(square), 1e-300))
         beta = np.linalg.lstsq(square / np.outer(root, root), product / root, rcond=1e-10)[0] / root
     return beta
-
-
-def _fine(names: tuple[str, ...]) -> float:
-    return _CORRELATION if len(names) == 1 else _EXACT
 
 
 def _laws(
@@ -234,15 +238,12 @@ def _ramp(n: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
     low, high = (np.pi * edge / (2 * n) for edge in (first - first % 2, last + last % 2))
     step = np.pi / n
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = [(np.cos(x) / np.sin(x)) ** 3 / 3 + step**2 / 24 * _slope(x) for x in (low, high)]
+        ends = []
+        for sine, cosine in ((np.sin(x), np.cos(x)) for x in (low, high)):
+            slope = -2 * cosine / sine**3 - 4 * cosine**3 / sine**5
+            ends.append((cosine / sine) ** 3 / 3 + step**2 / 24 * slope)
         single = np.cos(np.pi * first / (2 * n)) ** 2 / np.sin(np.pi * first / (2 * n)) ** 4
         return np.where(count == 1, np.where(first % 2 == 1, single, 0.0), (ends[0] - ends[1]) / step)
-
-
-def _slope(x: FloatArray) -> FloatArray:
-    """Return the derivative of cos²x / sin⁴x."""
-    result: FloatArray = -2 * np.cos(x) / np.sin(x) ** 3 - 4 * np.cos(x) ** 3 / np.sin(x) ** 5
-    return result
 
 
 def _bytes_of(codes: IntArray) -> bytes:

@@ -6,18 +6,15 @@ interval is widened by the Birge ratio sqrt(Q/dof), as if each segment's error w
 it is. Where the model does not describe the spectrum, the misfit asks for wider intervals as well;
 the larger of both counts, since what changes over time is also one reason why a model does not fit.
 
+Noise may change faster than the segments of a record show. The mean squares of the samples' steps in
+short windows are known to within chance alone where the noise is stationary, whatever its tails and its
+filter are; then neighbouring windows differ as much as distant ones. Where they differ less, the variance
+follows something.
+
 Sources: Cochran (1954), Biometrics 10, 101 (Q); Birge (1932), Physical Review 40, 207 (the ratio);
 DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett
-(1937), Proc. R. Soc. A 160, 268, eq. (16) ff. (small samples).
-
-Noise whose variance changes faster than the segments of a record show.
-
-The mean squares of the samples' steps in short windows are known to within chance alone where the
-noise is stationary, whatever its tails and its filter are; then neighbouring windows differ as much
-as distant ones. Where they differ less, the variance follows something.
-
-Source: von Neumann (1941), Annals of Mathematical Statistics 12, 367 (the ratio of the mean square
-successive difference to the variance).
+(1937), Proc. R. Soc. A 160, 268, eq. (16) ff. (small samples); von Neumann (1941), Annals of Mathematical
+Statistics 12, 367 (the ratio of the mean square successive difference to the variance).
 """
 
 import math
@@ -39,9 +36,18 @@ _PART = 1 << 16
 #: Score of von Neumann's ratio from which chance does not explain it.
 _SCORE = 5.0
 #: Least relative standard deviation of the noise that is worth a word.
-_VARIANCE_CHANGES_NOTABLE = 0.1
+_NOTABLE_CHANGE = 0.1
 #: Share of the variance in one period from which the change is called a swing of that period.
 _PERIODIC = 0.5
+#: The interval of a slow term that reaches down to less than this part of its value is widened about the
+#: deviation, in which a weak term's is symmetric; others about the deviation's logarithm.
+_NARROW = 0.8
+#: A lower limit of less than this part of the upper one is none.
+_NOUGHT = 0.02
+#: Relative spread between segments from which a user should look before using the numbers.
+_NOTABLE_SPREAD = 0.05
+#: Of a model that describes the record.
+_NONE: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +90,7 @@ def find_variance_change(series: AxisSeries) -> VarianceChange | None:
     ratio = float(np.sum(np.diff(logs) ** 2)) / square / 2
     score = (1 - ratio) / math.sqrt((count - 2) / (count**2 - 1))
     spread = math.sqrt(square / count)
-    if score < _SCORE or spread * math.sqrt(max(1 - ratio, 0.0)) < _VARIANCE_CHANGES_NOTABLE:
+    if score < _SCORE or spread * math.sqrt(max(1 - ratio, 0.0)) < _NOTABLE_CHANGE:
         return None
     low, middle, high = np.quantile(logs, [0.1, 0.5, 0.9]).tolist()
     return VarianceChange(
@@ -118,17 +124,6 @@ def _period(logs: FloatArray, duration_s: float) -> float | None:
     around = np.arange(top - 1, min(top + 2, power.size))
     frequency = float(np.average(around + 1, weights=power[around]))
     return duration_s / frequency
-
-
-#: The interval of a slow term that reaches down to less than this part of its value is widened about the
-#: deviation, in which a weak term's is symmetric; others about the deviation's logarithm.
-_NARROW = 0.8
-#: A lower limit of less than this part of the upper one is none.
-_NOUGHT = 0.02
-#: Relative spread between segments from which a user should look before using the numbers.
-_NOTABLE = 0.05
-#: Of a model that describes the record.
-_NONE: Mapping[str, float] = MappingProxyType({})
 
 
 def homogeneity(
@@ -229,7 +224,7 @@ def nonstationary_finding(
         said.append(_swing(change))
     if not said:
         return ()
-    notable = change is not None or any(term.spread > _NOTABLE for term in changing)
+    notable = change is not None or any(term.spread > _NOTABLE_SPREAD for term in changing)
     return (
         Finding(
             level="warning" if notable else "info",

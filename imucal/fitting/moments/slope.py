@@ -7,8 +7,6 @@ known, and what the other terms add to them, which is as much as their own readi
 they have none, as the curve allows.
 
 Source: IEEE Std 952-1997, Annex C.
-
-Where an Allan curve runs at a slope: the windows on which terms are read.
 """
 
 from collections.abc import Mapping
@@ -22,7 +20,6 @@ from imucal.fitting.moments.points import AvarPoints, avar_points, columns, spre
 from imucal.fitting.moments.search import Solution, Weight, dictionary, goodness
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
-from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import AxisSeries
 
@@ -68,16 +65,20 @@ class LogCurve:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reading:
-    """One term's line: the logarithm of its coefficient, as weights on the points' logarithms."""
+    """One term's line: the logarithm of its coefficient, the points' logarithms by `weights`, shape (k,).
+
+    Weights are 0 beside the line. `spread` is the standard error of `log_value`.
+    """
 
     symbol: str
-    places: IntArray
     weights: FloatArray
     log_value: float
+    spread: float
 
-    def spread(self, curve: LogCurve) -> float:
-        """Return the standard error of `log_value`."""
-        return float(np.sqrt(self.weights @ curve.among(self.places) @ self.weights))
+    @property
+    def places(self) -> IntArray:
+        """Indices of the points of the line."""
+        return np.flatnonzero(self.weights)
 
     @property
     def variance(self) -> float:
@@ -95,10 +96,12 @@ def read_term(
         places = _floor(curve) if symbol == "B" else _line(curve, SLOPES[symbol])
     if not places.size:
         return None
-    weights = 1 / curve.variance[places]
-    weights = weights / weights.sum()
-    logs = np.log(np.sqrt(curve.points.avar[places]) / np.sqrt(curve.shape(symbol))[places])
-    return Reading(symbol=symbol, places=places, weights=weights, log_value=float(weights @ logs))
+    weights = np.zeros(curve.points.size)
+    weights[places] = 1 / curve.variance[places]
+    weights /= weights.sum()
+    logs = np.log(curve.points.avar / curve.shape(symbol)) / 2
+    spread = float(np.sqrt(weights @ curve.covariance @ weights))
+    return Reading(symbol=symbol, weights=weights, log_value=float(weights @ logs), spread=spread)
 
 
 def _given(points: AvarPoints, symbol: str, window: tuple[float, float]) -> IntArray:
@@ -116,51 +119,38 @@ def _given(points: AvarPoints, symbol: str, window: tuple[float, float]) -> IntA
 def _line(curve: LogCurve, slope: float) -> IntArray:
     """Return the longest run of points on a line of that slope; of equals, the surest."""
     x, y = np.log(curve.points.m.astype(np.float64)), np.log(curve.points.avar) / 2
-    sure = curve.sure
+    variance, width = curve.variance, np.diff(x)
+    steps = np.diff(y) / width
+    scatter = variance[:-1] + variance[1:] - 2 * np.diag(curve.covariance, 1)
+    on_slope = np.abs(steps - slope) <= _TOLERANCE + 3 * np.sqrt(np.maximum(scatter, 0.0)) / width
     best: tuple[float, float, IntArray] = (0.0, 0.0, np.zeros(0, dtype=np.int64))
-    for first in range(sure):
-        for last in range(first + LEAST_POINTS, sure + 1):
+    for first in range(curve.sure):
+        for last in range(first + LEAST_POINTS, curve.sure + 1):
+            if not on_slope[first : last - 1].all():
+                break
             places = np.arange(first, last)
-            found, spread = _slope(x[places], y[places], curve.among(places))
-            steps = np.diff(y[places]) / np.diff(x[places])
-            loose = _TOLERANCE + 3 * np.sqrt(_step_variance(x, curve.covariance, places))
-            if spread > _SHARP or abs(found - slope) > _TOLERANCE or np.any(np.abs(steps - slope) > loose):
+            # The weighted least-squares slope of the run, and its standard error.
+            weight = 1 / variance[places]
+            away = weight * (x[places] - weight @ x[places] / weight.sum())
+            design = away / (away @ x[places])
+            spread = float(np.sqrt(design @ curve.among(places) @ design))
+            if spread > _SHARP or abs(float(design @ y[places]) - slope) > _TOLERANCE:
                 continue
-            sharpness = -float(np.mean(curve.variance[places]))
+            sharpness = -float(np.mean(variance[places]))
             if (last - first, sharpness) > best[:2]:
                 best = (last - first, sharpness, places)
     return best[2]
 
 
-def _slope(x: FloatArray, y: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Return the weighted least-squares slope of y over x, and its standard error."""
-    weight = 1 / np.diag(covariance)
-    x = x - weight @ x / weight.sum()
-    design = weight * x / ((weight * x) @ x)
-    return float(design @ y), float(np.sqrt(design @ covariance @ design))
-
-
-def _step_variance(x: FloatArray, covariance: FloatArray, places: IntArray) -> FloatArray:
-    """Return the variance of the slope from each point of a run to the next."""
-    a, b = places[:-1], places[1:]
-    variance = np.diag(covariance)[a] + np.diag(covariance)[b] - 2 * covariance[a, b]
-    return np.asarray(np.maximum(variance, 0.0) / np.square(x[b] - x[a]))
-
-
 def _floor(curve: LogCurve) -> IntArray:
     """Return the points about the lowest, if the curve rises on both sides of it."""
-    sure = curve.sure
-    if sure < LEAST_POINTS:
+    adev = np.sqrt(curve.points.avar[: curve.sure])
+    lowest = int(np.argmin(adev)) if adev.size else 0
+    if lowest in {0, adev.size - 1}:
         return np.zeros(0, dtype=np.int64)
-    adev = np.sqrt(curve.points.avar[:sure])
-    lowest = int(np.argmin(adev))
-    if lowest in {0, sure - 1}:
-        return np.zeros(0, dtype=np.int64)
-    first, last = lowest, lowest
-    while first > 0 and adev[first - 1] <= _FLOOR * adev[lowest]:
-        first -= 1
-    while last < sure - 1 and adev[last + 1] <= _FLOOR * adev[lowest]:
-        last += 1
+    away = np.flatnonzero(adev > _FLOOR * adev[lowest])
+    first = away[away < lowest].max(initial=-1) + 1
+    last = away[away > lowest].min(initial=adev.size) - 1
     return np.arange(first, last + 1)
 
 
@@ -206,47 +196,30 @@ def fit_slope(
     found = [read_term(logs, symbol, windows) for symbol in wanted]
     readings = {reading.symbol: reading for reading in found if reading is not None}
     estimates, shown = _estimates(logs, readings, structure, level)
+    lines = np.array([reading.weights for reading in shown]).reshape(-1, points.size)
+    values = np.array([points.coefficient(r.symbol, r.variance) for r in shown])
+    covariance = lines @ logs.covariance @ lines.T * np.outer(values, values)
+    terms = unit_terms([reading.symbol for reading in shown])
+    solution = Solution(
+        terms=terms, variances=np.array([reading.variance for reading in shown]), objective=float("nan")
+    )
+    none = Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
+    spread = logs.covariance * 4 * np.outer(points.avar, points.avar)
+    tau = points.m * points.tau0
     return NoiseFit(
         method="slope",
         sensor=series.sensor if series is not None else None,
         rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
         level=level,
-        model=NoiseModel(terms=tuple(points.term(unit_terms([r.symbol])[0], r.variance) for r in shown)),
+        model=solution.model(points),
         estimates=estimates,
-        parameters=tuple(r.symbol for r in shown),
-        covariance=_covariance(logs, shown),
-        goodness=_goodness(logs, shown),
+        parameters=solution.symbols,
+        covariance=read_only(covariance),
+        goodness=goodness(points, solution, spread) if shown else none,
         curve=curve,
-        used=np.unique(np.concatenate([points.used[:0], *(points.used[r.places] for r in shown)])),
-        settings={"windows": {r.symbol: _window(points, r) for r in shown}},
+        used=points.used[lines.any(axis=0)],
+        settings={"windows": {r.symbol: [float(tau[r.places[k]]) for k in (0, -1)] for r in shown}},
     )
-
-
-def _window(points: AvarPoints, reading: Reading) -> list[float]:
-    """Return the first and the last averaging time of a line, in s."""
-    return [float(points.m[reading.places[k]] * points.tau0) for k in (0, -1)]
-
-
-def _covariance(curve: LogCurve, shown: list[Reading]) -> FloatArray:
-    """Return the covariance of the coefficients in SI, from that of the points' logarithms."""
-    values = np.array([curve.points.coefficient(r.symbol, r.variance) for r in shown])
-    design = np.zeros((len(shown), curve.points.size))
-    for row, reading in zip(design, shown, strict=True):
-        row[reading.places] = reading.weights
-    return read_only(design @ curve.covariance @ design.T * np.outer(values, values))
-
-
-def _goodness(curve: LogCurve, shown: list[Reading]) -> Goodness:
-    """Return how well the terms together describe all points."""
-    if not shown:
-        return Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
-    solution = Solution(
-        terms=unit_terms([r.symbol for r in shown]),
-        variances=np.exp(2 * np.array([r.log_value for r in shown])),
-        objective=float("nan"),
-    )
-    avar = curve.points.avar
-    return goodness(curve.points, solution, curve.covariance * 4 * np.outer(avar, avar))
 
 
 def _log_curve(points: AvarPoints) -> LogCurve:
@@ -275,7 +248,7 @@ def _estimates(
             high = curve.points.coefficient(symbol, float(np.exp(2 * tops[symbol])))
             estimates.append(Estimate.bounded(symbol, symbol, high))
             continue
-        spread = quantile * reading.spread(curve)
+        spread = quantile * reading.spread
         value = curve.points.coefficient(symbol, reading.variance)
         low, high = value * float(np.sqrt(1 - share) * np.exp(-spread)), value * float(np.exp(spread))
         estimates.append(
@@ -289,27 +262,25 @@ def _share_of_others(
     curve: LogCurve, reading: Reading, found: Mapping[str, Reading], tops: Mapping[str, float]
 ) -> float:
     """Return how much of a line's Allan variance the others, at two standard errors more, may explain."""
-    places = reading.places
-    share = np.zeros(places.size)
+    share = np.zeros(curve.points.size)
     for symbol in SLOPES:
         if symbol == reading.symbol:
             continue
-        alone = curve.shape(symbol)[places]
         if symbol in found:
-            variance = np.exp(2 * (found[symbol].log_value + 2 * found[symbol].spread(curve)))
+            variance = np.exp(2 * (found[symbol].log_value + 2 * found[symbol].spread))
         else:
-            variance = min(np.exp(2 * tops[symbol]), _beside(curve, reading, alone))
-        share += variance * alone / curve.points.avar[places]
+            variance = min(np.exp(2 * tops[symbol]), _beside(curve, reading, symbol))
+        share += variance * curve.shape(symbol) / curve.points.avar
     return float(reading.weights @ share)
 
 
-def _beside(curve: LogCurve, reading: Reading, alone: FloatArray) -> float:
-    """Return two standard errors more than the second term that the bend of a line shows, or infinity."""
+def _beside(curve: LogCurve, reading: Reading, symbol: str) -> float:
+    """Return two standard errors more than the other term that the bend of a line shows, or infinity."""
     places = reading.places
     if places.size < LEAST_POINTS:
         return float("inf")
-    both = np.stack([curve.shape(reading.symbol)[places], alone], axis=1)
-    design = both / curve.points.avar[places, np.newaxis]
+    both = np.stack([curve.shape(reading.symbol), curve.shape(symbol)], axis=1)
+    design = (both / curve.points.avar[:, np.newaxis])[places]
     inverse = np.linalg.inv(4 * curve.among(places))
     spread = np.linalg.inv(design.T @ inverse @ design)
     estimate = float((spread @ design.T @ inverse @ np.ones(places.size))[1])

@@ -217,7 +217,7 @@ def test_a_reading_is_the_weighted_mean_of_its_points() -> None:
     logs = np.log(curve.points.avar[1:] * curve.points.m[1:]) / 2
     assert reading.log_value == pytest.approx(weights @ logs)
     assert reading.variance == pytest.approx(np.exp(2 * weights @ logs))
-    assert reading.spread(curve) == pytest.approx(np.sum(1 / variance[1:]) ** -0.5)
+    assert reading.spread == pytest.approx(np.sum(1 / variance[1:]) ** -0.5)
 
 
 @pytest.mark.parametrize(
@@ -308,14 +308,13 @@ def test_a_bend_is_read_from_three_points(size: int, *, known: bool) -> None:
     white, walk = plain.shape("N"), plain.shape("K")
     avar = white + 0.01 * walk
     curve = LogCurve(replace(plain.points, avar=avar), plain.covariance)
-    places = np.arange(size)
-    reading = Reading(symbol="N", places=places, weights=np.ones(size) / size, log_value=0.0)
-    found = _beside(curve, reading, walk[places])
+    weights = np.where(np.arange(4) < size, 1 / size, 0.0)
+    found = _beside(curve, Reading(symbol="N", weights=weights, log_value=0.0, spread=0.01), "K")
     if not known:
         assert found == np.inf
         return
     # The logarithm of a deviation scatters by 0.01, so a variance by 2 %.
-    design = (np.stack([white, walk], axis=1) / avar[:, np.newaxis])[places]
+    design = (np.stack([white, walk], axis=1) / avar[:, np.newaxis])[:size]
     spread = np.linalg.inv(design.T @ design) * 4e-4
     assert found == pytest.approx(0.01 + 2 * np.sqrt(spread[1, 1]))
 

@@ -1,15 +1,11 @@
 """Slopes read off the curve."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import numpy.testing as npt
 import pytest
 
 from imucal.fitting import FitSettings, fit
 from imucal.fitting.moments import fit_slope
-from imucal.fitting.moments.slope import _covariance
 from tests.fitting.moments.curves import simulated_curve
 
 
@@ -107,12 +103,14 @@ def test_refuses_what_has_no_slope() -> None:
 
 
 def test_the_covariance_of_what_is_read_is_that_of_the_points_it_is_read_at() -> None:
-    """Of their logarithms, by the weights of each line, times the coefficients."""
-    points: Any = SimpleNamespace(size=3, coefficient=lambda _, variance: variance**0.5)
-    curve: Any = SimpleNamespace(points=points, covariance=np.diag([1.0, 4.0, 9.0]))
-    lines: Any = [
-        SimpleNamespace(symbol="N", variance=4.0, places=np.array([0, 1]), weights=np.array([0.5, 0.5])),
-        SimpleNamespace(symbol="K", variance=25.0, places=np.array([1, 2]), weights=np.array([0.25, 0.75])),
-    ]
-    # 2² (1 + 4)/4, 2 · 5 · 4/8, 5² (4/16 + 81/16)
-    npt.assert_allclose(_covariance(curve, lines), [[5.0, 5.0], [5.0, 25 * 85 / 16]])
+    """By the weights of each line: the standard error of one is half of a 1-sigma interval's logarithm."""
+    curve = simulated_curve("N=1 + K=0.01", 100_000, np.random.default_rng(48))
+    found = fit_slope(None, curve, FitSettings(model="N + K", level=0.6826894921))
+    deviation = np.sqrt(np.diag(found.covariance))
+    assert found.parameters == ("N", "K")
+    for name, sigma in zip(found.parameters, deviation.tolist(), strict=True):
+        estimate = found[name]
+        assert estimate.value is not None
+        assert sigma / estimate.value == pytest.approx(np.log(estimate.high / estimate.value), rel=1e-6)
+    # Points far apart share little noise.
+    assert abs(found.correlation[0, 1]) < 0.2
