@@ -185,7 +185,8 @@ class Numbers:
         for candidate in self.axes(sensor):
             if candidate.axis == axis:
                 return candidate
-        raise self._missing(f"{sensor.short}_{axis}")
+        name = f"{sensor.short}_{axis}"
+        raise self._missing(name)
 
     def triad(self, sensor: Sensor) -> tuple[AxisReport, AxisReport, AxisReport]:
         """Return all three axes of a sensor."""
