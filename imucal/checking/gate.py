@@ -1,7 +1,7 @@
 """check: a report against limits -> verdicts."""
 
 import math
-from collections.abc import Container, Iterator
+from collections.abc import Iterator
 from itertools import chain
 from typing import Literal, TypedDict
 
@@ -94,14 +94,11 @@ def _wanted(report: Report, limits: Limits) -> Iterator[str]:
         yield from (f"{sensor.short}_{axis}" for axis in axes)
     sections = {limit.where: None for limit in limits.limits}
     yield from (where for where in sections if "_" in where)
+    prefixes = tuple(f"{sensor.short}_" for sensor in Sensor if sensor in sections)
     for finding in report.all_findings:
-        if finding.level == "error" and finding.axis and _asked(finding.axis, sections):
-            yield finding.axis
-
-
-def _asked(name: str, sections: Container[str]) -> bool:
-    """Return whether the sensor of an axis has limits; a finding may also be about a sensor as a whole."""
-    return any(name.startswith(f"{sensor.short}_") and sensor in sections for sensor in Sensor)
+        # A finding may also be about a sensor as a whole.
+        if finding.level == "error" and (finding.axis or "").startswith(prefixes):
+            yield finding.axis or ""
 
 
 def _axes_of(report: Report, where: str) -> tuple[AxisReport, ...]:
@@ -213,15 +210,13 @@ def relative(now: Measured, before: Measured) -> Measured:
     ratio = now.value / before.value if before.value else math.inf
     down = math.hypot(_distance(now.low, now.value), _distance(before.value, before.high))
     up = math.hypot(_distance(now.value, now.high), _distance(before.low, before.value))
-    return Measured(value=ratio, low=ratio * math.exp(-down), high=ratio * _exp(up))
+    return Measured(
+        value=ratio, low=ratio * math.exp(-down), high=ratio * (math.exp(up) if up < 700 else math.inf)
+    )
 
 
 def _distance(low: float, high: float) -> float:
     return math.log(high / low) if low > 0 else math.inf
-
-
-def _exp(x: float) -> float:
-    return math.exp(x) if x < 700 else math.inf
 
 
 def _fails(where: str, subject: str, text: str) -> Row:

@@ -170,13 +170,10 @@ def quantity_units(quantity: str, sensor: Sensor) -> dict[str, float]:
         return _LOG_UNITS[quantity]
     symbol = "B" if quantity in SAMPLE_QUANTITIES else quantity
     term = TERMS[symbol]
-    units = {term.unit(sensor): 1.0}
-    units |= {
-        f"{name}{over}": factor * divisor
-        for name, factor in SAMPLE_UNITS[sensor].items()
-        for over, divisor in term.divisors.items()
-    }
     datasheet = term.datasheet_unit(sensor)
+    units = {term.unit(sensor): 1.0}
+    for name, factor in SAMPLE_UNITS[sensor].items():
+        units |= {f"{name}{over}": factor * divisor for over, divisor in term.divisors.items()}
     units[datasheet.name] = 1 / datasheet.factor
     if term.spellings:
         units[term.spellings[sensor is Sensor.ACCELEROMETER]] = 1.0
@@ -256,12 +253,15 @@ class _File:
             baseline = self._baseline(self._table("baseline", document["baseline"]))
         if not (limits or required or baseline or "findings" in document):
             self._refuse("", "no limit", "write one, such as [gyroscope] N = { max = 1e-4 }")
+        undecided = document.get("undecided", "pass")
+        if undecided not in ("pass", "fail"):
+            self._refuse("undecided", repr(undecided), 'expected "pass" or "fail"')
         return Limits(
             limits=tuple(limits),
             required=required,
             findings=findings,
             baseline=baseline,
-            undecided=self._undecided(document.get("undecided", "pass")),
+            undecided="fail" if undecided == "fail" else "pass",
         )
 
     def _by_symbol(self, section: str, table: Mapping[str, object]) -> dict[str, object]:
@@ -274,15 +274,9 @@ class _File:
             found[symbol] = value
         return found
 
-    def _undecided(self, value: object) -> Undecided:
-        if value not in ("pass", "fail"):
-            self._refuse("undecided", repr(value), 'expected "pass" or "fail"')
-        return "fail" if value == "fail" else "pass"
-
     def _section(self, section: str, table: Mapping[str, object]) -> list[Limit]:
-        known: tuple[str, ...] = LOG_QUANTITIES
-        if section != "log":
-            known = (*TERM_QUANTITIES, *SAMPLE_QUANTITIES, *LOG_QUANTITIES)
+        of_axes = () if section == "log" else (*TERM_QUANTITIES, *SAMPLE_QUANTITIES)
+        known = (*of_axes, *LOG_QUANTITIES)
         self._known(section, table, known, also=("axes",) if section in _SENSORS else ())
         limits: list[Limit] = []
         for quantity, entry in table.items():

@@ -552,7 +552,7 @@ def from_document(document: object, *, file: str = "report") -> Report:
     )
 
 
-def _refuse_constant(name: str) -> object:
+def _refuse_constant(name: str) -> NoReturn:
     msg = f"it holds {name}"
     raise ValueError(msg)
 
@@ -595,24 +595,17 @@ def _axis(node: Node) -> AxisReport:
         mean=_or_nan(node["mean"]),
         std=_or_nan(node["std"]),
         gaps=_GAP.read_all(node["gaps"]),
-        spectrum=_spectrum(node["spectrum"]),
-        overview=_overview(node["overview"]),
+        spectrum=Spectrum(**_alike(node["spectrum"], frequency="frequency_hz", psd="psd", count="count")),
+        overview=Overview(**_alike(node["overview"], time_s="time_s", low="low", high="high")),
         fit=_fit(node["fit"], node["curve"], sensor),
         findings=_FINDING.read_all(node["findings"]),
     )
 
 
-def _spectrum(node: Node) -> Spectrum:
-    frequency = node["frequency_hz"].array()
-    k = frequency.size
-    return Spectrum(frequency=frequency, psd=node["psd"].array(like=k), count=node["count"].array(like=k))
-
-
-def _overview(node: Node) -> Overview:
-    time = node["time_s"].array()
-    return Overview(
-        time_s=time, low=node["low"].array(like=time.size), high=node["high"].array(like=time.size)
-    )
+def _alike(node: Node, **keys: str) -> dict[str, FloatArray]:
+    """Return lists that stand under `keys` by the names of their values, each as long as the first."""
+    first = node[next(iter(keys.values()))].array()
+    return {name: node[key].array(like=first.size) for name, key in keys.items()}
 
 
 def _curve(node: Node) -> AllanCurve:
@@ -676,8 +669,7 @@ def _segments(node: Node) -> Segments:
 
 
 def _trace(node: Node, size: int) -> Trace:
-    value, low, high = (node[name].array(like=size) for name in ("value", "low", "high"))
-    return Trace(value=value, low=low, high=high)
+    return Trace(**{name: node[name].array(like=size) for name in ("value", "low", "high")})
 
 
 def _level(node: Node) -> float:

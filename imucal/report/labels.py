@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.backend_bases import RendererBase
     from matplotlib.text import Annotation
-    from matplotlib.transforms import Bbox
 
 #: Distances of a label's nearest edge from its anchor, in points.
 _DISTANCES = (7.0, 14.0, 24.0, 36.0, 50.0, 68.0, 90.0, 115.0, 145.0, 180.0)
@@ -91,7 +90,7 @@ def place_labels(
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     scale = figure.dpi / 72
     room = _Room(
-        frame=_box(axes.get_window_extent(renderer)).grown(-_PAD * scale),
+        frame=_Box(*axes.get_window_extent(renderer).extents).grown(-_PAD * scale),
         scale=scale,
         points=[(_dense(axes, x, y), cost) for x, y, cost in obstacles],
     )
@@ -113,10 +112,6 @@ def place_labels(
 
 #: What a place costs, the point it belongs to, and the box of the text.
 _Place: TypeAlias = tuple[float, FloatArray, _Box]
-
-
-def _first(place: _Place) -> float:
-    return place[0]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -146,9 +141,8 @@ class _Room:
         lowest, anchor, box = self._lowest(near)
         if lowest >= _TAKEN:
             # Crowded: anywhere in the plot, with a long leader.
-            lowest, anchor, box = min(
-                (lowest, anchor, box), self._lowest(self._anywhere(anchors, size)), key=_first
-            )
+            farther = self._lowest(self._anywhere(anchors, size))
+            return (anchor, box) if lowest <= farther[0] else farther[1:]
         return anchor, box
 
     def _lowest(self, places: Iterable[_Place]) -> _Place:
@@ -225,10 +219,6 @@ def _dense(axes: "Axes", x: FloatArray, y: FloatArray) -> FloatArray:
     along = np.concatenate([[0.0], np.cumsum(steps)])
     fine = np.linspace(0, along[-1], min(2000, max(2, int(along[-1] / 4))))
     return np.column_stack([np.interp(fine, along, points[:, 0]), np.interp(fine, along, points[:, 1])])
-
-
-def _box(extent: "Bbox") -> _Box:
-    return _Box(extent.x0, extent.y0, extent.x1, extent.y1)
 
 
 def _size(axes: "Axes", text: str, fontsize: float, renderer: "RendererBase") -> tuple[float, float]:

@@ -21,8 +21,8 @@ from imucal.noise.terms import AngleRandomWalk, BiasInstability, GaussMarkov
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
 from imucal.report.exports.config_numbers import Choices, Numbers
-from imucal.report.exports.kalman import flicker_bank
 from imucal.report.exports.kf_gins import cover
+from imucal.report.exports.own_program import flicker_bank
 from imucal.report.exports.target import comment, decimal, real
 from imucal.report.json_file import dumps, from_document, to_document
 from imucal.report.result import Report

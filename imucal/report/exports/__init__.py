@@ -15,18 +15,15 @@ __all__ = ["INFLATABLE", "TARGETS", "AxisPolicy", "Unidentified", "export", "fin
 
 #: The modules of this folder that hold formats, in the order of the list that users see.
 _MODULES = (
-    "kalibr",
     "visual",
     "gtsam",
     "lidar",
     "ros",
     "autopilots",
-    "gazebo",
     "simulators",
     "kf_gins",
     "matlab",
-    "kalman",
-    "generic_yaml",
+    "own_program",
 )
 _FOUND: list[Target] = [
     target for module in _MODULES for target in import_module(f"{__name__}.{module}").TARGETS

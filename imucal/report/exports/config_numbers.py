@@ -55,10 +55,7 @@ class Choices:
 
     def factor(self, symbol: str) -> float:
         """Return the factor on a term's coefficient; 1 where nothing was asked."""
-        for name, symbols in INFLATABLE.items():
-            if symbol in symbols:
-                return self.inflate.get(name, 1.0)
-        return 1.0
+        return next((factor for name, factor in self.inflate.items() if symbol in INFLATABLE[name]), 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +98,10 @@ class Number:
     @property
     def note(self) -> str:
         """Where the number comes from and how well it is known, for a comment beside it."""
-        return f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}{self._ambiguity()}"
+        text = f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}"
+        if not self.alternatives:
+            return text
+        return f"{text}; {' or '.join((self.symbol, *self.alternatives))}: this record can't tell which"
 
     def _certainty(self) -> str:
         if self.origin:
@@ -113,15 +113,10 @@ class Number:
             return ""
         if self.bounded != self.axes:
             return f"; UPPER BOUND ({level}) on {', '.join(self.bounded)}"
-        excess = (
-            f"; {self.excess:.2g} x the largest that fits under the measured curve" if self.excess else ""
-        )
-        return f", UPPER BOUND ({level}): the data do not show this term{excess}"
-
-    def _ambiguity(self) -> str:
-        if not self.alternatives:
-            return ""
-        return f"; {' or '.join((self.symbol, *self.alternatives))}: this record can't tell which"
+        text = f", UPPER BOUND ({level}): the data do not show this term"
+        if not self.excess:
+            return text
+        return f"{text}; {self.excess:.2g} x the largest that fits under the measured curve"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,10 +222,10 @@ class Numbers:
     def of(self, axis: AxisReport, symbol: str) -> Number:
         """Return one axis's coefficient of N, B or K, or its upper bound."""
         estimate = axis.fit[symbol]
-        if estimate.value is None:
-            self._refuse_bound(axis, estimate)
-        coefficient = estimate.high if estimate.value is None else estimate.value
         bounded, factor = estimate.value is None, self.choices.factor(symbol)
+        if bounded and self.choices.unidentified == "refuse":
+            raise self._refused(axis, estimate)
+        coefficient = estimate.high if estimate.value is None else estimate.value
         return Number(
             symbol=symbol,
             value=self._positive(coefficient * factor, symbol, axis.name),
@@ -296,16 +291,14 @@ class Numbers:
             return topic, f"one of {', '.join(source.topics)}; set the topic that holds both sensors"
         return topic, "the log's topic"
 
-    def _refuse_bound(self, axis: AxisReport, estimate: Estimate) -> None:
-        if self.choices.unidentified != "refuse":
-            return
+    def _refused(self, axis: AxisReport, estimate: Estimate) -> DataError:
         unit = TERMS[estimate.symbol].unit(axis.sensor)
         msg = (
             f"{self.report.source.path}: {axis.name}: {estimate.symbol} was not identified "
             f"(upper bound {estimate.high:.3g} {unit}), but {self.target} needs a value; "
             "accept the bound, choose an axis that shows the term, or record for longer"
         )
-        raise DataError(msg)
+        return DataError(msg)
 
     def _positive(self, value: float, symbol: str, name: str) -> float:
         if math.isfinite(value) and value > 0:

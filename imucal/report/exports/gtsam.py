@@ -8,7 +8,7 @@ exists: the bias's own uncertainty is the estimator's to carry.
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.target import DENSITY_SQUARED, Body, Entry, Target, entries, four, lines, real
+from imucal.report.exports.target import DENSITY_SQUARED, Body, Target, entries, four, lines, real
 from imucal.units import G0
 
 #: Covariance of the integration itself: GTSAM's own default of 1 would drown the sensor's.
@@ -43,31 +43,22 @@ def _body(numbers: Numbers) -> Body:
         f"integrationCovariance = {real(_INTEGRATION)}  # of the integration's rounding, not of the sensor",
         *_correlation_times(numbers),
         _HEAD.format(gravity=real(G0)),
-        *(_setter(entry) for entry in found),
+        *(f"    params.set{e.name[0].upper()}{e.name[1:]}({e.name} * identity)" for e in found),
         _TAIL,
     ]
     return [entry.number for entry in found], text
 
 
-def _setter(entry: Entry) -> str:
-    return f"    params.set{entry.name[0].upper()}{entry.name[1:]}({entry.name} * identity)"
-
-
 def _correlation_times(numbers: Numbers) -> list[str]:
     """Return the correlation times of Gauss-Markov biases, for versions and forks of GTSAM that have them."""
-    found_lines = []
+    said = []
     for key, sensor in (("tauAcc", Sensor.ACCELEROMETER), ("tauGyro", Sensor.GYROSCOPE)):
-        if sensor not in numbers.sensors:
-            continue
-        found = [
-            (term[1], axis.name) for axis in numbers.axes(sensor) if (term := numbers.gauss_markov(axis))
-        ]
+        axes = [axis for axis in numbers.report.axes if axis.sensor is sensor]
+        found = [(term[1], axis.name) for axis in axes if (term := numbers.gauss_markov(axis))]
         if found:
             time, name = max(found)
-            found_lines.append(
-                f"{key} = {real(time)}  # s, Gauss-Markov bias of {name}; unused by the walk below"
-            )
-    return found_lines
+            said.append(f"{key} = {real(time)}  # s, Gauss-Markov bias of {name}; unused by the walk below")
+    return said
 
 
 TARGETS = (

@@ -166,15 +166,19 @@ class Target:
         """Return the lines of the comment, without comment signs."""
         report = numbers.report
         topics = f", {', '.join(report.source.topics)}" if report.source.message_types else ""
-        policy = numbers.choices.axis_policy
-        axes = _POLICIES.get(policy, f"{policy} alone")
-        if self.per_axis:
-            axes = "each its own number; this format needs no axis policy"
+        axes = "each its own number; this format needs no axis policy"
+        if not self.per_axis:
+            policy = numbers.choices.axis_policy
+            axes = _POLICIES.get(policy, f"{policy} alone")
         lines = [
             f"{self.heading}, written by imucal {report.version}",
             f"source log: {report.source.path} ({report.source.format}{topics})",
             *(_sensor_line(numbers, sensor) for sensor in numbers.sensors),
-            *(_missing_line(sensor) for sensor in Sensor if sensor not in numbers.sensors),
+            *(
+                f"NO {sensor} in this log: its numbers are left out, and the program needs them from another"
+                for sensor in Sensor
+                if sensor not in numbers.sensors
+            ),
             f"kind: {self.kind}",
             *(f"formula: {formula}" for formula in self.formulas),
             f"axes: {axes}",
@@ -184,23 +188,14 @@ class Target:
         if bounds:
             level = report.axes[0].fit.level
             lines.append(f"not identified, so the {level:.0%} upper bound is written: {', '.join(bounds)}")
-        if _rates_differ(numbers):
+        rates = [numbers.rate_hz(sensor) for sensor in numbers.sensors]
+        if max(rates) > 1.001 * min(rates):
             lines.append(
                 "the rates differ: f is each sensor's own"
                 if self.own_rates
                 else f"the rates differ: every number is for one stream at f = {numbers.stream_hz:.9g} Hz"
             )
         return [*lines, *_left_out(report.axes, self.carries), *_warnings(numbers)]
-
-
-def _missing_line(sensor: Sensor) -> str:
-    return f"NO {sensor} in this log: its numbers are left out, and the program needs them from another"
-
-
-def _rates_differ(numbers: Numbers) -> bool:
-    """Return whether both sensors are there and their rates are more than 0.1 % apart."""
-    rates = [numbers.rate_hz(sensor) for sensor in numbers.sensors]
-    return max(rates) > 1.001 * min(rates)
 
 
 def _sensor_line(numbers: Numbers, sensor: Sensor) -> str:
@@ -238,10 +233,8 @@ def _left_out(axes: Iterable[AxisReport], carries: str) -> list[str]:
 
 
 def _warnings(numbers: Numbers) -> list[str]:
-    serious = dict.fromkeys(f.code for f in numbers.report.all_findings if f.level != "info")
-    if not serious:
-        return []
-    return [f"read the report before you use these numbers; it warns of: {', '.join(serious)}"]
+    codes = ", ".join(dict.fromkeys(f.code for f in numbers.report.all_findings if f.level != "info"))
+    return [f"read the report before you use these numbers; it warns of: {codes}"] if codes else []
 
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER

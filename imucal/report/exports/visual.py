@@ -1,9 +1,11 @@
-"""Visual-inertial odometry, but for Kalibr and OpenVINS, which share their keys in a file of their own.
+"""Visual-inertial odometry: Kalibr, OpenVINS, VINS, ORB-SLAM3, OKVIS2, Kimera-VIO, and others.
 
 All but VINS take continuous densities, some squared. VINS' covariance propagation takes half of the
 white variance twice (mid-point integration), so that the wanted value is ``N sqrt(2 f)``; the common
 ``N sqrt(f)`` is sqrt(2) low. The walk enters once, ``K sqrt(f)``. ORB-SLAM3 multiplies N by, and
 divides K by, the root of ``IMU.Frequency``: a wrong frequency moves them in opposite directions.
+Kalibr divides by sqrt(dt) itself and refuses a value that is not positive; its ``*_random_walk`` is K,
+not the angle random walk.
 """
 
 from collections.abc import Sequence
@@ -11,7 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from imucal.report.exports.config_numbers import Number, Numbers
-from imucal.report.exports.kalibr import FORMULA, KEYS
 from imucal.report.exports.target import (
     ACCEL,
     DENSITY_SQUARED,
@@ -27,7 +28,9 @@ from imucal.report.exports.target import (
     json_object,
     json_origins,
     keyed_body,
+    matrix,
     opencv_yaml,
+    plain,
     quoted,
     real,
     stream_rate,
@@ -35,6 +38,34 @@ from imucal.report.exports.target import (
     vector,
 )
 from imucal.units import G0
+
+#: The four keys, as EuRoC and Kimera-VIO have them too.
+_KALIBR = four(
+    "accelerometer_noise_density accelerometer_random_walk gyroscope_noise_density gyroscope_random_walk"
+)
+_KALIBR_FORMULA = "noise_density = N (white noise), random_walk = K (of the bias); no factor of the rate"
+
+
+def _topic(numbers: Numbers) -> str:
+    name, remark = numbers.topic()
+    return f"rostopic: {quoted(name)}  # {plain(remark)}"
+
+
+_UPDATE_RATE = stream_rate("update_rate")
+
+
+def _intrinsics(numbers: Numbers) -> list[str]:
+    unit, zero = np.eye(3).tolist(), np.zeros((3, 3)).tolist()
+    lines = [
+        f"  {_topic(numbers)}",
+        "  time_offset: 0.0",
+        f"  {_UPDATE_RATE(numbers)[0]}",
+        '  model: "kalibr"',
+    ]
+    for key, rows in (("Tw", unit), ("R_IMUtoGYRO", unit), ("Ta", unit), ("R_IMUtoACC", unit), ("Tg", zero)):
+        lines += [f"  {key}:", *matrix(rows, "    ")]
+    return lines
+
 
 _PLAIN = "no factor of the rate"
 _OWN_KEYS = "the other keys of this section are yours: the program refuses a file that lacks one"
@@ -111,6 +142,34 @@ def _basalt(numbers: Numbers) -> Body:
 
 TARGETS = (
     Target(
+        name="kalibr",
+        title="Kalibr imu.yaml",
+        file_name="kalibr_imu.yaml",
+        source="source: aslam_offline_calibration/kalibr/python/kalibr_common/ConfigReader.py",
+        kind="continuous-time densities, SI; Kalibr makes them discrete with update_rate",
+        formulas=(_KALIBR_FORMULA,),
+        body=keyed_body(_KALIBR, below=lambda numbers: (_topic(numbers), *_UPDATE_RATE(numbers))),
+    ),
+    Target(
+        name="openvins",
+        title="OpenVINS kalibr_imu_chain.yaml",
+        file_name="kalibr_imu_chain.yaml",
+        source="source: config/euroc_mav/kalibr_imu_chain.yaml, ov_core/src/utils/opencv_yaml_parse.h",
+        kind="continuous-time densities, SI; OpenVINS makes them discrete with the stamps of the messages",
+        formulas=(_KALIBR_FORMULA,),
+        body=keyed_body(
+            _KALIBR,
+            above=("imu0:", "  T_i_b:", *matrix(np.eye(4).tolist(), "    ")),
+            below=_intrinsics,
+            indent="  ",
+        ),
+        notes=(
+            "matrices: identity (no intrinsics are measured at rest); T_i_b, Tw, Ta, Tg are yours to set",
+        ),
+        layout=opencv_yaml,
+        aliases=("ovins",),
+    ),
+    Target(
         name="vins",
         title="VINS-Mono / VINS-Fusion config (IMU part)",
         file_name="vins_imu.yaml",
@@ -163,8 +222,8 @@ TARGETS = (
         file_name="ImuParams.yaml",
         source="source: src/imu-frontend/ImuFrontendParams.cpp, src/imu-frontend/ImuFrontend.cpp",
         kind="continuous-time densities, SI; squared and handed to GTSAM, which uses the stamps",
-        formulas=(FORMULA,),
-        body=keyed_body(KEYS, above=_kimera_head, below=_KIMERA_TAIL),
+        formulas=(_KALIBR_FORMULA,),
+        body=keyed_body(_KALIBR, above=_kimera_head, below=_KIMERA_TAIL),
         notes=("imu_preintegration_type: 1; for 0 the code sets GTSAM's biasAccOmegaInt to the identity",),
         layout=opencv_yaml,
         aliases=("kimera",),
@@ -251,8 +310,8 @@ TARGETS = (
         file_name="euroc_sensor.yaml",
         source="documentation: Burri et al. (2016), The EuRoC micro aerial vehicle datasets",
         kind="continuous-time densities, SI",
-        formulas=(FORMULA,),
-        body=keyed_body(KEYS, above=_euroc_head),
+        formulas=(_KALIBR_FORMULA,),
+        body=keyed_body(_KALIBR, above=_euroc_head),
         aliases=("asl",),
     ),
 )
