@@ -272,3 +272,26 @@ def test_runs_between_breaks() -> None:
         Segment(start=0, stop=1, offset=0),
         Segment(start=1, stop=2, offset=8),
     )
+
+
+def test_each_stretch_between_settings_of_the_clock_is_looked_at_by_itself() -> None:
+    """A setting is no break, and what is missing or doubled lies where it lies in all."""
+    first = late(50, 3000)
+    second = late(150, -1000) - 10**9
+    both = np.concatenate([first, second])
+    found = find_breaks(both, PERIOD, np.array([200]))
+    assert [found.at.tolist(), found.missing.tolist(), found.doubled.tolist()] == [[50], [3], [350]]
+
+
+@pytest.mark.parametrize("longest", [2, 3])
+def test_a_period_is_the_slope_of_the_stamps(longest: int) -> None:
+    """Gaps of up to `longest` samples count as what they are; behind others a level of its own begins."""
+    places = np.arange(200) + 3 * (np.arange(200) >= 50)
+    stamps = np.round(places * 1003.5).astype(np.int64)
+    breaks = Breaks(at=np.array([50]), missing=np.array([3]), doubled=NONE)
+    tau, deviation = fit_period(stamps, float(TAU), breaks, NONE, longest=longest)
+    assert tau == pytest.approx(1003.5, abs=1e-2)
+    assert deviation < 1
+    shifted = stamps + 400 * (np.arange(200) >= 50)
+    free, _ = fit_period(shifted, float(TAU), breaks, NONE, longest=longest)
+    assert (abs(free - 1003.5) < 1e-2) == (longest == 2)

@@ -115,3 +115,21 @@ def test_names_of_files(tmp_path: Path) -> None:
     assert definition_of("acme/msg/Pair", given) == PAIR
     assert definition_of("other/msg/Pair", given) is None
     assert definition_of("other/msg/Pair", {"/Pair": PAIR}) == PAIR
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("acme/msg/Board.msg", "acme/Board"),
+        ("msg/acme__Board.msg", "{}/Board"),
+        ("Board.msg", "/Board"),
+        ("acme.v2.Board.msg", "/Board"),
+        ("acme/other/Board.msg", "/Board"),
+    ],
+)
+def test_a_file_names_its_type(file: str, name: str, tmp_path: Path) -> None:
+    """Packages and versions may stand in front of it."""
+    path = tmp_path / file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("int8 x", encoding="utf-8")
+    assert read_definitions([path]) == {name.format(tmp_path.name): "int8 x"}

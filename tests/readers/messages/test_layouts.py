@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 from imucal.readers import read
-from imucal.readers.messages.definitions import DefinitionError, Field, flatten
+from imucal.readers.messages.definitions import DefinitionError, Field, built_in, flatten
 from imucal.readers.messages.message_types import Vector
 from imucal.readers.messages.plain import Place, adjacent
 from imucal.recording import Sensor
@@ -132,3 +133,59 @@ def test_reads_vectors_whose_numbers_lie_apart(code: str, frames: tuple[str, ...
     for series, expected in zip(recording.series, truth.all.T, strict=True):
         exact = code == "float64" or series.name == "gyro_z"
         assert np.array_equal(series.samples, expected if exact else expected.astype(np.float32))
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+def test_every_number_has_its_code(ros1: bool) -> None:  # noqa: FBT001
+    """A byte has a sign in ROS 1; the seconds of a time have none there."""
+    codes = {f"{s}int{8 * n}": f"{s or 'i'}{n}" for s in ("", "u") for n in (1, 2, 4, 8)}
+    codes |= {"bool": "u1", "octet": "u1", "char": "u1", "byte": "i1" if ros1 else "u1"}
+    codes |= {"float32": "f4", "float64": "f8"}
+    fields = fields_of("\n".join(f"{kind} a_{kind}" for kind in codes), ros1=ros1)
+    assert {field.path: field.code for field in fields} == {f"a_{kind}": code for kind, code in codes.items()}
+    times = [Field("t.sec", "number", "u4" if ros1 else "i4"), Field("t.nanosec", "number", "u4")]
+    for kind in ("time", "duration", "builtin_interfaces/Time", "builtin_interfaces/msg/Duration"):
+        assert fields_of(f"{kind} t", ros1=ros1) == times
+
+
+def test_structures_lie_one_behind_the_other() -> None:
+    """An array of them has each; what is bounded or open has one field that counts all their numbers."""
+    point = "\n===\nMSG: pkg/P\nfloat64 x\nfloat64[2] y"
+    paths = [f"p[{i}].{name}" for i in range(2) for name in "xy"]
+    assert [field.path for field in fields_of(f"P[2] p{point}")] == paths
+    assert [field.path for field in fields_of(f"P p{point}")] == ["p.x", "p.y"]
+    for size in ("", "<=2"):
+        assert fields_of(f"P[{size}] p{point}") == [Field("p", "sequence", "f8", 3)]
+    assert fields_of(f"P[0] p\nint8 z{point}") == [Field("z", "number", "i1")]
+
+
+def test_comments_and_constants_are_no_fields() -> None:
+    """What is none of these is an error that shows its line."""
+    assert fields_of("# a\n\nint8 A=1\nint8 B = 2 # c\nint8 x # d\nint8 y 5\n") == [
+        Field("x", "number", "i1"),
+        Field("y", "number", "i1"),
+    ]
+    with pytest.raises(DefinitionError, match=r"^line 'int8' is not a field$"):
+        fields_of("int8 x\nint8\n")
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+def test_the_standard_type_is_laid_out_as_rosbags_does(ros1: bool) -> None:  # noqa: FBT001
+    """Its own definition of the same name gives the same fields, those that others hold too."""
+    types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
+    for name in ("sensor_msgs/msg/Imu", "geometry_msgs/msg/TwistWithCovarianceStamped",
+                 "geometry_msgs/msg/AccelStamped", "geometry_msgs/msg/Vector3", "geometry_msgs/msg/Twist",
+                 "sensor_msgs/msg/Temperature"):  # fmt: skip
+        theirs, _ = types.generate_msgdef(name, ros_version=1 if ros1 else 2)
+        own = built_in(name, ros1=ros1)
+        assert own is not None
+        assert flatten(name, own, ros1=ros1) == flatten(name, theirs, ros1=ros1)
+    assert built_in("sensor_msgs/msg/Image", ros1=ros1) is None
+
+
+def test_too_many_fields_are_refused() -> None:
+    """Twenty thousand are enough, also of those of structures in structures."""
+    text = "P[{}] p\n===\nMSG: pkg/P\n" + "\n".join(f"int8 a{i}" for i in range(100))
+    assert len(fields_of(text.format(200))) == 20_000
+    with pytest.raises(DefinitionError, match=r"^pkg/M nests too deeply or has too many fields$"):
+        fields_of(text.format(201))

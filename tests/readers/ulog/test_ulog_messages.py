@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from imucal.arrays import IntArray
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, DataError
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.ulog import (
     Instance,
@@ -20,6 +20,7 @@ from imucal.readers.ulog import (
     _log_findings,
     _refuse_options,
     _scales,
+    _timed,
     samples_of,
 )
 from imucal.recording import Sensor
@@ -232,3 +233,39 @@ def test_samples_may_be_said_to_be_in_another_unit() -> None:
             ChoiceError, match=rf"^log.ulg: '{wrong}' is no unit of the gyroscope; expected one of"
         ):
             _scales(path, ReadOptions(gyro_unit=wrong))
+
+
+def test_both_sensors_of_a_message_have_their_own_fields() -> None:
+    axes: dict[str, Any] = {f"gyro_rad[{i}]": [1.0 + i, 2.0 + i] for i in range(3)}
+    axes |= {f"accelerometer_m_s2[{i}]": [5.0 + i, 7.0 + i] for i in range(3)}
+    combined = instance("sensor_combined", (10, 20), **axes)
+    npt.assert_array_equal(samples_of(combined, Sensor.GYROSCOPE).vectors, [[1, 2, 3], [2, 3, 4]])
+    npt.assert_array_equal(samples_of(combined, Sensor.ACCELEROMETER).vectors, [[5, 6, 7], [7, 8, 9]])
+    axes = {f"delta_velocity[{i}]": [2.0 + i] for i in range(3)}
+    axes |= {f"delta_angle[{i}]": [1.0 + i] for i in range(3)}
+    integrals = instance("vehicle_imu", (10,), delta_velocity_dt=[500_000], delta_angle_dt=[250_000], **axes)
+    npt.assert_allclose(samples_of(integrals, Sensor.ACCELEROMETER).vectors, [[4, 6, 8]])
+    npt.assert_allclose(samples_of(integrals, Sensor.GYROSCOPE).vectors, [[4, 8, 12]])
+
+
+def test_sensors_with_equal_stamps_share_a_clock() -> None:
+    axes: dict[str, Any] = {f"{field}[{i}]": np.sin(np.arange(60) * (i + 1))
+                            for field in ("gyro_rad", "accelerometer_m_s2") for i in range(3)}  # fmt: skip
+    combined = instance("sensor_combined", every(5000, 60), **axes)
+    timed = _timed(LOG, [combined], ReadOptions())
+    assert list(timed) == [Sensor.GYROSCOPE, Sensor.ACCELEROMETER]
+    (_, first), (_, second) = timed.values()
+    assert first is second
+    assert first.clock.rate_hz == pytest.approx(200)
+    assert first.clock.source == "timestamp of sensor_combined"
+    # A sensor is read once, from the first message that has it.
+    other = instance("sensor_gyro", every(1000, 300), **{axis: np.arange(300.0) for axis in "xyz"})
+    timed = _timed(LOG, [other, combined], ReadOptions())
+    assert [samples.stamps.size for samples, _ in timed.values()] == [300, 60]
+    empty = instance(
+        "vehicle_imu", (1,), delta_angle_dt=[0], **{f"delta_angle[{i}]": [1.0] for i in range(3)}
+    )
+    with pytest.raises(
+        DataError, match=r"^flight\.ulg: vehicle_imu holds no samples of the gyroscope; expected"
+    ):
+        _timed(LOG, [empty], ReadOptions())
