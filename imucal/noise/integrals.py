@@ -33,29 +33,6 @@ from imucal.arrays import FloatArray
 Psd: TypeAlias = Callable[[FloatArray], ArrayLike] | tuple[ArrayLike, ArrayLike]
 
 
-def psd_function(psd: Psd) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-    """Return the psd as a checked function, and where it has corners."""
-    if callable(psd):
-        function, corners = psd, np.zeros(0)
-    else:
-        function, corners = _function_of_points(*psd)
-
-    def checked(f: FloatArray) -> FloatArray:
-        with np.errstate(over="ignore", divide="ignore"):
-            values = np.asarray(function(f.ravel()), dtype=np.float64)
-        if values.shape != (f.size,):
-            msg = f"psd must return shape ({f.size},) for frequencies of that shape, got {values.shape}"
-            raise ValueError(msg)
-        wrong = np.flatnonzero(~(values >= 0))
-        if wrong.size:
-            at = wrong[0]
-            msg = f"psd must be 0 or more everywhere, got {values[at]:g} at {f.ravel()[at]:.6g} Hz"
-            raise ValueError(msg)
-        return values.reshape(f.shape)
-
-    return checked, corners
-
-
 def _function_of_points(
     frequency: ArrayLike, density: ArrayLike
 ) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
@@ -232,14 +209,14 @@ def avar_from_psd(
     --------
     White noise of variance 1 per sample at 100 Hz has the psd 0.01 U²/Hz:
 
-    >>> float(avar_from_psd(lambda f: 0.01 + 0 * f, [4], 0.01)[0])
+    >>> round(float(avar_from_psd(lambda f: 0.01 + 0 * f, 4, 0.01)), 9)
     0.25
     """
     factors = _factors(m)
     if not (math.isfinite(tau0) and tau0 > 0):
         msg = f"tau0 must be positive and finite, got {tau0}"
         raise ValueError(msg)
-    density, kinks = psd_function(psd)
+    function, kinks = (psd, np.zeros(0)) if callable(psd) else _function_of_points(*psd)
     # What peaks at a break is looked at ever more closely towards it.
     near = np.outer(np.asarray(breaks, dtype=np.float64), 1 + np.outer([-1.0, 0.0, 1.0], _CLOSER))
     kinks = np.concatenate([kinks, near.ravel()]) * tau0
@@ -247,15 +224,22 @@ def avar_from_psd(
     kinks = np.unique(kinks[np.isfinite(kinks) & (kinks > 0)])
 
     @cache
-    def at(f: float) -> float:
-        value = float(density(np.array([f / tau0]))[0]) / tau0
-        if math.isinf(value):
+    def density(f: float) -> float:
+        with np.errstate(over="ignore", divide="ignore"):
+            values = np.asarray(function(np.array([f / tau0])), dtype=np.float64)
+        if values.shape != (1,):
+            msg = f"psd must return shape (1,) for frequencies of that shape, got {values.shape}"
+            raise ValueError(msg)
+        if not values[0] >= 0:
+            msg = f"psd must be 0 or more everywhere, got {values[0]:g} at {f / tau0:.6g} Hz"
+            raise ValueError(msg)
+        if math.isinf(values[0]):
             msg = f"psd must be finite, got inf at {f / tau0:.6g} Hz"
             raise _InfiniteError(msg)
-        return value
+        return float(values[0]) / tau0
 
     total = [
-        _PsdIntegral(density=at, m=factor, sampled=sampled, breaks=kinks, tau0=tau0).total()
+        _PsdIntegral(density=density, m=factor, sampled=sampled, breaks=kinks, tau0=tau0).total()
         for factor in distinct.tolist()
     ]
     return np.array(total)[place].reshape(np.shape(m))

@@ -1,6 +1,6 @@
 """What every noise term is: its formulas, its names and units, how it is drawn, and what can fit it.
 
-Formulas of the terms that need care with rounding, per unit variance and sample.
+And, per unit variance and sample, the formulas that need care with rounding.
 """
 
 import re

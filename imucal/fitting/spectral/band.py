@@ -13,8 +13,6 @@ below its corner. DC gain is 1, so that N keeps its meaning.
 A description is sound when the misfit is within chance and the next orders of the response add
 nothing. Among the sound ones the one that tells N best is taken, and then one order more than it
 needs, so that what the response can't follow does not bias N.
-
-The output filter: the band of a fit and the response in it, its starting values, and its name.
 """
 
 from dataclasses import dataclass

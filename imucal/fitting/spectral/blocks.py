@@ -1,10 +1,8 @@
-"""AxisSeries -> blocks of ordinates: long gaps part the blocks, short ones are completed.
+"""AxisSeries -> blocks of ordinates -> binned ordinates, and the bins that a result keeps.
 
-Scattered missing samples: what the observed ones say about the squared ordinates.
-
-Expectation-maximisation without a model: given a smooth spectrum S, the missing samples given the
-observed ones are normal, with precision the missing block of C' diag(1/S) C (C the DCT). Their mean
-is found by conjugate gradients, their covariance by a draw, and
+Long gaps part the blocks. Short ones are completed, by expectation-maximisation without a model: given a
+smooth spectrum S, the missing samples given the observed ones are normal, with precision the missing block
+of C' diag(1/S) C (C the DCT). Their mean is found by conjugate gradients, their covariance by a draw, and
 
     E[X_k² | observed] = (mean X_k)² + var X_k
 
@@ -12,28 +10,23 @@ replaces X_k². The share of the variance in it is information that the gaps too
 
 Source: Dempster, Laird & Rubin (1977), JRSS B 39; draws: Papandreou & Yuille (2010), NIPS 23;
 lost information: Louis (1982), JRSS B 44.
-
-Blocks -> Ordinates: sums of squares in bins, and of products with the regressors.
-
-Ordinates -> the bins that a result keeps, and back: exactly, for one record or for several.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from imucal.allan.dct import DctBins, dct2, dct_bins, fast_length, idct2, own_ordinates, ramp_ordinates
-from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.lines import find_lines, with_sines, without_strong_lines
-from imucal.fitting.spectral.ordinates import LAWS, Ordinates, regressor_ordinates
+from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes, regressor_ordinates
 from imucal.recording import AxisSeries
 
 _ROUNDS = 3
@@ -516,13 +509,10 @@ _ROUNDING = 1e-28
 
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
     """Return the binned ordinates of all blocks; the regressors `names` are common to them."""
-    parts = [_bin(block, names) for block in blocks]
-    joined: dict[str, Any] = {key: np.concatenate([part[key] for part in parts], axis=-1) for key in parts[0]}
-    return Ordinates(scale=scale, names=names, **joined)
+    return Ordinates.joined([_binned(block, scale, names) for block in blocks])
 
 
-def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the arrays of one block's `Ordinates`, by their names."""
+def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
     bins = block.bins
     vectors = [block.regressor_parts(name) for name in names]
     size, power = np.empty((2, bins.size))
@@ -551,22 +541,9 @@ def _bin(block: Block, names: tuple[str, ...]) -> dict[str, Any]:
     if block.loss is not None:
         keep = 1 - block.loss
         size, power, cross, gram = size * keep, power * keep, cross * keep, gram * keep
-    return {
-        "size": size,
-        "power": power,
-        "lam": LAWS[0].psd(bins.omega),
-        "length": np.full(bins.size, float(bins.n)),
-        "sign": np.where(bins.count == 1, np.where(bins.first % 2 == 0, 1.0, -1.0), 0.0),
-        "basis": _basis(bins),
-        "cross": cross,
-        "gram": gram,
-    }
-
-
-@lru_cache(maxsize=16)
-def _basis(bins: DctBins) -> FloatArray:
-    """Return the expected squares; segments, and axes of the same length, have the very same bins."""
-    return read_only(np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in LAWS]))
+    return Ordinates(
+        scale=scale, names=names, size=size, power=power, cross=cross, gram=gram, **bin_shapes(bins)
+    )
 
 
 def bins_of(whole: Ordinates, blocks: SeriesBlocks, *, tau0: float, widening: float) -> Bins:
@@ -589,25 +566,20 @@ def bins_of(whole: Ordinates, blocks: SeriesBlocks, *, tau0: float, widening: fl
 
 def ordinates_of(bins: Bins) -> Ordinates:
     """Return the ordinates that `bins` were made of, bit for bit."""
-    lam, length, sign, basis = [], [], [], []
+    shapes = []
     for n, first in zip(bins.n.tolist(), np.split(bins.first, bins.start[1:]), strict=True):
         count = np.diff(first, append=n)
-        # As `imucal.allan.dct.dct_bins` has it, so that no digit differs.
-        lam.append(LAWS[0].psd(np.pi * (first + (count - 1) / 2) / n))
-        length.append(np.full(first.size, float(n)))
-        sign.append(np.where(count == 1, np.where(first % 2 == 0, 1.0, -1.0), 0.0))
-        basis.append(np.array([law.dct_spectrum(n, first, count) for law in LAWS]))
+        omega = np.pi * (first + (count - 1) / 2) / n
+        shapes.append(bin_shapes(DctBins(n=n, first=first, count=count, omega=omega)))
+    joint: dict[str, Any] = {name: np.concatenate([s[name] for s in shapes], axis=-1) for name in shapes[0]}
     return Ordinates(
         scale=bins.scale,
         size=bins.size,
         power=bins.power,
-        lam=np.concatenate(lam),
-        length=np.concatenate(length),
-        sign=np.concatenate(sign),
-        basis=np.concatenate(basis, axis=1),
         names=bins.names,
         cross=bins.cross,
         gram=bins.gram,
+        **joint,
     )
 
 
@@ -617,21 +589,15 @@ def joined(records: Sequence[Ordinates]) -> Ordinates:
     The ramp is common to them, and in the scale of the first; what else was taken out of a record is a
     regressor of its own, ``2:step@1000`` for the third record's, because a step is one record's alone.
     """
-    scale = records[0].scale
     names = ("R", *(f"{i}:{name}" for i, one in enumerate(records) for name in one.names[1:]))
-    total = sum(one.size.size for one in records)
-    cross, gram = np.zeros((len(names), total)), np.zeros((len(names), len(names), total))
-    start, first = 0, 1
+    parts, first = [], 1
     for one in records:
-        bins, own = slice(start, start + one.size.size), len(one.names) - 1
+        ratio, own = one.scale / records[0].scale, len(one.names) - 1
         rows = np.array([0, *range(first, first + own)])
-        cross[rows, bins] = one.cross * (one.scale / scale)
-        gram[rows[:, None], rows, bins] = one.gram
-        start, first = bins.stop, first + own
-    whole = replace(records[0], names=names, cross=cross, gram=gram)
-    power = np.concatenate([one.power * (one.scale / scale) ** 2 for one in records])
-    same: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name) for one in records], axis=-1)
-        for name in ("size", "lam", "length", "sign", "basis")
-    }
-    return replace(whole, power=power, **same)
+        cross = np.zeros((len(names), one.size.size))
+        gram = np.zeros((len(names), len(names), one.size.size))
+        cross[rows] = one.cross * ratio
+        gram[np.ix_(rows, rows)] = one.gram
+        parts.append(replace(one, names=names, power=one.power * ratio**2, cross=cross, gram=gram))
+        first += own
+    return replace(Ordinates.joined(parts), scale=records[0].scale)

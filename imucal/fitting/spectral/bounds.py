@@ -1,12 +1,10 @@
-"""From the chosen candidate to estimates: terms that may be zero have a bound instead of a value.
+"""From the chosen candidate to estimates whose intervals hold though the model was chosen.
 
-Intervals that hold though the model was chosen: over every model near the best, completed.
-
-An interval that takes the chosen structure for granted does not cover: a weak term is dropped by the
-choice, and its neighbour takes its power with a narrow interval. So each model whose criterion is near
-the best is completed with the terms that every fit reports, at zero where the data want them there, and
-a term's interval reaches from its lowest limit in any of them to its highest. What a model has to say
-gets less with its distance from the best.
+A term that may be zero has a bound instead of a value. An interval that takes the chosen structure for
+granted does not cover: a weak term is dropped by the choice, and its neighbour takes its power with a
+narrow interval. So each model whose criterion is near the best is completed with the terms that every fit
+reports, at zero where the data want them there, and a term's interval reaches from its lowest limit in any
+of them to its highest. What a model has to say gets less with its distance from the best.
 
 Leeb & Pötscher (2005), Econometric Theory 21, p. 21, "Model selection and inference: facts and fiction",
 show why a remedy is needed; how well this one covers is measured by `tests/benchmarks/coverage_auto.py`.

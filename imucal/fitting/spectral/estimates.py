@@ -1,6 +1,4 @@
-"""Maximum of the likelihood -> estimates in SI, with their intervals and covariance.
-
-Profile-likelihood limits of each parameter, also where zero is a possible value.
+"""Maximum of the likelihood -> estimates in SI, with their profile-likelihood limits and covariance.
 
 A limit is where twice the drop of the log-likelihood, maximised over all other parameters, reaches
 the square of a quantile: the normal one, which makes it that of chi-squared, or Student's where few

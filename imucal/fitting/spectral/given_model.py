@@ -1,24 +1,17 @@
 """The fit of a given model from stored bins, of one record or of several as one.
 
-Whether records of one sensor have the same coefficients: the likelihood ratio of one against one each.
+Whether records of one sensor have the same coefficients is told by the likelihood ratio of one for all
+against one for each (Wilks 1938, Annals of Mathematical Statistics 9, 60). A term is tested with the other
+terms free in each record, so that a change of one is not blamed on another; correlation times and the
+output filter are as in the joint fit.
 
-A term is tested with the other terms free in each record, so that a change of one is not blamed on
-another; correlation times and the output filter are as in the joint fit.
-
-Source: Wilks (1938), Annals of Mathematical Statistics 9, 60.
-
-The variance of each term, also below zero: what a weak term's likelihood is nearly normal in.
-
-A fit keeps variances positive, and so an absent term is never zero on average. The spectrum is linear in
-the variances: with weights that do not follow the low ordinates, weighted least squares have no bias. The
-weights are those of a spectrum that holds each weak term at one standard deviation.
-
-The deviation of an estimate grows with the coefficient. It is given as a law, not at the estimate: who
-weights many logs by deviations at their own estimates prefers those that drew low. Of a term told by two to
-four deviations, such a mean was half to one deviation of a log too low, however many the logs.
-
-Source: McCullagh & Nelder (1989), Generalized Linear Models, 2nd ed., section 2.5 (the weights of gamma
-errors with identity link).
+Squared coefficients may be below zero. A fit keeps variances positive, and so an absent term is never zero
+on average; but the spectrum is linear in the variances, and weighted least squares have no bias where the
+weights do not follow the low ordinates: those of a spectrum that holds each weak term at one standard
+deviation (McCullagh & Nelder 1989, Generalized Linear Models, 2nd ed., section 2.5). The deviation of an
+estimate grows with the coefficient. It is given as a law, not at the estimate: who weights many logs by
+deviations at their own estimates prefers those that drew low. Of a term told by two to four deviations,
+such a mean was half to one deviation of a log too low, however many the logs.
 """
 
 import math
@@ -309,7 +302,8 @@ class _Record:
         return self.maximize(starts, free)
 
 
-_SQUARED_COEFFICIENTS_ROUNDS = 100
+#: Most steps of a search for squared coefficients.
+_STEPS = 100
 #: The search is at rest when a step gains less log-likelihood.
 _REST = 1e-9
 #: What is beyond so many deviations of an estimate is sure, and in the weights.
@@ -352,7 +346,7 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     unit = fitted.maximum.theta.copy()
     unit[:, : candidate.variances] = 0.0
     slopes = derivatives(ordinates, candidate, unit)
-    power = _rest(ordinates, fitted.maximum.beta[0])
+    power = np.maximum(ordinates.rest(fitted.maximum.beta[0]), 1e-9 * ordinates.power)
     start = np.exp(fitted.maximum.theta[0, places])
     peak = _search(slopes[places], ordinates.size, power, start)
     reference = _reference(slopes[places], ordinates.size, peak)
@@ -373,12 +367,6 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     return result
 
 
-def _rest(ordinates: Ordinates, beta: FloatArray) -> FloatArray:
-    """Return the squares that the regressors leave in each bin, shape (b,)."""
-    drift: FloatArray = -2 * beta @ ordinates.cross + np.einsum("i,ijb,j->b", beta, ordinates.gram, beta)
-    return np.maximum(ordinates.power + drift, 1e-9 * ordinates.power)
-
-
 def _search(shapes: FloatArray, size: FloatArray, power: FloatArray, variance: FloatArray) -> FloatArray:
     """Return the variances, shape (t,), of the shapes, shape (t, b), where the likelihood is greatest."""
 
@@ -389,7 +377,7 @@ def _search(shapes: FloatArray, size: FloatArray, power: FloatArray, variance: F
 
     spectrum = variance @ shapes
     now = objective(spectrum)
-    for _ in range(_SQUARED_COEFFICIENTS_ROUNDS):
+    for _ in range(_STEPS):
         weight = 0.5 * size / spectrum**2
         step = _solve(shapes, weight, (0.5 * (power - size * spectrum) / spectrum**2))
         stride = 1.0
@@ -407,7 +395,7 @@ def _search(shapes: FloatArray, size: FloatArray, power: FloatArray, variance: F
 def _reference(shapes: FloatArray, size: FloatArray, peak: FloatArray) -> FloatArray:
     """Return the variances, shape (t,), of which weights are made: a weak one is its own deviation."""
     reference = np.maximum(peak, _deviations(shapes, size, np.maximum(peak, 0.0) @ shapes))
-    for _ in range(_SQUARED_COEFFICIENTS_ROUNDS):
+    for _ in range(_STEPS):
         deviation = _deviations(shapes, size, reference @ shapes)
         wanted = np.maximum(deviation, peak - _SURE * deviation)
         if np.allclose(wanted, reference, rtol=1e-6):

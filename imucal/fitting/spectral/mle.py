@@ -1,9 +1,7 @@
 """Maximum likelihood on the spectrum of the samples: the default method.
 
-What share of each Allan variance is the noise of the model: the rest is filter, lines, and vibration.
-
 The likelihood takes an output filter into the fit, and leaves lines and what lies above its band out;
-the Allan curve holds them all. With H the response of the Allan variance, the share is
+the Allan curve holds them all. With H the response of the Allan variance, the share of noise in it is
 
     sum H S_model / (sum H S_seen + lines),
 
@@ -11,13 +9,11 @@ S_seen the model behind its filter, and above the band what was measured there. 
 bins are in both and cancel.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
-from imucal.allan.dct import DctBins
 from imucal.allan.intervals import power_response
 from imucal.allan.variance import ESTIMATORS
 from imucal.arrays import FloatArray, IntArray
@@ -30,7 +26,7 @@ from imucal.fitting.homogeneity import (
     widened,
     widened_covariance,
 )
-from imucal.fitting.noise_fit import Goodness, Line, NoiseFit, Segments
+from imucal.fitting.noise_fit import Goodness, NoiseFit, Segments
 from imucal.fitting.robust import heavy_tails, resolution_effect
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.band import Band, filter_finding, find_band, response_of
@@ -47,65 +43,6 @@ from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structu
 from imucal.noise.model import NoiseModel
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries
-
-
-def noise_share(
-    whole: Ordinates,
-    bins: DctBins,
-    fitted: Fitted,
-    band: Band,
-    lines: Sequence[Line],
-    *,
-    m: IntArray,
-    rate_hz: float,
-) -> FloatArray:
-    """Return the share of the Allan variance at each of the averaging factors `m`, shape (k,).
-
-    Parameters
-    ----------
-    whole
-        Ordinates of the whole band, one block's, in `bins`.
-    fitted
-        The fit of the part of them up to ``band.fraction``.
-    lines
-        What was left out; amplitudes in the samples' unit.
-
-    Notes
-    -----
-    A line of amplitude A at f adds A² sin⁴(pi f m tau0) / (m sin(pi f tau0))².
-    """
-    model, seen = _spectra(whole, fitted, band)
-    count = bins.count.astype(np.float64)
-    share = np.empty(m.size)
-    for i, factor in enumerate(m.tolist()):
-        response, _ = power_response(bins, factor, ESTIMATORS["overlapping"])
-        noise = float((count * response) @ model)
-        held = float((count * response) @ seen) + bins.n * _of_lines(lines, factor, whole.scale, rate_hz)
-        share[i] = noise / held if held > 0 else 1.0
-    return share
-
-
-def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, FloatArray]:
-    """Return the model's spectrum in every bin, and that which the curve holds; shape (b,) each."""
-    theta = fitted.maximum.theta
-    none = np.zeros(1, dtype=np.int64)
-    model = evaluate(whole, replace(fitted.candidate, poles=none, zeros=none), theta).spectrum[0]
-    inside = whole.fraction <= band.fraction * (1 + 1e-9)
-    top = 4 * float(np.sin(np.pi / 2 * band.fraction)) ** 2
-    part = replace(whole.take(inside), top=top)
-    measured = np.where(whole.size > 0, whole.power / np.maximum(whole.size, 1e-12), model)
-    seen = np.where(inside, model, measured)
-    seen[inside] = evaluate(part, fitted.candidate, theta).spectrum[0]
-    return model, seen
-
-
-def _of_lines(lines: Sequence[Line], m: int, scale: float, rate_hz: float) -> float:
-    """Return what lines add to the Allan variance, over `scale` squared."""
-    total = 0.0
-    for line in lines:
-        half = np.pi * line.frequency_hz / rate_hz
-        total += (line.amplitude / scale) ** 2 * np.sin(half * m) ** 4 / (m * np.sin(half)) ** 2
-    return float(total)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -240,16 +177,41 @@ def fit_mle(
 
 
 def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) -> FloatArray | None:
-    """Return the share of noise in each Allan variance, by the longest block; None where it is all noise."""
-    if not (view.blocks.lines or view.band.poles or view.band.fraction < 1):
+    """Return the share of noise in each Allan variance, by the longest block; None where it is all noise.
+
+    A line of amplitude A at f adds A² sin⁴(pi f m tau0) / (m sin(pi f tau0))² to the variance.
+    """
+    lines = view.blocks.lines
+    if not (lines or view.band.poles or view.band.fraction < 1):
         return None
-    sizes = [block.bins.n for block in view.blocks.blocks]
-    longest = int(np.argmax(sizes))
-    stops = np.cumsum([block.bins.size for block in view.blocks.blocks])
-    own = np.arange(stops[-1])
+    sizes = [block.bins.size for block in view.blocks.blocks]
+    longest = int(np.argmax([block.bins.n for block in view.blocks.blocks]))
     bins = view.blocks.blocks[longest].bins
-    part = view.whole.take((own >= stops[longest] - bins.size) & (own < stops[longest]))
-    return noise_share(part, bins, fitted, view.band, view.blocks.lines, m=curve.m, rate_hz=rate_hz)
+    whole = view.whole.take(np.repeat(np.arange(len(sizes)), sizes) == longest)
+    model, seen = _spectra(whole, fitted, view.band)
+    half = np.pi * np.array([line.frequency_hz for line in lines]) / rate_hz
+    square = (np.array([line.amplitude for line in lines]) / whole.scale) ** 2
+    share = np.empty(curve.m.size)
+    for i, m in enumerate(curve.m.tolist()):
+        response = bins.count * power_response(bins, m, ESTIMATORS["overlapping"])[0]
+        of_lines = float(np.sum(square * np.sin(half * m) ** 4 / (m * np.sin(half)) ** 2))
+        held = float(response @ seen) + bins.n * of_lines
+        share[i] = float(response @ model) / held if held > 0 else 1.0
+    return share
+
+
+def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, FloatArray]:
+    """Return the model's spectrum in every bin, and that which the curve holds; shape (b,) each."""
+    theta = fitted.maximum.theta
+    none = np.zeros(1, dtype=np.int64)
+    model = evaluate(whole, replace(fitted.candidate, poles=none, zeros=none), theta).spectrum[0]
+    inside = whole.fraction <= band.fraction * (1 + 1e-9)
+    top = 4 * float(np.sin(np.pi / 2 * band.fraction)) ** 2
+    part = replace(whole.take(inside), top=top)
+    measured = np.where(whole.size > 0, whole.power / np.maximum(whole.size, 1e-12), model)
+    seen = np.where(inside, model, measured)
+    seen[inside] = evaluate(part, fitted.candidate, theta).spectrum[0]
+    return model, seen
 
 
 def _taken_out(view: View, fitted: Fitted) -> dict[str, float]:

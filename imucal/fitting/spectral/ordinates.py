@@ -1,13 +1,11 @@
-"""What the likelihood sees of a series: sums of squared DCT ordinates in bins.
+"""What the likelihood sees of a series: sums of squared DCT ordinates in bins, and regressors.
 
 A series of several unbroken blocks has the bins of each block one after the other: the blocks'
 likelihoods multiply.
 
-Regressors: slow, known shapes that are taken out with the fit, and their DCT-II ordinates.
-
-A regressor is a column of generalised least squares, so that what it takes out is judged against the
-noise at the same frequencies. Its name says all about it; places and times are in samples, from the
-first sample of the record:
+A regressor is a slow, known shape that is taken out with the fit: a column of generalised least squares,
+so that what it takes out is judged against the noise at the same frequencies. Its name says all about it;
+places and times are in samples, from the first sample of the record:
 
     R                    the ramp
     exp:<time>           exp(-t/time), a warm-up
@@ -16,22 +14,23 @@ first sample of the record:
     temperature[:<lag>]  the temperature, behind a first-order lag
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from imucal.allan.dct import dct_ordinates, ramp_ordinates
-from imucal.arrays import BoolArray, FloatArray
+from imucal.allan.dct import DctBins, dct_ordinates, ramp_ordinates
+from imucal.arrays import BoolArray, FloatArray, read_only
 from imucal.powerlaw import PowerLaw
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 #: The power-law terms, in the order of a rising slope.
 LAWS = tuple(PowerLaw)
 #: Where in a row of parameters, which begins with their variances, the terms of other shapes begin.
 SHAPED = len(LAWS)
+#: What `Ordinates` hold of each bin, along the last axis.
+_BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,13 +90,25 @@ class Ordinates:
 
     def take(self, select: BoolArray) -> "Ordinates":
         """Return the bins where `select`, shape (b,), is true."""
-        binned = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
-        return replace(self, **{name: getattr(self, name)[..., select] for name in binned})
+        return replace(self, **{name: getattr(self, name)[..., select] for name in _BINNED})
+
+    @classmethod
+    def joined(cls, parts: Sequence["Ordinates"]) -> "Ordinates":
+        """Return the bins of all parts, which have scale and regressors in common, one after the other."""
+        every: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in _BINNED
+        }
+        return replace(parts[0], **every)
 
     def below(self, fraction: float) -> "Ordinates":
         """Return the bins up to a fraction of Nyquist that hold any ordinate."""
         chosen = self.take((self.fraction <= fraction * (1 + 1e-9)) & (self.size > 0))
         return replace(chosen, top=4 * float(np.sin(np.pi / 2 * fraction)) ** 2)
+
+    def rest(self, beta: FloatArray) -> FloatArray:
+        """Return the squares that regressors of coefficients `beta`, shape (r,), leave, shape (b,)."""
+        drift: FloatArray = np.einsum("i,ijb,j->b", beta, self.gram, beta) - 2 * beta @ self.cross
+        return self.power + drift
 
     def detrended(self) -> "Ordinates":
         """Return the ordinates less a roughly fitted ramp, for starting values only."""
@@ -108,6 +119,22 @@ class Ordinates:
         slope = (self.cross[at] @ weight) / (self.gram[at, at] @ weight)
         power = self.power - 2 * slope * self.cross[at] + slope**2 * self.gram[at, at]
         return replace(self, power=np.maximum(power, 1e-9 * self.power))
+
+
+def bin_shapes(bins: DctBins) -> dict[str, Any]:
+    """Return what `Ordinates` hold of bins whatever the samples, by its names."""
+    return {
+        "lam": LAWS[0].psd(bins.omega),
+        "length": np.full(bins.size, float(bins.n)),
+        "sign": np.where(bins.count == 1, np.where(bins.first % 2 == 0, 1.0, -1.0), 0.0),
+        "basis": _basis(bins),
+    }
+
+
+@lru_cache(maxsize=16)
+def _basis(bins: DctBins) -> FloatArray:
+    """Return the expected squares; segments, and axes of the same length, have the very same bins."""
+    return read_only(np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in LAWS]))
 
 
 def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordinates:

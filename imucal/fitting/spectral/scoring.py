@@ -1,8 +1,4 @@
-"""Fisher scoring with Levenberg-Marquardt damping, of many candidates side by side.
-
-And what the maximum is worth: the covariance of its parameters, and how well it describes the
-ordinates.
-"""
+"""Fisher scoring, damped as by Levenberg and Marquardt, of many candidates side by side."""
 
 from dataclasses import dataclass, fields
 
@@ -260,10 +256,7 @@ def _residuals(
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return groups of bins: the first of each, its degrees of freedom, its residual; and the spectrum."""
     found = evaluate(ordinates, candidate, theta)
-    beta = found.beta[0]
-    power = ordinates.power - 2 * beta @ ordinates.cross
-    power += np.einsum("i,ijb,j->b", beta, ordinates.gram, beta)
-    spectrum = found.spectrum[0]
+    power, spectrum = ordinates.rest(found.beta[0]), found.spectrum[0]
     group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
     first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
     size = np.add.reduceat(ordinates.size, first)

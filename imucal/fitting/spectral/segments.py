@@ -1,27 +1,18 @@
 """The fitted model in each segment of a record: which of its terms are the same in all of them.
 
+Segments are of equal time. Nothing is looked for again: the scale, the lines that are left out, the
+drift, what the gaps miss, correlation times and the output filter are those of the whole record.
+
 A term is tested with white noise free to vary beside it, so that a change of the white noise is not
-blamed on the term; white noise itself with all slower terms free in one. Everything else, correlation
-times and the output filter too, is as in the whole record.
-
-A record cut into segments of equal time: each segment's own ordinates, lines and gaps as in the whole.
-
-Nothing is looked for again: the scale, the lines that are left out, the drift, and what the gaps miss
-are those of the record's blocks.
-
-Likelihood of spectra in segments of which two parts may be stronger or weaker than in the whole.
-
-The parts have known shapes and unknown scales: one that is tested, and one that is free beside it in
-each segment. Fisher scoring is then a 2 x 2 system a segment, and with the tested scale in common one
-more unknown. Twice the drop of the likelihood from free to common is the test of homogeneity, the
-chi-squared counterpart of Bartlett's test of equal variances.
+blamed on the term; white noise itself with all slower terms free in one. Fisher scoring of both scales is
+a 2 x 2 system a segment, and with the tested scale in common one more unknown. Twice the drop of the
+likelihood from free to common is the test of homogeneity, as Bartlett's test of equal variances is.
 
 Source: Bartlett (1937), Proc. R. Soc. A 160, 268.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -125,19 +116,11 @@ def segment_ordinates(
         return None
     sizes = [part.size.size for part in parts]
     return SegmentOrdinates(
-        ordinates=_joined(parts),
+        ordinates=Ordinates.joined(parts),
         first=np.cumsum([0, *sizes[:-1]]),
         start_s=np.asarray(edges[kept] * series.tau0, dtype=np.float64),
         end_s=np.asarray(edges[np.array(kept) + 1] * series.tau0, dtype=np.float64),
     )
-
-
-def _joined(parts: list[Ordinates]) -> Ordinates:
-    binned = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in binned
-    }
-    return replace(parts[0], **arrays)
 
 
 def _piece(
@@ -223,7 +206,7 @@ def _loss(block: Block, omega: FloatArray, missing: float) -> FloatArray:
 
 
 #: Logs of the scales stay above this: what is lower is invisible.
-_SEGMENT_SCALES_LEAST = -18.0
+_INVISIBLE = -18.0
 #: Longest step of a log, and most steps.
 _STEP, _STEPS = 1.5, 60
 #: Gain of the log-likelihood that ends the search.
@@ -287,7 +270,7 @@ def fit_scales(parts: Parts, *, common: bool) -> Scales:
     shrink = np.ones(count)
     for _ in range(_STEPS):
         step = _step(gradient, matrix, common=common)
-        trial = np.maximum(theta + shrink * step, _SEGMENT_SCALES_LEAST)
+        trial = np.maximum(theta + shrink * step, _INVISIBLE)
         found, slope, information = _evaluate(parts, trial)
         gain = objective - found
         if common:

@@ -8,7 +8,6 @@ Source: Févotte & Idier (2011), Neural Computation 23, "Algorithms for NMF with
 beta-divergence" (the majorisation-minimisation update, exponent 1/2).
 """
 
-from dataclasses import dataclass
 from itertools import combinations, groupby, product
 
 import numpy as np
@@ -52,37 +51,36 @@ def find_starts(
     them matters.
     """
     times = time_grid(ordinates, shortest)
-    plans = [_plan([int(kind) for kind in row if kind >= 0]) for row in candidates.shaped]
-    every = np.concatenate([_padded(plan, candidates.room) for plan in plans])
-    owner = np.repeat(np.arange(candidates.count), [len(plan) for plan in plans])
-    theta = np.empty((owner.size, candidates.width))
-    score = np.empty(owner.size)
+    plans = [_plan(row, candidates.kinds) for row in candidates.shaped.tolist()]
+    sizes = [len(plan) for plan in plans]
+    owner, places = np.repeat(np.arange(candidates.count), sizes), np.concatenate(plans)
+    theta, score = np.empty((owner.size, candidates.width)), np.empty(owner.size)
     ramped: BoolArray = np.any(candidates.regressors, axis=1)[owner]
     for rows, seen in ((~ramped, ordinates), (ramped, ordinates.detrended())):
         if rows.any():
-            sought = _Sought(owner=owner[rows], laws=candidates.laws[owner[rows]], places=every[rows])
             theta[rows], score[rows] = _mixtures(
-                coarser(seen), sought, times, candidates, _QUICK if quick else _THOROUGH
+                coarser(seen), candidates, owner[rows], places[rows], times, _QUICK if quick else _THOROUGH
             )
-    best = [
-        start + np.argsort(score[start : start + len(plan)], kind="stable")[: keep[min(len(plan[0]), 2)]]
-        for start, plan in zip(np.cumsum([0, *(len(plan) for plan in plans[:-1])]), plans, strict=True)
-    ]
-    index = np.concatenate(best)
+    terms = np.count_nonzero(candidates.shaped >= 0, axis=1)
+    order = np.lexsort((score, owner))
+    rank = np.arange(owner.size) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    index = order[rank < np.array(keep)[np.minimum(terms, 2)][owner]]
     return owner[index], theta[index]
 
 
-def _padded(combos: list[tuple[int, ...]], room: int) -> IntArray:
-    """Return combinations as rows of `room` places; -1 stands for none."""
-    places = np.full((len(combos), room), -1, dtype=np.int64)
-    places[:, : len(combos[0])] = combos
-    return places
-
-
-def _plan(kinds: list[int]) -> list[tuple[int, ...]]:
-    """Return sets of places in the dictionary for terms of these kinds, those of one kind neighbours."""
-    own = [[(kind, place) for place in _combinations(len(list(terms)))] for kind, terms in groupby(kinds)]
-    return [tuple(kind * _GRID + place for kind, places in one for place in places) for one in product(*own)]
+def _plan(row: list[int], kinds: tuple[type[NoiseTerm], ...]) -> IntArray:
+    """Return sets of places in the dictionary for a candidate's terms, shape (s, g); -1 for no term."""
+    own = []
+    for kind, terms in groupby(row):
+        count = len(list(terms))
+        if kind < 0:
+            own.append([(-1,) * count])
+        else:
+            timed = len(kinds[kind].parameters()) > 1
+            sets = _combinations(count) if timed else [(0,)]
+            own.append([tuple(kind * _GRID + place for place in places) for places in sets])
+    sets_of_all = [sum(parts, ()) for parts in product(*own)]
+    return np.array(sets_of_all, dtype=np.int64).reshape(len(sets_of_all), len(row))
 
 
 def _combinations(count: int) -> list[tuple[int, ...]]:
@@ -92,43 +90,36 @@ def _combinations(count: int) -> list[tuple[int, ...]]:
     return list(combinations(range(_GRID), count))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Sought:
-    """Mixtures: candidate of each, shape (s,), its laws, shape (s, 4), places of its times, shape (s, g)."""
-
-    owner: IntArray
-    laws: BoolArray
-    places: IntArray
-
-
-def _mixtures(
+def _mixtures(  # noqa: PLR0917 - a helper of one caller
     ordinates: Ordinates,
-    sought: _Sought,
-    times: FloatArray,
     candidates: Candidates,
+    owner: IntArray,
+    places: IntArray,
+    times: FloatArray,
     plan: tuple[tuple[int, int], ...],
 ) -> tuple[FloatArray, FloatArray]:
     """Return the parameters of each mixture, shape (s, p), and its -log L, shape (s,).
 
-    By a `plan` of rounds; that of a mixture which is not among the last best of its candidate is infinite.
+    Mixtures are given by their candidate, shape (s,), and the places of their terms, shape (s, g). By a
+    `plan` of rounds; that of a mixture which is not among the last best of its candidate is infinite.
     """
-    places = sought.places
     row, column = np.nonzero(places >= 0)
     place = places[row, column]
     dictionary = np.concatenate(
         [ordinates.basis, *(_spectra(ordinates, kind, times) for kind in candidates.kinds)]
     )
     use = np.zeros((len(places), len(dictionary)))
-    use[:, :SHAPED] = sought.laws
+    use[:, :SHAPED] = candidates.laws[owner]
     use[row, SHAPED + place] = 1.0
     level = np.maximum(ordinates.power, _TINY) / ordinates.size
     weights = use * np.quantile(level / dictionary, 0.2, axis=1) / use.sum(axis=1, keepdims=True)
     objective = np.zeros(len(places))
     for rounds, best in plan:
-        rows = _best_of_each(objective, sought.owner, best)
-        found = _mixed(ordinates, dictionary, weights, rows, rounds)
+        rows = _best_of_each(objective, owner, best)
         objective = np.full(len(places), np.inf)
-        objective[rows] = found
+        for first in range(0, rows.size, _ROWS):
+            part = rows[first : first + _ROWS]
+            weights[part], objective[part] = _mix(ordinates, dictionary, weights[part], rounds)
     theta = np.zeros((len(places), candidates.width))
     logs = np.log(weights + _TINY)
     theta[:, :SHAPED] = logs[:, :SHAPED]
@@ -163,17 +154,6 @@ def _best_of_each(objective: FloatArray, owner: IntArray, most: int) -> IntArray
     sorted_owner = owner[order]
     rank = np.arange(order.size) - np.searchsorted(sorted_owner, sorted_owner)
     return np.sort(order[(rank < most) & np.isfinite(objective[order])])
-
-
-def _mixed(
-    ordinates: Ordinates, dictionary: FloatArray, weights: FloatArray, rows: IntArray, rounds: int
-) -> FloatArray:
-    """Put `rounds` more rounds into some rows of `weights`, in place, and return their -log L."""
-    objective = np.empty(rows.size)
-    for first in range(0, rows.size, _ROWS):
-        part = rows[first : first + _ROWS]
-        weights[part], objective[first : first + _ROWS] = _mix(ordinates, dictionary, weights[part], rounds)
-    return objective
 
 
 def _mix(
