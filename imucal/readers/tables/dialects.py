@@ -132,16 +132,21 @@ def _is_kitti(layout: TextLayout) -> bool:
 
 
 #: A line of ArduPilot's text log that says which fields the IMU message has.
-_FORMAT_LINE = re.compile(r"FMT,[^,]*,[^,]*,\s*IMU\s*,[^,]*,\s*(?P<names>.+)", re.IGNORECASE)
+_FORMAT_LINE = re.compile(r"FMT,[^,]*,[^,]*,\s*(?P<tag>IMU)\s*,[^,]*,\s*(?P<names>.+)", re.IGNORECASE)
+
+
+def _tagged(line: re.Pattern[str], lines: Sequence[str]) -> tuple[str, tuple[str, ...]] | None:
+    """Return the tag of some rows and the names of their cells, as a line of the log says them."""
+    match = next(filter(None, map(line.match, lines)), None)
+    return (match["tag"], ("tag", *map(str.strip, match["names"].split(",")))) if match else None
 
 
 def _find_ardupilot(lines: Sequence[str]) -> TextLayout | None:
     """Return the layout of the IMU rows of a text log of tagged rows, whose FMT lines name their fields."""
-    match = next(filter(None, map(_FORMAT_LINE.match, lines)), None)
-    if match is None:
+    found = _tagged(_FORMAT_LINE, lines)
+    if found is None:
         return None
-    headers = ("tag", *(name.strip() for name in match["names"].split(",")))
-    tag = (0, "IMU")
+    tag, headers = (0, "IMU"), found[1]
     cells = [tuple(split_line(row, ",")) for row in rows_of_tag(lines, ",", tag)]
     rows = tuple(row for row in cells if len(row) == len(headers))
     return TextLayout(width=len(headers), headers=headers, rows=rows, tag=tag) if rows else None
@@ -206,15 +211,14 @@ _GNSS_LOGGER = re.compile(r"#\s*(?P<tag>(?:Uncal)?Gyro)\s*,(?P<names>\s*utcTimeM
 
 def _find_gnss_logger(lines: Sequence[str]) -> TextLayout | None:
     """Return the layout of the rows of a gyroscope; those of the accelerometer have the same columns."""
-    match = next(filter(None, map(_GNSS_LOGGER.match, lines)), None)
-    if match is None:
+    found = _tagged(_GNSS_LOGGER, lines)
+    if found is None:
         return None
-    headers = ("tag", *(name.strip() for name in match["names"].split(",")))
-    sensors = {match["tag"], match["tag"].replace("Gyro", "Accel")}
+    tag, headers = found
     cells = [tuple(split_line(line, ",")) for line in lines]
-    rows = [row for row in cells if row[0] in sensors]
+    rows = [row for row in cells if row[0] in {tag, tag.replace("Gyro", "Accel")}]
     # Old versions wrote no biases: the rows are shorter than the comment says.
-    width = min((len(row) for row in rows), default=0)
+    width = min(map(len, rows), default=0)
     if not 6 <= width <= len(headers):
         return None
     return TextLayout(width=width, headers=headers[:width], rows=tuple(row[:width] for row in rows))

@@ -157,12 +157,8 @@ def _repeats(columns: Sequence[Numbers], part: slice) -> BoolArray:
 
 
 def _time_words(time: TimeChoice) -> str:
-    text = "date and time" + (", read as month, day, year" if time.open_date else "")
-    return {
-        "pair": "seconds + nanoseconds",
-        "week": "GPS week and time of week",
-        "text": text,
-    }.get(time.kind, "stamps")
+    words = {"pair": "seconds + nanoseconds", "week": "GPS week and time of week", "text": "date and time"}
+    return words.get(time.kind, "stamps") + (", read as month, day, year" if time.open_date else "")
 
 
 def _compare_rates(work: Work, measured: float) -> None:
@@ -352,9 +348,10 @@ def assemble(work: Work, sensors: Sequence[SensorColumns], form: str, topics: Se
         path=work.path, format=form, decisions=work.decisions, findings=work.findings, room=work.room
     )
     for entry in timed:
-        sensor = entry.triad.sensor
-        names = entry.triad.axes
-        builder.add_sensor(sensor, entry.axes, entry.clock, scale=scales[sensor], names=names)
+        triad = entry.triad
+        builder.add_sensor(
+            triad.sensor, entry.axes, entry.clock, scale=scales[triad.sensor], names=triad.axes
+        )
     _add_temperature(builder, work, timed)
     return builder.build(topics=topics)
 
@@ -425,13 +422,11 @@ def _rows_of_sensor(work: Work, columns: SensorColumns) -> BoolArray | None:
     room, n = work.room, columns.axes[0].size
     keep: BoolArray | None = None
     if columns.sparse:
-        keep = room.made(n, np.bool_, lambda part: _filled(columns.axes, part), *columns.axes)
+        keep = room.made(n, np.bool_, partial(_filled, columns.axes), *columns.axes)
     for column in columns.time:
         if column.dtype.kind == "f":
-            finite = room.made(n, np.bool_, partial(_finite, column), column)
             before = n if keep is None else count(keep)
-            both = partial(_both, finite if keep is None else keep, finite)
-            keep = room.made(n, np.bool_, both, finite)
+            keep = room.made(n, np.bool_, partial(_finite, column, keep), column)
             lost = before - count(keep)
             if lost:
                 text = f"{lost} rows have no finite time; they were dropped."
@@ -445,26 +440,23 @@ def _filled(axes: Sequence[FloatArray], part: slice) -> BoolArray:
     return ~empty
 
 
-def _finite(column: Numbers, part: slice) -> BoolArray:
-    return np.asarray(np.isfinite(column[part]))
-
-
-def _both(first: BoolArray, second: BoolArray, part: slice) -> BoolArray:
-    return first[part] & second[part]
+def _finite(column: Numbers, among: BoolArray | None, part: slice) -> BoolArray:
+    """Return which rows of a block have a finite value, among those that are kept so far."""
+    finite = np.asarray(np.isfinite(column[part]))
+    return finite if among is None else finite & among[part]
 
 
 def _add_temperature(builder: RecordingBuilder, work: Work, timed: Sequence[Unscaled]) -> None:
     """Add the temperature, where its column holds degrees."""
-    found = next((entry for entry in timed if entry.temperature is not None), None)
-    if found is None:
+    for entry in timed:
+        if entry.temperature is None:
+            continue
+        values = np.asarray(entry.temperature, dtype=np.float64)
+        some = values[:: max(1, values.size // _LOOKED_AT)]
+        finite = some[np.isfinite(some)]
+        usual = float(np.median(finite)) if finite.size else None
+        if usual is not None and _TEMPERATURES[0] <= usual <= _TEMPERATURES[1]:
+            builder.add_temperature(values, entry.clock)
+        elif usual is not None:
+            work.decide("temperature", f"left out: a median of {usual:.4g} is not in degrees Celsius")
         return
-    values = np.asarray(found.temperature, dtype=np.float64)
-    some = values[:: max(1, values.size // _LOOKED_AT)]
-    finite = some[np.isfinite(some)]
-    if not finite.size:
-        return
-    usual = float(np.median(finite))
-    if _TEMPERATURES[0] <= usual <= _TEMPERATURES[1]:
-        builder.add_temperature(values, found.clock)
-    else:
-        work.decide("temperature", f"left out: a median of {usual:.4g} is not in degrees Celsius")

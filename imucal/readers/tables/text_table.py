@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path, PurePath
-from typing import Any, BinaryIO, Literal, TypeAlias, cast, get_args
+from typing import Any, BinaryIO, Literal, NamedTuple, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -344,23 +344,12 @@ _INTEGER = re.compile(r"[+-]?\d{1,20}")
 EXTERNAL = -1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ExternalTime:
+class ExternalTime(NamedTuple):
     """The times of a table's rows, shape (n,), from the file at `path`; `choice` has the index `EXTERNAL`."""
 
     path: str
     choice: TimeChoice
     values: FloatArray
-
-    def of_rows(self, counts: RowCounts, path: str) -> FloatArray:
-        """Return the times; a ReadError unless there is one for each row."""
-        if counts.bad or counts.good != self.values.size:
-            msg = (
-                f"{self.path}: {self.values.size} times for the {counts.good} good and {counts.bad} bad rows "
-                f"of {path}; expected one time for each row"
-            )
-            raise ReadError(msg)
-        return self.values
 
 
 def read_table(
@@ -403,9 +392,16 @@ def read_table(
     sensors = []
     for reader, group in zip(readers, groups.values(), strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
+        counts = reader.counts
+        if stamps is not None and (counts.bad or counts.good != stamps.values.size):
+            msg = (
+                f"{stamps.path}: {stamps.values.size} times for the {counts.good} good and {counts.bad} bad "
+                f"rows of {source.name}; expected one time for each row"
+            )
+            raise ReadError(msg)
         if stamps is not None:
-            values[EXTERNAL] = stamps.of_rows(reader.counts, source.name)
-        if reader.counts.good:
+            values[EXTERNAL] = stamps.values
+        if counts.good:
             sensors += [_columns(reader, sensor, values, plan.temperature) for sensor in group]
     if not sensors:
         msg = f"{source.name}: the table has no rows of its sensors; expected a row per sample"
@@ -661,8 +657,15 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
     """
     times = [path for path in paths if _is_time_file(path)]
     tables = [path for path in paths if path not in times]
-    sensors = [_sensors_of(path, options) for path in tables]
-    one_each = all(len(found) == 1 for found in sensors) and len(set(sensors)) == len(tables)
+    sensors = []
+    for path in tables:
+        try:
+            with open_text(path) as source:
+                _, plan = plan_of_head(source, options, path.name)
+        except ImucalError:
+            return None
+        sensors += [sensor.triad.sensor for sensor in plan.sensors]
+    one_each = len(sensors) == len(set(sensors)) == len(tables)
     if len(times) > 1 or not tables or not one_each:
         return None
     stamps = _read_times(times[0]) if times else None
@@ -671,15 +674,6 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
         with open_text(path, progress=options.progress) as source:
             parts.append(read_table(source, options, stamps=stamps))
     return merge(parts, [path.name for path in tables], ", ".join(map(str, paths)))
-
-
-def _sensors_of(path: Path, options: ReadOptions) -> tuple[Sensor, ...]:
-    try:
-        with open_text(path) as source:
-            _, plan = plan_of_head(source, options, path.name)
-    except ImucalError:
-        return ()
-    return tuple(sensor.triad.sensor for sensor in plan.sensors)
 
 
 def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
