@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
-from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
@@ -110,23 +110,23 @@ def read_curve(
         raise ReadError(msg)
     curves = []
     for i, unit in zip(wanted, given or [None] * len(wanted), strict=True):
+        values = rows[:, i]
+        good = np.isfinite(values) & (values > 0)
+        if not good.any():
+            msg = f"{path}: column {headings[i]!r} holds no positive number; expected Allan deviations"
+            raise ReadError(msg)
         sensor, factor = _meaning(path, headings[i], unit)
-        good, avar = _variances(path, headings[i], rows[:, i], factor or 1.0)
-        curve = _curve(tau[good], m[good], avar, n=n, estimator=estimator)
-        si = sensor.unit if sensor and factor else ""
-        name = _bare(headings[i])
-        curves.append(NamedCurve(name=name, sensor=sensor, unit=si, curve=curve, findings=findings))
+        avar = values[good] ** (1 if _VARIANCE.search(headings[i]) else 2) * (factor or 1.0) ** 2
+        curves.append(
+            NamedCurve(
+                name=_bare(headings[i]),
+                sensor=sensor,
+                unit=sensor.unit if sensor and factor else "",
+                curve=_curve(tau[good], m[good], avar, n=n, estimator=estimator),
+                findings=findings,
+            )
+        )
     return tuple(curves)
-
-
-def _variances(path: Path, heading: str, values: FloatArray, factor: float) -> tuple[BoolArray, FloatArray]:
-    """Return which values of a column are positive numbers, and their Allan variances."""
-    good = np.isfinite(values) & (values > 0)
-    if not good.any():
-        msg = f"{path}: column {heading!r} holds no positive number; expected Allan deviations"
-        raise ReadError(msg)
-    power = 1 if _VARIANCE.search(heading) else 2
-    return good, values[good] ** power * factor**2
 
 
 def _curve(tau: FloatArray, m: IntArray, avar: FloatArray, *, n: int | None, estimator: str) -> AllanCurve:
@@ -161,7 +161,8 @@ def _parse(path: Path) -> tuple[list[str], FloatArray]:
         )
         raise ReadError(msg)
     headings = headings or ["tau", *(f"column {i}" for i in range(2, width + 1))]
-    return headings, _numbers(path, headings, fields)
+    rows = [_numbers(f"{path}:{line}", headings, cells) for line, cells in fields]
+    return headings, np.array(rows, dtype=np.float64)
 
 
 def _fields(path: Path) -> list[tuple[int, list[str]]]:
@@ -174,39 +175,34 @@ def _fields(path: Path) -> list[tuple[int, list[str]]]:
     except UnicodeDecodeError as error:
         msg = f"{path}: is not a text table (byte {error.start} is not UTF-8); expected tau and deviations"
         raise ReadError(msg) from error
-    lines = enumerate(map(str.strip, text.splitlines()), start=1)
-    fields = [(i, _split(line)) for i, line in lines if line and line[0] not in "#%"]
+    fields = []
+    for i, line in enumerate(map(str.strip, text.splitlines()), start=1):
+        if line and line[0] not in "#%":
+            separator = next((mark for mark in ",;\t" if mark in line), None)
+            cells = line.split(separator)
+            fields.append((i, [cell.strip().strip('"') for cell in cells] if separator else cells))
     if not fields:
         msg = f"{path}: is empty; expected a table of tau and deviations"
         raise ReadError(msg)
     return fields
 
 
-def _numbers(path: Path, headings: Sequence[str], fields: list[tuple[int, list[str]]]) -> FloatArray:
-    """Return the numbers of the rows, shape (rows, columns)."""
-    width = len(headings)
-    rows = np.empty((len(fields), width))
-    for row, (line, cells) in zip(rows, fields, strict=True):
-        if len(cells) != width:
-            msg = (
-                f"{path}:{line}: has {len(cells)} columns beside {width} elsewhere; "
-                "expected as many in each line"
-            )
+def _numbers(where: str, headings: Sequence[str], cells: Sequence[str]) -> list[float]:
+    """Return the numbers of a line."""
+    if len(cells) != len(headings):
+        msg = (
+            f"{where}: has {len(cells)} columns beside {len(headings)} elsewhere; "
+            "expected as many in each line"
+        )
+        raise ReadError(msg)
+    numbers = []
+    for heading, cell in zip(headings, cells, strict=True):
+        number = np.nan if cell.lower() in {"", "na", "n/a", "null"} else _number(cell)
+        if number is None:
+            msg = f"{where}: column {heading!r} is {cell!r}, expected a number"
             raise ReadError(msg)
-        for i, cell in enumerate(cells):
-            number = np.nan if cell.lower() in {"", "na", "n/a", "null"} else _number(cell)
-            if number is None:
-                msg = f"{path}:{line}: column {headings[i]!r} is {cell!r}, expected a number"
-                raise ReadError(msg)
-            row[i] = number
-    return rows
-
-
-def _split(line: str) -> list[str]:
-    for separator in (",", ";", "\t"):
-        if separator in line:
-            return [cell.strip().strip('"') for cell in line.split(separator)]
-    return line.split()
+        numbers.append(number)
+    return numbers
 
 
 def _number(text: str) -> float | None:
@@ -231,16 +227,19 @@ def _factors(tau: FloatArray, rate_hz: float | None) -> tuple[IntArray, tuple[Fi
     tau0 = 1 / rate_hz if rate_hz else float(tau[0])
     ratio = tau / tau0
     factors = np.maximum(np.round(ratio), 1.0)
-    if np.all(np.abs(ratio - factors) <= _MULTIPLE * factors):
-        text = f"The sampling period is taken to be the shortest averaging time, {tau0:.6g} s."
-        note = () if rate_hz else (Finding(level="info", code="sampling-period", text=text),)
-        return factors.astype(np.int64), note
-    text = (
-        f"Averaging times are not multiples of {tau0:.6g} s, so the sampling period is not known; "
-        "the noise is taken to be continuous."
-    )
-    note = (Finding(level="info", code="sampling-period", text=text, advice="Give the sampling rate."),)
-    return np.round(tau / tau[0] * _FINE).astype(np.int64), note
+    multiples = bool(np.all(np.abs(ratio - factors) <= _MULTIPLE * factors))
+    if multiples and rate_hz:
+        return factors.astype(np.int64), ()
+    if multiples:
+        text, advice = f"The sampling period is taken to be the shortest averaging time, {tau0:.6g} s.", ""
+    else:
+        factors, advice = np.round(tau / tau[0] * _FINE), "Give the sampling rate."
+        text = (
+            f"Averaging times are not multiples of {tau0:.6g} s, so the sampling period is not known; "
+            "the noise is taken to be continuous."
+        )
+    note = Finding(level="info", code="sampling-period", text=text, advice=advice)
+    return factors.astype(np.int64), (note,)
 
 
 def _bare(heading: str) -> str:
