@@ -365,11 +365,5 @@ def _static(report: Report, axis: AxisReport, drawn: bytes | None) -> Markup:
         what=f"The picture of {where} is missing",
         code="not-drawn",
     )
-    if picture is None:
-        return Markup("<noscript>{}</noscript>").format(
-            Markup().join(Markup('<p class="notice">{}</p>').format(finding.text) for finding in failed)
-        )
-    return Markup('<noscript><img src="{}" alt="{}" width="1100" class="static"></noscript>').format(
-        f"data:image/webp;base64,{base64.b64encode(picture).decode('ascii')}",
-        f"Allan deviation and power spectral density of {where}",
-    )
+    encoded = picture and base64.b64encode(picture).decode("ascii")
+    return render("static.html", where=where, picture=encoded, failed=failed)
