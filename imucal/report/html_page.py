@@ -167,6 +167,7 @@ def _running_median(values: FloatArray) -> FloatArray:
 
 def _axis(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
     level, density = units.level, units.density
+    adev, tau = axis.fit.curve.minimum
     return {
         "units": {
             "si": [pretty(axis.unit), 1, pretty(f"{axis.unit}/sqrt(Hz)"), 1],
@@ -175,10 +176,20 @@ def _axis(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
         "level": f"{100 * axis.fit.level:.4g}",
         "model": str(axis.fit.model),
         "curve": _curve(axis),
-        "minimum": _minimum(axis, units),
+        "minimum": {
+            "at": [float(f"{tau:.6g}"), float(f"{adev:.5g}")],
+            "si": f"minimum {numbers.with_interval(numbers.minimum(axis)[0])}",
+            "sheet": f"minimum {numbers.with_interval(units.minimum(axis))}",
+        },
         "fine": _fine(axis, units),
         "psd": _psd(axis),
-        "raw": _raw(axis),
+        "raw": {
+            "t": _round(axis.overview.time_s, 6),
+            "low": _fixed(axis.overview.low, axis.std),
+            "high": _fixed(axis.overview.high, axis.std),
+            "gaps": _gaps(axis),
+            "out": _round(standing_out(axis.overview, axis.std), 6),
+        },
     }
 
 
@@ -194,16 +205,6 @@ def _curve(axis: AxisReport) -> dict[str, object]:
         "model": _round(axis.fit.model_adev()[shown]),
         "edf": _round(curve.edf[shown], 3),
         "used": np.isin(shown, axis.fit.used).astype(int).tolist(),
-    }
-
-
-def _minimum(axis: AxisReport, units: SheetUnits) -> dict[str, object]:
-    """Return the curve's lowest point and what its label says."""
-    adev, tau = axis.fit.curve.minimum
-    return {
-        "at": [float(f"{tau:.6g}"), float(f"{adev:.5g}")],
-        "si": f"minimum {numbers.with_interval(numbers.minimum(axis)[0])}",
-        "sheet": f"minimum {numbers.with_interval(units.minimum(axis))}",
     }
 
 
@@ -265,17 +266,6 @@ def _psd(axis: AxisReport) -> dict[str, object]:
         "band": plain(fit.goodness.band_hz),
         "lines": [[line.frequency_hz, plain(line.amplitude)] for line in fit.goodness.lines],
         "filter": response and [response.kind, plain(response.cutoff_hz)],
-    }
-
-
-def _raw(axis: AxisReport) -> dict[str, object]:
-    overview = axis.overview
-    return {
-        "t": _round(overview.time_s, 6),
-        "low": _fixed(overview.low, axis.std),
-        "high": _fixed(overview.high, axis.std),
-        "gaps": _gaps(axis),
-        "out": _round(standing_out(overview, axis.std), 6),
     }
 
 
@@ -348,12 +338,8 @@ def _plotly() -> str:
 
 def _lead(report: Report) -> str:
     """Return one line on what was recorded."""
-    texts = []
-    for axis in report.axes:
-        text = f"{axis.sensor}: {duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
-        if text not in texts:
-            texts.append(text)
-    return " · ".join(texts) or "No axis could be analysed."
+    texts = (f"{a.sensor}: {duration(a.duration_s)} at {a.rate_hz:.6g} Hz" for a in report.axes)
+    return " · ".join(dict.fromkeys(texts)) or "No axis could be analysed."
 
 
 def _static(report: Report, axis: AxisReport, drawn: bytes | None) -> Markup:
@@ -365,11 +351,5 @@ def _static(report: Report, axis: AxisReport, drawn: bytes | None) -> Markup:
         what=f"The picture of {where} is missing",
         code="not-drawn",
     )
-    if picture is None:
-        return Markup("<noscript>{}</noscript>").format(
-            Markup().join(Markup('<p class="notice">{}</p>').format(finding.text) for finding in failed)
-        )
-    return Markup('<noscript><img src="{}" alt="{}" width="1100" class="static"></noscript>').format(
-        f"data:image/webp;base64,{base64.b64encode(picture).decode('ascii')}",
-        f"Allan deviation and power spectral density of {where}",
-    )
+    encoded = picture and base64.b64encode(picture).decode("ascii")
+    return render("static.html", where=where, picture=encoded, failed=failed)

@@ -342,9 +342,9 @@ def keyed_body(
     return body
 
 
-def stream_rate(key: str, unit: str = "Hz, ") -> Callable[[Numbers], Sequence[str]]:
-    """Return the line of a key that holds the rate of the file's stream."""
-    return lambda numbers: [f"{key}: {real(numbers.stream_hz)}  # {unit}of the {numbers.sensors[0]}"]
+def stream_rate(key: str, remark: str = "Hz, of the") -> Callable[[Numbers], Sequence[str]]:
+    """Return the line of a key that holds the rate of the file's stream; the remark ends with its sensor."""
+    return lambda numbers: [f"{key}: {real(numbers.stream_hz)}  # {remark} {numbers.sensors[0]}"]
 
 
 def json_object(name: str, members: Iterable[tuple[str, str]], indent: str = "  ") -> list[str]:

@@ -90,7 +90,7 @@ def _orbslam3_rate(numbers: Numbers) -> list[str]:
     ]
 
 
-_RATE_HZ = stream_rate("rate_hz", unit="")
+_RATE_HZ = stream_rate("rate_hz", remark="of the")
 _KIMERA_TAIL = (
     "imu_integration_sigma: 1.0e-08  # of the integration's rounding, not of the sensor",
     "imu_time_shift: 0.0",
