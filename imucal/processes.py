@@ -137,8 +137,10 @@ class ChildProcess:
                 process.kill()
 
             timer = threading.Timer(seconds, end)
-            timer.start()
+            # An interrupt may come while it starts: this process must not wait for it at its end.
+            timer.daemon = True
             try:
+                timer.start()
                 _send(cast("BinaryIO", process.stdin), question)
                 answer = _receive(cast("BinaryIO", process.stdout))
             except OSError:
