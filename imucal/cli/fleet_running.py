@@ -193,10 +193,8 @@ def _run(
     from imucal.fleet_run.on_dask import Engine
     from imucal.fleet_run.running import run_plan
 
-    if not plan.tasks:
-        return
     engine = None if here else Engine(address=scheduler, jobs=workers, memory=settings.memory)
-    with fleet_progress(quiet=quiet) as progress:
+    with fleet_progress(quiet=quiet or not plan.tasks) as progress:
         run_plan(plan, settings, engine=engine, tell=progress or (lambda _: None))
 
 

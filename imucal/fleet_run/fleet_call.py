@@ -149,10 +149,9 @@ def run_fleet(
     plan = plan_fleet(asked, settings, None if fresh else store, reading=as_json(reading or {}))
     plan = plan.shard(*shard) if shard else plan
     prepare(store, plan, settings, fresh=fresh)
-    if plan.tasks:
-        engine = None if shard else Engine(address=scheduler, jobs=jobs or threads(), memory=settings.memory)
-        tell = progress or (lambda _, __: None)
-        run_plan(plan, settings, engine=engine, tell=lambda count: tell(count.done, count.logs))
+    engine = None if shard else Engine(address=scheduler, jobs=jobs or threads(), memory=settings.memory)
+    tell = progress or (lambda _, __: None)
+    run_plan(plan, settings, engine=engine, tell=lambda count: tell(count.done, count.logs))
     return load_fleet(folder)
 
 

@@ -90,6 +90,8 @@ def run_plan(
         If the workers can't be reached, or are gone.
     """
     count = RunCount(logs=len(plan.tasks), size=sum(task.size for task in plan.tasks))
+    if not plan.tasks:
+        return count
     workers, seconds = (1, OWN_BATCH_S) if engine is None else (engine.jobs, BATCH_S)
     waiting = batches(plan.tasks, workers=workers, seconds=seconds)
     alone: deque[list[LogTask]] = deque()
