@@ -258,14 +258,16 @@ def _files(path: Path) -> list[Path]:
     return sorted(entry for entry in path.rglob("*") if entry.is_file()) if path.is_dir() else [path]
 
 
-#: Parts of a pattern that stand for other text: labels, and wildcards as in the names of files.
-_PART = re.compile(r"\{(?P<label>[^{}]*)\}|(?P<any>\*\*/?)|(?P<some>\*)|(?P<one>\?)|(?P<brace>[{}])")
+#: Parts of a pattern: plain text, labels, and wildcards as in the names of files.
+_PART = re.compile(
+    r"\{(?P<label>[^{}]*)\}|(?P<any>\*\*/?)|(?P<some>\*)|(?P<one>\?)|(?P<brace>[{}])|(?P<text>[^{}*?]+)"
+)
 _LABEL = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WILD = {"any": ".*", "some": "[^/]*", "one": "[^/]"}
 
 
 class LabelPattern:
-    """A pattern of paths with labels in braces.
+    """A pattern of paths with labels in braces, such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
 
     It is held against the end of a path, from any folder on; a label is as short as it can be.
 
@@ -277,31 +279,27 @@ class LabelPattern:
 
     def __init__(self, pattern: str) -> None:
         self.pattern = pattern
-        self.labels: list[str] = []
-        body = ""
-        end = 0
-        for part in _PART.finditer(pattern):
-            body += re.escape(pattern[end : part.start()]) + self._expression(part)
-            end = part.end()
-        if not self.labels:
+        self._labels: set[str] = set()
+        body = "".join(map(self._expression, _PART.finditer(pattern)))
+        if not self._labels:
             msg = f"labels {pattern!r}: no label; write such as '{{model}}/{{unit}}/*.mcap'"
             raise ValueError(msg)
-        self._regex = re.compile(f"(?:^|.*/){body}{re.escape(pattern[end:])}$")
+        self._regex = re.compile(f"(?:^|.*/){body}$")
 
     def _expression(self, part: re.Match[str]) -> str:
         if part["brace"]:
             msg = f"labels {self.pattern!r}: a brace alone; write such as '{{model}}/{{unit}}/*.mcap'"
             raise ValueError(msg)
-        if part["label"] is None:
-            return _WILD[part.lastgroup or ""]
         label = part["label"]
+        if label is None:
+            return re.escape(part["text"]) if part["text"] else _WILD[part.lastgroup or ""]
         if not _LABEL.fullmatch(label) or label in {"path", "options", "copy_of"}:
             msg = f"labels {self.pattern!r}: {label!r} is no name of a label; write such as {{unit}}"
             raise ValueError(msg)
-        if label in self.labels:
+        if label in self._labels:
             msg = f"labels {self.pattern!r}: {label!r} stands twice; give each label a name of its own"
             raise ValueError(msg)
-        self.labels.append(label)
+        self._labels.add(label)
         return f"(?P<{label}>[^/]+?)"
 
     def of(self, path: str) -> dict[str, str] | None:
