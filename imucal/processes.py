@@ -1,18 +1,13 @@
-"""A child process that answers questions, bounded in time and memory.
+"""Work apart from this process: in a child that answers questions, in forked children, or as side work.
 
-What may hang, take all memory or end its process does so in the child: the caller gets an answer that says
-so. A child is started at its first question, and anew where it has ended; it leaves when its parent does.
+A `ChildProcess` is bounded in time and memory: what may hang, take all memory or end its process does so
+there, and the caller gets an answer that says so.
 
-Work on several things at a time in child processes, with results as if done one after the other.
+`side_by_side` works on several things at a time, with results as if done one after the other. Threads would
+fight over the interpreter's lock, which is held half of the time; a child that is forked has everything its
+parent has without a copy, and sends back its result.
 
-Threads would fight over the interpreter's lock: what is done with an axis holds it half of the time. A
-child that is forked has everything its parent has without a copy, and sends back its result.
-
-What only judges or draws a result: where it fails, the result stays and a finding says so.
-
-Second opinions, screening and pictures are such work. That they can't judge some data, as a DataError
-or a failed calculation says, is a finding. A fault of the program is one too, so that it costs nobody
-hours of data; with IMUCAL_DEBUG set it is raised instead, where it happened.
+Side work only judges or draws a result: where it fails, the result stays and a finding says so.
 """
 
 import ctypes
@@ -54,6 +49,19 @@ _START = "import sys; sys.path[:] = {path!r}; from imucal.processes import serve
 _LOOK_S = 1.0
 #: Of what a child wrote on standard error before it ended, so many bytes are read.
 _WORDS = 2000
+#: The thread of `imucal.readers.checksums`.
+CHECKSUMS = "imucal checksums"
+#: Threads that hold no lock a child needs: ours, by its name, and that of rich's progress bars, by its class.
+_HARMLESS = frozenset({CHECKSUMS, "_RefreshThread"})
+#: Which warnings of children have been shown, as Python keeps it for each module.
+_SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
+#: What Python 3.12 and later say of a fork beside threads, also those of libraries.
+_FORK_WARNING = r".*multi-threaded, use of fork"
+#: How calculations end on data that they were not made for.
+_NUMERIC = (ArithmeticError, np.linalg.LinAlgError)
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,19 +111,12 @@ class ChildProcess:
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as this object
         self._lock = threading.Lock()
 
-    def ask(
-        self,
-        function: Callable[..., object],
-        *args: object,
-        seconds: float,
-        memory: int,
-        **kwargs: object,
-    ) -> Answer:
+    def ask(self, function: Callable[..., object], *args: object, seconds: float, memory: int) -> Answer:
         """Call a function of a module in the child.
 
         Parameters
         ----------
-        function, args, kwargs
+        function, args
             What to call; all can be pickled.
         seconds
             After these it is ended.
@@ -127,7 +128,7 @@ class ChildProcess:
         OSError
             If the child can't be started.
         """
-        question = pickle.dumps((self._counted, memory, function, args, kwargs))
+        question = pickle.dumps((self._counted, memory, function, args))
         with self._lock:
             process = self._started()
             late = threading.Event()
@@ -137,8 +138,10 @@ class ChildProcess:
                 process.kill()
 
             timer = threading.Timer(seconds, end)
-            timer.start()
+            # An interrupt may come while it starts: this process must not wait for it at its end.
+            timer.daemon = True
             try:
+                timer.start()
                 _send(cast("BinaryIO", process.stdin), question)
                 answer = _receive(cast("BinaryIO", process.stdout))
             except OSError:
@@ -150,21 +153,14 @@ class ChildProcess:
             finally:
                 timer.cancel()
             if answer is not None:
-                done, result = pickle.loads(answer)  # noqa: S301 - from this package's own process
-                return (
-                    Answer(outcome="done", value=result) if done else Answer(outcome="failed", words=result)
-                )
+                found: Answer = pickle.loads(answer)  # noqa: S301 - from this package's own process
+                return found
             self.end()
-            return Answer(
-                outcome="late" if late.is_set() else "ended",
-                words=self._last_words(),
-                code=process.returncode,
-            )
-
-    @property
-    def pid(self) -> int | None:
-        """Number of the process, while there is one."""
-        return None if self._process is None else self._process.pid
+            size = self._said.seek(0, os.SEEK_END)
+            self._said.seek(max(size - _WORDS, 0))
+            words = self._said.read().decode("utf-8", "replace")
+            outcome: Outcome = "late" if late.is_set() else "ended"
+            return Answer(outcome=outcome, words=words, code=process.returncode)
 
     def _started(self) -> subprocess.Popen[bytes]:
         if self._process is None or self._process.poll() is not None:
@@ -180,11 +176,6 @@ class ChildProcess:
                 cwd=self._folder,
             )
         return self._process
-
-    def _last_words(self) -> str:
-        size = self._said.seek(0, os.SEEK_END)
-        self._said.seek(max(size - _WORDS, 0))
-        return self._said.read().decode("utf-8", "replace")
 
     def end(self) -> None:
         """End the process, if there is one."""
@@ -205,12 +196,12 @@ def serve() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     while (question := _receive(sys.stdin.buffer)) is not None:
         try:
-            counted, memory, function, args, kwargs = pickle.loads(question)  # noqa: S301 - from this package's own process
+            counted, memory, function, args = pickle.loads(question)  # noqa: S301 - from this package's own process
             _limit_memory(counted, memory)
-            answer = pickle.dumps((True, function(*args, **kwargs)), protocol=5)
+            answer = pickle.dumps(Answer(outcome="done", value=function(*args)), protocol=5)
         except BaseException as error:  # noqa: BLE001 - panics of Rust are no Exceptions
             text = " ".join(str(error).split())[:300]
-            answer = pickle.dumps((False, f"{type(error).__name__}: {text}"))
+            answer = pickle.dumps(Answer(outcome="failed", words=f"{type(error).__name__}: {text}"))
         _send(answers, answer)
 
 
@@ -244,19 +235,6 @@ def _receive(stream: BinaryIO) -> bytes | None:
     (size,) = _LENGTH.unpack(head)
     data = stream.read(size)
     return data if len(data) == size else None
-
-
-T = TypeVar("T")
-R = TypeVar("R")
-
-#: The thread of `imucal.readers.checksums`.
-CHECKSUMS = "imucal checksums"
-#: Threads that hold no lock a child needs: ours, by its name, and that of rich's progress bars, by its class.
-_HARMLESS = frozenset({CHECKSUMS, "_RefreshThread"})
-#: Which warnings of children have been shown, as Python keeps it for each module.
-_SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
-#: What Python 3.12 and later say of a fork beside threads, also those of libraries.
-_FORK_WARNING = r".*multi-threaded, use of fork"
 
 
 def may_fork() -> bool:
@@ -384,31 +362,29 @@ def _give(pipe: Connection, index: int, in_hand: dict[Connection, int]) -> None:
 class _Sender(pickle.Pickler):
     """Packs a result; the item that it is of is named in it, not sent: the parent has it."""
 
-    def __init__(self, file: io.BytesIO, item: object) -> None:
-        super().__init__(file, protocol=5)
-        self._item = item
+    item: object
 
     def persistent_id(self, obj: object) -> str | None:
-        return "item" if obj is self._item else None
+        return "item" if obj is self.item else None
 
 
 class _Receiver(pickle.Unpickler):
     """Unpacks what a `_Sender` has packed."""
 
-    def __init__(self, file: io.BytesIO, item: object) -> None:
-        super().__init__(file)
-        self._item = item
+    item: object
 
     def persistent_load(self, pid: object) -> object:  # noqa: ARG002 - there is one
-        return self._item
+        return self.item
 
 
 def _received(pipe: Connection, index: int, items: Sequence[T], found: dict[int, R]) -> bool:
     """Add a child's result to `found`, and show its warnings; False where it has ended without one."""
     try:
-        found[index], caught = _Receiver(io.BytesIO(pipe.recv_bytes()), items[index]).load()
+        receiver = _Receiver(io.BytesIO(pipe.recv_bytes()))
     except (EOFError, OSError):
         return False
+    receiver.item = items[index]
+    found[index], caught = receiver.load()
     for message, category, file, line in caught:
         warnings.warn_explicit(message, category, file, line, registry=_SEEN)
     return True
@@ -430,23 +406,22 @@ def _serve(work: Callable[[T], R], items: Sequence[T], pipe: Connection, parent:
                 result = work(items[index])
             said = [(one.message, one.category, one.filename, one.lineno) for one in caught]
             packed = io.BytesIO()
-            _Sender(packed, items[index]).dump((result, said))
+            sender = _Sender(packed, protocol=5)
+            sender.item = items[index]
+            sender.dump((result, said))
             pipe.send_bytes(packed.getbuffer())
     finally:
         # At once: nothing that stands in buffers of the parent's is written twice.
         os._exit(1)
 
 
-U = TypeVar("U")
-
-#: How calculations end on data that they were not made for.
-_NUMERIC = (ArithmeticError, np.linalg.LinAlgError)
-
-
 def try_side_work(
-    make: Callable[[], T], otherwise: U, *, what: str, code: str, axis: str | None = None
-) -> tuple[T | U, tuple[Finding, ...]]:
+    make: Callable[[], T], otherwise: R, *, what: str, code: str, axis: str | None = None
+) -> tuple[T | R, tuple[Finding, ...]]:
     """Return what `make` gives and no finding; or `otherwise` and the finding that it could not.
+
+    That it can't judge some data, as a DataError or a failed calculation says, is a finding. A fault of the
+    program is one too, so that it costs nobody hours of data; with IMUCAL_DEBUG set it is raised instead.
 
     Parameters
     ----------

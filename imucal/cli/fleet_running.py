@@ -34,7 +34,7 @@ from imucal.resources import threads
 if TYPE_CHECKING:
     from imucal.fleet.store import FleetStore
     from imucal.fleet_run.logs import LabelPattern
-    from imucal.fleet_run.plan import LogEntry
+    from imucal.fleet_run.plan import LogTask
 
 #: As `imucal.fleet_run.plan` has them; to load that for a help text would take longer than the text.
 _MODEL, _LEVEL = "N + B + K", 0.95
@@ -47,20 +47,21 @@ def _entries(
     labels: "LabelPattern | None",
     *,
     quiet: bool,
-) -> tuple["LogEntry", ...]:
+) -> list["LogTask"]:
     """Return the logs asked for; those of the store's manifest where none is named."""
     from imucal.fleet_run.plan import asked_logs, stored_logs
 
     if logs or manifest is not None:
-        asked = asked_logs(logs, listed=sys.stdin if "-" in logs else (), manifest=manifest, labels=labels)
+        listed = sys.stdin if "-" in logs else ()
+        asked, unlike = asked_logs(logs, listed=listed, manifest=manifest, labels=labels)
     elif store.exists:
-        asked = stored_logs(store.manifest(), labels)
+        asked, unlike = stored_logs(store.manifest(), labels)
     else:
         msg = "Missing argument 'LOGS...'; name logs, give a --manifest, or -o the folder of a fleet"
         raise click.UsageError(msg)
-    if asked.unlike and labels is not None:
-        say(f"{asked.unlike} of {len(asked.entries)} logs do not fit {labels.pattern}", quiet=quiet)
-    return asked.entries
+    if unlike and labels is not None:
+        say(f"{unlike} of {len(asked)} logs do not fit {labels.pattern}", quiet=quiet)
+    return asked
 
 
 @click.command(
@@ -175,15 +176,21 @@ def command(
         raise click.UsageError(msg)
     store = FleetStore(out.absolute())
     workers = 1 if shard else jobs or threads()
-    settings = fleet_settings(
-        store,
-        _kept(store, model=model, level=level, fresh=fresh),
-        workers=workers,
-        memory=memory,
-        timeout=None if timeout < 0 else timeout,
-        reports=reports,
-        shard=shard,
-    )
+    try:
+        settings = fleet_settings(
+            store,
+            model=model,
+            level=level,
+            fresh=fresh,
+            workers=workers,
+            memory=memory,
+            timeout=None if timeout < 0 else timeout,
+            reports=reports,
+            shard=shard,
+        )
+    except ValueError as error:
+        msg = f"{error}; choose another folder with -o, or start anew with --fresh"
+        raise click.UsageError(msg) from error
     entries = _entries(store, logs, manifest, labels, quiet=quiet)
     options = {**reading, "topic": topic, "skip_s": skip_s, "take_s": take_s, "strict": strict}
     plan = plan_fleet(entries, settings, None if fresh else store, reading=as_json(options))
@@ -205,19 +212,9 @@ def command(
     conclude(ctx, store, plan, out, max_failed=max_failed, quiet=quiet)
 
 
-def _kept(store: "FleetStore", *, model: str | None, level: float | None, fresh: bool) -> tuple[str, float]:
-    from imucal.fleet_run.fleet_call import kept_settings
-
-    try:
-        return kept_settings(store, model=model, level=level, fresh=fresh)
-    except ValueError as error:
-        msg = f"{error}; choose another folder with -o, or start anew with --fresh"
-        raise click.UsageError(msg) from error
-
-
 def _resume(typed: list[str], out: Path) -> str:
     """Return the command that goes on: the one that was typed, without what must not be done again."""
-    from imucal.fleet_run.plan import shown_and_url
+    from imucal.remote import addresses
 
-    kept = [shown_and_url(word)[0] for word in typed if word not in {"--fresh", "-"}]
+    kept = [addresses.shown(word) for word in typed if word not in {"--fresh", "-"}]
     return shlex.join(["imucal", *(kept or ["fleet", "run", "-o", str(out)])])

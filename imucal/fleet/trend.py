@@ -14,6 +14,7 @@ prior of a spread.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -45,6 +46,10 @@ _HALVINGS, _LITTLE = 40, 1e-3
 #: Units that are judged by the others alone: the oddest, up to a chance of being so odd at a quick look.
 _SUSPECTS, _SUSPECT = 5, 0.1
 _TAILS = (0.025, 0.5, 0.975)
+
+#: Means and standard deviations, shape (numbers, points) each, of numbers that are normal at each point of a
+#: posterior's grid.
+Normals: TypeAlias = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,14 +132,14 @@ def trend(logs: Sequence[LogValue]) -> Trend:
     slopes: list[Slope] = []
     for place, (label, scale) in enumerate(labelled.columns.items()):
         units: list[int] = np.unique(labelled.unit[labelled.x[:, place] != 0]).tolist()
-        mean, own = posterior.slope(place), posterior.own_slopes(labelled, place, units)
-        limits = _SCALE[label] / scale * np.vstack([mean.quantiles(_TAILS), own.quantiles(_TAILS)])
+        mean, own = posterior.mean_slope(place), posterior.own_slopes(labelled, place, units)
+        limits = _SCALE[label] / scale * np.vstack([posterior.limits(mean), posterior.limits(own)])
         found = [
             Slope(unit=unit, label=label, slope=Interval(value=value, low=low, high=high), p_value=p)
             for unit, (low, value, high), p in zip(
                 ("", *(labelled.names[unit] for unit in units)),
                 limits.tolist(),
-                (*mean.two_sided().tolist(), *_p_values(labelled, posterior, place, own, units)),
+                (*posterior.two_sided(mean), *_p_values(labelled, posterior, place, own, units)),
                 strict=True,
             )
         ]
@@ -169,7 +174,7 @@ def _adjusted(slopes: Sequence[Slope]) -> list[Slope]:
 
 
 def _p_values(
-    logs: "LabelledLogs", posterior: "SlopePosterior", place: int, own: "Mixtures", units: Sequence[int]
+    logs: "LabelledLogs", posterior: "SlopePosterior", place: int, own: Normals, units: Sequence[int]
 ) -> list[float]:
     """Return how probable the slope of each unit is: the oddest in the posterior of the others.
 
@@ -177,12 +182,13 @@ def _p_values(
     judged so; the rest can only pass.
     """
     result = [1.0] * len(units)
-    error = np.sqrt(own.sd**2 @ own.weight)
-    quick = leave_one_out(own.mean @ own.weight, error, float(posterior.weight @ posterior.tau[:, place]))
+    weight = posterior.weight
+    mean, error = own[0] @ weight, np.sqrt(own[1] ** 2 @ weight)
+    quick = leave_one_out(mean, error, float(weight @ posterior.tau[:, place]))
     for i in np.argsort(quick)[:_SUSPECTS].tolist():
         if quick[i] < _SUSPECT:
             others = slope_posterior(logs.of([unit for unit in range(len(logs.names)) if unit != units[i]]))
-            result[i] = others.beyond(logs.of([units[i]]), place).two_sided().item()
+            (result[i],) = others.two_sided(others.beyond(logs.of([units[i]]), place))
     return result
 
 
@@ -332,47 +338,6 @@ class Sums:
 
 
 @dataclass(frozen=True, slots=True)
-class Mixtures:
-    """Several numbers, each normal at each point of a posterior's grid.
-
-    Attributes
-    ----------
-    mean, sd
-        Shape (numbers, points).
-    weight
-        Shape (points,); adds up to one.
-    """
-
-    mean: FloatArray
-    sd: FloatArray
-    weight: FloatArray
-
-    def two_sided(self) -> FloatArray:
-        """Return the chance that each lies beyond zero, from where most of it is, on either side."""
-        from scipy.special import ndtr
-
-        above = ndtr(self.mean / self.sd) @ self.weight
-        result: FloatArray = 2 * np.minimum(above, 1 - above)
-        return result
-
-    def quantiles(self, at: Sequence[float]) -> FloatArray:
-        """Return quantiles, shape (numbers, quantiles), by bisection."""
-        from scipy.special import ndtr
-
-        keep = self.weight > _LITTLE * self.weight.max()
-        mean, sd, weight = self.mean[:, keep], self.sd[:, keep], self.weight[keep] / self.weight[keep].sum()
-        found = []
-        for level in at:
-            low, high = np.min(mean - 9 * sd, axis=1), np.max(mean + 9 * sd, axis=1)
-            for _ in range(_HALVINGS):
-                middle = (low + high) / 2
-                below = ndtr((middle[:, None] - mean) / sd) @ weight < level
-                low, high = np.where(below, middle, low), np.where(below, high, middle)
-            found.append((low + high) / 2)
-        return np.column_stack(found)
-
-
-@dataclass(frozen=True, slots=True)
 class SlopePosterior:
     """Points of the posterior of scatter and spreads, and the law of the mean slopes at each.
 
@@ -392,25 +357,49 @@ class SlopePosterior:
     mean: FloatArray
     covariance: FloatArray
 
-    def slope(self, label: int) -> Mixtures:
+    def mean_slope(self, label: int) -> Normals:
         """Return the mean slope of a label."""
-        sd = np.sqrt(self.covariance[:, label, label])
-        return Mixtures(self.mean[None, :, label], sd[None], self.weight)
+        return self.mean[None, :, label], np.sqrt(self.covariance[None, :, label, label])
 
-    def own_slopes(self, logs: LabelledLogs, label: int, units: Sequence[int]) -> Mixtures:
+    def own_slopes(self, logs: LabelledLogs, label: int, units: Sequence[int]) -> Normals:
         """Return the slopes of some units by their own logs; of other labels, each moves as others do."""
         sums = self._of(logs, leave=label)
         information = sums.information[:, units, label, label]
         rest = self._beyond(sums, label)[:, units] / information
-        return Mixtures((self.mean[:, None, label] + rest).T, 1 / np.sqrt(information).T, self.weight)
+        return (self.mean[:, None, label] + rest).T, 1 / np.sqrt(information).T
 
-    def beyond(self, unit: LabelledLogs, label: int) -> Mixtures:
+    def beyond(self, unit: LabelledLogs, label: int) -> Normals:
         """Return how far a unit that this posterior has not seen lies beyond what it expects, as a score."""
         sums = self._of(unit)
         information = sums.information[..., label]
         error = np.einsum("pui,pij,puj->pu", information, self.covariance, information)
-        sd = np.sqrt(information[..., label] + error)
-        return Mixtures(self._beyond(sums, label).T, sd.T, self.weight)
+        return self._beyond(sums, label).T, np.sqrt(information[..., label] + error).T
+
+    def two_sided(self, numbers: Normals) -> list[float]:
+        """Return the chance that each number lies beyond zero, from where most of it is, on either side."""
+        from scipy.special import ndtr
+
+        mean, sd = numbers
+        above = ndtr(mean / sd) @ self.weight
+        chance: list[float] = (2 * np.minimum(above, 1 - above)).tolist()
+        return chance
+
+    def limits(self, numbers: Normals) -> FloatArray:
+        """Return the 95 % interval of each number about its median, shape (numbers, 3), by bisection."""
+        from scipy.special import ndtr
+
+        keep = self.weight > _LITTLE * self.weight.max()
+        mean, sd = (part[:, keep] for part in numbers)
+        weight = self.weight[keep] / self.weight[keep].sum()
+        found = []
+        for level in _TAILS:
+            low, high = np.min(mean - 9 * sd, axis=1), np.max(mean + 9 * sd, axis=1)
+            for _ in range(_HALVINGS):
+                middle = (low + high) / 2
+                below = ndtr((middle[:, None] - mean) / sd) @ weight < level
+                low, high = np.where(below, middle, low), np.where(below, high, middle)
+            found.append((low + high) / 2)
+        return np.column_stack(found)
 
     def _of(self, logs: LabelledLogs, leave: int | None = None) -> Sums:
         """Return what each unit tells at each point, (points, units, …), with slopes of its own."""

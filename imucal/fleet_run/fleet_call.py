@@ -15,13 +15,12 @@ from imucal.fleet_run.plan import (
     REPORTS,
     FleetPlan,
     FleetSettings,
-    LogEntry,
     as_json,
     asked_logs,
     plan_fleet,
     stored_logs,
 )
-from imucal.fleet_run.running import RunCount, run_plan
+from imucal.fleet_run.running import run_plan
 from imucal.noise import parse_structure, structure_text
 from imucal.resources import memory_there_is, parse_size, threads
 
@@ -111,46 +110,49 @@ def run_fleet(
     Logs are done in processes of their own, which load imucal and not the script that calls: so a script
     needs no ``if __name__ == "__main__"``, and a notebook may call this.
     """
-    _check(shard=shard, scheduler=scheduler, reports=reports, level=level, jobs=jobs, timeout_s=timeout_s)
+    slips = {
+        f"shard {shard} is no part; expected (i, n) with i from 1 to n": shard
+        and not 1 <= shard[0] <= shard[1],
+        "a shard works without a cluster; expected shard or scheduler, not both": shard and scheduler,
+        f"reports {reports!r}, expected one of {', '.join(REPORTS)}": reports not in REPORTS,
+        f"level {level}, expected one between 0 and 1, such as 0.95": level is not None and not 0 < level < 1,
+        f"jobs {jobs}, expected a number from 1": jobs is not None and jobs < 1,
+        f"timeout_s {timeout_s}, expected seconds above 0": timeout_s is not None
+        and not 0 < timeout_s < math.inf,
+    }
+    for msg, wrong in slips.items():
+        if wrong:
+            raise ValueError(msg)
+    names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
+    if logs is not None and not names and manifest is None:
+        # A pattern that matched nothing, say: it must not become all that the folder has.
+        msg = f"logs {logs!r}, expected some; leave them out to go on with those of the folder"
+        raise ValueError(msg)
     store = FleetStore(Path(folder).absolute())
-    workers = 1 if shard else jobs or threads()
     settings = fleet_settings(
         store,
-        kept_settings(
-            store, model=model and structure_text(parse_structure(model)), level=level, fresh=fresh
-        ),
-        workers=workers,
+        model=model and structure_text(parse_structure(model)),
+        level=level,
+        fresh=fresh,
+        workers=1 if shard else jobs or threads(),
         memory=None if memory is None else _memory(memory),
         timeout=timeout_s,
         reports=reports,
         shard=shard,
     )
-    asked = _entries(store, logs, manifest, labels)
+    pattern = None if labels is None else LabelPattern(labels)
+    if logs is None and manifest is None:
+        asked, _ = stored_logs(store.manifest(), pattern)
+    else:
+        table = None if manifest is None else Path(manifest)
+        asked, _ = asked_logs(names, manifest=table, labels=pattern)
     plan = plan_fleet(asked, settings, None if fresh else store, reading=as_json(reading or {}))
     plan = plan.shard(*shard) if shard else plan
     prepare(store, plan, settings, fresh=fresh)
-    if plan.tasks:
-        engine = None if shard else Engine(address=scheduler, jobs=workers, memory=settings.memory)
-        run_plan(plan, settings, engine=engine, tell=_teller(progress))
+    engine = None if shard else Engine(address=scheduler, jobs=jobs or threads(), memory=settings.memory)
+    tell = progress or (lambda _, __: None)
+    run_plan(plan, settings, engine=engine, tell=lambda count: tell(count.done, count.logs))
     return load_fleet(folder)
-
-
-def _entries(
-    store: FleetStore,
-    logs: str | Path | Iterable[str | Path] | None,
-    manifest: str | Path | None,
-    labels: str | None,
-) -> tuple[LogEntry, ...]:
-    pattern = None if labels is None else LabelPattern(labels)
-    if logs is None and manifest is None:
-        return stored_logs(store.manifest(), pattern).entries
-    names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
-    if not names and manifest is None:
-        # A pattern that matched nothing, say: it must not become all that the folder has.
-        msg = f"logs {logs!r}, expected some; leave them out to go on with those of the folder"
-        raise ValueError(msg)
-    table = None if manifest is None else Path(manifest)
-    return asked_logs(names, manifest=table, labels=pattern).entries
 
 
 def _memory(asked: int | str) -> int:
@@ -162,15 +164,27 @@ def _memory(asked: int | str) -> int:
         raise ValueError(msg) from error
 
 
-def kept_settings(
-    store: FleetStore, *, model: str | None, level: float | None, fresh: bool
-) -> tuple[str, float]:
-    """Return model and level: as asked, as those of a fleet that is there, or the usual ones.
+def fleet_settings(
+    store: FleetStore,
+    *,
+    model: str | None,
+    level: float | None,
+    fresh: bool,
+    workers: int,
+    memory: int | None,
+    timeout: float | None,
+    reports: str,
+    shard: tuple[int, int] | None,
+) -> FleetSettings:
+    """Return what holds for every log.
+
+    Where they are not said, model and level are those of the fleet that is there, or the usual ones, and
+    each worker has its share of the memory.
 
     Raises
     ------
     ValueError
-        If the fleet that is there has others: it has one structure for all of its logs.
+        If the fleet that is there has another model or level: it has one structure for all of its logs.
     """
     kept = store.settings() if store.exists and not fresh else {}
     asked = {"model": model, "level": level}
@@ -180,26 +194,11 @@ def kept_settings(
             msg = f"{store.folder}: holds fits with {name} {kept[name]}, found {value}"
             raise ValueError(msg)
     every: dict[str, object] = {"model": MODEL, "level": LEVEL, **kept, **given}
-    return str(every["model"]), float(str(every["level"]))
-
-
-def fleet_settings(
-    store: FleetStore,
-    model_and_level: tuple[str, float],
-    *,
-    workers: int,
-    memory: int | None,
-    timeout: float | None,
-    reports: str,
-    shard: tuple[int, int] | None,
-) -> FleetSettings:
-    """Return what holds for every log; each worker has its share of the memory where none is said."""
-    model, level = model_and_level
     return FleetSettings(
         store=str(store.folder),
         folder=str(Path.cwd()),
-        model=model,
-        level=level,
+        model=str(every["model"]),
+        level=float(str(every["level"])),
         memory=memory or int((memory_there_is() or _UNKNOWN) * _SHARE) // workers,
         timeout=timeout,
         reports=reports,
@@ -220,40 +219,3 @@ def prepare(store: FleetStore, plan: FleetPlan, settings: FleetSettings, *, fres
     store.create()
     store.keep_settings({"model": settings.model, "level": settings.level})
     store.add_to_manifest(plan.manifest())
-
-
-def _check(
-    *,
-    shard: tuple[int, int] | None,
-    scheduler: str | None,
-    reports: str,
-    level: float | None,
-    jobs: int | None,
-    timeout_s: float | None,
-) -> None:
-    if shard and not 1 <= shard[0] <= shard[1]:
-        msg = f"shard {shard} is no part; expected (i, n) with i from 1 to n"
-        raise ValueError(msg)
-    if shard and scheduler:
-        msg = "a shard works without a cluster; expected shard or scheduler, not both"
-        raise ValueError(msg)
-    if reports not in REPORTS:
-        msg = f"reports {reports!r}, expected one of {', '.join(REPORTS)}"
-        raise ValueError(msg)
-    if level is not None and not 0 < level < 1:
-        msg = f"level {level}, expected one between 0 and 1, such as 0.95"
-        raise ValueError(msg)
-    if jobs is not None and jobs < 1:
-        msg = f"jobs {jobs}, expected a number from 1"
-        raise ValueError(msg)
-    if timeout_s is not None and not 0 < timeout_s < math.inf:
-        msg = f"timeout_s {timeout_s}, expected seconds above 0"
-        raise ValueError(msg)
-
-
-def _teller(progress: Callable[[int, int], None] | None) -> Callable[[RunCount], None]:
-    def tell(count: RunCount) -> None:
-        if progress is not None:
-            progress(count.done, count.logs)
-
-    return tell

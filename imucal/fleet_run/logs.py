@@ -1,13 +1,8 @@
-"""What a person names -> logs: files, folders of any depth, wildcards, and a list on standard input.
-
-What a log is, whatever it is called: its size, its edges, and a checksum of its content.
+"""What a person names -> logs; what a log is, whatever it is called; and its labels from its path.
 
 The size and both edges of a file cost two small reads and tell nearly all logs apart; the whole content is
-read only where these are the same. Of a folder, which is a bag, all files count, but not their names.
-
-Where a log is: a file of this machine, or a URL, which is asked for and fetched where it is read.
-
-Labels of a log from its path, by a pattern such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
+read only where these are the same. Of a folder, which is a bag, all files count, but not their names. A log
+behind a URL is asked for by ranges, and fetched where it is read.
 """
 
 import functools
@@ -43,6 +38,12 @@ _ENDINGS = tuple(
     for packed in _PACKED
     if ending not in _VAGUE
 )
+#: Bytes at the beginning and at the end of a file that make its edge.
+_EDGE = 1 << 16
+#: Bytes read at once. Their CRCs make the checksum: with another size every content would have a new one.
+_BLOCK = 1 << 20
+#: Stores that are asked at the same time: each answer takes a while, and little of this machine.
+_AT_ONCE = 32
 
 
 def find_logs(names: Iterable[str], listed: Iterable[str] = ()) -> list[str]:
@@ -71,44 +72,39 @@ def find_logs(names: Iterable[str], listed: Iterable[str] = ()) -> list[str]:
 
 
 def _logs_of(name: str) -> list[str]:
+    # What is called as a log is taken as one: a store is not asked for each of a million, and a file that is
+    # missing is a log that can't be read, as any other.
     if is_url(name):
-        # What is called as a log is taken as one: a store is not asked for each of a million.
         plain = not has_wildcards(name) and name_of(name).lower().endswith(_ENDINGS)
         return [name] if plain else expand(name)
     if os.path.isdir(name):  # noqa: PTH112 - a name stays as it was typed
-        return _in_folder(name)
-    if os.path.lexists(name):
+        logs = list(_walk(name))
+        found = "no log in this folder; expected files that end in .mcap, .bag, .db3, .csv or others"
+    elif os.path.lexists(name) or (not glob.has_magic(name) and name.lower().endswith(_ENDINGS)):
         return [name]
-    if not glob.has_magic(name):
-        if name.lower().endswith(_ENDINGS):
-            # A log that is missing is one that can't be read, as any other.
-            return [name]
-        msg = f"{name}: no such file or folder; expected logs, or folders with logs in them"
+    elif glob.has_magic(name):
+        logs = list(_matches(name))
+        found = "no log has such a name; expected files, or folders with logs in them"
+    else:
+        logs = []
+        found = "no such file or folder; expected logs, or folders with logs in them"
+    if not logs:
+        msg = f"{name}: {found}"
         raise ReadError(msg)
-    found = glob.glob(name.removesuffix("**"), recursive=True)  # noqa: PTH207 - as it was typed
-    matches = sorted(found, key=lambda match: [natural(Path(part)) for part in Path(match).parts])
+    return logs
+
+
+def _matches(name: str) -> Iterator[str]:
+    """Yield the logs that a name with wildcards stands for."""
     suffix = Path(name).suffix
     # Of *.txt all are meant; of a bare star only what can be a log.
     endings = ("",) if suffix and not glob.has_magic(suffix) else _ENDINGS
-    logs = [log for match in matches for log in _of_match(match, endings)]
-    if not logs:
-        msg = f"{name}: no log has such a name; expected files, or folders with logs in them"
-        raise ReadError(msg)
-    return logs
-
-
-def _of_match(match: str, endings: tuple[str, ...]) -> list[str]:
-    if os.path.isdir(match):  # noqa: PTH112 - a name stays as it was typed
-        return list(_walk(match))
-    return [match] if match.lower().endswith(endings) else []
-
-
-def _in_folder(folder: str) -> list[str]:
-    logs = list(_walk(folder))
-    if not logs:
-        msg = f"{folder}: no log in this folder; expected files that end in .mcap, .bag, .db3, .csv or others"
-        raise ReadError(msg)
-    return logs
+    found = glob.glob(name.removesuffix("**"), recursive=True)  # noqa: PTH207 - as it was typed
+    for match in sorted(found, key=lambda match: [natural(Path(part)) for part in Path(match).parts]):
+        if os.path.isdir(match):  # noqa: PTH112
+            yield from _walk(match)
+        elif match.lower().endswith(endings):
+            yield match
 
 
 def _walk(folder: str) -> Iterator[str]:
@@ -124,12 +120,6 @@ def _walk(folder: str) -> Iterator[str]:
             yield from _walk(name)
         elif entry.name.lower().endswith(_ENDINGS):
             yield name
-
-
-#: Bytes at the beginning and at the end of a file that make its edge.
-_EDGE = 1 << 16
-#: Bytes read at once. Their CRCs make the checksum: with another size every content would have a new one.
-_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,118 +139,14 @@ class Stamp:
     mtime_ns: int
 
 
-def stamp_of(path: Path) -> Stamp | None:
-    """Return what the file system says of a log; None where there is none that can be read twice."""
-    try:
-        infos = [file.stat() for file in _files(path)]
-    except OSError:
-        return None
-    if not infos or not all(stat.S_ISREG(info.st_mode) for info in infos):
-        return None
-    return Stamp(size=sum(info.st_size for info in infos), mtime_ns=max(info.st_mtime_ns for info in infos))
-
-
-def edge_of(path: Path) -> str:
-    """Return a checksum of the sizes, beginnings and ends of a log's files.
-
-    Raises
-    ------
-    OSError
-        If they can't be read.
-    """
-    return edge_from((file.stat().st_size, functools.partial(_part, file)) for file in _files(path))
-
-
-def edge_from(files: Iterable[tuple[int, Callable[[int, int], bytes]]]) -> str:
-    """Return the same of files by their sizes, and what returns their bytes from one place to another."""
-    machine = hashlib.blake2b(digest_size=16)
-    for size, read in files:
-        machine.update(size.to_bytes(8, "little") + read(0, min(_EDGE, size)))
-        machine.update(read(max(size - _EDGE, 0), size))
-    return machine.hexdigest()
-
-
-def _part(file: Path, start: int, stop: int) -> bytes:
-    with file.open("rb") as stream:
-        stream.seek(start)
-        return stream.read(stop - start)
-
-
-def content_of(path: Path) -> str:
-    """Return a checksum of the content of a log's files: BLAKE2b of their sizes and of each block's CRC-32.
-
-    Raises
-    ------
-    OSError
-        If they can't be read.
-
-    Notes
-    -----
-    It tells logs apart and guards against nobody: a CRC runs at the speed of memory, while a checksum
-    against forgers of all bytes took 3 to 5 % of the time of an uncompressed log.
-    """
-    machine = hashlib.blake2b(digest_size=16)
-    block = memoryview(bytearray(_BLOCK))
-    for file in _files(path):
-        # Buffered, as a file system may return less than was asked for, which would move the blocks.
-        with file.open("rb") as stream:
-            machine.update(file.stat().st_size.to_bytes(8, "little"))
-            while count := stream.readinto(block):
-                machine.update(crc32(block[:count]).to_bytes(4, "little"))
-    return machine.hexdigest()
-
-
-def _files(path: Path) -> Iterator[Path]:
-    if path.is_dir():
-        yield from sorted(entry for entry in path.rglob("*") if entry.is_file())
-    else:
-        yield path
-
-
-#: Stores that are asked at the same time: each answer takes a while, and little of this machine.
-_AT_ONCE = 32
-
-
 def stamps_of(places: Mapping[str, str]) -> dict[str, Stamp | None]:
     """Return what file systems and stores say of logs: path -> place becomes path -> stamp."""
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         remote = {path: pool.submit(_asked, place) for path, place in places.items() if is_url(place)}
         return {
-            path: remote[path].result() if path in remote else stamp_of(Path(place))
+            path: remote[path].result() if path in remote else _stamp_of(Path(place))
             for path, place in places.items()
         }
-
-
-def edge_at(place: str) -> str:
-    """Return the checksum of the edges of a log's files, of a remote one by ranges.
-
-    Raises
-    ------
-    OSError, ReadError
-        If they can't be read.
-    """
-    if not is_url(place):
-        return edge_of(Path(place))
-    files = identify(place).files
-    if any(file.size is None or not file.ranges for file in files):
-        msg = "its store gives no parts"
-        raise ReadError(msg)
-    store = store_of(place)
-    return edge_from((file.size or 0, functools.partial(store.read, file)) for file in files)
-
-
-def content_at(place: str) -> str:
-    """Return the checksum of the content of a log's files; a remote one is fetched for it.
-
-    Raises
-    ------
-    OSError, ReadError
-        If they can't be read.
-    """
-    if not is_url(place):
-        return content_of(Path(place))
-    with fetched(place) as copy:
-        return content_of(copy.path)
 
 
 @contextmanager
@@ -274,7 +160,18 @@ def at_hand(place: str) -> Iterator[tuple[LocalLogs, Stamp | None]]:
     """
     log = identify(place, keep=False) if is_url(place) else place
     with local_logs([log]) as logs:
-        yield logs, stamp_of(logs.paths[0]) if isinstance(log, str) else _stamp(log)
+        yield logs, _stamp_of(logs.paths[0]) if isinstance(log, str) else _stamp(log)
+
+
+def _stamp_of(path: Path) -> Stamp | None:
+    """Return what the file system says of a log; None where there is none that can be read twice."""
+    try:
+        infos = [file.stat() for file in _files(path)]
+    except OSError:
+        return None
+    if not infos or not all(stat.S_ISREG(info.st_mode) for info in infos):
+        return None
+    return Stamp(size=sum(info.st_size for info in infos), mtime_ns=max(info.st_mtime_ns for info in infos))
 
 
 def _asked(place: str) -> Stamp | None:
@@ -293,14 +190,84 @@ def _stamp(log: RemoteLog) -> Stamp | None:
     return Stamp(size=log.size, mtime_ns=int.from_bytes(digest, "little") >> 1)
 
 
-#: Parts of a pattern that stand for other text: labels, and wildcards as in the names of files.
-_PART = re.compile(r"\{(?P<label>[^{}]*)\}|(?P<any>\*\*/?)|(?P<some>\*)|(?P<one>\?)|(?P<brace>[{}])")
+def edge_at(place: str) -> str:
+    """Return a checksum of the sizes, beginnings and ends of a log's files, of a remote one by ranges.
+
+    Raises
+    ------
+    OSError, ReadError
+        If they can't be read.
+    """
+    machine = hashlib.blake2b(digest_size=16)
+    for size, read in _parts(place):
+        machine.update(size.to_bytes(8, "little") + read(0, min(_EDGE, size)))
+        machine.update(read(max(size - _EDGE, 0), size))
+    return machine.hexdigest()
+
+
+def _parts(place: str) -> Iterator[tuple[int, Callable[[int, int], bytes]]]:
+    """Yield the size of each of a log's files, and what returns its bytes from one place to another."""
+    if not is_url(place):
+        for path in _files(Path(place)):
+            yield path.stat().st_size, functools.partial(_part, path)
+        return
+    files, store = identify(place).files, store_of(place)
+    if any(file.size is None or not file.ranges for file in files):
+        msg = "its store gives no parts"
+        raise ReadError(msg)
+    for file in files:
+        yield file.size or 0, functools.partial(store.read, file)
+
+
+def _part(file: Path, start: int, stop: int) -> bytes:
+    with file.open("rb") as stream:
+        stream.seek(start)
+        return stream.read(stop - start)
+
+
+def content_at(place: str) -> str:
+    """Return a checksum of the content of a log's files: BLAKE2b of their sizes and of each block's CRC-32.
+
+    A remote one is fetched for it.
+
+    Raises
+    ------
+    OSError, ReadError
+        If they can't be read.
+
+    Notes
+    -----
+    It tells logs apart and guards against nobody: a CRC runs at the speed of memory, while a checksum
+    against forgers of all bytes took 3 to 5 % of the time of an uncompressed log.
+    """
+    if is_url(place):
+        with fetched(place) as copy:
+            return content_at(str(copy.path))
+    machine = hashlib.blake2b(digest_size=16)
+    block = memoryview(bytearray(_BLOCK))
+    for file in _files(Path(place)):
+        # Buffered, as a file system may return less than was asked for, which would move the blocks.
+        with file.open("rb") as stream:
+            machine.update(file.stat().st_size.to_bytes(8, "little"))
+            while count := stream.readinto(block):
+                machine.update(crc32(block[:count]).to_bytes(4, "little"))
+    return machine.hexdigest()
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(entry for entry in path.rglob("*") if entry.is_file()) if path.is_dir() else [path]
+
+
+#: Parts of a pattern: plain text, labels, and wildcards as in the names of files.
+_PART = re.compile(
+    r"\{(?P<label>[^{}]*)\}|(?P<any>\*\*/?)|(?P<some>\*)|(?P<one>\?)|(?P<brace>[{}])|(?P<text>[^{}*?]+)"
+)
 _LABEL = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WILD = {"any": ".*", "some": "[^/]*", "one": "[^/]"}
 
 
 class LabelPattern:
-    """A pattern of paths with labels in braces.
+    """A pattern of paths with labels in braces, such as ``{model}/{unit}/{temperature_c}C/*.mcap``.
 
     It is held against the end of a path, from any folder on; a label is as short as it can be.
 
@@ -312,31 +279,27 @@ class LabelPattern:
 
     def __init__(self, pattern: str) -> None:
         self.pattern = pattern
-        self.labels: list[str] = []
-        body = ""
-        end = 0
-        for part in _PART.finditer(pattern):
-            body += re.escape(pattern[end : part.start()]) + self._expression(part)
-            end = part.end()
-        if not self.labels:
+        self._labels: set[str] = set()
+        body = "".join(map(self._expression, _PART.finditer(pattern)))
+        if not self._labels:
             msg = f"labels {pattern!r}: no label; write such as '{{model}}/{{unit}}/*.mcap'"
             raise ValueError(msg)
-        self._regex = re.compile(f"(?:^|.*/){body}{re.escape(pattern[end:])}$")
+        self._regex = re.compile(f"(?:^|.*/){body}$")
 
     def _expression(self, part: re.Match[str]) -> str:
         if part["brace"]:
             msg = f"labels {self.pattern!r}: a brace alone; write such as '{{model}}/{{unit}}/*.mcap'"
             raise ValueError(msg)
-        if part["label"] is None:
-            return _WILD[part.lastgroup or ""]
         label = part["label"]
+        if label is None:
+            return re.escape(part["text"]) if part["text"] else _WILD[part.lastgroup or ""]
         if not _LABEL.fullmatch(label) or label in {"path", "options", "copy_of"}:
             msg = f"labels {self.pattern!r}: {label!r} is no name of a label; write such as {{unit}}"
             raise ValueError(msg)
-        if label in self.labels:
+        if label in self._labels:
             msg = f"labels {self.pattern!r}: {label!r} stands twice; give each label a name of its own"
             raise ValueError(msg)
-        self.labels.append(label)
+        self._labels.add(label)
         return f"(?P<{label}>[^/]+?)"
 
     def of(self, path: str) -> dict[str, str] | None:

@@ -2,8 +2,6 @@
 
 The scheduler only hands out work: what is done is in the store. So a lost scheduler costs what was in hand,
 and nothing waits for ever: connections, workers and batches have times after which they are given up.
-
-A client of Dask whose workers can do the work: of a cluster on this machine, or of one that is there.
 """
 
 import logging
@@ -15,10 +13,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from imucal._version import __version__
 from imucal.errors import EngineError
+from imucal.fleet_run.plan import LogDone, LogTask
 from imucal.resources import POOLS, THREADS
 
 if TYPE_CHECKING:
@@ -30,8 +29,17 @@ CONNECT_S, WORKERS_S, CLOSE_S = 20.0, 120.0, 10.0
 SILENCE_S = 30.0
 #: A worker that is not heard of for so many seconds is taken for frozen.
 FROZEN_S = 60.0
+#: Batches in hand for each worker: one at work, the others on their way.
+WINDOW = 3
+#: Seconds between looks at time limits and at the connection.
+_LOOK_S = 1.0
+#: A topic of events by which workers say what they begin.
+_TOPIC = "imucal-fleet"
 #: Who logs while workers come and go.
 _NOISY = ("distributed", "tornado", "asyncio")
+
+Batch: TypeAlias = list[LogTask]
+Work: TypeAlias = Callable[[Batch], list[LogDone]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,9 +61,173 @@ class Engine:
     memory: int
 
 
-def versions() -> str:
-    """Return imucal's version, as a worker has it."""
-    return __version__
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lost:
+    """Why a batch has no result: its worker ended again and again, or took far too long.
+
+    Attributes
+    ----------
+    status
+        ``crash`` or ``timeout``, as in the store.
+    reason
+        In words.
+    """
+
+    status: str
+    reason: str
+
+
+def outcomes(
+    take: Callable[[], Batch | None], work: Work, *, engine: Engine, patience: Callable[[Batch], float]
+) -> Iterator[tuple[Batch, list[LogDone] | Lost]]:
+    """Yield each batch with its result, in the order in which they are done.
+
+    Parameters
+    ----------
+    take
+        Returns the next batch, or None where there is none now; more may come of those that were lost.
+    work
+        What a worker does with a batch; a function of a module, which may be a `functools.partial`.
+    engine
+        Who does it.
+    patience
+        Seconds after which the worker of a batch is taken for dead: more than the work itself allows.
+
+    Raises
+    ------
+    EngineError
+        If dask is missing, or the scheduler or all workers can't be reached or are gone.
+    """
+    with dask_client(engine) as client:
+        yield from DaskRun(client, engine.address or "the cluster", work, patience).outcomes(take)
+
+
+@dataclass(slots=True)
+class Hand:
+    """A batch in hand, and where and when it was begun."""
+
+    batch: Batch
+    future: "Future"
+    worker: str = ""
+    begun: float = 0.0
+
+
+class DaskRun:
+    """One run on a cluster: the batches in hand, and who is there to do them."""
+
+    def __init__(self, client: "Client", where: str, work: Work, patience: Callable[[Batch], float]) -> None:
+        self._client, self._where, self._work, self._patience = client, where, work, patience
+        self.hands: dict[int, Hand] = {}
+        self._submitted = 0
+        self._workers: dict[str, int] = {}
+        self._asked, self._heard = -math.inf, time.monotonic()
+
+    def outcomes(self, take: Callable[[], Batch | None]) -> Iterator[tuple[Batch, list[LogDone] | Lost]]:
+        """Do batches as long as there are any, as the function of that name."""
+        self._client.subscribe_topic(_TOPIC, self.begun)
+        try:
+            while True:
+                window = WINDOW * max(self.threads(), 1)
+                while len(self.hands) < window and (batch := take()) is not None:
+                    self.submit(batch)
+                if not self.hands:
+                    return
+                yield from self._finished()
+                yield from self.late()
+        finally:
+            # What was not begun is not begun any more.
+            with suppress(Exception):
+                self._client.cancel([hand.future for hand in self.hands.values()], force=True)
+
+    def submit(self, batch: Batch) -> None:
+        """Hand out a batch."""
+        self._submitted += 1
+        future = self._client.submit(_in_worker, self._work, batch, self._submitted, pure=False)
+        self.hands[self._submitted] = Hand(batch, future)
+
+    def begun(self, event: tuple[float, Any]) -> None:
+        """Note where and when a batch was begun; called in the client's thread."""
+        number, worker = event[1]
+        if hand := self.hands.get(number):
+            hand.worker, hand.begun = worker, time.monotonic()
+
+    def threads(self) -> int:
+        """Return how many threads of workers there are; give up where nobody is heard of."""
+        if time.monotonic() - self._asked >= _LOOK_S:
+            self._asked = time.monotonic()
+            try:
+                self._workers = dict(self._client.nthreads()) if self._client.status == "running" else {}
+            except (OSError, TimeoutError):
+                self._workers = {}
+            if any(self._workers.values()):
+                self._heard = time.monotonic()
+            elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
+                said = "scheduler or workers are gone; what was done is kept; start them, and run again"
+                msg = f"{self._where}: {said}"
+                raise EngineError(msg)
+        return sum(self._workers.values())
+
+    def _finished(self) -> Iterator[tuple[Batch, list[LogDone] | Lost]]:
+        from distributed import CancelledError, wait
+
+        # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
+        with suppress(TimeoutError, CancelledError, ValueError):
+            futures = [hand.future for hand in self.hands.values()]
+            wait(futures, timeout=_LOOK_S, return_when="FIRST_COMPLETED")
+        for number, hand in list(self.hands.items()):
+            if not hand.future.done():
+                continue
+            del self.hands[number]
+            outcome = self.outcome(hand)
+            hand.future.release()
+            if outcome is not None:
+                yield hand.batch, outcome
+
+    def outcome(self, hand: Hand) -> list[LogDone] | Lost | None:
+        """Return the result of a batch whose future is done; None where it is handed out again."""
+        from distributed import KilledWorker
+
+        # Cancelled: the scheduler was lost; whether it comes back is seen at the next look.
+        if hand.future.status != "cancelled":
+            try:
+                result: list[LogDone] = hand.future.result(timeout=CONNECT_S)
+            except KilledWorker:
+                return Lost(status="crash", reason="the workers that did it ended")
+            except (TimeoutError, OSError) as error:
+                if hand.future.status == "error":
+                    # The work's own: another try would end the same, again and again.
+                    return Lost(status="crash", reason=f"its worker failed ({type(error).__name__}: {error})")
+            else:
+                return result
+        self.submit(hand.batch)
+        return None
+
+    def late(self) -> Iterator[tuple[Batch, Lost]]:
+        """Restart workers that are far over the time of their batch: what they do can't be cancelled.
+
+        What workers have begun that are gone is not late: the scheduler gives it to others.
+        """
+        now = time.monotonic()
+        for number, hand in list(self.hands.items()):
+            if self._workers and hand.worker not in self._workers:
+                hand.begun = 0.0
+            if not hand.begun or now - hand.begun <= self._patience(hand.batch):
+                continue
+            del self.hands[number]
+            # A KeyError: the scheduler has restarted it in this moment.
+            with suppress(OSError, TimeoutError, ValueError, KeyError):
+                hand.future.cancel()
+                self._client.restart_workers([hand.worker], timeout=CLOSE_S, raise_for_error=False)
+            yield hand.batch, Lost(status="timeout", reason="its worker did not answer any more")
+
+
+def _in_worker(work: Work, batch: Batch, number: int) -> list[LogDone]:
+    """Say where a batch is begun, and do it."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    worker.log_event(_TOPIC, (number, worker.address))
+    return work(batch)
 
 
 @contextmanager
@@ -90,7 +262,7 @@ def dask_client(engine: Engine) -> Iterator["Client"]:
                 msg = f"a cluster of {engine.jobs} workers can't be started ({error}); expected room for it"
             raise EngineError(msg) from error
         try:
-            _check_workers(client, engine)
+            check_workers(client, engine)
             yield client
         finally:
             with suppress(Exception):
@@ -100,10 +272,11 @@ def dask_client(engine: Engine) -> Iterator["Client"]:
                     cluster.close(timeout=CLOSE_S)
 
 
-def _check_workers(client: "Client", engine: Engine) -> None:
+def check_workers(client: "Client", engine: Engine) -> None:
+    """Wait for a worker; refuse those of another version of imucal."""
     try:
         client.wait_for_workers(1, timeout=WORKERS_S)
-        found = client.run(versions, on_error="return")
+        found = client.run(_version, on_error="return")
     except (OSError, TimeoutError) as error:
         within = f"no worker within {WORKERS_S:.0f} s ({error})"
         msg = f"{engine.address}: {within}; start some: dask worker {engine.address}"
@@ -115,6 +288,11 @@ def _check_workers(client: "Client", engine: Engine) -> None:
             what = f"imucal {version}" if isinstance(version, str) else f"no imucal ({version})"
             msg = f"{worker}: found {what}, expected {__version__}; install imucal-noise=={__version__} there"
             raise EngineError(msg)
+
+
+def _version() -> str:
+    """Return imucal's version, as a worker has it."""
+    return __version__
 
 
 def _configuration() -> dict[str, object]:
@@ -186,210 +364,3 @@ def _quiet() -> Iterator[None]:
     finally:
         for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)
-
-
-Batch = TypeVar("Batch")
-Result = TypeVar("Result")
-
-#: Batches in hand for each worker: one at work, the others on their way.
-WINDOW = 3
-#: Seconds between looks at time limits and at the connection.
-_LOOK_S = 1.0
-#: A topic of events by which workers say what they begin.
-_TOPIC = "imucal-fleet"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Lost:
-    """Why a batch has no result: its worker ended again and again, or took far too long.
-
-    Attributes
-    ----------
-    status
-        ``crash`` or ``timeout``, as in the store.
-    reason
-        In words.
-    """
-
-    status: str
-    reason: str
-
-
-@dataclass(slots=True)
-class _Hand(Generic[Batch]):
-    """A batch in hand: its number, and where and when it was begun."""
-
-    batch: Batch
-    number: int
-    worker: str = ""
-    begun: float = 0.0
-
-
-def outcomes(
-    take: Callable[[], Batch | None],
-    work: Callable[[Batch], Result],
-    *,
-    engine: Engine,
-    patience: Callable[[Batch], float],
-    told: Callable[[int], None] = lambda _: None,
-) -> Iterator[tuple[Batch, Result | Lost]]:
-    """Yield each batch with its result, in the order in which they are done.
-
-    Parameters
-    ----------
-    take
-        Returns the next batch, or None where there is none now; more may come of those that were lost.
-    work
-        What a worker does with a batch; a function of a module, which may be a `functools.partial`.
-    engine
-        Who does it.
-    patience
-        Seconds after which the worker of a batch is taken for dead: more than the work itself allows.
-    told
-        Called with the number of workers, now and then.
-
-    Raises
-    ------
-    EngineError
-        If dask is missing, or the scheduler or all workers can't be reached or are gone.
-    """
-    with dask_client(engine) as client:
-        yield from _Run(client, engine.address or "the cluster", work, patience, told).outcomes(take)
-
-
-class _Run(Generic[Batch, Result]):
-    """One run on a cluster."""
-
-    def __init__(
-        self,
-        client: "Client",
-        where: str,
-        work: Callable[[Batch], Result],
-        patience: Callable[[Batch], float],
-        told: Callable[[int], None],
-    ) -> None:
-        self._client, self._where = client, where
-        self._work, self._patience, self._told = work, patience, told
-        self._hands: dict[Future, _Hand[Batch]] = {}
-        self._by_number: dict[int, _Hand[Batch]] = {}
-        self._there: dict[str, int] = {}
-        self._submitted = self._count = 0
-        self._asked = -math.inf
-        self._heard = time.monotonic()
-
-    def outcomes(self, take: Callable[[], Batch | None]) -> Iterator[tuple[Batch, Result | Lost]]:
-        self._client.subscribe_topic(_TOPIC, self._begun)
-        try:
-            while True:
-                window = WINDOW * max(self._workers(), 1)
-                while len(self._hands) < window and (batch := take()) is not None:
-                    self._submit(batch)
-                if not self._hands:
-                    return
-                yield from self._finished()
-                self._forget_gone_workers()
-                yield from self._late()
-        finally:
-            # What was not begun is not begun any more.
-            with suppress(Exception):
-                self._client.cancel(list(self._hands), force=True)
-
-    def _submit(self, batch: Batch) -> None:
-        self._submitted += 1
-        hand = _Hand(batch, self._submitted)
-        future = self._client.submit(_in_worker, self._work, batch, hand.number, pure=False)
-        self._hands[future] = self._by_number[hand.number] = hand
-
-    def _begun(self, event: tuple[float, Any]) -> None:
-        """Note where and when a batch was begun; called in the client's thread."""
-        number, worker = event[1]
-        hand = self._by_number.get(number)
-        if hand is not None:
-            hand.worker, hand.begun = worker, time.monotonic()
-
-    def _workers(self) -> int:
-        """Return how many threads of workers there are; give up where nobody is heard of."""
-        if time.monotonic() - self._asked < _LOOK_S:
-            return self._count
-        self._asked = time.monotonic()
-        try:
-            self._there = dict(self._client.nthreads()) if self._client.status == "running" else {}
-        except (OSError, TimeoutError):
-            self._there = {}
-        count = sum(self._there.values())
-        if count:
-            self._heard = time.monotonic()
-            self._told(count)
-        elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
-            said = "scheduler or workers are gone; what was done is kept; start them, and run again"
-            msg = f"{self._where}: {said}"
-            raise EngineError(msg)
-        self._count = count
-        return count
-
-    def _finished(self) -> Iterator[tuple[Batch, Result | Lost]]:
-        from distributed import CancelledError, wait
-
-        if not self._hands:
-            return
-        # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
-        with suppress(TimeoutError, CancelledError, ValueError):
-            wait(list(self._hands), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
-        for future in [future for future in self._hands if future.done()]:
-            hand = self._hands.pop(future)
-            self._by_number.pop(hand.number, None)
-            outcome = self._outcome(future, hand)
-            future.release()
-            if outcome is not None:
-                yield hand.batch, outcome
-
-    def _outcome(self, future: "Future", hand: _Hand[Batch]) -> Result | Lost | None:
-        """Return the result of a future that is done; None where it was cancelled and is to be done again."""
-        from distributed import KilledWorker
-
-        if future.status == "cancelled":
-            # The scheduler was lost; whether it comes back is seen at the next look.
-            self._submit(hand.batch)
-            return None
-        try:
-            result: Result = future.result(timeout=CONNECT_S)
-        except KilledWorker:
-            return Lost(status="crash", reason="the workers that did it ended")
-        except (TimeoutError, OSError) as error:
-            if future.status == "error":
-                # The work's own: another try would end the same, again and again.
-                return Lost(status="crash", reason=f"its worker failed ({type(error).__name__}: {error})")
-            self._submit(hand.batch)
-            return None
-        return result
-
-    def _forget_gone_workers(self) -> None:
-        """Take what workers began that are gone for not begun: the scheduler gives it to others."""
-        for hand in self._hands.values():
-            if self._there and hand.begun and hand.worker not in self._there:
-                hand.begun = 0.0
-
-    def _late(self) -> Iterator[tuple[Batch, Result | Lost]]:
-        """Restart workers that are far over the time of their batch: what they do can't be cancelled."""
-        now = time.monotonic()
-        late = {
-            future: hand
-            for future, hand in self._hands.items()
-            if hand.begun and now - hand.begun > self._patience(hand.batch)
-        }
-        for future, hand in late.items():
-            del self._hands[future], self._by_number[hand.number]
-            # A KeyError: the scheduler has restarted it in this moment.
-            with suppress(OSError, TimeoutError, ValueError, KeyError):
-                future.cancel()
-                self._client.restart_workers([hand.worker], timeout=CLOSE_S, raise_for_error=False)
-            yield hand.batch, Lost(status="timeout", reason="its worker did not answer any more")
-
-
-def _in_worker(work: Callable[[Batch], Result], batch: Batch, number: int) -> Result:
-    """Say where a batch is begun, and do it."""
-    from distributed import get_worker
-
-    worker = get_worker()
-    worker.log_event(_TOPIC, (number, worker.address))
-    return work(batch)

@@ -1,15 +1,11 @@
-"""A plan -> its logs done, by whoever does the work; logs of a lost batch are tried by themselves.
+"""A plan -> its logs done and committed, by whoever does the work.
 
-One log -> its rows in the store. This runs in a child process, which may hang or die.
-
-Some logs, one after the other, each in a child process with its time and memory -> one part of the store.
-
-This runs in a worker, or in the process of a shard. What hangs, dies or takes too much memory is the child:
-the worker stays, and knows which log it was.
+Each log is read and characterised in a child process with its time and memory. What hangs, dies or takes too
+much memory is the child: the worker stays, or the process of a shard, and knows which log it was. The logs of
+a batch that is lost are tried by themselves.
 """
 
 import atexit
-import os
 import signal
 import threading
 import time
@@ -23,8 +19,8 @@ from typing import Any, cast
 
 from imucal._version import __version__
 from imucal.errors import DataError, ImucalError
-from imucal.fleet.store import FleetStore
-from imucal.fleet_run.logs import Stamp, at_hand, content_of, edge_of
+from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
+from imucal.fleet_run.logs import at_hand, content_at, edge_at
 from imucal.fleet_run.on_dask import Engine, Lost, outcomes
 from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask, batches, has_failed
 from imucal.processes import Answer, ChildProcess
@@ -32,284 +28,18 @@ from imucal.readers.remote_logs import LocalLogs
 from imucal.recording import Recording
 from imucal.resources import MEMORY, POOLS, THREADS
 
-#: A log's first stamp counts as a date from 2000 on: clocks that start with the sensor begin at 1970.
-_FIRST_DATE_NS = 946_684_800 * 10**9
-#: Columns that a row of results has of a `imucal.LogValue`.
-_OF_VALUE = (
-    "value",
-    "low",
-    "high",
-    "variance",
-    "variance_sd",
-    "variance_growth",
-    "level",
-    "correlation_time",
-)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LogRows:
-    """What is committed of a log: rows with the columns of `imucal.fleet.store`."""
-
-    log: dict[str, object]
-    results: list[dict[str, object]] = field(default_factory=list)
-    bins: list[dict[str, object]] = field(default_factory=list)
-
-
-def work_on(task: LogTask, settings: FleetSettings) -> LogRows:
-    """Read and characterise a log; whatever goes wrong with it is in its row."""
-    log = first_row(task, settings)
-    wall, cpu = time.perf_counter(), time.process_time()
-    rows = LogRows(log=log)
-    try:
-        with at_hand(task.place) as (logs, stamp):
-            if stamp is not None:
-                _identify(task, settings, log, logs.paths[0], stamp)
-            rows = _characterised(task, settings, log, logs)
-        log["status"], log["reason"] = "ok", ""
-    except MemoryError:
-        log["status"], log["reason"] = "memory", memory_reason(settings)
-    except DataError as error:
-        log["status"], log["reason"] = "no-data", str(error)
-    except (ImucalError, ValueError) as error:
-        log["status"], log["reason"] = "unreadable", str(error)
-    except OSError as error:
-        log["status"], log["reason"] = "unreadable", f"{task.path}: {error.strerror or error}"
-    except Exception as error:  # noqa: BLE001 - one log's fault must not cost the others their results
-        what = f"{type(error).__name__}: {error}"
-        log["status"], log["reason"] = "crash", f"{task.path}: internal error ({what}); please report it"
-    log["wall_s"], log["cpu_s"] = time.perf_counter() - wall, time.process_time() - cpu
-    log["finished"] = time.time()
-    return rows
-
-
-def first_row(task: LogTask, settings: FleetSettings) -> dict[str, object]:
-    """Return what is known of a log before it is looked at; its key is then one of its path."""
-    return {
-        "key": settings.key(f"path:{task.path}", task.reading),
-        "content": "",
-        "path": task.path,
-        **task.labels,
-        "reason": "",
-        "findings": [],
-        "bytes": task.size,
-        "finished": time.time(),
-        "report": "",
-        "version": __version__,
-    }
-
-
-def memory_reason(settings: FleetSettings) -> str:
-    """Return what is said of a log that needs more memory than it may take."""
-    return f"it takes more than {settings.memory / 1e9:.3g} GB of memory; give it more, or a part of the log"
-
-
-def _identify(
-    task: LogTask, settings: FleetSettings, log: dict[str, object], path: Path, stamp: Stamp
-) -> None:
-    content = content_of(path)
-    log |= {"bytes": stamp.size, "mtime_ns": stamp.mtime_ns, "edge": edge_of(path), "content": content}
-    log["key"] = settings.key(content, task.reading)
-
-
-def _characterised(
-    task: LogTask, settings: FleetSettings, log: dict[str, object], logs: LocalLogs
-) -> LogRows:
-    from imucal.fitting.bins import pack
-    from imucal.fleet import log_values
-    from imucal.noise.terms import TERMS
-    from imucal.pipeline import Settings, characterize
-
-    recording = logs.named(read_log(logs.paths[0], task.reading))
-    wanted = Settings(
-        model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
-    )
-    # One axis at a time: the other processors have other logs.
-    report = characterize(recording, wanted, workers=1)
-    first = report.axes[0]
-    log |= {
-        "verdict": report.verdict.grade,
-        "findings": sorted({finding.code for finding in report.all_findings if finding.level != "info"}),
-        "samples": max(axis.samples for axis in report.axes),
-        "seconds": max(axis.duration_s for axis in report.axes),
-        "rate_hz": first.rate_hz,
-        "started": log.get("started") or _started(recording),
-    }
-    rows = LogRows(log=log)
-    for axis in report.axes:
-        where = {"key": log["key"], "sensor": axis.sensor.value, "axis": axis.axis}
-        if axis.fit.bins is not None:
-            rows.bins.append({**where, "bins": pack(axis.fit.bins)})
-        values = log_values("", axis.fit, model=settings.model, level=settings.level)
-        for term, value in values.items():
-            told = {name: getattr(value, name) for name in _OF_VALUE}
-            unit = TERMS[axis.fit[term].symbol].unit(axis.sensor)
-            rows.results.append({**where, "term": term, "unit_si": unit, **told})
-    if settings.reports == "all" or (settings.reports == "failed" and has_failed("ok", report.verdict.grade)):
-        from imucal.report import write_report
-
-        name = f"reports/{log['key']}"
-        write_report(report, Path(settings.store) / name, formats=())
-        log["report"] = name
-    return rows
-
-
-def read_log(path: str | Path, reading: Mapping[str, object]) -> Recording:
-    """Read a log with arguments of `imucal.read`, and leave out what ``skip_s`` and ``take_s`` say."""
-    from imucal.readers import read
-    from imucal.readers.clocks import part_between
-
-    arguments: dict[str, Any] = dict(reading)
-    skip, take = float(arguments.pop("skip_s", 0.0)), arguments.pop("take_s", None)
-    recording: Recording = read(path, **arguments)
-    if not skip and take is None:
-        return recording
-    return part_between(recording, skip, float("inf") if take is None else skip + float(take))
-
-
-def _started(recording: Recording) -> str | None:
-    """Return the time of the first sample, in ISO 8601; None where the log has no calendar's clock."""
-    stamps = [series.clock.start_ns for series in recording.series if series.clock.start_ns is not None]
-    if not stamps or min(stamps) < _FIRST_DATE_NS:
-        return None
-    return datetime.fromtimestamp(min(stamps) // 10**9, tz=UTC).isoformat()
-
-
-def enter(folder: str) -> None:
-    """Make relative paths begin where the run was started, if this machine has the folder."""
-    if os.path.isdir(folder):  # noqa: PTH112 - a text
-        os.chdir(folder)
-
-
+#: Seconds of work that a batch has, so that handing it out costs little; and one of this process's own.
+BATCH_S, OWN_BATCH_S = 30.0, 10.0
+#: Seconds after the time of its logs in which a worker must have committed a batch.
+_MARGIN_S = 60.0
 #: How often a log is tried whose process ends: another one may have ended it.
 _ATTEMPTS = 2
 #: What Rust and C++ write where an allocation fails, before they end the process.
 _NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allocate memory")
 #: The share of its memory that one step of reading a log may take.
 _SHARE = 4
-
-_children = threading.local()
-
-
-def work_on_batch(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDone]:
-    """Do some logs and commit them, all or none.
-
-    Raises
-    ------
-    WriteError
-        If the store can't be written: then these logs are not done.
-    """
-    rows = [_work_in_child(task, settings) for task in tasks]
-    commit(rows, settings)
-    return [done_of(row) for row in rows]
-
-
-def commit(rows: Sequence[LogRows], settings: FleetSettings) -> None:
-    """Write the rows of some logs into the store."""
-    FleetStore(settings.store).commit(
-        [row.log for row in rows],
-        [result for row in rows for result in row.results],
-        [bins for row in rows for bins in row.bins],
-        shard=settings.shard,
-    )
-
-
-def failure(task: LogTask, settings: FleetSettings, status: str, reason: str) -> LogRows:
-    """Return the rows of a log of which nothing is known but how it failed."""
-    return LogRows(log={**first_row(task, settings), "status": status, "reason": reason})
-
-
-def done_of(rows: LogRows) -> LogDone:
-    """Return how a log ended."""
-    log = rows.log
-    return LogDone(
-        path=str(log["path"]),
-        size=cast("int", log["bytes"]),
-        status=str(log["status"]),
-        reason=str(log["reason"]),
-        verdict=str(log.get("verdict") or ""),
-    )
-
-
-def _work_in_child(task: LogTask, settings: FleetSettings) -> LogRows:
-    seconds = settings.patience(task)
-    for _ in range(_ATTEMPTS):
-        try:
-            answer = _child(settings).ask(
-                partial(_enter_and_work, task, settings), seconds=seconds, memory=settings.memory
-            )
-        except OSError as error:
-            why = f"its process can't be started ({error.strerror or error}), as when a machine is full"
-            return failure(task, settings, "crash", f"{task.path}: {why}; run again where there is room")
-        if answer.outcome == "done":
-            return cast("LogRows", answer.value)
-        if answer.outcome == "late" or _took_memory(answer):
-            break
-    status, reason = _why(answer, settings, seconds)
-    return failure(task, settings, status, f"{task.path}: {reason}")
-
-
-def _why(answer: Answer, settings: FleetSettings, seconds: float) -> tuple[str, str]:
-    if answer.outcome == "late":
-        return "timeout", f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
-    if _took_memory(answer):
-        return "memory", memory_reason(settings)
-    if answer.outcome == "failed":
-        return "crash", f"internal error ({answer.words}); please report it"
-    how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
-    return "crash", f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
-
-
-def _took_memory(answer: Answer) -> bool:
-    if answer.outcome == "failed":
-        return answer.words.startswith("MemoryError")
-    return answer.outcome == "ended" and any(words in answer.words for words in _NO_MEMORY)
-
-
-def _enter_and_work(task: LogTask, settings: FleetSettings) -> LogRows:
-    enter(settings.folder)
-    return work_on(task, settings)
-
-
-def _child(settings: FleetSettings) -> ChildProcess:
-    """Return the child of this thread; a forked process gets one of its own."""
-    known = _known()
-    which = (os.getpid(), settings.memory)
-    if which not in known:
-        end_child()
-        known[which] = ChildProcess(environment=_environment(settings), counted="data")
-        atexit.register(known[which].end)
-    return known[which]
-
-
-def end_child() -> None:
-    """End this thread's child: what comes later may have another environment, such as other credentials."""
-    known = _known()
-    for child in known.values():
-        child.end()
-    known.clear()
-
-
-def _known() -> dict[tuple[int, int], ChildProcess]:
-    known: dict[tuple[int, int], ChildProcess] = _children.__dict__.setdefault("known", {})
-    return known
-
-
-def _environment(settings: FleetSettings) -> dict[str, str | None]:
-    """Return variables by which a child takes one thread, in all libraries, and its share of memory."""
-    return {
-        # Dask has its workers give back all memory at once; to take it again costs a fifth of a fit.
-        "MALLOC_TRIM_THRESHOLD_": None,
-        **dict.fromkeys((THREADS, *POOLS), "1"),
-        MEMORY: str(settings.memory // _SHARE),
-        "MPLBACKEND": "agg",
-    }
-
-
-#: Seconds of work that a batch has, so that handing it out costs little; and one of this process's own.
-BATCH_S, OWN_BATCH_S = 30.0, 10.0
-#: Seconds after the time of its logs in which a worker must have committed a batch.
-_MARGIN_S = 60.0
+#: A log's first stamp counts as a date from 2000 on: clocks that start with the sensor begin at 1970.
+_FIRST_DATE_NS = 946_684_800 * 10**9
 
 
 @dataclass(slots=True)
@@ -324,10 +54,6 @@ class RunCount:
         Logs that are done, of them those without numbers that may be used, and those in hand.
     done_size
         Bytes of the logs that are done.
-    workers
-        How many work.
-    reasons
-        Of the failures, by path.
     """
 
     logs: int
@@ -336,16 +62,6 @@ class RunCount:
     failed: int = 0
     running: int = 0
     done_size: int = 0
-    workers: int = 1
-    reasons: dict[str, str] = field(default_factory=dict)
-
-    def add(self, log: LogDone, task_size: int) -> None:
-        """Count a log that is done."""
-        self.done += 1
-        self.done_size += task_size
-        if log.failed:
-            self.failed += 1
-            self.reasons[log.path] = log.reason or "not noise"
 
 
 def run_plan(
@@ -373,10 +89,11 @@ def run_plan(
     EngineError
         If the workers can't be reached, or are gone.
     """
-    tasks = plan.tasks
-    count = RunCount(logs=len(tasks), size=sum(task.size for task in tasks))
-    workers = 1 if engine is None else engine.jobs
-    waiting = batches(tasks, workers=workers, seconds=BATCH_S if engine else OWN_BATCH_S)
+    count = RunCount(logs=len(plan.tasks), size=sum(task.size for task in plan.tasks))
+    if not plan.tasks:
+        return count
+    workers, seconds = (1, OWN_BATCH_S) if engine is None else (engine.jobs, BATCH_S)
+    waiting = batches(plan.tasks, workers=workers, seconds=seconds)
     alone: deque[list[LogTask]] = deque()
     lost: set[str] = set()
 
@@ -387,44 +104,28 @@ def run_plan(
             tell(count)
         return batch
 
-    def told(at_work: int) -> None:
-        count.workers = at_work
-        tell(count)
+    def patience(batch: list[LogTask]) -> float:
+        return _MARGIN_S + _ATTEMPTS * sum(settings.patience(task) for task in batch)
 
     tell(count)
     work = partial(work_on_batch, settings=settings)
-    found: Iterator[tuple[list[LogTask], list[LogDone] | Lost]] = (
-        _here(take, work)
-        if engine is None
-        else outcomes(take, work, engine=engine, patience=partial(_patience, settings), told=told)
-    )
+    found = _here(take, work) if engine is None else outcomes(take, work, engine=engine, patience=patience)
     for batch, outcome in found:
         count.running -= len(batch)
-        if isinstance(outcome, Lost) and (len(batch) > 1 or batch[0].path not in lost):
-            _try_alone(batch, alone, lost)
-            continue
-        logs = _given_up(batch, outcome, settings) if isinstance(outcome, Lost) else outcome
-        for task, log in zip(batch, logs, strict=True):
-            count.add(log, task.size)
+        logs = outcome
+        if isinstance(logs, Lost):
+            if len(batch) > 1 or batch[0].path not in lost:
+                # It may have been another log's fault, or its worker's: one that was alone gets one more try.
+                lost.update(task.path for task in batch if len(batch) == 1)
+                alone.extend([task] for task in batch)
+                continue
+            reason = f"{batch[0].path}: {logs.reason}"
+            logs = commit([failure(batch[0], settings, logs.status, reason)], settings)
+        count.done += len(logs)
+        count.done_size += sum(task.size for task in batch)
+        count.failed += sum(log.failed for log in logs)
         tell(count)
     return count
-
-
-def _try_alone(batch: list[LogTask], alone: deque[list[LogTask]], lost: set[str]) -> None:
-    """Let the logs of a lost batch be done by themselves: it may have been another's fault.
-
-    One that was alone is noted as lost and gets one more try: it may have been its worker's fault.
-    """
-    if len(batch) == 1:
-        lost.add(batch[0].path)
-    alone.extend([task] for task in batch)
-
-
-def _given_up(batch: list[LogTask], lost: Lost, settings: FleetSettings) -> list[LogDone]:
-    """Commit that a batch could not be done."""
-    rows = [failure(task, settings, lost.status, f"{task.path}: {lost.reason}") for task in batch]
-    commit(rows, settings)
-    return [done_of(row) for row in rows]
 
 
 def _here(
@@ -435,9 +136,225 @@ def _here(
         while (batch := take()) is not None:
             yield batch, work(batch)
     finally:
-        end_child()
+        _end_child()
 
 
-def _patience(settings: FleetSettings, batch: list[LogTask]) -> float:
-    # A log whose process ends is tried twice.
-    return _MARGIN_S + 2 * sum(settings.patience(task) for task in batch)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogRows:
+    """What is committed of a log: rows with the columns of `imucal.fleet.store`."""
+
+    log: dict[str, object]
+    results: list[dict[str, object]] = field(default_factory=list)
+    bins: list[dict[str, object]] = field(default_factory=list)
+
+
+def work_on_batch(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDone]:
+    """Do some logs and commit them, all or none.
+
+    Raises
+    ------
+    WriteError
+        If the store can't be written: then these logs are not done.
+    """
+    return commit([_work_in_child(task, settings) for task in tasks], settings)
+
+
+def commit(rows: Sequence[LogRows], settings: FleetSettings) -> list[LogDone]:
+    """Write the rows of some logs into the store; return how they ended."""
+    FleetStore(settings.store).commit(
+        [row.log for row in rows],
+        [result for row in rows for result in row.results],
+        [bins for row in rows for bins in row.bins],
+        shard=settings.shard,
+    )
+    said = ("path", "status", "reason", "verdict")
+    return [LogDone(**{name: str(row.log.get(name) or "") for name in said}) for row in rows]
+
+
+def first_row(task: LogTask, settings: FleetSettings) -> dict[str, object]:
+    """Return what is known of a log before it is looked at; its key is then one of its path."""
+    return {
+        "key": settings.key(f"path:{task.path}", task.reading),
+        "content": "",
+        "path": task.path,
+        **{name: task.labels.get(name) for name in LABELS},
+        "reason": "",
+        "findings": [],
+        "bytes": task.size,
+        "finished": time.time(),
+        "report": "",
+        "version": __version__,
+    }
+
+
+def failure(task: LogTask, settings: FleetSettings, status: str, reason: str) -> LogRows:
+    """Return the rows of a log of which nothing is known but how it failed."""
+    return LogRows(log={**first_row(task, settings), "status": status, "reason": reason})
+
+
+def _memory_reason(settings: FleetSettings) -> str:
+    return f"it takes more than {settings.memory / 1e9:.3g} GB of memory; give it more, or a part of the log"
+
+
+class _OfThread(threading.local):
+    """The child process of a thread, and the memory and folder that it was started with."""
+
+    child: ChildProcess | None = None
+    made_for: tuple[int, str] = (0, "")
+
+
+_own = _OfThread()
+
+
+def child_of(settings: FleetSettings) -> ChildProcess:
+    """Return the child process of this thread."""
+    made_for = (settings.memory, settings.folder)
+    if _own.child is None or _own.made_for != made_for:
+        _end_child()
+        # One thread, in all libraries, and its share of memory. Dask has its workers give back all memory at
+        # once; to take it again costs a fifth of a fit.
+        environment = {
+            "MALLOC_TRIM_THRESHOLD_": None,
+            **dict.fromkeys((THREADS, *POOLS), "1"),
+            MEMORY: str(settings.memory // _SHARE),
+            "MPLBACKEND": "agg",
+        }
+        # Relative paths begin where the run was started, if this machine has the folder.
+        folder = settings.folder if Path(settings.folder).is_dir() else None
+        _own.child = ChildProcess(environment=environment, counted="data", folder=folder)
+        _own.made_for = made_for
+        atexit.register(_own.child.end)
+    return _own.child
+
+
+def _end_child() -> None:
+    """End this thread's child: what comes later may have another environment, such as other credentials."""
+    if _own.child is not None:
+        _own.child.end()
+        _own.child = None
+
+
+def _work_in_child(task: LogTask, settings: FleetSettings) -> LogRows:
+    seconds = settings.patience(task)
+    for _ in range(_ATTEMPTS):
+        try:
+            answer = child_of(settings).ask(work_on, task, settings, seconds=seconds, memory=settings.memory)
+        except OSError as error:
+            why = f"its process can't be started ({error.strerror or error}), as when a machine is full"
+            return failure(task, settings, "crash", f"{task.path}: {why}; run again where there is room")
+        if answer.outcome == "done":
+            return cast("LogRows", answer.value)
+        if answer.outcome == "late" or _took_memory(answer):
+            break
+    status, reason = _why(answer, settings, seconds)
+    return failure(task, settings, status, f"{task.path}: {reason}")
+
+
+def _why(answer: Answer, settings: FleetSettings, seconds: float) -> tuple[str, str]:
+    if answer.outcome == "late":
+        return "timeout", f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
+    if _took_memory(answer):
+        return "memory", _memory_reason(settings)
+    if answer.outcome == "failed":
+        return "crash", f"internal error ({answer.words}); please report it"
+    how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
+    return "crash", f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
+
+
+def _took_memory(answer: Answer) -> bool:
+    if answer.outcome == "failed":
+        return answer.words.startswith("MemoryError")
+    return answer.outcome == "ended" and any(words in answer.words for words in _NO_MEMORY)
+
+
+def work_on(task: LogTask, settings: FleetSettings) -> LogRows:
+    """Read and characterise a log, in the child process; whatever goes wrong with it is in its row."""
+    log = first_row(task, settings)
+    wall, cpu = time.perf_counter(), time.process_time()
+    rows = LogRows(log=log)
+    try:
+        with at_hand(task.place) as (logs, stamp):
+            if stamp is not None:
+                path = str(logs.paths[0])
+                content = content_at(path)
+                log |= {"bytes": stamp.size, "mtime_ns": stamp.mtime_ns, "edge": edge_at(path)}
+                log |= {"content": content, "key": settings.key(content, task.reading)}
+            rows = _characterised(task, settings, log, logs)
+        ended = "ok", ""
+    except MemoryError:
+        ended = "memory", _memory_reason(settings)
+    except DataError as error:
+        ended = "no-data", str(error)
+    except (ImucalError, ValueError) as error:
+        ended = "unreadable", str(error)
+    except OSError as error:
+        ended = "unreadable", f"{task.path}: {error.strerror or error}"
+    except Exception as error:  # noqa: BLE001 - one log's fault must not cost the others their results
+        what = f"{type(error).__name__}: {error}"
+        ended = "crash", f"{task.path}: internal error ({what}); please report it"
+    log["status"], log["reason"] = ended
+    log["wall_s"], log["cpu_s"] = time.perf_counter() - wall, time.process_time() - cpu
+    log["finished"] = time.time()
+    return rows
+
+
+def _characterised(
+    task: LogTask, settings: FleetSettings, log: dict[str, object], logs: LocalLogs
+) -> LogRows:
+    from imucal.fitting.bins import pack
+    from imucal.fleet import log_values
+    from imucal.noise.terms import TERMS
+    from imucal.pipeline import Settings, characterize
+
+    recording = logs.named(_read(logs.paths[0], task.reading))
+    wanted = Settings(
+        model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
+    )
+    # One axis at a time: the other processors have other logs.
+    report = characterize(recording, wanted, workers=1)
+    log |= {
+        "verdict": report.verdict.grade,
+        "findings": sorted({finding.code for finding in report.all_findings if finding.level != "info"}),
+        "samples": max(axis.samples for axis in report.axes),
+        "seconds": max(axis.duration_s for axis in report.axes),
+        "rate_hz": report.axes[0].rate_hz,
+        "started": log["started"] or _started(recording),
+    }
+    rows = LogRows(log=log)
+    for axis in report.axes:
+        where = {"key": log["key"], "sensor": axis.sensor.value, "axis": axis.axis}
+        if axis.fit.bins is not None:
+            rows.bins.append({**where, "bins": pack(axis.fit.bins)})
+        values = log_values("", axis.fit, model=settings.model, level=settings.level)
+        for term, value in values.items():
+            told = {name: getattr(value, name) for name in OF_VALUE}
+            unit = TERMS[axis.fit[term].symbol].unit(axis.sensor)
+            rows.results.append({**where, "term": term, "unit_si": unit, **told})
+    if settings.reports == "all" or (settings.reports == "failed" and has_failed("ok", report.verdict.grade)):
+        from imucal.report import write_report
+
+        name = f"reports/{log['key']}"
+        write_report(report, Path(settings.store) / name, formats=())
+        log["report"] = name
+    return rows
+
+
+def _read(path: Path, reading: Mapping[str, object]) -> Recording:
+    """Read a log with arguments of `imucal.read`, and leave out what ``skip_s`` and ``take_s`` say."""
+    from imucal.readers import read
+    from imucal.readers.clocks import part_between
+
+    arguments: dict[str, Any] = dict(reading)
+    skip, take = float(arguments.pop("skip_s", 0.0)), arguments.pop("take_s", None)
+    recording: Recording = read(path, **arguments)
+    if not skip and take is None:
+        return recording
+    return part_between(recording, skip, float("inf") if take is None else skip + float(take))
+
+
+def _started(recording: Recording) -> str | None:
+    """Return the time of the first sample, in ISO 8601; None where the log has no calendar's clock."""
+    stamps = [series.clock.start_ns for series in recording.series if series.clock.start_ns is not None]
+    if not stamps or min(stamps) < _FIRST_DATE_NS:
+        return None
+    return datetime.fromtimestamp(min(stamps) // 10**9, tz=UTC).isoformat()

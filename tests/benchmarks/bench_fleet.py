@@ -100,7 +100,7 @@ def _made(folder: Path, number: int, seconds: float) -> list[str]:
 
 def nothing(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDone]:
     """Do nothing, as the work on a batch of a shard's size."""
-    return [LogDone(path=task.path, size=task.size, status="ok") for task in tasks if settings.shard]
+    return [LogDone(path=task.path, status="ok") for task in tasks if settings.shard]
 
 
 def engine(folder: Path, *, logs: int, seconds: float) -> None:
@@ -111,7 +111,7 @@ def engine(folder: Path, *, logs: int, seconds: float) -> None:
     the tasks and not of waiting for each.
     """
     on_dask.WINDOW, running.BATCH_S = 100, seconds
-    tasks = tuple(LogTask(path=f"logs/{number:07}.mcap", size=10_000) for number in range(logs))
+    tasks = tuple(LogTask(place=f"logs/{number:07}.mcap", size=10_000) for number in range(logs))
     plan = FleetPlan(
         entries=(), tasks=tasks, done=(), again=(), copies={}, own=tuple(task.path for task in tasks)
     )

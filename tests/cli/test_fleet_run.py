@@ -142,7 +142,7 @@ def test_what_a_fleet_would_take_is_said_as_people_do(
     number: int, size: int, workers: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of two days not how many minutes, of terabytes not how many megabytes."""
-    tasks = tuple(LogTask(path=f"{i}.npz", size=size) for i in range(number))
+    tasks = tuple(LogTask(place=f"{i}.npz", size=size) for i in range(number))
     plan = FleetPlan(entries=(), tasks=tasks, done=(), again=(), copies={}, own=())
     print_plan(plan, workers)
     assert capsys.readouterr().err == said

@@ -7,8 +7,7 @@ from typing import Any, cast
 import pytest
 
 from imucal.errors import EngineError
-from imucal.fleet_run import on_dask
-from imucal.fleet_run.on_dask import Engine, dask_client
+from imucal.fleet_run.on_dask import Engine, check_workers, dask_client
 
 pytest.importorskip("distributed")
 
@@ -67,4 +66,4 @@ def test_what_is_missing_is_said(
 def test_a_cluster_of_this_machine_without_workers() -> None:
     """It has no address that a worker could be given."""
     with pytest.raises(EngineError, match="a cluster of 3 workers on this machine: no worker within 120 s"):
-        on_dask._check_workers(cast("Any", Workerless()), Engine(jobs=3, memory=1))
+        check_workers(cast("Any", Workerless()), Engine(jobs=3, memory=1))

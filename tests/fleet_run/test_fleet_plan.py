@@ -10,8 +10,8 @@ import pytest
 
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import FleetPlan, FleetSettings, LogTask, plan_fleet
-from imucal.fleet_run.logs import content_of, edge_of, stamp_of
-from imucal.fleet_run.plan import LogEntry, batches, expected_seconds
+from imucal.fleet_run.logs import content_at, edge_at, stamps_of
+from imucal.fleet_run.plan import batches, expected_seconds
 from imucal.fleet_run.running import LogRows, commit, failure, first_row
 
 
@@ -25,7 +25,7 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FleetSettings:
 def plan(settings: FleetSettings, *paths: str, **reading: object) -> FleetPlan:
     """Return the plan of some logs."""
     return plan_fleet(
-        [LogEntry(path=p) for p in paths], settings, FleetStore(settings.store), reading=reading
+        [LogTask(place=p) for p in paths], settings, FleetStore(settings.store), reading=reading
     )
 
 
@@ -36,10 +36,10 @@ def finish(settings: FleetSettings, made: FleetPlan, status: str = "ok") -> None
     store.add_to_manifest(made.manifest())
     rows = []
     for task in made.tasks:
-        path = Path(task.path)
-        stamp = stamp_of(path)
+        path = task.path
+        stamp = stamps_of({path: path})[path]
         assert stamp is not None
-        known = {"content": content_of(path), "edge": edge_of(path), "mtime_ns": stamp.mtime_ns}
+        known = {"content": content_at(path), "edge": edge_at(path), "mtime_ns": stamp.mtime_ns}
         key = settings.key(known["content"], task.reading)  # type: ignore[arg-type] # a text
         rows.append(LogRows(log={**first_row(task, settings), **known, "key": key, "status": status}))
     commit(rows, settings)
@@ -88,7 +88,7 @@ def test_a_log_that_could_not_be_opened_is_tried_again(settings: FleetSettings) 
     store = FleetStore(settings.store)
     store.create()
     store.add_to_manifest(plan(settings, "a").manifest())
-    commit([failure(LogTask(path="a"), settings, "unreadable", "no such file")], settings)
+    commit([failure(LogTask(place="a"), settings, "unreadable", "no such file")], settings)
     assert plan(settings, "a").again == ("a",)
 
 
@@ -117,7 +117,7 @@ def test_a_log_that_was_moved_is_known_by_its_content(settings: FleetSettings) -
 def test_the_same_content_read_in_two_ways_is_two_results(settings: FleetSettings) -> None:
     """A key is of content and settings."""
     write(a="same", b="same")
-    entries = [LogEntry(path="a"), LogEntry(path="b", reading={"rate_hz": 2.0})]
+    entries = [LogTask(place="a"), LogTask(place="b", reading={"rate_hz": 2.0})]
     found = plan_fleet(entries, settings, FleetStore(settings.store))
     assert (paths(found.tasks), found.copies) == (["a", "b"], {})
 
@@ -146,8 +146,8 @@ def test_a_shard_of_very_many_logs_is_found_at_once() -> None:
     """A hundred thousand: by a look at each, and not at each for each."""
     names = [f"{number}.mcap" for number in range(100_000)]
     whole = FleetPlan(
-        entries=tuple(LogEntry(path=name) for name in names),
-        tasks=tuple(LogTask(path=name) for name in names),
+        entries=tuple(LogTask(place=name) for name in names),
+        tasks=tuple(LogTask(place=name) for name in names),
         done=(),
         again=(),
         copies={},
@@ -174,7 +174,7 @@ def test_content_that_comes_in_small_pieces_is_the_same(tmp_path: Path) -> None:
 
         writer = threading.Thread(target=write_pieces)
         writer.start()
-        found = content_of(pipe)
+        found = content_at(str(pipe))
         writer.join()
         return found
 
@@ -185,7 +185,7 @@ def test_content_that_comes_in_small_pieces_is_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("workers", "seconds"), [(2, 30.0), (50, 30.0), (1, 0.0), (3, 1e9)])
 def test_batches_hold_every_task_once(workers: int, seconds: float) -> None:
     """Of about the time that is asked, or so many that every worker has some."""
-    tasks = [LogTask(path=str(i), size=i * 10**6) for i in range(100)]
+    tasks = [LogTask(place=str(i), size=i * 10**6) for i in range(100)]
     made = list(batches(tasks, workers=workers, seconds=seconds))
     assert [task for batch in made for task in batch] == tasks
     longest = max(sum(map(expected_seconds, batch[:-1])) for batch in made)
@@ -195,7 +195,7 @@ def test_batches_hold_every_task_once(workers: int, seconds: float) -> None:
 
 def test_a_long_run_has_longer_batches() -> None:
     """Each is a part of the store: 1e5 logs of 6 s make 2 000 on eight workers, not 20 000."""
-    tasks = [LogTask(path=f"{number}.mcap", size=85_000_000) for number in range(100_000)]
+    tasks = [LogTask(place=f"{number}.mcap", size=85_000_000) for number in range(100_000)]
     sizes = [len(batch) for batch in batches(tasks, workers=8, seconds=30.0)]
     assert sum(sizes) == len(tasks)
     assert set(sizes[:-1]) == {50}

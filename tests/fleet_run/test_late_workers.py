@@ -5,7 +5,10 @@ from typing import Any, cast
 
 import pytest
 
-from imucal.fleet_run.on_dask import Lost, _Hand, _Run
+from imucal.fleet_run.on_dask import DaskRun, Hand, Lost
+from imucal.fleet_run.plan import LogTask
+
+BATCH = [LogTask(place="a.mcap")]
 
 
 class Played:
@@ -32,13 +35,18 @@ class Played:
             self.restarted.append(worker)
 
 
-def late_run(client: Played, *, begun_at: str) -> "_Run[str, str]":
+def run_of(client: Played) -> DaskRun:
+    """Return a run whose batches may take ten seconds."""
+    return DaskRun(cast("Any", client), "here", lambda _: [], lambda _: 10.0)
+
+
+def late_run(client: Played, *, begun_at: str) -> DaskRun:
     """Return a run with one batch in hand, which a worker began long ago."""
-    run: _Run[str, str] = _Run(cast("Any", client), "here", str, lambda _: 10.0, lambda _: None)
-    run._submit("batch")
-    run._workers()
-    run._begun((0.0, (1, begun_at)))
-    (hand,) = run._hands.values()
+    run = run_of(client)
+    run.submit(BATCH)
+    run.threads()
+    run.begun((0.0, (1, begun_at)))
+    (hand,) = run.hands.values()
     hand.begun -= 60.0
     return run
 
@@ -47,22 +55,19 @@ def test_a_worker_that_is_late_is_restarted() -> None:
     """And its batch is lost, with the reason."""
     client = Played("tcp://a:1", "tcp://b:1")
     run = late_run(client, begun_at="tcp://a:1")
-    assert list(run._late()) == [
-        ("batch", Lost(status="timeout", reason="its worker did not answer any more"))
-    ]
+    assert list(run.late()) == [(BATCH, Lost(status="timeout", reason="its worker did not answer any more"))]
     assert client.restarted == ["tcp://a:1"]
-    assert not run._hands
+    assert not run.hands
 
 
 def test_a_batch_of_a_worker_that_is_gone_is_not_late() -> None:
     """The scheduler gives it to another, whose time begins when it says so."""
     client = Played("tcp://b:1")
     run = late_run(client, begun_at="tcp://a:1")
-    run._forget_gone_workers()
-    assert list(run._late()) == []
-    run._begun((0.0, (1, "tcp://b:1")))
-    assert list(run._late()) == []
-    assert (client.restarted, len(run._hands)) == ([], 1)
+    assert list(run.late()) == []
+    run.begun((0.0, (1, "tcp://b:1")))
+    assert list(run.late()) == []
+    assert (client.restarted, len(run.hands)) == ([], 1)
 
 
 @pytest.mark.parametrize(
@@ -79,9 +84,9 @@ def test_what_the_work_raises_is_not_tried_for_ever(status: str, outcome: Lost |
         raise OSError(28, "no room")
 
     future = SimpleNamespace(status=status, result=result)
-    run: _Run[str, str] = _Run(cast("Any", Played("tcp://a:1")), "here", str, lambda _: 10.0, lambda _: None)
-    assert run._outcome(cast("Any", future), _Hand("batch", 1)) == outcome
-    assert len(run._hands) == in_hand
+    run = run_of(Played("tcp://a:1"))
+    assert run.outcome(Hand(BATCH, cast("Any", future))) == outcome
+    assert len(run.hands) == in_hand
 
 
 @pytest.mark.parametrize("error", [KeyError("tcp://a:1"), TimeoutError(), OSError()])
@@ -96,4 +101,4 @@ def test_a_worker_that_goes_in_this_moment_is_no_error(
         raise error
 
     monkeypatch.setattr(client, "restart_workers", fails)
-    assert [lost.status for _, lost in run._late() if isinstance(lost, Lost)] == ["timeout"]
+    assert [lost.status for _, lost in run.late()] == ["timeout"]
