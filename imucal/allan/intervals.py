@@ -234,21 +234,21 @@ def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> Gen
     count = bins.count.astype(np.float64)
     basis = np.array([law.dct_spectrum(bins.n, bins.first, bins.count) for law in PowerLaw])
     plain, plain_score = _fit(basis, power, count)
+    steady = GenericModel(variances=tuple(plain.tolist()))
     singles = min(_DRIFT_ORDINATES, ordinates.size, int(np.argmin(bins.count == 1)) or bins.size)
-    shape = ramp_ordinates(bins.n, singles)
-    low = ordinates[:singles]
-    variances, score, drift = plain, plain_score, 0.0
+    shape, low = ramp_ordinates(bins.n, singles), ordinates[:singles]
+    variances = plain
     for _ in range(3):
         spectrum = variances @ basis[:, :singles]
         if not spectrum.all():
-            return GenericModel(variances=tuple(plain.tolist()))
+            return steady
         drift = float(np.sum(low * shape / spectrum) / np.sum(shape**2 / spectrum))
         rest = power.copy()
         rest[:singles] = (low - drift * shape) ** 2
         variances, score = _fit(basis, rest, count, start=plain)
     if 2 * (plain_score - score) > _DRIFT_GAIN:
         return GenericModel(variances=tuple(variances.tolist()), drift=drift)
-    return GenericModel(variances=tuple(plain.tolist()))
+    return steady
 
 
 def fit_curve(m: IntArray | FloatArray, avar: FloatArray, weight: FloatArray) -> GenericModel:

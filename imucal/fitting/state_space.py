@@ -359,7 +359,8 @@ def filtered(states: StateSpace, blocks: Blocks, block: BlockLaw) -> Iterator[St
         misfit = rest @ one.inverse @ rest + (mean - before) @ inverse @ (mean - before)
         log_det = one.log_det - log_prior - float(np.linalg.slogdet(covariance)[1])
         forward = np.concatenate([one.passed @ step, np.eye(d + p)[d:]])
-        ahead = forward @ covariance @ forward.T
+        cross = forward @ covariance
+        ahead = cross @ forward.T
         ahead[:d, :d] += one.rest
         inverse = inverse_of(ahead)
         log_prior = float(np.linalg.slogdet(inverse)[1])
@@ -368,7 +369,7 @@ def filtered(states: StateSpace, blocks: Blocks, block: BlockLaw) -> Iterator[St
         yield Step(
             mean=mean,
             covariance=covariance,
-            cross=forward @ covariance,
+            cross=cross,
             predicted=predicted,
             ahead=ahead,
             inverse=inverse,

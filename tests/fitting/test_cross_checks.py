@@ -14,7 +14,7 @@ from imucal.fitting import fit as fit_samples
 from imucal.fitting.cross_checks import _distance, second_opinion
 from imucal.fitting.curve_opinion import fit_of_curve
 from imucal.fitting.moments import fit_gmwm
-from imucal.fitting.moments.search import Weight
+from imucal.fitting.moments.search import whitening
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.spectral import fit_mle
 from imucal.noise.model import NoiseModel
@@ -235,4 +235,4 @@ def test_a_covariance_of_no_noise_is_a_sentence() -> None:
     """What the likelihood of a tone once gave: a negative variance, or none at all."""
     for broken in (-1.0, np.nan):
         with pytest.raises(DataError, match="is not that of any noise; expected noise, look at the samples"):
-            Weight.of_covariance(np.diag([1.0, broken]))
+            whitening(np.diag([1.0, broken]))

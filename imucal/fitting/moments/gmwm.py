@@ -18,12 +18,11 @@ from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.fitting.moments.points import AvarPoints, avar_points, is_timed
+from imucal.fitting.moments.points import AvarPoints, avar_points, is_timed, spread_of
 from imucal.fitting.moments.search import (
     MISFIT,
     CurveFit,
     Solution,
-    Weight,
     best_band,
     curve_estimates,
     goodness,
@@ -69,7 +68,7 @@ def fit_gmwm(
     points = avar_points(series, curve)
     if settings.structure is not None:
         _require_points(series, points, settings.structure)
-    eta3 = Weight.of_deviations(_eta3_widths(points))
+    eta3 = np.diag(1 / _eta3_widths(points))
     if settings.weights == "eta3":
         ranking = ranked(points, eta3, settings)
         kept, fitted = points, CurveFit(ranking, ranking[0][1], eta3, 0.0)
@@ -77,19 +76,20 @@ def fit_gmwm(
         kept, fitted = best_band(points, eta3, settings)
     solution = fitted.solution
     near = [(delta, other) for delta, other in fitted.ranking if delta <= _REPORTED]
-    found = curve_estimates(kept, solution, fitted.weight, level=settings.level)
-    fit = goodness(kept, solution, found.curve_covariance)
+    estimates, names, covariance = curve_estimates(kept, solution, fitted.weight, level=settings.level)
+    spread = spread_of(kept, solution.terms).at(solution.variances)
+    fit = goodness(kept, solution, spread)
     return NoiseFit(
         method="gmwm",
         sensor=series.sensor if series is not None else None,
         rate_hz=series.rate_hz if series is not None else 1 / kept.tau0,
         level=settings.level,
         model=solution.model(kept),
-        estimates=found.estimates,
-        parameters=found.parameters,
-        covariance=read_only(found.covariance),
+        estimates=estimates,
+        parameters=names,
+        covariance=read_only(covariance),
         goodness=fit,
-        curve=_with_edf(curve, kept, solution, found.curve_covariance),
+        curve=_with_edf(curve, kept, solution, spread),
         used=kept.used,
         candidates=tuple(Candidate(structure=structure_text(s.symbols), delta=d) for d, s in near),
         criterion=settings.chosen_by,

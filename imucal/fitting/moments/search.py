@@ -62,47 +62,35 @@ _STEPS = 5
 _CANDIDATES = 6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Weight:
-    """The weight matrix Omega = whiten' whiten of a sum of squares; `whiten` has shape (k, k)."""
+def whitening(covariance: FloatArray) -> FloatArray:
+    """Return W, shape (k, k), of which W'W is the inverse of a covariance of shape (k, k): a weight.
 
-    whiten: FloatArray
+    The covariance is known to some 1e-3 (its lags are summed on a grid), so a nugget of 1e-6
+    of each variance changes nothing and keeps the factorisation safe.
 
-    @classmethod
-    def of_covariance(cls, covariance: FloatArray) -> "Weight":
-        """Return the inverse of a covariance of shape (k, k).
-
-        The covariance is known to some 1e-3 (its lags are summed on a grid), so a nugget of 1e-6
-        of each variance changes nothing and keeps the factorisation safe.
-
-        Raises
-        ------
-        DataError
-            If the covariance is of no noise, as that of a curve that falls by many decades.
-        """
-        variance = np.diag(covariance)
-        if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
-            msg = (
-                "the covariance of the Allan variances is not that of any noise; expected noise, look at the "
-                "samples"
-            )
-            raise DataError(msg)
-        deviation = np.sqrt(variance)
-        correlation = covariance / np.outer(deviation, deviation) + 1e-6 * np.eye(deviation.size)
-        try:
-            factor = np.linalg.cholesky(correlation)
-        except np.linalg.LinAlgError as error:
-            msg = (
-                "the Allan variances fall or rise as those of no noise do, so their covariance has no "
-                "inverse; expected noise, look at the samples"
-            )
-            raise DataError(msg) from error
-        return cls(whiten=np.linalg.solve(factor, np.diag(1 / deviation)))
-
-    @classmethod
-    def of_deviations(cls, deviations: FloatArray) -> "Weight":
-        """Return the diagonal weight 1 / deviation^2, shape (k,)."""
-        return cls(whiten=np.diag(1 / deviations))
+    Raises
+    ------
+    DataError
+        If the covariance is of no noise, as that of a curve that falls by many decades.
+    """
+    variance = np.diag(covariance)
+    if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
+        msg = (
+            "the covariance of the Allan variances is not that of any noise; expected noise, look at the "
+            "samples"
+        )
+        raise DataError(msg)
+    deviation = np.sqrt(variance)
+    correlation = covariance / np.outer(deviation, deviation) + 1e-6 * np.eye(deviation.size)
+    try:
+        factor = np.linalg.cholesky(correlation)
+    except np.linalg.LinAlgError as error:
+        msg = (
+            "the Allan variances fall or rise as those of no noise do, so their covariance has no "
+            "inverse; expected noise, look at the samples"
+        )
+        raise DataError(msg) from error
+    return np.asarray(np.linalg.solve(factor, np.diag(1 / deviation)), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -168,7 +156,7 @@ def time_grid(m: IntArray, per_decade: int = _PER_DECADE) -> FloatArray:
 
 
 def minimise(
-    points: AvarPoints, weight: Weight, symbols: Sequence[str], *, near: FloatArray | None = None
+    points: AvarPoints, weight: FloatArray, symbols: Sequence[str], *, near: FloatArray | None = None
 ) -> Solution:
     """Return the global minimum over the variances and times of terms.
 
@@ -177,7 +165,7 @@ def minimise(
     points
         The Allan variances.
     weight
-        Of the sum of squares.
+        Of the sum of squares, as `whitening` gives it, shape (k, k).
     symbols
         Of the terms.
     near
@@ -185,11 +173,11 @@ def minimise(
         of the grid are refined then, instead of the best few.
     """
     laws, kinds = _parted(in_order(symbols))
-    target = weight.whiten @ points.avar
-    fixed = weight.whiten @ columns(points.m, unit_terms(laws))
+    target = weight @ points.avar
+    fixed = weight @ columns(points.m, unit_terms(laws))
 
     def matrix_at(times: FloatArray) -> FloatArray:
-        return np.hstack([fixed, weight.whiten @ columns(points.m, unit_terms(kinds, times))])
+        return np.hstack([fixed, weight @ columns(points.m, unit_terms(kinds, times))])
 
     def residuals(logs: FloatArray) -> FloatArray:
         matrix = matrix_at(np.exp(logs))
@@ -198,7 +186,7 @@ def minimise(
     times = np.zeros(0)
     if kinds:
         grid = time_grid(points.m, _PER_DECADE if len(kinds) <= 2 else _COARSE)
-        varied = weight.whiten @ columns(points.m, _on_grid(kinds, grid))
+        varied = weight @ columns(points.m, _on_grid(kinds, grid))
         places = _grid_places(kinds, grid.size)
         costs = [non_negative(np.hstack([fixed, varied[:, place]]), target)[1] for place in places]
         order = np.argsort(costs, kind="stable")[: _STARTS * len(kinds)]
@@ -251,19 +239,19 @@ def _fittable() -> tuple[list[str], list[str]]:
     return _parted([symbol for symbol, term in TERMS.items() if "gmwm" in term.fitted_by])
 
 
-def dictionary(points: AvarPoints, weight: Weight) -> Solution:
+def dictionary(points: AvarPoints, weight: FloatArray) -> Solution:
     """Return the best fit of all terms at once, those with a time at many of them.
 
     It describes almost any curve; the terms left at zero are dropped.
     """
     laws, kinds = _fittable()
     terms = (*unit_terms(laws), *_on_grid(kinds, time_grid(points.m, _COARSE)))
-    variances, objective = non_negative(weight.whiten @ columns(points.m, terms), weight.whiten @ points.avar)
+    variances, objective = non_negative(weight @ columns(points.m, terms), weight @ points.avar)
     kept = [term for term, variance in zip(terms, variances, strict=True) if variance > 0]
     return Solution.sorted(kept, variances[variances > 0], objective)
 
 
-def ranked(points: AvarPoints, weight: Weight, settings: FitSettings) -> list[tuple[float, Solution]]:
+def ranked(points: AvarPoints, weight: FloatArray, settings: FitSettings) -> list[tuple[float, Solution]]:
     """Return the best models and how much worse their criterion is, the best (0) first.
 
     The one model where it is given.
@@ -285,14 +273,14 @@ def ranked(points: AvarPoints, weight: Weight, settings: FitSettings) -> list[tu
 
 
 def screen(
-    points: AvarPoints, weight: Weight, max_gm: int, price: float
+    points: AvarPoints, weight: FloatArray, max_gm: int, price: float
 ) -> Iterator[tuple[float, tuple[str, ...]]]:
     """Yield the criterion of each set of terms, at the best times of a grid, and their symbols."""
     laws, kinds = _fittable()
-    grid, target = time_grid(points.m), weight.whiten @ points.avar
+    grid, target = time_grid(points.m), weight @ points.avar
     total = float(target @ target)
-    fixed = weight.whiten @ columns(points.m, unit_terms(laws))
-    varied = {kind: weight.whiten @ columns(points.m, _on_grid([kind], grid)) for kind in kinds}
+    fixed = weight @ columns(points.m, unit_terms(laws))
+    varied = {kind: weight @ columns(points.m, _on_grid([kind], grid)) for kind in kinds}
     sets = [own for size in range(len(laws) + 1) for own in combinations(range(len(laws)), size)]
     for timed in chain.from_iterable(combinations_with_replacement(kinds, k) for k in range(max_gm + 1)):
         matrix = np.hstack([fixed, *(varied[kind] for kind in dict.fromkeys(timed))])
@@ -325,11 +313,11 @@ class CurveFit:
 
     ranking: list[tuple[float, Solution]]
     solution: Solution
-    weight: Weight
+    weight: FloatArray
     misfit: float
 
 
-def best_band(points: AvarPoints, eta3: Weight, settings: FitSettings) -> tuple[AvarPoints, CurveFit]:
+def best_band(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> tuple[AvarPoints, CurveFit]:
     """Return the longest run of points, up to the last, that a model describes, and the fit.
 
     An output filter bends the curve at its first averaging times only; without those it is as good
@@ -342,30 +330,28 @@ def best_band(points: AvarPoints, eta3: Weight, settings: FitSettings) -> tuple[
     """
     structure = settings.structure
     if structure is not None and not any(map(is_timed, structure)):
-        given = described(points, ranked(points, eta3, settings), eta3)
+        given = described(points, ranked(points, eta3, settings))
         if given.misfit < MISFIT:
             return points, given
     rough = dictionary(points, eta3)
     covariance = spread_of(points, rough.terms).at(rough.variances)
-    weight = Weight.of_covariance(covariance)
-    whole = described(points, ranked(points, weight, settings), weight)
+    whole = described(points, ranked(points, whitening(covariance), settings))
     if not whole.misfit >= _FILTERED:
         return points, whole
     least = 6 if structure is None else len(structure) + sum(map(is_timed, structure)) + 3
     best, kept_best = whole.misfit / _CURE, None
     for first in range(1, min(points.size - least, points.size // 2, _MOST_DROPPED) + 1):
         kept, own = points.within(first), covariance[first:, first:]
-        weight = Weight.of_covariance(own)
-        ranking = ranked(kept, weight, settings)
+        ranking = ranked(kept, whitening(own), settings)
         misfit = min(goodness(kept, solution, own).statistic for _, solution in ranking)
         if misfit < best:
-            best, kept_best = misfit, (kept, ranking, weight)
+            best, kept_best = misfit, (kept, ranking)
         if misfit < MISFIT:
             break
     return (points, whole) if kept_best is None else (kept_best[0], described(*kept_best))
 
 
-def described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight: Weight) -> CurveFit:
+def described(points: AvarPoints, ranking: list[tuple[float, Solution]]) -> CurveFit:
     """Return the first of the models that describes the curve with its own weight; else the first.
 
     The criterion ranks all models with one weight, under which a model that lacks a small term may
@@ -373,7 +359,7 @@ def described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight:
     """
     fits: list[CurveFit] = []
     for place, (delta, start) in enumerate(ranking[:_CANDIDATES]):
-        solution, own, covariance = _converged(points, start, weight)
+        solution, own, covariance = _converged(points, start)
         misfit = goodness(points, solution, covariance).statistic
         fits.append(CurveFit([(d - delta, s) for d, s in ranking[place:]], solution, own, misfit))
         if not misfit >= MISFIT:
@@ -381,13 +367,13 @@ def described(points: AvarPoints, ranking: list[tuple[float, Solution]], weight:
     return fits[0]
 
 
-def _converged(points: AvarPoints, solution: Solution, weight: Weight) -> tuple[Solution, Weight, FloatArray]:
+def _converged(points: AvarPoints, solution: Solution) -> tuple[Solution, FloatArray, FloatArray]:
     """Return the minimum with the weight of the model itself, that weight, and the covariance."""
     times, spread = solution.times, spread_of(points, solution.terms)
     for _ in range(_STEPS):
         if np.any(np.abs(np.log(solution.times / times)) > 0.2):
             times, spread = solution.times, spread_of(points, solution.terms)
-        weight = Weight.of_covariance(spread.at(solution.variances))
+        weight = whitening(spread.at(solution.variances))
         before = solution
         solution = minimise(points, weight, solution.symbols, near=solution.times)
         if np.allclose(solution.variances, before.variances, rtol=1e-3, atol=1e-12 * points.avar.max()):
@@ -449,50 +435,35 @@ def limits(value: float, spread_at: Callable[[float], float], quantile: float) -
     return low, float("inf")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CurveEstimates:
-    """The estimates, the covariance of those that are not bounded, and that of the Allan variances."""
-
-    estimates: tuple[Estimate, ...]
-    parameters: tuple[str, ...]
-    covariance: FloatArray
-    curve_covariance: FloatArray
-
-
 def curve_estimates(
-    points: AvarPoints, solution: Solution, weight: Weight, *, level: float
-) -> CurveEstimates:
+    points: AvarPoints, solution: Solution, weight: FloatArray, *, level: float
+) -> tuple[tuple[Estimate, ...], tuple[str, ...], FloatArray]:
     """Return an estimate of every term of the model, and of those that every fit reports.
 
-    A term that is not in the model gets the upper bound that it has when it is added.
+    A term that is not in the model gets the upper bound that it has when it is added. Beside them the
+    names and the covariance of the parameters of those that are not bounded.
     """
     absent = [symbol for symbol in ALWAYS if symbol not in solution.symbols]
     variances = np.append(solution.variances, np.zeros(len(absent)))
     padded = Solution.sorted((*solution.terms, *unit_terms(absent)), variances, solution.objective)
     reader = _Reader(points, padded, weight, absent, level)
     estimates = tuple(reader.estimate(place, key) for place, key in enumerate(term_keys(padded.symbols)))
-    names, covariance = reader.covariance(estimates)
-    return CurveEstimates(
-        estimates=estimates,
-        parameters=names,
-        covariance=covariance,
-        curve_covariance=reader.spread.at(padded.variances),
-    )
+    return estimates, *reader.covariance(estimates)
 
 
 class _Reader:
     """Reads estimates off a solution, in which terms that are `absent` from the model have no variance."""
 
     def __init__(
-        self, points: AvarPoints, solution: Solution, weight: Weight, absent: Sequence[str], level: float
+        self, points: AvarPoints, solution: Solution, weight: FloatArray, absent: Sequence[str], level: float
     ) -> None:
         from scipy.special import chdtri
 
         self.points, self.solution, self.weight = points, solution, weight
         self.spread = spread_of(points, solution.terms)
         self.quantile = float(chdtri(1, 1 - level))
-        self.design = weight.whiten @ columns(points.m, solution.terms)
-        self.target = weight.whiten @ points.avar
+        self.design = weight @ columns(points.m, solution.terms)
+        self.target = weight @ points.avar
         self.inside = np.array([symbol not in absent for symbol in solution.symbols])
         self.timed = np.array([is_timed(symbol) for symbol in solution.symbols])
         self.free = self.inside & (solution.variances > 0)
@@ -543,11 +514,11 @@ class _Reader:
 
     def _influence(self, free: BoolArray) -> FloatArray:
         """Return what each Allan variance adds to the free variances, then log times, shape (p, k)."""
-        design = np.hstack([self.design[:, free], self.weight.whiten @ self._slopes(free & self.timed)])
+        design = np.hstack([self.design[:, free], self.weight @ self._slopes(free & self.timed)])
         length = np.sqrt(np.einsum("ij,ij->j", design, design))
         length[length == 0] = 1.0
         # Of minimal norm, so that terms the curve can't tell apart give a wide answer, not an error.
-        solve = np.linalg.pinv(design / length, rcond=1e-12) @ self.weight.whiten
+        solve = np.linalg.pinv(design / length, rcond=1e-12) @ self.weight
         return np.asarray(solve / length[:, np.newaxis])
 
     def _slopes(self, timed: BoolArray) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.fitting.moments.points import AvarPoints, avar_points, columns, spread_of, unit_terms
-from imucal.fitting.moments.search import Solution, Weight, dictionary, goodness
+from imucal.fitting.moments.search import Solution, dictionary, goodness
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.noise.terms import ALWAYS, TERMS
@@ -224,7 +224,7 @@ def fit_slope(
 
 def _log_curve(points: AvarPoints) -> LogCurve:
     """Return the points with the covariance that they have under whatever noise fits the curve."""
-    rough = dictionary(points, Weight.of_deviations(points.avar))
+    rough = dictionary(points, np.diag(1 / points.avar))
     spread = spread_of(points, rough.terms).at(rough.variances)
     model = rough.avar(points.m)
     return LogCurve(points, np.asarray(spread / (4 * np.outer(model, model))))

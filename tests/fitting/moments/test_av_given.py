@@ -5,9 +5,10 @@ import numpy.testing as npt
 import pytest
 
 from imucal.allan import allan_curve
+from imucal.arrays import FloatArray
 from imucal.fitting.moments import search
 from imucal.fitting.moments.points import AvarPoints, avar_points, spread_of
-from imucal.fitting.moments.search import Solution, Weight, best_band, described, dictionary, ranked
+from imucal.fitting.moments.search import Solution, best_band, described, dictionary, ranked, whitening
 from imucal.fitting.settings import FitSettings
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
@@ -22,9 +23,9 @@ def test_a_given_model_gives_the_same_without_the_rough_fit(
     samples = truth.simulate(60_000, rate_hz=1.0, rng=np.random.default_rng(4410))
     series = AxisSeries.from_samples(samples, rate_hz=1.0)
     points, settings = avar_points(series, allan_curve(series)), FitSettings(model=model, method="gmwm")
-    eta3, calls = Weight.of_deviations(points.avar), []
+    eta3, calls = np.diag(1 / points.avar), list[FloatArray]()
 
-    def counted(points: AvarPoints, weight: Weight) -> Solution:
+    def counted(points: AvarPoints, weight: FloatArray) -> Solution:
         calls.append(weight)
         return dictionary(points, weight)
 
@@ -32,7 +33,7 @@ def test_a_given_model_gives_the_same_without_the_rough_fit(
     _, fit = best_band(points, eta3, settings)
     assert bool(calls) == asked
     start = dictionary(points, eta3)
-    weight = Weight.of_covariance(spread_of(points, start.terms).at(start.variances))
-    rough = described(points, ranked(points, weight, settings), weight)
+    weight = whitening(spread_of(points, start.terms).at(start.variances))
+    rough = described(points, ranked(points, weight, settings))
     assert fit.misfit == pytest.approx(rough.misfit, abs=1e-3)
     npt.assert_allclose(fit.solution.variances, rough.solution.variances, rtol=1e-4, atol=1e-9)

@@ -15,13 +15,13 @@ from imucal.fitting.moments.gmwm import _eta3_widths, _findings, _with_edf
 from imucal.fitting.moments.points import AvarPoints, _excess_kurtosis, avar_points, columns, unit_terms
 from imucal.fitting.moments.search import (
     Solution,
-    Weight,
     described,
     goodness,
     least_cost,
     limits,
     screen,
     time_grid,
+    whitening,
 )
 from imucal.fitting.moments.slope import LogCurve, Reading, _beside, _floor, _line, read_term
 from imucal.fitting.noise_fit import Goodness
@@ -242,11 +242,9 @@ def test_points_with_fewer_than_three_degrees_of_freedom_show_no_slope() -> None
     assert _logs(np.ones(4), np.array([0.1, 1 / 6 - 1e-9, 1 / 6, 0.5])).sure == 2
 
 
-def test_a_diagonal_weight_divides_by_the_deviations() -> None:
-    """And the inverse covariance is one of independent values."""
-    npt.assert_allclose(Weight.of_deviations(np.array([2.0, 4.0])).whiten, np.diag([0.5, 0.25]))
-    whiten = Weight.of_covariance(np.diag([4.0, 16.0])).whiten
-    npt.assert_allclose(whiten, np.diag([0.5, 0.25]), rtol=1e-5)
+def test_the_weight_of_independent_values_divides_by_their_deviations() -> None:
+    """To the nugget that keeps the factorisation safe."""
+    npt.assert_allclose(whitening(np.diag([4.0, 16.0])), np.diag([0.5, 0.25]), rtol=1e-5)
 
 
 def test_every_set_of_laws_is_screened() -> None:
@@ -255,12 +253,12 @@ def test_every_set_of_laws_is_screened() -> None:
     variances = {"Q": 1e4, "N": 1.0, "B": 1e-2, "K": 1e-4, "R": 1e-8}
     avar = columns(m, unit_terms("QNBKR")) @ np.array(list(variances.values()))
     points = _points(avar, n=40_000)
-    weight = Weight.of_deviations(1e-3 * points.avar)
+    weight = np.diag(1 / (1e-3 * points.avar))
     found = {"".join(symbols): cost for cost, symbols in screen(points, weight, 0, price=2.0)}
     assert min(found, key=lambda laws: found[laws]) == "QNBKR"
     assert found["QNBKR"] == pytest.approx(10.0, abs=1.0)
     few = points.within(10)
-    sets = {symbols for _, symbols in screen(few, Weight.of_deviations(few.avar), 0, price=2.0)}
+    sets = {symbols for _, symbols in screen(few, np.diag(1 / few.avar), 0, price=2.0)}
     assert max(map(len, sets)) <= 3
 
 
@@ -282,9 +280,8 @@ def test_distances_are_those_of_the_ranking_that_is_left(monkeypatch: pytest.Mon
         (delta, Solution(terms=unit_terms(laws), variances=np.ones(len(laws)), objective=0.0))
         for delta, laws in [(0.0, "N"), (1.5, "NB"), (4.0, "NK"), (7.0, "NBK")]
     ]
-    weight = Weight.of_deviations(np.ones(5))
     misfits = {"N": 9.0, "NB": 3.0, "NK": 2.9, "NBK": 0.0}
-    monkeypatch.setattr(search, "_converged", lambda _, solution, own: (solution, own, np.eye(5)))
+    monkeypatch.setattr(search, "_converged", lambda _, solution: (solution, np.eye(5), np.eye(5)))
     monkeypatch.setattr(
         search,
         "goodness",
@@ -292,12 +289,12 @@ def test_distances_are_those_of_the_ranking_that_is_left(monkeypatch: pytest.Mon
             statistic=misfits["".join(solution.symbols)], p_value=0.5, chi2_per_bin=1.0
         ),
     )
-    fit = described(_points(np.ones(5)), ranking, weight)
+    fit = described(_points(np.ones(5)), ranking)
     assert fit.solution.symbols == ("N", "K")
     assert fit.misfit == 2.9
     assert [(delta, "".join(s.symbols)) for delta, s in fit.ranking] == [(0.0, "NK"), (3.0, "NBK")]
     misfits |= {"NK": 9.0, "NBK": 9.0}
-    first = described(_points(np.ones(5)), ranking, weight)
+    first = described(_points(np.ones(5)), ranking)
     assert [delta for delta, _ in first.ranking] == [0.0, 1.5, 4.0, 7.0]
 
 

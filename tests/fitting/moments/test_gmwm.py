@@ -13,12 +13,14 @@ from imucal.errors import DataError
 from imucal.fitting import FitSettings
 from imucal.fitting.moments.gmwm import _eta3_widths, fit_gmwm
 from imucal.fitting.moments.points import avar_points, columns, unit_terms
-from imucal.fitting.moments.search import Weight, minimise
+from imucal.fitting.moments.search import minimise
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.noise.model import NoiseModel
+from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 from imucal.solvers import non_negative
 from tests.fitting.moments.curves import octave_curve, simulated_curve
+from tests.noise.test_new_term import SecondOrder
 
 WALK = "N + K"
 
@@ -68,10 +70,10 @@ def test_eta3_reaches_the_minimum_of_its_objective() -> None:
 
     curve = simulated_curve("N=10 + K=0.03", 100_000, np.random.default_rng(3))
     points = avar_points(None, curve)
-    weight = Weight.of_deviations(_eta3_widths(points))
+    weight = np.diag(1 / _eta3_widths(points))
     found = minimise(points, weight, "NK")
-    target = weight.whiten @ points.avar
-    design = weight.whiten @ columns(points.m, unit_terms("NK"))
+    target = weight @ points.avar
+    design = weight @ columns(points.m, unit_terms("NK"))
     rng = np.random.default_rng(4)
 
     def objective(logs: FloatArray) -> float:
@@ -87,13 +89,13 @@ def test_correlation_times_are_at_the_global_minimum() -> None:
     text = "N=1 + GM(sigma=0.3, T=30) + GM(sigma=0.2, T=1500)"
     curve = simulated_curve(text, 100_000, np.random.default_rng(5))
     points = avar_points(None, curve)
-    weight = Weight.of_deviations(_eta3_widths(points))
+    weight = np.diag(1 / _eta3_widths(points))
     found = minimise(points, weight, ["N", "GM", "GM"])
     times = np.geomspace(1, 3e4, 90)
-    target = weight.whiten @ points.avar
+    target = weight @ points.avar
     lowest = min(
         non_negative(
-            weight.whiten @ columns(points.m, (*unit_terms("N"), *unit_terms(["GM"] * 2, np.array([a, b])))),
+            weight @ columns(points.m, (*unit_terms("N"), *unit_terms(["GM"] * 2, np.array([a, b])))),
             target,
         )[1]
         for i, a in enumerate(times)
@@ -108,7 +110,7 @@ def test_eta3_is_better_than_what_stops_early() -> None:
     ratios = []
     for _ in range(40):
         points = avar_points(None, simulated_curve("N=1 + K=1e-3", 100_000, rng))
-        weight = Weight.of_deviations(_eta3_widths(points))
+        weight = np.diag(1 / _eta3_widths(points))
         walk = minimise(points, weight, "NK").variances[1]
         ratios.append(walk * points.scale / 1e-6)
     # Three standard errors of an RMSE of 31 % from 40 records are 10 %.
@@ -286,3 +288,22 @@ def test_a_curve_of_unknown_length_says_so() -> None:
     assert unknown["N"].high - unknown["N"].low > known["N"].high - known["N"].low
     assert np.all(unknown.curve.edf >= 1)
     assert unknown.curve.edf_method == "model"
+
+
+def test_a_term_with_a_time_is_fitted_by_its_class_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second-order Gauss-Markov term beside white noise, its line in the table and nothing else."""
+
+    class Fitted(SecondOrder):
+        fitted_by = frozenset({"gmwm"})
+
+    monkeypatch.setitem(TERMS, "SGM", Fitted)
+    model = NoiseModel.parse("N=0.05 + SGM(sigma=0.5, T=2)")
+    samples = model.simulate(3000, rate_hz=10.0, rng=np.random.default_rng(1))
+    series = AxisSeries.from_samples(samples, rate_hz=10.0)
+    found = fit_gmwm(series, allan_curve(series), FitSettings(model="N + SGM", method="gmwm", level=0.999))
+    assert found.parameters == ("N", "SGM.sigma", "SGM.T")
+    time = found["SGM"].correlation_time
+    assert time is not None
+    assert found["N"].low < 0.05 < found["N"].high
+    assert found["SGM"].low < 0.5 < found["SGM"].high
+    assert time.low < 2.0 < time.high
