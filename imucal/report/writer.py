@@ -25,7 +25,7 @@ from imucal.findings import Finding
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
 from imucal.report.json_file import axis_document, dumps, to_document
-from imucal.report.result import AxisReport, Report
+from imucal.report.result import Report
 
 if TYPE_CHECKING:
     from imucal.report.figure import Drawings
@@ -149,14 +149,10 @@ def _write_all(
         failures += failed
     _write(scratch / _REPORT, dumps(to_document(report)).encode())
     for axis in report.axes:
-        _write(scratch / f"{axis.name}.json", _axis_json(axis, report))
+        _write(scratch / f"{axis.name}.json", dumps(axis_document(report, axis)).encode())
     for failure in failures:
         tell(failure)
     return written | {_REPORT, *(f"{axis.name}.json" for axis in report.axes)}
-
-
-def _axis_json(axis: AxisReport, report: Report) -> bytes:
-    return dumps(axis_document(report, axis)).encode()
 
 
 @contextmanager

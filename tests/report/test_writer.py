@@ -218,10 +218,10 @@ def test_ctrl_c_changes_nothing(old: Path, monkeypatch: pytest.MonkeyPatch, *, e
     out = old if existing else old.parent / "new"
     before = _contents(old.parent)
 
-    def interrupted(*_: object) -> bytes:
+    def interrupted(*_: object) -> object:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(writer, "_axis_json", interrupted)
+    monkeypatch.setattr(writer, "axis_document", interrupted)
     with pytest.raises(KeyboardInterrupt):
         write_report(small_report(), out, formats=(), html=False)
     assert _contents(old.parent) == before

@@ -9,7 +9,7 @@ them in (rad/s)² and (m/s²)²: the code divides the noise by the sample time, 
 the duration, and rounds the sample rate.
 """
 
-from collections.abc import Sequence
+from functools import partial
 
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.target import (
@@ -22,7 +22,7 @@ from imucal.report.exports.target import (
     below_comment,
     comment,
     real,
-    triad,
+    triads,
     vector,
 )
 
@@ -54,19 +54,14 @@ _FACTOR_KEYS = (
 
 
 def _factor_body(numbers: Numbers) -> Body:
-    used: list[Number] = []
+    used, members = triads(numbers, _FACTOR_KEYS)
     pairs = [f"    'SampleRate', {real(numbers.stream_hz)}"]
-    for key in _FACTOR_KEYS:
-        if key.sensor in numbers.sensors:
-            chosen, values = triad(numbers, key)
-            used += chosen
-            pairs.append(f"    '{key.name}', diag({values})")
+    pairs += [f"    '{name}', diag({values})" for name, values in members]
     said = comment((number.note for number in used), "%")
     return used, [*said, "imuParameters = factorIMUParameters( ...", ", ...\n".join(pairs) + ");"]
 
 
-def _layout(head: Sequence[str], body: Sequence[str]) -> str:
-    return below_comment(head, body, "%")
+_layout = partial(below_comment, sign="%")
 
 
 def _params(name: str, function: str, groups: dict[str, tuple[Number, Number, Number]]) -> list[str]:

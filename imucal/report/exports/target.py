@@ -359,7 +359,13 @@ def json_origins(said: Iterable[str]) -> list[str]:
     return ['  "_origin": [', *inside, "  ],"]
 
 
-def triad(numbers: Numbers, key: Key) -> tuple[list[Number], str]:
-    """Return the numbers of the three axes, and their list as a file holds it."""
-    chosen = numbers.each(key.sensor, key.symbol)
-    return list(chosen), vector(key.formula.of(number.value, numbers.stream_hz) for number in chosen)
+def triads(numbers: Numbers, keys: Iterable[Key]) -> tuple[list[Number], list[tuple[str, str]]]:
+    """Return the numbers of all axes of the keys, and each key with their list as a file holds it."""
+    used, members = list[Number](), []
+    for key in keys:
+        if key.sensor in numbers.sensors:
+            chosen = numbers.each(key.sensor, key.symbol)
+            used += chosen
+            values = vector(key.formula.of(number.value, numbers.stream_hz) for number in chosen)
+            members.append((key.name, values))
+    return used, members

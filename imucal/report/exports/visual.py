@@ -8,11 +8,11 @@ Kalibr divides by sqrt(dt) itself and refuses a value that is not positive; its 
 not the angle random walk.
 """
 
-from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from imucal.report.exports.config_numbers import Number, Numbers
+from imucal.report.exports.config_numbers import Numbers
 from imucal.report.exports.target import (
     ACCEL,
     DENSITY_SQUARED,
@@ -34,7 +34,7 @@ from imucal.report.exports.target import (
     quoted,
     real,
     stream_rate,
-    triad,
+    triads,
     vector,
 )
 from imucal.units import G0
@@ -118,10 +118,6 @@ _ROVIO = (
 )
 
 
-def _info(head: Sequence[str], body: Sequence[str]) -> str:
-    return below_comment(head, body, ";")
-
-
 _BASALT = (
     Key("accel_noise_std", ACCEL, "N"),
     Key("gyro_noise_std", GYRO, "N"),
@@ -131,12 +127,8 @@ _BASALT = (
 
 
 def _basalt(numbers: Numbers) -> Body:
-    used, members = list[Number](), [("imu_update_rate", real(numbers.stream_hz))]
-    for key in _BASALT:
-        if key.sensor in numbers.sensors:
-            chosen, values = triad(numbers, key)
-            used += chosen
-            members.append((key.name, values))
+    used, lists = triads(numbers, _BASALT)
+    members = [("imu_update_rate", real(numbers.stream_hz)), *lists]
     return used, [*json_origins(number.note for number in used), *json_object("value0", members)]
 
 
@@ -272,7 +264,7 @@ TARGETS = (
         ),
         per_axis=True,
         notes=("include this file at the end of your rovio.info, or copy the lines into it",),
-        layout=_info,
+        layout=partial(below_comment, sign=";"),
     ),
     Target(
         name="basalt",
