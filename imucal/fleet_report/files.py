@@ -1,33 +1,36 @@
 """The files of a fleet's report, in its folder: ``fleet.json``, ``fleet.csv``, ``fleet.html``, pictures.
 
-Fleet <-> ``fleet.json`` and ``fleet.csv``: all numbers in SI, in one fixed order.
-
-The layout is pinned by ``schema/fleet-1.schema.json``; a change that an old reader would misunderstand
-raises the number.
-
-Pictures of a fleet: units of each term, units × terms, models side by side, temperature and time.
+All numbers of JSON and CSV are in SI, in one fixed order. ``schema/fleet-1.schema.json`` pins the layout; a
+change that an old reader would misunderstand raises its number.
 """
 
 import csv
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from imucal.atomic import replacing
 from imucal.errors import WriteError
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import UnitValue
 from imucal.fleet.trend import NEAREST, Trend
-from imucal.fleet_report.pages import by_term, labelled_ticks, sorted_units, span
+from imucal.fleet_report.pages import (
+    by_term,
+    labelled_ticks,
+    render_fleet_page,
+    same_terms,
+    sorted_units,
+    span,
+)
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.fleet_report.verdict import beyond_chance, bound_name, deviation, per, sheet_unit, verdict
 from imucal.processes import try_side_work
@@ -81,7 +84,16 @@ def fleet_document(fleet: Fleet) -> dict[str, object]:
             "done": len(fleet.logs),
             "counted": sum(not log.left_out for log in fleet.logs),
         },
-        "models": [_model(model, sure) for model in fleet.models],
+        "models": [
+            {
+                "name": model.name,
+                "units": list(model.units),
+                "logs": sum(not log.left_out for log in model.logs),
+                "rate_hz": plain(model.rate_hz),
+                "terms": [_term(term, sure) for term in model.terms],
+            }
+            for model in fleet.models
+        ],
         "failures": [
             {"kind": kind, "reason": reason, "logs": [log.path for log in logs]}
             for (kind, reason), logs in fleet.failures.items()
@@ -92,14 +104,14 @@ def fleet_document(fleet: Fleet) -> dict[str, object]:
                 {
                     "path": one.log.path,
                     "values": [
-                        {"axis": axis, "term": term, "value": v.value, "low": v.low, "high": v.high}
-                        for (axis, term), v in one.values.items()
+                        {"axis": axis, "term": term, **_limits(value)}
+                        for (axis, term), value in one.values.items()
                     ],
                 }
                 for one in fleet.loose
             ],
         },
-        "findings": [_finding(finding) for finding in fleet.findings],
+        "findings": _findings(fleet.findings),
     }
 
 
@@ -141,46 +153,26 @@ def _rows(model: SensorModel, term: FleetTerm) -> Iterator[list[object]]:
         ]
 
 
-def _model(model: SensorModel, sure: set[tuple[int, str]]) -> dict[str, object]:
-    return {
-        "name": model.name,
-        "units": list(model.units),
-        "logs": sum(not log.left_out for log in model.logs),
-        "rate_hz": plain(model.rate_hz),
-        "terms": [_term(term, sure) for term in model.terms],
-    }
-
-
 def _term(term: FleetTerm, sure: set[tuple[int, str]]) -> dict[str, object]:
     found, trend = term.population, term.trend
+    median = _limits(found.median) | ({"value": None} if found.bounded else {})
     return {
         "sensor": str(term.sensor),
-        "axis": term.axis,
-        "term": term.term,
-        "unit": term.unit,
-        "logs": found.logs,
-        "content": found.content,
-        "confidence": found.confidence,
-        "median": _limits(found.median) | ({"value": None} if found.bounded else {}),
+        **_fields(term, "axis", "term", "unit"),
+        **_fields(found, "logs", "content", "confidence"),
+        "median": median,
         "bounded": found.bounded,
-        "spread": _interval(found.spread),
-        "within": _interval(found.within),
-        "prediction": list(found.prediction) if found.prediction else None,
-        "quantile": found.quantile,
-        "tolerance": found.tolerance,
+        "spread": _limits(found.spread),
+        "within": _limits(found.within),
+        "prediction": found.prediction and list(found.prediction),
+        **_fields(found, "quantile", "tolerance"),
         "price": [{"units": units, "ratio": ratio} for units, ratio in term.price],
-        "temperature_per_c": _interval(trend.temperature if trend else None),
-        "drift_per_year": _interval(trend.drift if trend else None),
+        "temperature_per_c": _limits(trend and trend.temperature),
+        "drift_per_year": _limits(trend and trend.drift),
         "no_trend": term.no_trend,
         "units": [
             {
-                "unit": unit.unit,
-                "logs": unit.logs,
-                "value": unit.value,
-                "low": unit.low,
-                "high": unit.high,
-                "p_odd": unit.p_odd,
-                "odd": unit.odd,
+                **_fields(unit, "unit", "logs", "value", "low", "high", "p_odd", "odd"),
                 "odd_overall": unit.odd and (id(term), unit.unit) in sure,
             }
             for unit in found.units
@@ -190,42 +182,27 @@ def _term(term: FleetTerm, sure: set[tuple[int, str]]) -> dict[str, object]:
             for mean in (trend.means if trend else ())
         ],
         "slopes": [
-            {
-                "unit": slope.unit,
-                "label": slope.label,
-                **_limits(slope.slope),
-                "p_odd": slope.p_odd,
-                "odd": slope.odd,
-            }
+            {**_fields(slope, "unit", "label"), **_limits(slope.slope), **_fields(slope, "p_odd", "odd")}
             for slope in (trend.slopes if trend else ())
         ],
         "unit_logs": [
-            {
-                "unit": one.unit,
-                "logs": one.logs,
-                "p_value": one.p_value,
-                "differs": one.differs,
-                "spread": one.spread,
-                "value": one.value,
-                "low": one.low,
-                "high": one.high,
-            }
+            _fields(one, "unit", "logs", "p_value", "differs", "spread", "value", "low", "high")
             for one in term.unit_logs
         ],
-        "findings": [_finding(finding) for finding in found.findings],
+        "findings": _findings(found.findings),
     }
 
 
-def _interval(interval: Interval | None) -> dict[str, float | None] | None:
-    return None if interval is None else _limits(interval)
+def _fields(value: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in names}
 
 
-def _limits(interval: Interval) -> dict[str, float | None]:
-    return {"value": interval.value, "low": interval.low, "high": interval.high}
+def _limits(interval: object) -> Any:  # noqa: ANN401 - None of None
+    return None if interval is None else _fields(interval, "value", "low", "high")
 
 
-def _finding(finding: Finding) -> dict[str, object]:
-    return {"level": finding.level, "code": finding.code, "axis": finding.axis, "text": finding.text}
+def _findings(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    return [_fields(finding, "level", "code", "axis", "text") for finding in findings]
 
 
 def write_fleet(
@@ -258,19 +235,16 @@ def write_fleet(
         If a file can't be written.
     """
     folder = fleet.folder if out is None else Path(out)
-    made: dict[str, Callable[[], bytes]] = {}
-    if pictures:
-        made |= fleet_figures(fleet)
     tell = tell or (lambda _: None)
     drawn: dict[str, bytes | None] = {}
-    for name, make in made.items():
-        fleet, drawn[name] = _drawn(fleet, name, make, tell)
+    for name, draw in fleet_figures(fleet).items() if pictures else ():
+        fleet, drawn[name] = _drawn(fleet, name, draw, tell)
     if html:
-        from imucal.fleet_report.pages import render_fleet_page
-
         # Last: where it is newer than the store, all of the report is.
-        page = partial(render_fleet_page, fleet)
-        fleet, drawn["fleet.html"] = _drawn(fleet, "fleet.html", lambda: page().encode(), tell)
+        told = fleet
+        fleet, drawn["fleet.html"] = _drawn(
+            told, "fleet.html", lambda: render_fleet_page(told).encode(), tell
+        )
     drawn = {"fleet.json": fleet_json(fleet).encode(), "fleet.csv": fleet_csv(fleet).encode(), **drawn}
     for name, data in drawn.items():
         if data is None:
@@ -282,10 +256,10 @@ def write_fleet(
 
 
 def _drawn(
-    fleet: Fleet, name: str, make: Callable[[], bytes], tell: Callable[[Finding], None]
+    fleet: Fleet, name: str, draw: Callable[[], bytes], tell: Callable[[Finding], None]
 ) -> tuple[Fleet, bytes | None]:
     """Return a picture or page, and the fleet with a finding where it is None."""
-    data, failed = try_side_work(make, None, what=f"{name} is missing", code="not-drawn")
+    data, failed = try_side_work(draw, None, what=f"{name} is missing", code="not-drawn")
     for finding in failed:
         tell(finding)
     return replace(fleet, findings=fleet.findings + failed), data
@@ -305,6 +279,8 @@ _DPI = 110
 _BOUND = "#8a5200"
 #: Units whose names are written beside their rows; inches of a row, and most of a panel.
 _NAMED, _ROW, _TALLEST = 60, 0.17, 9.0
+_SMALL: dict[str, Any] = {"fontsize": SMALL_SIZE, "color": INK}
+_LABEL: dict[str, Any] = {"fontsize": LABEL_SIZE, "color": INK}
 
 
 def fleet_figures(fleet: Fleet) -> dict[str, "Callable[[], bytes]"]:
@@ -314,13 +290,24 @@ def fleet_figures(fleet: Fleet) -> dict[str, "Callable[[], bytes]"]:
         end = f"-{_file_name(model.name)}" if len(fleet.models) > 1 else ""
         for sensor in Sensor:
             if any(term.sensor is sensor for term in model.terms):
-                drawn[f"units-{sensor.short}{end}.png"] = lambda m=model, s=sensor: _png(units_figure(m, s))  # type: ignore[misc]
-        drawn[f"heat{end}.png"] = lambda m=model: _png(heat_figure(m))  # type: ignore[misc]
+                drawn[f"units-{sensor.short}{end}.png"] = partial(_png, units_figure, model, sensor)
+        drawn[f"heat{end}.png"] = partial(_png, heat_figure, model)
         if any(term.trend for term in model.terms):
-            drawn[f"drift{end}.png"] = lambda m=model: _png(drift_figure(m))  # type: ignore[misc]
+            drawn[f"drift{end}.png"] = partial(_png, drift_figure, model)
     if len(fleet.models) > 1:
-        drawn["models.png"] = lambda: _png(models_figure(fleet.models))
+        drawn["models.png"] = partial(_png, models_figure, fleet.models)
     return drawn
+
+
+def _png(draw: "Callable[..., Figure]", *about: object) -> bytes:
+    data = io.BytesIO()
+    draw(*about).savefig(data, format="png", metadata={"Software": None})
+    return data.getvalue()
+
+
+def _file_name(model: str) -> str:
+    """Return a model's name as part of a file's."""
+    return re.sub(r"[^\w.-]|_", "-", model).strip(".") or "model"
 
 
 def units_figure(model: SensorModel, sensor: Sensor) -> "Figure":
@@ -353,14 +340,14 @@ def _key(figure: "Figure", columns: int, *, bound: bool = True) -> None:
         "odd unit": Line2D([], [], color=LEFT_OUT, linestyle="", marker="D", markersize=4.5),
         "median unit": Line2D([], [], color=MODEL.light, linewidth=1.4),
         "next unit, 95 %": Patch(facecolor=MODEL.light, alpha=0.13),
-        "tolerance bound": Line2D([], [], color=_BOUND, linewidth=1.5, linestyle="--"),
     }
-    names = [name for name in marks if bound or name != "tolerance bound"]
+    if bound:
+        marks["tolerance bound"] = Line2D([], [], color=_BOUND, linewidth=1.5, linestyle="--")
     figure.legend(
-        [marks[name] for name in names],
-        names,
+        list(marks.values()),
+        list(marks),
         loc="lower center",
-        ncols=3 if columns == 1 else len(names),
+        ncols=3 if columns == 1 else len(marks),
         frameon=False,
         fontsize=SMALL_SIZE,
         labelcolor=INK,
@@ -376,17 +363,12 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
     low, high = (limit * factor for limit in span(term))
     for i, one in enumerate(units):
         colour = LEFT_OUT if one.odd else DATA.light
-        start, value = (low, one.high) if one.value is None else (one.low * factor, one.value)
-        style = ":" if one.value is None else "-"
+        start, style = (low, ":") if one.value is None else (one.low * factor, "-")
         axes.plot([start, one.high * factor], [i, i], color=colour, linewidth=1, linestyle=style)
-        _draw_mark(axes, one, value * factor, i, size=4.5)
+        _draw_mark(axes, one, factor, i, size=4.5)
     if found.prediction:
-        axes.axvspan(
-            *(max(limit * factor, low) for limit in found.prediction),
-            color=MODEL.light,
-            alpha=0.13,
-            linewidth=0,
-        )
+        band = [max(limit * factor, low) for limit in found.prediction]
+        axes.axvspan(*band, color=MODEL.light, alpha=0.13, linewidth=0)
     if not found.bounded:
         axes.axvline(found.median.value * factor, color=MODEL.light, linewidth=1.4)
     if found.tolerance:
@@ -401,8 +383,8 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
             color=_BOUND,
             fontsize=SMALL_SIZE,
         )
-    named = [(i, one) for i, one in enumerate(units) if len(units) <= _NAMED or one.odd]
-    axes.set_yticks([i for i, _ in named], [one.unit for _, one in named], fontsize=SMALL_SIZE - 1, color=INK)
+    named = [(i, one.unit) for i, one in enumerate(units) if len(units) <= _NAMED or one.odd]
+    axes.set_yticks([i for i, _ in named], [name for _, name in named], fontsize=SMALL_SIZE - 1, color=INK)
     _style(axes, f"{term.term} in {pretty(unit.name)}", f"{term.name} {term.term}")
     _log_ticks(axes, low, high)
     axes.set_ylim(-0.8, len(units) - 0.2)
@@ -410,23 +392,22 @@ def _draw_units(axes: "Axes", term: FleetTerm) -> None:
 
 def models_figure(models: Sequence[SensorModel]) -> "Figure":
     """Return each term of each axis: a row a model, a dot a unit, the median and the next unit's band."""
-    keys = list(dict.fromkeys((term.name, term.term) for model in models for term in model.terms))
-    rows = math.ceil(len(keys) / 3)
+    groups = same_terms(models)
+    rows = math.ceil(len(groups) / 3)
     figure = new_figure(12, (0.42 * len(models) + 0.95) * rows + 0.7, _DPI)
     axes = figure.subplots(rows, 3, squeeze=False).ravel()
-    for place, (name, key) in zip(axes, keys, strict=False):
-        own = [(m, t) for m in models for t in m.terms if (t.name, t.term) == (name, key)]
+    for place, ((name, key), own) in zip(axes, groups.items(), strict=False):
         unit = sheet_unit(own[0][1])
         spans = [span(term) for _, term in own]
         lowest = min(s[0] for s in spans)
         for i, (_, term) in enumerate(own):
             # In one unit, whatever is usual for so small a value.
             _draw_strip(place, term, i, factor=unit.factor, lowest=lowest)
-        place.set_yticks(range(len(own)), [model.title for model, _ in own], fontsize=SMALL_SIZE, color=INK)
+        place.set_yticks(range(len(own)), [model.title for model, _ in own], **_SMALL)
         _style(place, f"{key} in {pretty(unit.name)}", f"{name} {key}")
         _log_ticks(place, lowest * unit.factor, max(s[1] for s in spans) * unit.factor)
         place.set_ylim(len(own) - 0.4, -0.6)
-    for place in axes[len(keys) :]:
+    for place in axes[len(groups) :]:
         place.set_visible(False)
     _key(figure, 3, bound=False)
     figure.tight_layout(rect=(0, 0.3 / figure.get_figheight(), 1, 1))
@@ -443,15 +424,15 @@ def _draw_strip(axes: "Axes", term: FleetTerm, row: int, *, factor: float, lowes
         middle = found.median.value * factor
         axes.plot([middle, middle], [row - 0.4, row + 0.4], color=MODEL.light, linewidth=1.4)
     for j, one in enumerate(found.units):
-        _draw_mark(axes, one, (one.value or one.high) * factor, row + 0.18 * (j % 3 - 1), size=3.5)
+        _draw_mark(axes, one, factor, row + 0.18 * (j % 3 - 1), size=3.5)
 
 
-def _draw_mark(axes: "Axes", unit: UnitValue, x: float, y: float, *, size: float) -> None:
+def _draw_mark(axes: "Axes", unit: UnitValue, factor: float, y: float, *, size: float) -> None:
     """Draw a dot; a diamond for an odd unit, an open triangle for a bound."""
     colour = LEFT_OUT if unit.odd else DATA.light
     bounded = unit.value is None
     axes.plot(
-        x,
+        (unit.value or unit.high) * factor,
         y,
         marker="<" if bounded else "D" if unit.odd else "o",
         markersize=size,
@@ -465,55 +446,50 @@ def heat_figure(model: SensorModel) -> "Figure":
     """Return units × terms: how far off the median each unit lies, in standard deviations of the next."""
     from matplotlib.patches import Rectangle
 
-    names = list(model.units)
-    values = np.full((len(names), len(model.terms)), np.nan)
-    odd: list[tuple[int, int]] = []
-    for j, term in enumerate(model.terms):
+    names, terms = list(model.units), model.terms
+    tall = min(14.0, max(2.0, 0.2 * len(names)))
+    figure = new_figure(3.2 + 0.36 * len(terms), tall + 1.6, _DPI)
+    axes = figure.subplots()
+    values = np.full((len(names), len(terms)), np.nan)
+    for j, term in enumerate(terms):
         for unit in term.population.units:
             i = names.index(unit.unit)
             off = deviation(term, unit)
             values[i, j] = math.nan if off is None else off
             if unit.odd:
-                odd.append((i, j))
-    tall = min(14.0, max(2.0, 0.2 * len(names)))
-    figure = new_figure(3.2 + 0.36 * len(model.terms), tall + 1.6, _DPI)
-    axes = figure.subplots()
+                mark = _LABEL | {"color": "white" if abs(values[i, j]) > 2 else INK, "fontweight": "bold"}
+                axes.text(j, i, "!", ha="center", va="center", **mark)
+                frame = Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=LEFT_OUT, linewidth=1.6)
+                axes.add_patch(frame)
     image = axes.imshow(np.ma.masked_invalid(values), cmap="PuOr_r", vmin=-4, vmax=4, aspect="auto")
     axes.patch.set(facecolor="white", edgecolor=FADED, hatch="////", linewidth=0)
-    for i, j in odd:
-        light = abs(values[i, j]) > 2
-        colour = "white" if light else INK
-        axes.text(j, i, "!", ha="center", va="center", color=colour, fontweight="bold", fontsize=LABEL_SIZE)
-        axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor=LEFT_OUT, linewidth=1.6))
-    labels = [f"{term.name} {term.term}" for term in model.terms]
-    axes.set_xticks(range(len(labels)), labels, rotation=90, fontsize=SMALL_SIZE, color=INK)
+    axes.set_xticks(range(len(terms)), [f"{term.name} {term.term}" for term in terms], rotation=90, **_SMALL)
     if len(names) <= _NAMED:
-        axes.set_yticks(range(len(names)), names, fontsize=SMALL_SIZE, color=INK)
+        axes.set_yticks(range(len(names)), names, **_SMALL)
     bar = figure.colorbar(image, ax=axes, fraction=0.05, pad=0.02)
-    bar.set_label("standard deviations of the next unit", fontsize=SMALL_SIZE, color=INK)
+    bar.set_label("standard deviations of the next unit", **_SMALL)
     bar.ax.tick_params(labelsize=SMALL_SIZE, colors=INK)
     title = f"{model.title}: units against the median\nhatched: only bounded; !: odd"
-    axes.set_title(title, fontsize=LABEL_SIZE, color=INK, loc="left")
+    axes.set_title(title, loc="left", **_LABEL)
     figure.tight_layout()
     return figure
 
 
 def drift_figure(model: SensorModel) -> "Figure":
     """Return the change of each term a °C and a year, with its interval; units that move otherwise in red."""
-    terms = [term for term in model.terms if term.trend]
-    trends = [term.trend for term in terms if term.trend]
+    moving = {f"{term.name} {term.term}": term.trend for term in model.terms if term.trend}
+    trends = list(moving.values())
     labels = [label for label in NEAREST if any(m.label == label for trend in trends for m in trend.means)]
-    figure = new_figure(max(5.0 * len(labels), 6.0), 0.27 * len(terms) + 1.4, _DPI)
-    for axes, label in zip(
-        figure.subplots(1, len(labels), sharey=True, squeeze=False)[0], labels, strict=True
-    ):
+    figure = new_figure(max(5.0 * len(labels), 6.0), 0.27 * len(trends) + 1.4, _DPI)
+    places = figure.subplots(1, len(labels), sharey=True, squeeze=False)[0]
+    for axes, label in zip(places, labels, strict=True):
         name, part = per(label, trends)
         for i, trend in enumerate(trends):
             _draw_slopes(axes, trend, label, row=i, size=100 * part)
         axes.axvline(0, color=FADED, linewidth=1)
         _style(axes, f"% a {name}", "")
-        axes.set_yticks(range(len(terms)), [f"{t.name} {t.term}" for t in terms], fontsize=SMALL_SIZE)
-        axes.set_ylim(len(terms) - 0.4, -0.6)
+        axes.set_yticks(range(len(trends)), list(moving), fontsize=SMALL_SIZE)
+        axes.set_ylim(len(trends) - 0.4, -0.6)
     figure.suptitle(f"{model.title}: temperature and time", fontsize=TITLE_SIZE, color=INK)
     figure.tight_layout()
     return figure
@@ -529,19 +505,14 @@ def _draw_slopes(axes: "Axes", trend: Trend, label: str, *, row: int, size: floa
         axes.plot(size * mean.value, row, marker="o", markersize=5, color=MODEL.light)
     for slope in trend.slopes:
         if slope.odd and slope.label == label:
-            at = size * slope.slope.value
-            axes.plot(at, row, marker="D", markersize=5, color=LEFT_OUT)
-            axes.annotate(
-                *(slope.unit, (at, row)),
-                xytext=(5, 3),
-                textcoords="offset points",
-                fontsize=SMALL_SIZE,
-                color=LEFT_OUT,
-            )
+            at = size * slope.slope.value, row
+            axes.plot(*at, marker="D", markersize=5, color=LEFT_OUT)
+            near: dict[str, Any] = {"xytext": (5, 3), "textcoords": "offset points"}
+            axes.annotate(slope.unit, at, fontsize=SMALL_SIZE, color=LEFT_OUT, **near)
 
 
 def _style(axes: "Axes", x: str, title: str) -> None:
-    axes.set_xlabel(x, fontsize=LABEL_SIZE, color=INK)
+    axes.set_xlabel(x, **_LABEL)
     axes.set_title(title, fontsize=LABEL_SIZE + 1, color=INK, loc="left", pad=12)
     axes.grid(visible=True, axis="x", color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
@@ -552,24 +523,10 @@ def _style(axes: "Axes", x: str, title: str) -> None:
 
 
 def _log_ticks(axes: "Axes", low: float, high: float) -> None:
-    from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
-
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     places, labels, power = labelled_ticks(low, high)
-    axes.xaxis.set_major_locator(FixedLocator(places))
-    axes.xaxis.set_major_formatter(FixedFormatter(labels))
-    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xticks(places, labels)
+    axes.set_xticks([], minor=True)
     if power:
         axes.set_xlabel(axes.get_xlabel().replace(" in ", f" in {power}", 1))
-
-
-def _png(figure: "Figure") -> bytes:
-    data = io.BytesIO()
-    figure.savefig(data, format="png", metadata={"Software": None})
-    return data.getvalue()
-
-
-def _file_name(model: str) -> str:
-    """Return a model's name as part of a file's."""
-    return "".join(c if c.isalnum() or c in "-_." else "-" for c in model).strip(".") or "model"

@@ -1,20 +1,10 @@
-"""Fleet: what many logs say of each sensor model, as values; renderers are functions of it.
-
-Several logs of one unit: have they one coefficient? Asked of the bins that the store keeps.
-
-What more units would buy: how far a tolerance bound lies above the quantile that it bounds.
-
-Where units are known well, the bound is k deviations above the mean in the logarithm, and the quantile z:
-Krishnamoorthy & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3): k is a quantile of the noncentral
-t law. Exp(tau (k - z)) is the price of having tested n units only.
-
-The store of a fleet -> Fleet: logs grouped by model and unit, and the statistics of each term.
-"""
+"""The store of a fleet -> Fleet: what many logs say of each sensor model; renderers are functions of it."""
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -24,7 +14,7 @@ from imucal._version import __version__
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.fitting.bins import unpack
-from imucal.fleet.pooling import PooledFit, pool_bins
+from imucal.fleet.pooling import Homogeneity, PooledFit, pool_bins
 from imucal.fleet.population import FALSE_SHARE, Population, UnitValue, adjusted, population
 from imucal.fleet.store import FleetStore
 from imucal.fleet.trend import Trend, adjust, trend
@@ -70,6 +60,11 @@ class FleetLog:
     rate_hz: float | None
     report: str
     left_out: str
+
+    @property
+    def counts(self) -> bool:
+        """Whether its numbers belong to a unit of a model."""
+        return self.unit is not None and not self.left_out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +120,7 @@ class FleetTerm:
     @property
     def symbol(self) -> str:
         """``GM`` for ``GM2``."""
-        return self.term.rstrip("0123456789")
+        return symbol_of(self.term)
 
     @property
     def unit(self) -> str:
@@ -260,39 +255,28 @@ _LEVEL = 0.95
 _AT_ONCE = 5000
 
 
-def unit_tests(
+def _unit_tests(
     store: FleetStore, logs: Mapping[str, FleetLog], terms: Collection[TermKey]
-) -> tuple[dict[TermKey, tuple[UnitLogs, ...]], tuple[Finding, ...]]:
-    """Return for each term the units with several logs, and what could not be judged.
-
-    Parameters
-    ----------
-    store
-        Of the fleet.
-    logs
-        By key.
-    terms
-        Those that each model's axes have.
-    """
+) -> tuple[dict[TermKey, list[UnitLogs]], tuple[Finding, ...]]:
+    """Return for each of the models' terms the units with several logs, and what could not be judged."""
     found: dict[TermKey, list[UnitLogs]] = {}
     findings: list[Finding] = []
     for (model, sensor, axis, unit), every in _packed(store, logs):
-        keys = [key for key in terms if key[:3] == (model, sensor, axis)]
-        symbols = tuple(symbol for symbol in TERMS if symbol in {_symbol(key[3]) for key in keys})
+        own = {key[3]: key for key in terms if key[:3] == (model, sensor, axis)}
+        symbols = tuple(symbol for symbol in TERMS if symbol in set(map(symbol_of, own)))
         where = f"{Sensor(sensor).short}_{axis}"
         pooled, said = try_side_work(
-            lambda every=every, symbols=symbols, sensor=sensor: _pooled(every, symbols, Sensor(sensor)),  # type: ignore[misc]
+            partial(_pooled, every, symbols, Sensor(sensor)),
             None,
             what=f"{unit}: whether its logs agree in {where} is not known",
             code="not-checked",
             axis=where,
         )
         findings += said
-        for key in keys if pooled else ():
-            own = _of_term(pooled, key[3], unit) if pooled else None
-            if own:
-                found.setdefault(key, []).append(own)
-    return {key: tuple(tests) for key, tests in found.items()}, tuple(findings)
+        for test in pooled.homogeneity if pooled else ():
+            if pooled and test.key in own:
+                found.setdefault(own[test.key], []).append(_unit_logs(pooled, test, unit))
+    return found, tuple(findings)
 
 
 def _packed(
@@ -301,10 +285,16 @@ def _packed(
     """Yield the packed bins of units with several logs, by model, sensor, axis and unit."""
     keys: dict[tuple[str, str], list[str]] = {}
     for key, log in logs.items():
-        if log.unit is not None and not log.left_out:
-            keys.setdefault((log.model, log.unit), []).append(key)
-    several = [own for _, own in sorted(keys.items()) if len(own) > 1]
-    for frame in store.bins_in_turn(_together(several)) if several else ():
+        if log.counts:
+            keys.setdefault((log.model, log.unit or ""), []).append(key)
+    # Of some units at a time.
+    batches: list[list[str]] = []
+    for _, own in sorted(keys.items()):
+        if len(own) > 1 and batches and len(batches[-1]) < _AT_ONCE:
+            batches[-1].extend(own)
+        elif len(own) > 1:
+            batches.append(own)
+    for frame in store.bins_in_turn(batches) if batches else ():
         found: dict[tuple[str, str, str, str], list[bytes]] = {}
         for row in frame.iter_rows(named=True):
             log = logs[row["key"]]
@@ -312,18 +302,6 @@ def _packed(
                 place = (log.model, row["sensor"], row["axis"], log.unit or "")
                 found.setdefault(place, []).append(row["bins"])
         yield from ((place, every) for place, every in sorted(found.items()) if len(every) > 1)
-
-
-def _together(units: Iterable[Sequence[str]]) -> Iterator[list[str]]:
-    """Yield the keys of some units at a time, whose bins are read at once."""
-    keys: list[str] = []
-    for own in units:
-        keys += own
-        if len(keys) >= _AT_ONCE:
-            yield keys
-            keys = []
-    if keys:
-        yield keys
 
 
 def _pooled(packed: Sequence[bytes], symbols: tuple[str, ...], sensor: Sensor) -> PooledFit:
@@ -336,11 +314,8 @@ def _pooled(packed: Sequence[bytes], symbols: tuple[str, ...], sensor: Sensor) -
     return pool_bins(every, symbols, sensor=sensor, rate_hz=1 / first, level=_LEVEL)
 
 
-def _of_term(pooled: PooledFit, term: str, unit: str) -> UnitLogs | None:
-    test = next((test for test in pooled.homogeneity if test.key == term), None)
-    if test is None:
-        return None
-    joint = pooled[term]
+def _unit_logs(pooled: PooledFit, test: Homogeneity, unit: str) -> UnitLogs:
+    joint = pooled[test.key]
     return UnitLogs(
         unit=unit,
         logs=pooled.records,
@@ -353,7 +328,8 @@ def _of_term(pooled: PooledFit, term: str, unit: str) -> UnitLogs | None:
     )
 
 
-def _symbol(term: str) -> str:
+def symbol_of(term: str) -> str:
+    """Return ``GM`` of ``GM2``."""
     return term.rstrip("0123456789")
 
 
@@ -363,16 +339,24 @@ _MOST = 10_000
 
 
 def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confidence: float = 0.95) -> float:
-    """Return the median bound of `units` units over the quantile that it bounds.
+    """Return the median bound of `units` units over the quantile that it bounds: what more units would buy.
 
     Parameters
     ----------
     units
         At least 2.
     spread
-        Standard deviation between units, in the logarithm.
+        Standard deviation tau between units, in the logarithm.
     content, confidence
         Of the bound.
+
+    Notes
+    -----
+    Where units are known well, the bound is k deviations above the mean in the logarithm, and the quantile z:
+    exp(tau (k - z)) is the price of having tested so few units.
+
+    Source: Krishnamoorthy & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3): k is a quantile of the
+    noncentral t law.
     """
     from scipy.special import nctdtrit, ndtri
 
@@ -382,18 +366,17 @@ def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confid
     return math.exp(spread * (factor - z))
 
 
-def prices(found: Population) -> tuple[tuple[int, float], ...]:
+def _prices(found: Population) -> tuple[tuple[int, float], ...]:
     """Return numbers of units with what they cost: these, twice as many, and those that come near enough.
 
     Empty where the spread between units is not known.
     """
     if found.spread is None:
         return ()
-    tau, n = found.spread.value, len(found.units)
-
-    def excess(units: int) -> float:
-        return tolerance_excess(units, tau, content=found.content, confidence=found.confidence)
-
+    n = len(found.units)
+    excess = partial(
+        tolerance_excess, spread=found.spread.value, content=found.content, confidence=found.confidence
+    )
     wanted = {n, 2 * n}
     if excess(n) > NEAR >= excess(_MOST):
         low, high = n, _MOST
@@ -405,9 +388,6 @@ def prices(found: Population) -> tuple[tuple[int, float], ...]:
 
 
 Row = Mapping[str, Any]
-
-#: What a log whose record is not noise at rest is left out for.
-_NOT_NOISE = "not noise at rest"
 
 
 def load_fleet(
@@ -441,10 +421,9 @@ def load_fleet(
     results = store.results()
     _refuse_old(folder, results)
     groups = _grouped(results, logs)
-    tests, findings = unit_tests(store, logs, groups) if unit_logs else ({}, ())
-    names = sorted({log.model for log in logs.values() if _counts(log)})
+    tests, findings = _unit_tests(store, logs, groups) if unit_logs else ({}, ())
     models = []
-    for name in names:
+    for name in sorted({log.model for log in logs.values() if log.counts}):
         own = tuple(log for log in logs.values() if log.model == name and log.unit is not None)
         terms = [
             _term(key, rows, tests.get(key, ()), content, confidence)
@@ -476,19 +455,19 @@ def labels_to_type(paths: Sequence[str]) -> str:
     return f"{{unit}}{suffix}"
 
 
-def _counts(log: FleetLog) -> bool:
-    """Return whether the numbers of a log belong to a unit of a model."""
-    return log.unit is not None and not log.left_out
-
-
 def _model(name: str, logs: tuple[FleetLog, ...], terms: Sequence[FleetTerm]) -> SensorModel:
     rates = sorted(log.rate_hz for log in logs if log.rate_hz)
+    sensors, symbols = list(Sensor), list(TERMS)
+
+    def place(term: FleetTerm) -> tuple[int, int, str, str]:
+        return sensors.index(term.sensor), symbols.index(term.symbol), term.term, term.axis
+
     return SensorModel(
         name=name,
-        units=tuple(sorted({log.unit for log in logs if log.unit and _counts(log)})),
+        units=tuple(sorted({log.unit for log in logs if log.unit and log.counts})),
         logs=logs,
         rate_hz=rates[len(rates) // 2] if rates else math.nan,
-        terms=tuple(sorted(terms, key=_place)),
+        terms=tuple(sorted(terms, key=place)),
     )
 
 
@@ -515,29 +494,17 @@ def _log(row: Row) -> FleetLog:
     left_out = (row["reason"] or status).removeprefix(f"{row['path']}: ") if status != "ok" else ""
     findings = tuple(row["findings"] or ())
     if not left_out and verdict in ("not-noise", "empty"):
-        left_out = f"{_NOT_NOISE}: {', '.join(findings) or verdict}"
-    return FleetLog(
-        path=row["path"],
-        model=row["model"] or "",
-        unit=row["unit"],
-        temperature_c=row["temperature_c"],
-        started=row["started"],
-        status=status,
-        reason=row["reason"] or "",
-        verdict=verdict,
-        findings=findings,
-        seconds=row["seconds"],
-        rate_hz=row["rate_hz"],
-        report=row["report"] or "",
-        left_out=left_out,
-    )
+        left_out = f"not noise at rest: {', '.join(findings) or verdict}"
+    told = {name: row[name] for name in ("unit", "temperature_c", "started", "seconds", "rate_hz")}
+    told |= {name: row[name] or "" for name in ("path", "model", "status", "reason", "verdict", "report")}
+    return FleetLog(**told, findings=findings, left_out=left_out)
 
 
 def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[TermKey, "pl.DataFrame"]:
     """Return the rows of results that count, by model, sensor, axis and term."""
     import polars as pl
 
-    counted = {key: log.model for key, log in logs.items() if _counts(log)}
+    counted = {key: log.model for key, log in logs.items() if log.counts}
     models = pl.DataFrame(list(counted.items()), schema={"key": pl.String, "model": pl.String}, orient="row")
     rows = results.drop("model").join(models, on="key", how="inner", maintain_order="left")
     found = rows.partition_by("model", "sensor", "axis", "term", as_dict=True, maintain_order=True)
@@ -545,10 +512,10 @@ def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[Term
 
 
 def _value(row: Row, unit: str) -> LogValue:
-    names = [field.name for field in fields(LogValue) if field.name != "unit"]
-    told = {name: row[name] for name in names}
+    told = {field.name: row[field.name] for field in fields(LogValue) if field.name != "unit"}
     # A term without a square has none that could grow.
-    return LogValue(unit=unit, **told | {"variance_growth": told["variance_growth"] or 0.0})
+    told["variance_growth"] = told["variance_growth"] or 0.0
+    return LogValue(unit=unit, **told)
 
 
 def _refuse_old(folder: str | Path, results: "pl.DataFrame") -> None:
@@ -570,12 +537,16 @@ def _refuse_old(folder: str | Path, results: "pl.DataFrame") -> None:
 
 
 def _term(
-    key: TermKey, rows: "pl.DataFrame", tests: tuple[UnitLogs, ...], content: float, confidence: float
+    key: TermKey, rows: "pl.DataFrame", tests: Sequence[UnitLogs], content: float, confidence: float
 ) -> FleetTerm:
     _, sensor, axis, term = key
     logs = tuple(_value(row, row["unit"]) for row in rows.iter_rows(named=True))
     found = population(logs, content=content, confidence=confidence)
-    moves, why = _trend(logs)
+    moves, why = None, ""
+    try:
+        moves = trend(logs)
+    except DataError as error:
+        why = str(error)
     return FleetTerm(
         sensor=Sensor(sensor),
         axis=axis,  # type: ignore[arg-type]  # "x", "y" or "z", from a table
@@ -584,21 +555,9 @@ def _term(
         population=found,
         trend=moves,
         no_trend=why,
-        unit_logs=tests,
-        price=prices(found),
+        unit_logs=tuple(tests),
+        price=_prices(found),
     )
-
-
-def _trend(logs: Sequence[LogValue]) -> tuple[Trend | None, str]:
-    try:
-        return trend(logs), ""
-    except DataError as error:
-        return None, str(error)
-
-
-def _place(term: FleetTerm) -> tuple[int, int, str, str]:
-    sensors, symbols = list(Sensor), list(TERMS)
-    return sensors.index(term.sensor), symbols.index(term.symbol), term.term, term.axis
 
 
 def _loose(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> tuple[LooseLog, ...]:

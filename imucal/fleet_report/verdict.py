@@ -1,10 +1,7 @@
-"""Numbers of a fleet as people read them, in data-sheet units and in SI.
-
-What matters of a fleet in one sentence: which units are odd, and how many logs do not count.
-"""
+"""A fleet in words: its numbers in data-sheet units and in SI, and what matters of it in one sentence."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -14,7 +11,7 @@ from imucal.fleet.trend import Trend
 from imucal.fleet_report.summary import Fleet, FleetTerm
 from imucal.noise.terms import TERMS
 from imucal.report import numbers
-from imucal.report.markup import Markup, both_units, element, join
+from imucal.report.markup import Markup, both_units
 from imucal.report.numbers import Quantity
 from imucal.report.sheet_units import level_unit
 from imucal.units import DatasheetUnit, pretty
@@ -32,7 +29,7 @@ def sheet_unit(term: FleetTerm) -> DatasheetUnit:
     return level_unit(term.sensor, term.population.median.value) if unit.name == "mg" else unit
 
 
-def quantity(term: FleetTerm, value: float | None, low: float, high: float) -> tuple[Quantity, Quantity]:
+def _quantities(term: FleetTerm, value: float | None, low: float, high: float) -> tuple[Quantity, Quantity]:
     """Return a coefficient of a term in data-sheet units and in SI."""
     unit = sheet_unit(term)
     plain = Quantity(value=value, low=low, high=high, unit=term.unit)
@@ -41,8 +38,7 @@ def quantity(term: FleetTerm, value: float | None, low: float, high: float) -> t
 
 def with_limits(term: FleetTerm, value: float | None, low: float, high: float) -> Markup:
     """Return ``0.31 [0.30, 0.32] deg/√h`` in both units."""
-    texts = (numbers.with_interval(each).rpartition(" ") for each in quantity(term, value, low, high))
-    return both_units(*(join([f"{number} ", unbroken(unit)]) for number, _, unit in texts))
+    return both_units(*(_kept(numbers.with_interval(each)) for each in _quantities(term, value, low, high)))
 
 
 def median_text(term: FleetTerm) -> Markup:
@@ -53,22 +49,24 @@ def median_text(term: FleetTerm) -> Markup:
 
 def alone(term: FleetTerm, value: float) -> Markup:
     """Return a number with three digits and its unit, in both units: ``0.342 deg/√h``."""
-    return both_units(*(unbroken(plain_text(each)) for each in quantity(term, value, value, value)))
+    each = _quantities(term, value, value, value)
+    return both_units(*(Markup('<span class="keep">{}</span>').format(_rounded_up(one)) for one in each))
 
 
 def between(term: FleetTerm, low: float, high: float) -> Markup:
     """Return ``0.24 to 0.42 deg/√h`` in both units."""
-    pairs = zip(quantity(term, low, low, low), quantity(term, high, high, high), strict=True)
-    texts = [[plain_text(each).rpartition(" ") for each in pair] for pair in pairs]
-    return both_units(*(join([f"{first[0]} to {last[0]} ", unbroken(last[2])]) for first, last in texts))
+    pairs = zip(_quantities(term, low, low, low), _quantities(term, high, high, high), strict=True)
+    texts = ((_rounded_up(first).rpartition(" ")[0], _rounded_up(last)) for first, last in pairs)
+    return both_units(*(_kept(f"{first} to {last}") for first, last in texts))
 
 
-def unbroken(text: str) -> Markup:
-    """Return a text that stays in one line: browsers part a unit such as ``deg/h`` after the stroke."""
-    return element("span", text, class_="keep")
+def _kept(text: str) -> Markup:
+    """Return a text whose last word, a unit, stays in one line: browsers part ``deg/h`` after the stroke."""
+    number, _, unit = text.rpartition(" ")
+    return Markup('{} <span class="keep">{}</span>').format(number, unit)
 
 
-def plain_text(one: Quantity) -> str:
+def _rounded_up(one: Quantity) -> str:
     """Return a bound with three digits and its unit, rounded up so that it stays one."""
     value = one.value or one.high
     power = numbers.power_of_ten(one)
@@ -81,9 +79,8 @@ def plain_text(one: Quantity) -> str:
 
 def percent(value: float) -> str:
     """Return a relative standard deviation of two digits, such as ``6.2 %``."""
-    return (
-        f"{100 * value:.2g}\N{NO-BREAK SPACE}%" if value < 0.995 else f"{100 * value:.0f}\N{NO-BREAK SPACE}%"
-    )
+    digits = ".2g" if value < 0.995 else ".0f"
+    return f"{100 * value:{digits}}\N{NO-BREAK SPACE}%"
 
 
 def p_text(p: float) -> str:
@@ -172,11 +169,11 @@ def _strange(fleet: Fleet) -> tuple[list[str], list[str]]:
         title = f"{model.title}: " if several else ""
         odd = [(unit.unit, term) for term in model.terms for unit in term.odd]
         if surely := [(unit, term) for unit, term in odd if (id(term), unit) in sure]:
-            said.append(f"{title}odd {_listed(surely, 'unit')}")
-        if perhaps := [(unit, term) for unit, term in odd if (id(term), unit) not in sure]:
-            chance.append(f"{title}{_listed(perhaps)}")
-        if moving := [(unit, term) for term in model.terms for unit in term.drifting]:
-            said.append(f"{title}moving with time or temperature as no other: {_listed(moving)}")
+            said.append(f"{title}odd unit{'s' * (len(dict(surely)) > 1)} {_listed(surely)}")
+        if perhaps := _listed((unit, term) for unit, term in odd if (id(term), unit) not in sure):
+            chance.append(f"{title}{perhaps}")
+        if moving := _listed((unit, term) for term in model.terms for unit in term.drifting):
+            said.append(f"{title}moving with time or temperature as no other: {moving}")
     return said, chance
 
 
@@ -198,10 +195,9 @@ def beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
     }
 
 
-def _listed(places: Sequence[tuple[str, FleetTerm]], noun: str = "") -> str:
-    """Return ``units u07 (gyro_z N); u11 (gyro_x B, gyro_x K)``."""
+def _listed(places: Iterable[tuple[str, FleetTerm]]) -> str:
+    """Return ``u07 (gyro_z N); u11 (gyro_x B, gyro_x K)``."""
     terms: dict[str, list[str]] = {}
     for unit, term in places:
         terms.setdefault(unit, []).append(f"{term.name} {term.term}")
-    listed = "; ".join(f"{unit} ({', '.join(where)})" for unit, where in terms.items())
-    return f"{noun}{'s' * (len(terms) > 1)} {listed}" if noun else listed
+    return "; ".join(f"{unit} ({', '.join(where)})" for unit, where in terms.items())

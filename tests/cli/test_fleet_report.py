@@ -69,7 +69,7 @@ def test_report_says_what_is_missing(folder: Path, monkeypatch: pytest.MonkeyPat
         raise ArithmeticError(msg)
 
     monkeypatch.delenv("IMUCAL_DEBUG", raising=False)
-    monkeypatch.setattr("imucal.fleet_report.pages.render_fleet_page", broken)
+    monkeypatch.setattr("imucal.fleet_report.files.render_fleet_page", broken)
     (folder / "two" / "fleet.html").write_text("of yesterday")
     done = run("fleet", "report", "two", "--no-pictures", cwd=folder)
     assert done.stdout.split() == ["two/fleet.json", "two/fleet.csv"]

@@ -29,7 +29,7 @@ from imucal.fleet_report.files import (
     models_figure,
     units_figure,
 )
-from imucal.fleet_report.pages import heat_table, render_fleet_page, unit_panel
+from imucal.fleet_report.pages import render_fleet_page
 from imucal.fleet_report.summary import NEAR, FleetTerm, labels_to_type, tolerance_excess
 from imucal.fleet_report.verdict import verdict
 from imucal.recording import Sensor
@@ -457,12 +457,13 @@ def test_a_thousand_units_stay_readable(fleet: Fleet) -> None:
     few = term.population.units
     many = tuple(replace(few[i % 24], unit=f"u{i:04}", odd=i == 7) for i in range(1000))
     crowd = replace(term, population=replace(term.population, units=many))
-    picture = html.fromstring(unit_panel(crowd, "many"))
+    large = replace(model, units=tuple(unit.unit for unit in many), terms=(crowd,))
+    page = html.fromstring(render_fleet_page(replace(fleet, models=(large,))))
+    (picture,) = page.cssselect("figure svg")
     assert float((picture.get("viewbox") or "").split()[3]) < 1600
     assert [text.text for text in picture.cssselect("text.odd")] == ["u0007"]
     assert not picture.cssselect("text.name")
-    large = replace(model, units=tuple(unit.unit for unit in many), terms=(crowd,))
-    table = html.fromstring(heat_table(large))
+    (table,) = page.cssselect("table.heat")
     assert len(table.cssselect("tbody tr")) == 200
     assert "the 200 strangest of 1000 units" in table.text_content()
     assert "u0007" in table.text_content()
