@@ -27,7 +27,7 @@ _EUROC_HEADER = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Rows:
+class Rows:
     """Some samples in a row: the number of the first, stamps in ns (n,), rates and forces (n, 3) in SI."""
 
     first: int
@@ -36,7 +36,7 @@ class _Rows:
     forces: FloatArray
 
 
-def _rows(recording: Recording) -> Iterator[_Rows]:
+def _rows(recording: Recording) -> Iterator[Rows]:
     """Yield the samples of a recording, in order."""
     clock, columns = recording.series[0].clock, [series.samples for series in recording.series]
     for part in blocks(clock.n, *columns, size=_MESSAGES):
@@ -44,7 +44,7 @@ def _rows(recording: Recording) -> Iterator[_Rows]:
         place = own.grid() + (own.segments[0].offset - clock.segments[0].offset)
         stamps = (clock.start_ns or 0) + np.rint(place * (1e9 / clock.rate_hz)).astype(np.int64)
         values = np.stack([column[part] for column in columns], axis=1)
-        yield _Rows(first=part.start, stamps=stamps, rates=values[:, :3], forces=values[:, 3:])
+        yield Rows(first=part.start, stamps=stamps, rates=values[:, :3], forces=values[:, 3:])
 
 
 def write_log(recording: Recording, path: Path) -> None:
@@ -70,7 +70,7 @@ def write_log(recording: Recording, path: Path) -> None:
         writer(scratch, _rows(recording))
 
 
-def _write_csv(path: Path, parts: Iterator[_Rows]) -> None:
+def _write_csv(path: Path, parts: Iterator[Rows]) -> None:
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.write(_EUROC_HEADER)
         for part in parts:
@@ -79,40 +79,38 @@ def _write_csv(path: Path, parts: Iterator[_Rows]) -> None:
                 stream.write(f"{stamp},{','.join(map(repr, row))}\n")
 
 
-def _imu_bytes(
-    head: list[tuple[str, str]], stamps: IntArray, rates: FloatArray, forces: FloatArray
-) -> NDArray[np.void]:
+def _imu_bytes(head: list[tuple[str, str]], part: Rows) -> NDArray[np.void]:
     """Return one `sensor_msgs/Imu` per row: the fields of `head`, then 37 doubles, shape (n,)."""
     body = [("orientation", "<f8", 4), ("orientation_covariance", "<f8", 9), ("angular_velocity", "<f8", 3)]
     body += [("gyro_covariance", "<f8", 9), ("linear_acceleration", "<f8", 3), ("accel_covariance", "<f8", 9)]
-    messages = np.zeros(stamps.size, dtype=np.dtype([*head, *body]))
-    messages["sec"], messages["nsec"] = np.divmod(stamps, 1_000_000_000)
+    messages = np.zeros(part.stamps.size, dtype=np.dtype([*head, *body]))
+    messages["sec"], messages["nsec"] = np.divmod(part.stamps, 1_000_000_000)
     messages["orientation"][:, 3] = 1.0
     messages["orientation_covariance"][:, 0] = -1.0
-    messages["angular_velocity"] = rates
-    messages["linear_acceleration"] = forces
+    messages["angular_velocity"] = part.rates
+    messages["linear_acceleration"] = part.forces
     return messages
 
 
-def _ros2_messages(stamps: IntArray, rates: FloatArray, forces: FloatArray) -> NDArray[np.void]:
+def ros2_messages(part: Rows) -> NDArray[np.void]:
     """Return CDR, little endian; the frame id is padded so that the doubles are aligned."""
     head = [("encapsulation", "<u4"), ("sec", "<i4"), ("nsec", "<u4"), ("length", "<u4"), ("frame", "S4")]
-    messages = _imu_bytes(head, stamps, rates, forces)
+    messages = _imu_bytes(head, part)
     messages["encapsulation"] = 0x0100
     messages["length"], messages["frame"] = 4, b"imu"
     return messages
 
 
-def _ros1_messages(part: _Rows) -> NDArray[np.void]:
+def _ros1_messages(part: Rows) -> NDArray[np.void]:
     head = [("seq", "<u4"), ("sec", "<u4"), ("nsec", "<u4"), ("length", "<u4"), ("frame", "S3")]
-    messages = _imu_bytes(head, part.stamps, part.rates, part.forces)
+    messages = _imu_bytes(head, part)
     messages["seq"] = np.arange(part.first, part.first + part.stamps.size)
     messages["length"], messages["frame"] = 3, b"imu"
     return messages
 
 
 def _stamped(
-    parts: Iterator[_Rows], messages: Callable[[_Rows], NDArray[np.void]]
+    parts: Iterator[Rows], messages: Callable[[Rows], NDArray[np.void]]
 ) -> Iterator[tuple[int, bytes]]:
     """Yield the stamp of each message, in ns, and its bytes."""
     for part in parts:
@@ -120,11 +118,7 @@ def _stamped(
             yield stamp, message.tobytes()
 
 
-def _ros2_of(part: _Rows) -> NDArray[np.void]:
-    return _ros2_messages(part.stamps, part.rates, part.forces)
-
-
-def _write_mcap(path: Path, parts: Iterator[_Rows]) -> None:
+def _write_mcap(path: Path, parts: Iterator[Rows]) -> None:
     from mcap.writer import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -134,12 +128,12 @@ def _write_mcap(path: Path, parts: Iterator[_Rows]) -> None:
         writer.start(profile="ros2", library="imucal")
         schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", definition.encode())
         channel = writer.register_channel(_TOPIC, "cdr", schema)
-        for stamp, message in _stamped(parts, _ros2_of):
+        for stamp, message in _stamped(parts, ros2_messages):
             writer.add_message(channel, stamp, message, stamp)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _write_ros1_bag(path: Path, parts: Iterator[_Rows]) -> None:
+def _write_ros1_bag(path: Path, parts: Iterator[Rows]) -> None:
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -152,18 +146,18 @@ def _write_ros1_bag(path: Path, parts: Iterator[_Rows]) -> None:
             writer.write(connection, stamp, message)
 
 
-def _write_ros2_folder(path: Path, parts: Iterator[_Rows]) -> None:
+def _write_ros2_folder(path: Path, parts: Iterator[Rows]) -> None:
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
 
     with Writer(path, version=9) as writer:
         typestore = get_typestore(Stores.ROS2_HUMBLE)
         connection = writer.add_connection(_TOPIC, "sensor_msgs/msg/Imu", typestore=typestore)
-        for stamp, message in _stamped(parts, _ros2_of):
+        for stamp, message in _stamped(parts, ros2_messages):
             writer.write(connection, stamp, message)
 
 
-def _write_ros2_file(path: Path, parts: Iterator[_Rows]) -> None:
+def _write_ros2_file(path: Path, parts: Iterator[Rows]) -> None:
     folder = path.with_suffix("")
     _write_ros2_folder(folder, parts)
     (written,) = folder.glob("*.db3")
@@ -172,7 +166,7 @@ def _write_ros2_file(path: Path, parts: Iterator[_Rows]) -> None:
 
 
 #: Suffix of a log -> function that writes it.
-WRITERS: dict[str, Callable[[Path, Iterator[_Rows]], None]] = {
+WRITERS: dict[str, Callable[[Path, Iterator[Rows]], None]] = {
     ".csv": _write_csv,
     ".mcap": _write_mcap,
     ".bag": _write_ros1_bag,

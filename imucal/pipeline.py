@@ -155,12 +155,14 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
 
     def look(series: AxisSeries) -> tuple[Finding, ...]:
         finite = series.finite()
-        return findings_or_why_not(
+        found = findings_or_why_not(
             lambda: not_noise(finite, _temperature_at(finite, recording.temperature)),
             what="No look for what is not noise",
             code="not-checked",
             axis=series.name,
         )
+        release(series.samples)
+        return found
 
     found = side_by_side(look, recording.series, workers=workers)
     return worst_first(recording, [*findings, *chain.from_iterable(found)])

@@ -104,7 +104,9 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Ask:
-    rate_hz: float | None
+    """What is asked of a model: rate, relative precision at a level, and the record at hand, if any."""
+
+    rate_hz: float
     precision: float
     level: float
     duration_s: float | None
@@ -115,11 +117,6 @@ class _Ask:
         from scipy.special import ndtri
 
         return float(ndtri((1 + self.level) / 2))
-
-    def by_default(self, rate_hz: float, duration_s: float | None) -> "_Ask":
-        """Return the question with what was not given."""
-        duration = duration_s if self.duration_s is None else self.duration_s
-        return replace(self, rate_hz=self.rate_hz or rate_hz, duration_s=duration)
 
 
 def plan(
@@ -153,19 +150,23 @@ def plan(
     if not (precision > 0 and 0 < level < 1):
         msg = f"precision must be positive and level between 0 and 1, got {precision} and {level}"
         raise ValueError(msg)
-    ask = _Ask(rate_hz, precision, level, duration_s)
+
+    def ask(own_rate_hz: float, own_duration_s: float | None) -> _Ask:
+        duration = own_duration_s if duration_s is None else duration_s
+        return _Ask(rate_hz or own_rate_hz, precision, level, duration)
+
     if isinstance(source, Report):
         axes = tuple(
-            replace(_fit_plan(axis.fit, ask.by_default(axis.rate_hz, axis.duration_s)), axis=axis.name)
+            replace(_fit_plan(axis.fit, ask(axis.rate_hz, axis.duration_s)), axis=axis.name)
             for axis in source.axes
         )
     elif isinstance(source, NoiseFit):
-        axes = (_fit_plan(source, ask.by_default(source.rate_hz, None)),)
+        axes = (_fit_plan(source, ask(source.rate_hz, None)),)
+    elif rate_hz is None:
+        msg = "a model has no sampling rate of its own; give rate_hz"
+        raise ValueError(msg)
     else:
-        if rate_hz is None:
-            msg = "a model has no sampling rate of its own; give rate_hz"
-            raise ValueError(msg)
-        axes = (_axis_plan(source, [(term, False) for term in source.terms], ask),)
+        axes = (_axis_plan(source, [(term, False) for term in source.terms], ask(rate_hz, None)),)
     return Plan(precision=precision, level=level, axes=axes)
 
 
@@ -181,7 +182,12 @@ def resolution_findings(fit: NoiseFit, duration_s: float, *, precision: float = 
         own = [need for need in needs if need.name.partition(".")[0] == name]
         longest = max(own, key=lambda need: need.needed_s)
         if longest.needed_s > _WORTH_SAYING * duration_s:
-            findings.append(_finding(longest, name, precision, duration_s))
+            unseen = f"{name} was not seen; were it at its bound, it would need"
+            text = (
+                f"{unseen if longest.bounded else f'{name} needs'} {describe_time(longest.needed_s)} for "
+                f"±{100 * precision:.3g} %, this is {describe_time(duration_s)}."
+            )
+            findings.append(Finding(level="info", code="record-length", text=text))
     return tuple(findings)
 
 
@@ -198,15 +204,6 @@ def describe_time(seconds: float) -> str:
 def _two_digits(value: float) -> str:
     places = max(0, 1 - math.floor(math.log10(value))) if value > 0 else 0
     return f"{value:.{min(places, 3)}f}"
-
-
-def _finding(need: Need, name: str, precision: float, duration_s: float) -> Finding:
-    seen = f"{name} was not seen; were it at its bound, it would need" if need.bounded else f"{name} needs"
-    text = (
-        f"{seen} {describe_time(need.needed_s)} for ±{100 * precision:.3g} %, "
-        f"this is {describe_time(duration_s)}."
-    )
-    return Finding(level="info", code="record-length", text=text)
 
 
 def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
@@ -229,14 +226,15 @@ def _term(estimate: Estimate, value: float) -> NoiseTerm:
 
 def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:
     """Return the needs of terms, each of them in the model or, if bounded, added to it alone."""
-    rate_hz, wanted = ask.rate_hz or math.nan, ask.precision / ask.quantile
+    wanted = ask.precision / ask.quantile
     needs: list[Need] = []
     for term, bounded in terms:
         whole = NoiseModel(terms=(*model.terms, term)) if bounded else model
-        for name, value in _parameters(whole, term):
+        names = next(own for other, own in named_terms(whole) if other is term)
+        for name, value in zip(names, term.values, strict=True):
             reached = shown = None
             if ask.duration_s is not None:
-                bound = _bound(whole, name, rate_hz, ask.duration_s)
+                bound = _bound(whole, name, ask.rate_hz, ask.duration_s)
                 reached, shown = _found(bound) * ask.quantile, _share_shown(name, bound)
             needs.append(
                 Need(
@@ -244,7 +242,7 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
                     symbol=term.symbol,
                     value=value,
                     bounded=bounded,
-                    needed_s=_needed(whole, name, rate_hz, wanted, ask.duration_s or _USUAL),
+                    needed_s=_needed(whole, name, ask.rate_hz, wanted, ask.duration_s or _USUAL),
                     reached=reached,
                     shown=shown,
                 )
@@ -253,16 +251,10 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
         axis="",
         sensor=None,
         model=str(model),
-        rate_hz=rate_hz,
+        rate_hz=ask.rate_hz,
         duration_s=ask.duration_s,
         needs=tuple(sorted(needs, key=lambda need: list(TERMS).index(need.symbol))),
     )
-
-
-def _parameters(model: NoiseModel, term: NoiseTerm) -> list[tuple[str, float]]:
-    """Return the names and values of a term's parameters."""
-    names = next(own for other, own in named_terms(model) if other is term)
-    return list(zip(names, term.values, strict=True))
 
 
 def _bound(model: NoiseModel, name: str, rate_hz: float, duration_s: float) -> float:

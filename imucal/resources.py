@@ -149,12 +149,11 @@ def control_group_limits(
 
     Source: Linux, Documentation/admin-guide/cgroup-v1/memory.rst and cgroup-v2.rst.
     """
-    try:
-        lines = groups.read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return []
-    found = [_limit(file) for line in lines for file in _files(line, root)]
-    return [limit for limit in found if limit is not None]
+    found = [
+        _words(folder / ("memory.max" if unified else "memory.limit_in_bytes"))
+        for folder, unified in _folders(groups, root, "memory")
+    ]
+    return [int(words[0]) for words in found if len(words) == 1 and _is_number(words[0])]
 
 
 def control_group_processors(
@@ -164,44 +163,37 @@ def control_group_processors(
 
     Source: Linux, Documentation/scheduler/sched-bwc.rst and admin-guide/cgroup-v2.rst (``cpu.max``).
     """
-    try:
-        lines = groups.read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return []
     found = []
-    for folder, unified in (pair for line in lines for pair in _folders(line, root, "cpu")):
+    for folder, unified in _folders(groups, root, "cpu"):
         files = ["cpu.max"] if unified else ["cpu.cfs_quota_us", "cpu.cfs_period_us"]
         numbers = [word for name in files for word in _words(folder / name)]
         # The quota of a group without one is "max", or -1.
-        if len(numbers) == 2 and all(word.isdigit() and int(word) for word in numbers):
+        if len(numbers) == 2 and all(map(_is_number, numbers)):
             found.append(-(-int(numbers[0]) // int(numbers[1])))
     return found
 
 
-def _files(line: str, root: Path) -> Iterator[Path]:
-    """Yield the files that limit a group's memory."""
-    for folder, unified in _folders(line, root, "memory"):
-        yield folder / ("memory.max" if unified else "memory.limit_in_bytes")
+def _folders(groups: Path, root: Path, controller: str) -> Iterator[tuple[Path, bool]]:
+    """Yield the folders of a process's groups and those above, and whether all controllers have the same.
 
-
-def _folders(line: str, root: Path, controller: str) -> Iterator[tuple[Path, bool]]:
-    """Yield a group's folder and those above it, and whether all controllers have the same.
-
-    A line is such as ``4:memory:/docker/1f``, or ``0::/user.slice`` where they have.
+    A line of `groups` is such as ``4:memory:/docker/1f``, or ``0::/user.slice`` where they have.
     """
-    _, _, rest = line.partition(":")
-    controllers, _, path = rest.partition(":")
-    if controllers and controller not in controllers.split(","):
+    try:
+        lines = groups.read_text(encoding="utf-8").splitlines()
+    except OSError:
         return
-    group = PurePosixPath(path.lstrip("/"))
-    for part in (group, *group.parents):
-        yield (root / controller if controllers else root) / part, not controllers
+    for line in lines:
+        _, controllers, path = (*line.split(":", 2), "", "")[:3]
+        if controllers and controller not in controllers.split(","):
+            continue
+        group = PurePosixPath(path.lstrip("/"))
+        for part in (group, *group.parents):
+            yield (root / controller if controllers else root) / part, not controllers
 
 
-def _limit(file: Path) -> int | None:
-    """Return the number in a file; None for ``max``, or where there is none."""
-    words = _words(file)
-    return int(words[0]) if len(words) == 1 and words[0].isdigit() and int(words[0]) else None
+def _is_number(word: str) -> bool:
+    """Whether a word is a number that limits something."""
+    return word.isdigit() and int(word) > 0
 
 
 def _words(file: Path) -> list[str]:

@@ -1,8 +1,6 @@
-"""URLs as text: which they are, what may be shown of them, and the name of the file.
+"""Addresses of logs: what a URL says, what may be shown of it, and what tells the log behind it from others.
 
-The identity of a remote log: name, ETag and size of its files.
-
-What goes wrong between here and a store: what may pass is tried again, the rest is a message.
+And what goes wrong between here and a store: what may pass is tried again, the rest is a message.
 """
 
 import hashlib
@@ -183,11 +181,7 @@ class RemoteLog:
         tags = [file.etag for file in self.files]
         if not all(tags):
             return ""
-        return (
-            tags[0]
-            if len(tags) == 1
-            else hashlib.blake2b("\n".join(tags).encode(), digest_size=16).hexdigest()
-        )
+        return tags[0] if len(tags) == 1 else _digest("\n".join(tags))
 
     @property
     def size(self) -> int | None:
@@ -200,8 +194,7 @@ class RemoteLog:
         """Name of its place in the cache, and of its results in a fleet: 32 hexadecimal digits."""
         if not self.folder:
             return self.files[0].key
-        keys = "\n".join([self.shown, *(file.key for file in self.files)])
-        return _digest(keys)
+        return _digest("\n".join([self.shown, *(file.key for file in self.files)]))
 
 
 def _digest(text: str) -> str:

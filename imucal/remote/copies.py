@@ -1,8 +1,7 @@
-"""A remote log on this machine: downloaded once, whole or not at all, and lent while it is used.
+"""Copies of remote logs on this machine: each whole or not at all, lent while it is used, kept in a cache.
 
-Locks between processes that the system takes back when their holder dies.
-
-The cache of remote logs: a folder for each, whole or not at all; the least recently used goes first.
+The cache has a folder for each; the least recently used goes first. Its locks between processes are those
+that the system takes back when their holder dies.
 
 ::
 
@@ -191,11 +190,6 @@ def cache_size() -> int:
 def entry_of(log: RemoteLog) -> Entry:
     """Return the place of a log in the cache."""
     return Entry(cache_folder(), log.key)
-
-
-def forget(log: RemoteLog) -> bool:
-    """Remove the copy of a log, unless somebody uses it; return whether none is left."""
-    return entry_of(log).remove()
 
 
 def make_room(root: Path, wanted: int, *, most: int) -> None:

@@ -1,14 +1,10 @@
-"""What a store of logs can do, and which store a URL is of.
+"""Stores of logs: which store a URL is of, what it can do, and which logs stand behind a URL.
 
-Logs behind http and https, by the standard library: parts, signed addresses, proxies, ~/.netrc.
+Behind http and https by the standard library: parts, signed addresses, proxies, ~/.netrc. A look is a GET of
+the first bytes, not a HEAD: addresses that are signed for GET refuse every other method.
 
-A look is a GET of the first bytes, not a HEAD: addresses that are signed for GET refuse every other method.
-
-Logs in the object stores that fsspec reads: S3, Google Cloud Storage, Azure.
-
-Credentials, endpoints and proxies are found as s3fs, gcsfs and adlfs find them.
-
-URL -> the logs that it stands for, and the identity of each.
+In object stores (S3, Google Cloud Storage, Azure) by fsspec; credentials, endpoints and proxies are found as
+s3fs, gcsfs and adlfs find them.
 """
 
 import contextlib
@@ -112,19 +108,17 @@ class HttpStore:
         return retried(url, lambda: self._looked_at(url))
 
     def _looked_at(self, url: str) -> RemoteFile:
-        with _naming(url):
-            with _open(url, f"bytes=0-{_HEAD - 1}", empty=True) as (status, headers, body):
-                _refuse_page(url, headers, body.read(_HEAD))
-            match = _RANGE.match(headers.get("Content-Range", ""))
-            length = headers.get("Content-Length", "")
-            size = int(match[1]) if match else int(length) if length.isdigit() and status == 200 else None
-            return RemoteFile(
-                url=url, etag=_tag(headers), size=size, ranges=status != 200 and match is not None
-            )
+        with _open(url, f"bytes=0-{_HEAD - 1}", empty=True) as (status, headers, body):
+            _refuse_page(url, headers, body.read(_HEAD))
+        match = _RANGE.match(headers.get("Content-Range", ""))
+        length = headers.get("Content-Length", "")
+        size = int(match[1]) if match else int(length) if length.isdigit() and status == 200 else None
+        ranges = status != 200 and match is not None
+        return RemoteFile(url=url, etag=_tag(headers), size=size, ranges=ranges)
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
         def part() -> bytes:
-            with _naming(file.url), _open(file.url, f"bytes={start}-{stop - 1}") as (status, headers, body):
+            with _open(file.url, f"bytes={start}-{stop - 1}") as (status, headers, body):
                 if status != 206 or _tag(headers) != file.etag:
                     raise ChangedError
                 data = body.read(stop - start)
@@ -137,7 +131,7 @@ class HttpStore:
 
     def blocks(self, file: RemoteFile, start: int) -> Iterator[bytes]:
         part = f"bytes={start}-" if start else None
-        with _naming(file.url), _open(file.url, part) as (status, headers, body):
+        with _open(file.url, part) as (status, headers, body):
             if (start and status != 206) or _tag(headers) != file.etag:
                 raise ChangedError
             while block := body.read(_BLOCK):
@@ -159,29 +153,24 @@ class HttpStore:
 
 
 @contextlib.contextmanager
-def _naming(url: str) -> Iterator[None]:
-    """Turn what the library raises into errors of ours."""
-    try:
-        yield
-    except (OSError, http.client.HTTPException, ValueError) as error:
-        raise explained(error, url) from error
-
-
-@contextlib.contextmanager
 def _open(
     url: str, part: str | None = None, *, empty: bool = False
 ) -> Iterator[tuple[int, Message, IO[bytes]]]:
-    """Yield status, headers and body of an answer; with `empty`, a file without bytes is one."""
+    """Yield status, headers and body of an answer; with `empty`, a file without bytes is one.
+
+    What the library raises, also while the body is read, becomes an error of ours.
+    """
     try:
-        response = urlopen(_request(url, part), timeout=timeout())  # noqa: S310 - `store_of` looked at the scheme
+        with urlopen(_request(url, part), timeout=timeout()) as response:  # noqa: S310 - `store_of` saw the scheme
+            yield response.status, response.headers, response
     except HTTPError as error:
         with error:
             if error.code == 416 and empty:
                 yield error.code, error.headers, error
                 return
             raise _refusal(url, error.code) from error
-    with response:
-        yield response.status, response.headers, response
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        raise explained(error, url) from error
 
 
 def _refusal(url: str, code: int) -> Exception:
@@ -241,7 +230,7 @@ def _links(folder: str) -> list[str]:
     """Return what the listing of a folder links to in that folder, in the order of the names."""
 
     def page() -> bytes:
-        with _naming(folder), _open(folder) as (_, _, body):
+        with _open(folder) as (_, _, body):
             return body.read(_PAGE)
 
     text = retried(folder, page).decode("utf-8", "replace")
@@ -380,17 +369,19 @@ def expand(url: str) -> list[str]:
         If there is none, or it can't be asked.
     """
     store = store_of(url)
-    if not has_wildcards(url) and not is_folder_name(url) and store.look_at(url) is not None:
-        return [url]
-    return _expanded(store, url)
+    return [url] if _object_at(store, url) else _expanded(store, url)
 
 
 def logs_at(url: str) -> list[RemoteLog]:
     """Return the logs that a URL stands for, as `expand` does, with what `identify` says of each."""
     store = store_of(url)
-    if not has_wildcards(url) and not is_folder_name(url) and (file := store.look_at(url)) is not None:
-        return [_of_one(url, file)]
-    return [identify(log) for log in _expanded(store, url)]
+    file = _object_at(store, url)
+    return [_of_one(url, file)] if file else [identify(log) for log in _expanded(store, url)]
+
+
+def _object_at(store: Store, url: str) -> RemoteFile | None:
+    """Return what is known of the object that a URL names; None where the URL stands for several."""
+    return None if has_wildcards(url) or is_folder_name(url) else store.look_at(url)
 
 
 def _expanded(store: Store, url: str) -> list[str]:

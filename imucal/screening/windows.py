@@ -6,7 +6,6 @@ own quiet windows, so that a touch does not hide itself by raising the yardstick
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,7 +85,8 @@ def cut(series: AxisSeries) -> Windows:
     """
     width = max(_LEAST, min(round(series.rate_hz * _LENGTH_S), series.n // _WANTED))
     starts = _starts(series.clock.segments, width)
-    batches = _batches(starts, max(1, _BLOCK // width))
+    size = max(1, _BLOCK // width)
+    batches = (starts[first : first + size] for first in range(0, starts.size, size))
     columns = [_statistics(series.samples, batch, width) for batch in batches]
     mean, variance, step_variance, repeats, low, high = np.concatenate([np.empty((6, 0)), *columns], axis=1)
     return Windows(
@@ -130,11 +130,6 @@ def _places(segments: tuple[Segment, ...], index: IntArray) -> FloatArray:
     shift = shifts[np.searchsorted(starts, index, side="right") - 1]
     places: FloatArray = (index + shift - shifts[0]).astype(np.float64)
     return places
-
-
-def _batches(starts: IntArray, size: int) -> Iterator[IntArray]:
-    for first in range(0, starts.size, size):
-        yield starts[first : first + size]
 
 
 def _statistics(samples: FloatArray, starts: IntArray, width: int) -> FloatArray:

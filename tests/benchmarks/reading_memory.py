@@ -128,7 +128,7 @@ def make_day(path: Path) -> None:
     from mcap.writer import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    from imucal.log_files import _ros2_messages
+    from imucal.log_files import Rows, ros2_messages
 
     definition, _ = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef("sensor_msgs/msg/Imu", ros_version=2)
     rng = np.random.default_rng(13)
@@ -142,7 +142,8 @@ def make_day(path: Path) -> None:
             stamps = 1_700_000_000_000_000_000 + 5_000_000 * np.arange(start, start + hour)
             rates, forces = rng.normal(0, 2e-3, (hour, 3)), rng.normal(0, 2e-2, (hour, 3))
             forces[:, 2] += 9.81
-            for stamp, message in zip(stamps.tolist(), _ros2_messages(stamps, rates, forces), strict=True):
+            part = Rows(first=0, stamps=stamps, rates=rates, forces=forces)
+            for stamp, message in zip(stamps.tolist(), ros2_messages(part), strict=True):
                 writer.add_message(channel, stamp, message.tobytes(), stamp)
         writer.finish()  # type: ignore[no-untyped-call]
 

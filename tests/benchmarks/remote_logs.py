@@ -22,7 +22,7 @@ import fsspec
 import numpy as np
 
 import imucal
-from imucal.log_files import _ros2_messages, write_log
+from imucal.log_files import Rows, ros2_messages, write_log
 from imucal.readers import describe, read
 from imucal.remote.stores import ObjectStore
 from tests.cli.run import SAMPLE_LOGS, run
@@ -49,7 +49,7 @@ def with_camera(path: Path, minutes: float, camera: int) -> None:
             definition, _ = store.generate_msgdef(kind, ros_version=2)
             schema = writer.register_schema(kind, "ros2msg", definition.encode())
             channels.append(writer.register_channel(topic, "cdr", schema))
-        for i, message in enumerate(_ros2_messages(stamps, rates, forces)):
+        for i, message in enumerate(ros2_messages(Rows(first=0, stamps=stamps, rates=rates, forces=forces))):
             stamp = int(stamps[i])
             writer.add_message(channels[0], stamp, message.tobytes(), stamp)
             if not i % (RATE // CAMERA_RATE):

@@ -13,8 +13,8 @@ from types import SimpleNamespace
 import pytest
 
 import imucal
-from imucal.remote import RemoteLog, fetched, forget, identify
-from imucal.remote.copies import cache_folder, cache_size, locked
+from imucal.remote import RemoteLog, fetched, identify
+from imucal.remote.copies import cache_folder, cache_size, entry_of, locked
 from tests.remote.web_server import WebServer
 
 BODY = bytes(range(256)) * 400  # 102 400 bytes
@@ -70,7 +70,7 @@ def test_a_log_that_is_used_stays(web: WebServer, cache: Path, monkeypatch: pyte
     with fetched(first) as copy:
         use(second)
         assert copy.path.read_bytes() == BODY
-        assert not forget(copy.log)
+        assert not entry_of(copy.log).remove()
     assert copies(cache) == ["a"]
     monkeypatch.setenv("IMUCAL_CACHE_SIZE", "0")
     use(second)
@@ -91,7 +91,7 @@ def test_a_log_that_is_not_to_be_kept_goes_after_use(web: WebServer, cache: Path
     with fetched(kept):
         pass
     assert copies(cache) == ["a"]
-    assert forget(kept)
+    assert entry_of(kept).remove()
     assert list(cache.iterdir()) == []
 
 

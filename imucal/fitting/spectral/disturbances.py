@@ -274,7 +274,8 @@ def find_disturbances(
             break
         found.append(candidates[best])
         base = _fits(low, [(*names, *candidates[best].names)])
-    return _with_sizes(found, base)
+    beta = dict(zip(base.ordinates.names, base.maximum.beta[0].tolist(), strict=True))
+    return tuple(replace(one, size=tuple(beta[name] for name in one.names)) for one in found)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -312,35 +313,23 @@ def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]]) -> _Fits:
 
 def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -> Iterator[Disturbance]:
     """Yield the best shape of each kind but steps that may be worth a fit."""
-    kinds = [best_cycle(whitened, length)]
+    price = np.log(length)
+    families: list[list[Disturbance]] = []
     once = {one.kind for one in found}
     if "warm-up" not in once:
-        kinds.append(_best_of(whitened, _warm_ups(length)))
+        names = [f"exp:{time!r}" for time in (_WARM_UPS * length).tolist()]
+        families.append([Disturbance(kind="warm-up", names=(name,), price=2 * price) for name in names])
     measured = all(b.temperature is not None and np.ptp(b.temperature) > 0 for b in whitened.blocks)
     if measured and "temperature" not in once:
-        at_once = Disturbance(kind="temperature", names=("temperature",), price=np.log(length))
-        kinds += [_best_of(whitened, [at_once]), _best_of(whitened, _lags(length))]
+        families.append([Disturbance(kind="temperature", names=("temperature",), price=price)])
+        names = [f"temperature:{lag!r}" for lag in (_LAGS * length).tolist()]
+        families.append([Disturbance(kind="temperature", names=(name,), price=2 * price) for name in names])
+    kinds = [best_cycle(whitened, length)]
+    for shapes in families:
+        gains = [whitened.gain(shape.names) for shape in shapes]
+        best = int(np.argmax(gains))
+        kinds.append((gains[best], shapes[best]))
     yield from (one for gain, one in kinds if gain > _WORTH_A_FIT)
-
-
-def _best_of(whitened: Whitened, shapes: Sequence[Disturbance]) -> tuple[float, Disturbance]:
-    gains = [whitened.gain(shape.names) for shape in shapes]
-    best = int(np.argmax(gains))
-    return gains[best], shapes[best]
-
-
-def _warm_ups(length: int) -> list[Disturbance]:
-    price = 2 * np.log(length)
-    times = (_WARM_UPS * length).tolist()
-    return [Disturbance(kind="warm-up", names=(f"exp:{time!r}",), price=price) for time in times]
-
-
-def _lags(length: int) -> list[Disturbance]:
-    lags = (_LAGS * length).tolist()
-    return [
-        Disturbance(kind="temperature", names=(f"temperature:{lag!r}",), price=2 * np.log(length))
-        for lag in lags
-    ]
 
 
 def _step(
@@ -369,11 +358,6 @@ def best_cycle(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
     return float(gains[best]), Disturbance(
         kind="cycle", names=(f"cos:{omega!r}", f"sin:{omega!r}"), price=3 * np.log(length)
     )
-
-
-def _with_sizes(found: Sequence[Disturbance], fits: _Fits) -> tuple[Disturbance, ...]:
-    beta = dict(zip(fits.ordinates.names, fits.maximum.beta[0].tolist(), strict=True))
-    return tuple(replace(one, size=tuple(beta[name] for name in one.names)) for one in found)
 
 
 #: Time constants after which a warm-up has settled: 5 % of it is left.

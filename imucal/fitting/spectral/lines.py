@@ -115,13 +115,8 @@ def local_level(
 
 def _level(square: FloatArray, kept: BoolArray | None, bins: DctBins) -> tuple[FloatArray, FloatArray]:
     """Return the median of the neighbouring bins' mean squares and its degrees of freedom, for each bin."""
-    starts = bins.first - 1
-    if kept is None:
-        count = bins.count.astype(np.float64)
-        total = np.add.reduceat(square, starts)
-    else:
-        count = np.add.reduceat(kept.astype(np.float64), starts)
-        total = np.add.reduceat(np.where(kept, square, 0.0), starts)
+    weight = np.ones(square.size) if kept is None else kept.astype(np.float64)
+    total, count = (np.add.reduceat(values, bins.first - 1) for values in (square * weight, weight))
     return _level_of(total, count, bins)
 
 

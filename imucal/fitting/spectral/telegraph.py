@@ -3,23 +3,19 @@
 Its spectrum is that of a Gauss-Markov process, so no spectrum tells them apart; their distributions do.
 Means over short spans are explained by N, B, K and a Gauss-Markov process, or by N, B, K and two levels
 of the same spectrum, with many sharings of what the record holds among them. The likelihoods decide.
-`tests/benchmarks/disturbance_limits.py` compares that with the best test there can be.
 
-Source: Machlup (1954), J. Appl. Phys. 25, 341 (the spectrum).
+Given when the level jumped, samples are Gaussian: white noise, a walk, and flicker as a bank of Gauss-Markov
+states, whose likelihood a Kalman filter gives. Of the 2^n courses of the level the filter keeps, for either
+level now, the mean and the covariance of the states over all that came before: generalised pseudo-Bayes of
+the second order. `tests/benchmarks/disturbance_limits.py` compares it with a filter that keeps hundreds of
+courses, and the test with the best there can be.
 
-The likelihood of two levels in coloured noise, by a filter that merges what the level may have been.
-
-Given when the level jumped, samples are Gaussian: white noise, a walk, and flicker as a bank of
-Gauss-Markov states, whose likelihood a Kalman filter gives. Of the 2^n courses of the level the filter
-keeps, for either level now, the mean and the covariance of the states over all that came before:
-generalised pseudo-Bayes of the second order. It tells levels from Gaussian noise as well as a filter that
-keeps hundreds of courses (`tests/benchmarks/disturbance_limits.py`).
-
-Source: Bar-Shalom, Li & Kirubarajan (2001), Estimation with Applications to Tracking and Navigation,
-sec. 11.6.4.
+Source: Machlup (1954), J. Appl. Phys. 25, 341 (the spectrum); Bar-Shalom, Li & Kirubarajan (2001), Estimation
+with Applications to Tracking and Navigation, sec. 11.6.4 (the filter).
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,17 +40,11 @@ _PIECES, _SETTLE = 8, 64
 _LEAST, _TINY = 0.05, 1e-290
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Mixtures:
-    """r mixtures of noise: variances in U² per sample, and a time in samples; each of shape (r,).
+class Mixtures(NamedTuple):
+    """r mixtures of noise: variances in U² per sample, of N, B, K, and a last part; each of shape (r,).
 
-    Attributes
-    ----------
-    white, flicker, walk
-        Of N, B and K.
-    markov, time
-        Variance and correlation time of what is either a Gauss-Markov process, or two levels ±sqrt(markov)
-        with jumps every 2 `time` on average: of the same spectrum.
+    That has variance `markov` and correlation `time` in samples. It is either a Gauss-Markov process, or two
+    levels ±sqrt(markov) with jumps every 2 `time` on average: of the same spectrum.
     """
 
     white: FloatArray
@@ -62,9 +52,6 @@ class Mixtures:
     walk: FloatArray
     markov: FloatArray
     time: FloatArray
-
-
-_NAMES = ("white", "flicker", "walk", "markov", "time")
 
 
 def log_likelihoods(samples: FloatArray, mixtures: Mixtures, two_levels: BoolArray) -> FloatArray:
@@ -76,7 +63,7 @@ def log_likelihoods(samples: FloatArray, mixtures: Mixtures, two_levels: BoolArr
     rows = two_levels.size
     length = (samples.size - _SETTLE) // _PIECES
     places = np.arange(_PIECES)[:, np.newaxis] * length + np.arange(length + _SETTLE)
-    every = Mixtures(**{name: np.tile(getattr(mixtures, name), _PIECES) for name in _NAMES})
+    every = Mixtures(*(np.tile(part, _PIECES) for part in mixtures))
     steps = _filtered(np.repeat(samples[places].T, rows, axis=1), every, np.tile(two_levels, _PIECES))
     steps[:_SETTLE, rows:] = 0.0
     return np.asarray(steps.sum(axis=0).reshape(_PIECES, rows).sum(axis=0))
@@ -170,8 +157,8 @@ _JUMPS = 8
 _ROUNDING = 1e-12
 #: Fitted with and without B, which GM is often mistaken for; and what is fitted without GM.
 _STRUCTURES, _PLAIN = (("N", "B", "GM", "K"), ("N", "GM", "K")), ("N", "B", "K")
-#: Columns of a row: variances of N, B, K and GM, and GM's time; more correlation times than there are.
-_WHITE, _FLICKER, _WALK, _MARKOV, _TIME = 1, 2, 3, 4, 5
+#: Columns of a row, in which `Mixtures` stand from N on; more correlation times than there are.
+_WHITE, _MARKOV, _TIME = 1, 4, 5
 _EVERY = 99
 #: Factors on the variance and the time of the best two levels of a first search, in the columns of a row.
 _ABOUT = np.array([[1, 1, 1, 1, size**2, time] for size in (0.85, 1.0, 1.15) for time in (0.75, 1.0, 1.35)])
@@ -198,7 +185,9 @@ def find_telegraph(series: AxisSeries) -> TwoLevels | None:
     scale = float(means.std())
     if scale <= _ROUNDING * float(np.abs(series.samples).max()):
         return None
-    found = _two_levels(_detrended(means / scale))
+    place = np.arange(count) - (count - 1) / 2
+    flat = means / scale - np.mean(means / scale)
+    found = _two_levels(flat - place * (place @ flat) / (place @ place))
     if found is None:
         return None
     size, time = found
@@ -209,28 +198,16 @@ def telegraph_finding(found: TwoLevels | None, series: AxisSeries) -> tuple[Find
     """Return what to say of two levels."""
     if found is None:
         return ()
-    return (
-        Finding(
-            level="warning",
-            code="telegraph",
-            axis=series.name,
-            text="The level jumps to and fro between two values, "
-            f"±{found.amplitude:.3g} {pretty(series.unit)}, every {found.dwell_s:.3g} s on average: "
-            "random telegraph noise.",
-            advice="The fit takes it for B or GM: its spectrum is right, but no Gaussian noise jumps.",
-        ),
+    text = (
+        f"The level jumps to and fro between two values, ±{found.amplitude:.3g} {pretty(series.unit)}, every "
+        f"{found.dwell_s:.3g} s on average: random telegraph noise."
     )
-
-
-def _detrended(means: FloatArray) -> FloatArray:
-    """Return the means less their straight line."""
-    place = np.arange(means.size) - (means.size - 1) / 2
-    flat = means - means.mean()
-    return np.asarray(flat - place * (place @ flat) / (place @ place))
+    advice = "The fit takes it for B or GM: its spectrum is right, but no Gaussian noise jumps."
+    return (Finding(level="warning", code="telegraph", axis=series.name, text=text, advice=advice),)
 
 
 def _two_levels(means: FloatArray) -> tuple[float, float] | None:
-    """Return half the distance of the levels and half the mean spans between jumps; or None."""
+    """Return half the distance of the levels and half the mean spans between jumps; None where none are."""
     block = Block(offset=0, bins=dct_bins(means.size), ordinates=dct_ordinates(means))
     sharings = _Sharings.of(block)
     gaussian = sharings.best
@@ -330,14 +307,7 @@ class _Sharings:
 def _likelihoods(means: FloatArray, gaussian: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the log-likelihood that two levels, shape (r, p), gain on the `gaussian` mixture, shape (p,)."""
     every = np.concatenate([gaussian[np.newaxis], rows])
-    mixtures = Mixtures(
-        white=every[:, _WHITE],
-        flicker=every[:, _FLICKER],
-        walk=every[:, _WALK],
-        markov=every[:, _MARKOV],
-        time=every[:, _TIME],
-    )
-    found = log_likelihoods(means, mixtures, np.arange(len(every)) > 0)
+    found = log_likelihoods(means, Mixtures(*every[:, _WHITE:].T), np.arange(len(every)) > 0)
     return np.asarray(found[1:] - found[0])
 
 
