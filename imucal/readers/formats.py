@@ -155,19 +155,17 @@ def _by_ending(path: Path, head: bytes) -> Format:
     if b"\x00" not in head or head.startswith(_BYTE_ORDER_MARKS):
         # A damaged binary log may have lost its first bytes; text never ends in .mcap.
         return ending if ending.damaged_start else text
-    if ending is text and not _is_utf16(head):
+    if ending is text:
+        # Text of two bytes a letter may have no mark that says so.
+        from imucal.readers.tables.text_source import utf16_order
+
+        if utf16_order(head) is not None:
+            return text
         known = ", ".join(suffix for entry in FORMATS for suffix in entry.suffixes)
         start = head[:8].hex(" ")
         msg = f"{path}: binary data of an unknown format (first bytes {start}); expected one of {known}"
         raise ReadError(msg)
     return ending
-
-
-def _is_utf16(head: bytes) -> bool:
-    """Return whether bytes are text of two bytes a letter without a mark that says so."""
-    from imucal.readers.tables.text_source import utf16_order
-
-    return utf16_order(head) is not None
 
 
 def load(entry: Format) -> Reader:

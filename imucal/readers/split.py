@@ -1,7 +1,4 @@
-"""Several logs as one recording: joined where they are its parts, refused where they may be anything else.
-
-Are several logs parts of one recording, of which each goes on where the one before ends.
-"""
+"""Several logs as one recording: joined where each goes on where the one before ends, else refused."""
 
 import re
 from collections.abc import Sequence
@@ -20,7 +17,7 @@ from imucal.readers.formats import detect, load
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import join_rows
 from imucal.readers.tables import read_many
-from imucal.readers.tables.scales import converter_step, sample_rows
+from imucal.readers.tables.scales import converter_step, median_size, sample_rows
 from imucal.recording import AxisSeries, Recording, Sensor, Temperature
 from imucal.resources import column_limit
 
@@ -43,9 +40,15 @@ _ENDINGS = re.compile(
 #: Names that number devices: unit1, imu2, sensor3; a recording called imu has parts imu_0 and imu_1.
 _DEVICE = re.compile(r"(?<![a-z])(?:(?:unit|device|dev|board|serial|sn)[\W_]*|imu|sensor|gyro)\d+$")
 
-#: Decisions that parts of one recording have in common, and their names in a message.
-_COMMON = (("frame", "frames"), ("layout", "layouts"), ("gyroscope unit", "gyroscope units"),
-           ("accelerometer unit", "accelerometer units"))  # fmt: skip
+#: Two parts of one recording may differ this much in their measured rates.
+_SAME_RATE = 0.01
+#: Logs that a message lists.
+_MOST = 12
+#: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
+_NO_DATE = 315_532_800_000_000_000
+
+#: Decisions that parts of one recording have in common.
+_COMMON = ("frame", "layout", "gyroscope unit", "accelerometer unit")
 
 
 def span_ns(recording: Recording) -> tuple[int, int] | None:
@@ -91,10 +94,10 @@ def _differences(parts: Sequence[Recording]) -> str:
     if len(set(topics)) > 1:
         what = "topics" if parts[0].source.message_types else "columns"
         return f"their {what} differ ({' and '.join(dict.fromkeys(topics))})"
-    for question, what in _COMMON:
-        answers = [_answer(part, question) for part in parts]
-        if len(set(answers)) > 1:
-            return f"their {what} differ ({' and '.join(dict.fromkeys(map(str, answers)))})"
+    for question in _COMMON:
+        answers = dict.fromkeys(_answer(part, question) for part in parts)
+        if len(answers) > 1:
+            return f"their {question}s differ ({' and '.join(answers)})"
     return ""
 
 
@@ -131,7 +134,7 @@ def _scale_differs(sensor: Sensor, first: FloatArray, other: FloatArray) -> str:
 
 def _gravity_differs(first: FloatArray, other: FloatArray) -> str:
     """Return how the usual magnitudes of three axes differ; turning the sensor leaves them alone."""
-    one, two = (float(np.median(np.sqrt((rows**2).sum(axis=1)))) for rows in (first, other))
+    one, two = median_size(first), median_size(other)
     if first.shape[1] < 3 or max(one, two) < _NO_GRAVITY or _apart(one, two) < _SAME_GRAVITY:
         return ""
     return f"a usual magnitude of {one:.4g} and {two:.4g} {Sensor.ACCELEROMETER.unit}"
@@ -181,14 +184,6 @@ def _pauses(names: Sequence[str], parts: Sequence[Recording]) -> str:
     return ""
 
 
-#: Two parts of one recording may differ this much in their measured rates.
-_SAME_RATE = 0.01
-#: Logs that a message lists.
-_MOST = 12
-#: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
-_NO_DATE = 315_532_800_000_000_000
-
-
 def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     """Read several logs as one recording, in the order of their times.
 
@@ -210,7 +205,11 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     limit = options.memory_limit or column_limit()
     part_options = replace(options, memory_limit=max(1, limit // (2 * len(ordered))))
     parts = [load(f).read(path, part_options) for path, f in zip(ordered, formats, strict=True)]
-    ordered, parts = _in_time_order(ordered, parts)
+    spans = [span for part in parts if (span := span_ns(part))]
+    if len(spans) == len(parts):
+        # In the order of their first samples, else in that of their names.
+        order = sorted(range(len(parts)), key=lambda i: spans[i][0])
+        ordered, parts = [ordered[i] for i in order], [parts[i] for i in order]
     problem = why_not_one(ordered, parts)
     if problem and not options.join:
         raise _refusal(ordered, parts, problem)
@@ -220,13 +219,6 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
 
 def _named(recording: Recording, paths: Sequence[Path]) -> Recording:
     return replace(recording, source=replace(recording.source, path=", ".join(map(str, paths))))
-
-
-def _in_time_order(paths: Sequence[Path], parts: Sequence[Recording]) -> tuple[list[Path], list[Recording]]:
-    """Return logs in the order of their first samples; in the given one where some have no stamps."""
-    spans = [span_ns(part) for part in parts]
-    order = sorted(range(len(parts)), key=lambda i: (spans[i] or (0,))[0] if all(spans) else i)
-    return [paths[i] for i in order], [parts[i] for i in order]
 
 
 def _refusal(paths: Sequence[Path], parts: Sequence[Recording], problem: str) -> ChoiceError:
@@ -287,35 +279,26 @@ def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str, lim
     # One clock is one object: axes that share the clocks of their parts share the joined one.
     clocks: dict[tuple[int, ...], Clock] = {}
     in_order = not overlap([path.name for path in paths], parts)
-    for column in columns:
-        own = [series.clock for series in column]
-        clocks.setdefault(tuple(map(id, own)), _clock(own, in_order=in_order))
     rows = join_rows([[series.samples for series in column] for column in columns], limit=limit)
-    series = tuple(
-        replace(column[0], samples=samples, clock=clocks[tuple(id(one.clock) for one in column)])
-        for column, samples in zip(columns, rows, strict=True)
-    )
+    series = []
+    for column, samples in zip(columns, rows, strict=True):
+        own = [one.clock for one in column]
+        clock = clocks.setdefault(tuple(map(id, own)), _clock(own, in_order=in_order))
+        series.append(replace(column[0], samples=samples, clock=clock))
+    text = f"{len(paths)} logs are joined as one recording: {', '.join(path.name for path in paths)}."
+    if problem:
+        text += f" They were said to be its parts, though {problem}."
+        text += "" if in_order else " They stand one behind the other, whatever their stamps say."
     return replace(
         parts[0],
         source=replace(parts[0].source, files=tuple(file for part in parts for file in part.source.files)),
-        series=series,
+        series=tuple(series),
         temperature=_temperature(parts, clocks, in_order=in_order),
         findings=(
-            _how(paths, problem, in_order=in_order),
+            Finding(level="warning" if problem else "info", code="joined", text=text),
             *dict.fromkeys(finding for part in parts for finding in part.findings),
         ),
     )
-
-
-def _how(paths: Sequence[Path], problem: str, *, in_order: bool) -> Finding:
-    """Return the finding that says what was joined, and what spoke against it."""
-    names = ", ".join(path.name for path in paths)
-    text = f"{len(paths)} logs are joined as one recording: {names}."
-    if not problem:
-        return Finding(level="info", code="joined", text=text)
-    place = "" if in_order else " They stand one behind the other, whatever their stamps say."
-    text = f"{text} They were said to be its parts, though {problem}.{place}"
-    return Finding(level="warning", code="joined", text=text)
 
 
 def _temperature(
@@ -345,25 +328,16 @@ def _clock(clocks: Sequence[Clock], *, in_order: bool) -> Clock:
     for clock in clocks:
         if in_order and end_ns is not None and clock.start_ns is not None:
             place += max(0, round((clock.start_ns - end_ns) / 1e9 / tau))
-        base = clock.segments[0].offset
-        segments += [
-            Segment(start=s.start + count, stop=s.stop + count, offset=s.offset - base + place)
-            for s in clock.segments
-        ]
+        shift = place - clock.segments[0].offset
+        for part in clock.segments:
+            last, offset = segments[-1] if segments else None, part.offset + shift
+            if last is not None and last.offset + last.size == offset:
+                # It goes on without a gap.
+                segments[-1] = replace(last, stop=part.stop + count)
+            else:
+                segments.append(Segment(start=part.start + count, stop=part.stop + count, offset=offset))
         count += clock.n
         place += clock.grid_size
         # The next sample is due here.
         end_ns = None if clock.start_ns is None else clock.start_ns + clock.duration_s * 1e9
-    return replace(clocks[0], rate_hz=1 / tau, segments=_merged(segments))
-
-
-def _merged(segments: Sequence[Segment]) -> tuple[Segment, ...]:
-    """Return segments of which none starts where the one before ends."""
-    merged: list[Segment] = []
-    for segment in segments:
-        last = merged[-1] if merged else None
-        if last is not None and last.offset + last.size == segment.offset:
-            merged[-1] = replace(last, stop=segment.stop)
-        else:
-            merged.append(segment)
-    return tuple(merged)
+    return replace(clocks[0], rate_hz=1 / tau, segments=tuple(segments))

@@ -1,11 +1,7 @@
 """Room for what reading holds: in memory up to a limit of bytes, in temporary files above it.
 
-A temporary file has no name, so nothing is left behind whatever happens.
-
-Columns of numbers while a log is read: in memory, or in a temporary file above a limit of bytes.
-
-`Columns` are written at any place by several threads, their number of samples known beforehand; a
-`GrowingColumn` takes block after block.
+A temporary file has no name, so nothing is left behind whatever happens. `Columns` are written at any place
+by several threads, their number of samples known beforehand; a `GrowingColumn` takes block after block.
 """
 
 import mmap
@@ -28,6 +24,12 @@ T = TypeVar("T", bound=np.generic)
 
 #: The share of what may be held that one array may take: some ten are there at a time.
 _SHARE = 16
+#: Bytes written before their pages are given back to the system.
+_FLUSH = 1 << 25
+#: Bytes that wait for the temporary file.
+_PIECE = 1 << 22
+#: Values that a growing column has room for at first.
+_FIRST = 1 << 16
 
 
 class Spill:
@@ -128,22 +130,25 @@ class Room:
 
     def chosen(self, values: NDArray[T], keep: BoolArray) -> NDArray[T]:
         """Return the values where `keep` is true."""
-        result = self.empty(count(keep), values.dtype)
-        end = 0
-        for part in blocks(keep.size, keep, values, result):
-            some = values[part][keep[part]]
-            result[end : end + some.size] = some
-            end += some.size
-        return result
+        return self._gathered(keep, values.dtype, lambda part: values[part][keep[part]], values)
 
     def places(self, keep: BoolArray) -> IntArray:
         """Return the places where `keep` is true, in order."""
-        result = self.empty(count(keep), np.int64)
+        return self._gathered(keep, np.int64, lambda part: np.flatnonzero(keep[part]) + part.start)
+
+    def _gathered(
+        self,
+        keep: BoolArray,
+        dtype: type[T] | np.dtype[T],
+        of: Callable[[slice], Any],
+        *sources: NDArray[Any],
+    ) -> NDArray[T]:
+        """Return what `of` gives of each block, one behind the other: a value for each place that is kept."""
+        result = self.empty(count(keep), dtype)
         end = 0
-        for part in blocks(keep.size, keep, result):
-            some = np.flatnonzero(keep[part])
+        for part in blocks(keep.size, keep, *sources, result):
+            some = of(part)
             result[end : end + some.size] = some
-            result[end : end + some.size] += part.start
             end += some.size
         return result
 
@@ -162,14 +167,6 @@ def extremes(values: NDArray[Any]) -> tuple[Any, Any]:
 def equal(first: NDArray[Any], second: NDArray[Any]) -> bool:
     """Return whether two arrays of one size hold the same."""
     return all(bool((first[part] == second[part]).all()) for part in blocks(first.size, first, second))
-
-
-#: Bytes written before their pages are given back to the system.
-_FLUSH = 1 << 25
-#: Bytes that wait for the temporary file.
-_PIECE = 1 << 22
-#: Values that a growing column has room for at first.
-_FIRST = 1 << 16
 
 
 class Columns:

@@ -387,7 +387,13 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad 
         gyros, accels = _tags({cell for cell in table.filled(column.index) if not is_number(cell)})
         several = max(len(gyros), len(accels))
         if several > 1:
-            raise _several_tags(table, gyro, accel, gyros, accels)
+            texts = []
+            for k in range(several):
+                pairs = ((gyro, gyros), (accel, accels))
+                parts = [triad.text(f"@{tags[min(k, len(tags) - 1)]}") for triad, tags in pairs if tags]
+                texts.append(",".join(filter(None, [table.columns_text(), *parts])))
+            problem = f"rows of several sensors: {', '.join([*gyros, *accels])}"
+            raise table.ask(problem, example=" or ".join(texts))
         if several:
             return (
                 replace(gyro, rows=(column.index, gyros[0])) if gyros else None,
@@ -400,18 +406,6 @@ def find_bare_triads(table: NamedTable, name: str) -> tuple[Triad | None, Triad 
         raise table.ask(problem, example=f"{table.columns_text(gyro)} or {table.columns_text(accel)}")
     by_name = "by the name of the file"
     return (gyro, None, by_name) if sensor is Sensor.GYROSCOPE else (None, accel, by_name)
-
-
-def _several_tags(
-    table: NamedTable, gyro: Triad, accel: Triad, gyros: Sequence[str], accels: Sequence[str]
-) -> ChoiceError:
-    """Return the error for bare columns whose rows are tagged as those of several sensors of a kind."""
-    texts = []
-    for k in range(max(len(gyros), len(accels))):
-        pairs = ((gyro, gyros), (accel, accels))
-        parts = [triad.text(f"@{tags[min(k, len(tags) - 1)]}") for triad, tags in pairs if tags]
-        texts.append(",".join(filter(None, [table.columns_text(), *parts])))
-    return table.ask(f"rows of several sensors: {', '.join([*gyros, *accels])}", example=" or ".join(texts))
 
 
 def _tags(texts: set[str]) -> tuple[list[str], list[str]]:

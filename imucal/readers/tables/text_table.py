@@ -92,7 +92,7 @@ def _propose(path: str, lines: Sequence[str], layout: TextLayout, options: ReadO
     tags = _inertial_tags(lines, layout.delimiter)
     if tags:
         layout = find_layout(rows_of_tag(lines, layout.delimiter, (-1, tags[0]))) or layout
-    gyro, accel = _first(tags, "gyr"), _first(tags, "acc")
+    gyro, accel = (next((t for t in tags if t.lower().startswith(s)), None) for s in ("gyr", "acc"))
     numeric = [index for index in range(layout.width) if all(map(is_number, layout.cells(index)))]
     both = []
     if gyro and accel and len(numeric) == 4:
@@ -101,10 +101,6 @@ def _propose(path: str, lines: Sequence[str], layout: TextLayout, options: ReadO
     columns = tuple(parse_column("", index) for index in range(layout.width))
     table = NamedTable(path=path, columns=columns, cells=layout.cells)
     return propose(table, options, first=both, suffix=f"@{tags[0]}" if tags else "")
-
-
-def _first(tags: Sequence[str], start: str) -> str | None:
-    return next((tag for tag in tags if tag.lower().startswith(start)), None)
 
 
 def _inertial_tags(lines: Sequence[str], delimiter: str) -> list[str]:
