@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
-from imucal.readers.containers.container import Batch, Bytes, Channel, Loss, Task, gather
+from imucal.readers.containers.container import Batch, Bytes, Channel, Loss, MessageFile, Task, gather
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
 #: A bag's topics and definitions are written first: they lie in the first pages, in bytes.
@@ -430,7 +430,7 @@ def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray
     return pages, np.append(keys, bound)
 
 
-class SqliteFile:
+class SqliteFile(MessageFile):
     """A container of the messages of a `.db3` file.
 
     Parameters
@@ -441,37 +441,33 @@ class SqliteFile:
 
     format = "rosbag2-sqlite3"
     compression = "none"
-    parallel = True
 
     def __init__(self, path: Path, counts: Mapping[str, int] | None = None) -> None:
-        self.path = path
-        self._file = LogFile(path)
-        self.size = self._file.size
-        self.findings: list[Finding] = []
+        self._counts = counts
         self._base: sqlite3.Connection | None = None
         self._lock = threading.Lock()
         self._cut = False
         self.first_id, self.last_id = 1, 0
-        self.start_ns: int | None = None
-        self.end_ns: int | None = None
+        super().__init__(path)
+
+    def _read_index(self) -> None:
         try:
-            self._open(counts)
+            self._open()
         except (*_ERRORS, DamagedError) as error:
-            self.close()
             msg = (
-                f"{path}: the SQLite database can't be read: {error}; expected a ROS 2 bag, "
+                f"{self.path}: the SQLite database can't be read: {error}; expected a ROS 2 bag, "
                 "try to recover it with `sqlite3 FILE .recover`"
             )
             raise ReadError(msg) from error
 
-    def _open(self, counts: Mapping[str, int] | None) -> None:
+    def _open(self) -> None:
         try:
             self._base = connect(self.path, self.findings)
             first, last = self._ends("id")
             if first is not None and last is not None:
                 self.first_id, self.last_id = int(first), int(last)
             self.start_ns, self.end_ns = self._ends("timestamp")
-            self.channels = self._channels(counts)
+            self.channels = self._channels(self._counts)
         except sqlite3.DatabaseError as error:
             if self._base is not None:
                 self._base.close()
@@ -487,7 +483,7 @@ class SqliteFile:
 
     def close(self) -> None:
         """Close the database."""
-        self._file.close()
+        super().close()
         if self._base is not None:
             self._base.close()
 

@@ -396,25 +396,26 @@ class Shape:
     imu: ImuFields
 
 
-def reachable(imu: ImuFields, fields: Sequence[Field]) -> ImuFields | None:
-    """Return the fields that a user asked for as the walk takes them; None where it can't reach them all.
+def is_reachable(imu: ImuFields, fields: Sequence[Field]) -> bool:
+    """Say whether the walk can reach all fields that a user asked for.
 
     It can reach numbers, and elements of arrays and of sequences of numbers, that stand before any list of
     structures that hold texts. The three elements of an array of three are taken at once.
     """
     known = {entry.path: entry for entry in fields}
-    if imu.lists:
-        return None
-    for path in imu.wanted:
-        owner = known.get(path.rpartition("[")[0]) if path.endswith("]") else None
-        whole = known.get(path)
-        inside = owner is not None and (
-            (owner.kind == "sequence" and owner.count == 1)
-            or (owner.kind == "array" and int(path.rpartition("[")[2].rstrip("]")) < owner.count)
-        )
-        if not inside and (whole is None or whole.kind != "number"):
-            return None
-    return imu
+
+    def reached(path: str) -> bool:
+        if path in known:
+            return known[path].kind == "number"
+        match = _ELEMENT.fullmatch(path)
+        owner = known.get(match[1]) if match else None
+        if match is None or owner is None:
+            return False
+        if owner.kind == "sequence":
+            return owner.count == 1
+        return owner.kind == "array" and int(match[2]) < owner.count
+
+    return not imu.lists and all(map(reached, imu.wanted))
 
 
 class BinaryDecoder:

@@ -17,7 +17,7 @@ from imucal.readers.messages.definitions import (
 )
 from imucal.readers.messages.loader import Decoder, Stream, decode, first_message
 from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus
-from imucal.readers.messages.plain import BinaryDecoder, Shape, reachable
+from imucal.readers.messages.plain import BinaryDecoder, Shape, is_reachable
 from imucal.readers.messages.topics import Choice, Topic
 from imucal.readers.messages.trees import JSON_FIELDS, TreeDecoder, tree_decoder
 from imucal.readers.read_options import ReadOptions
@@ -75,11 +75,10 @@ def _decoder(
     definition = definition_of_channel(channel, options)
     fields = definition.fields(channel)
     if imu.asked:
-        reached = reachable(imu, fields)
-        if reached is None:
+        if not is_reachable(imu, fields):
             parse = ros_trees.parser_of(channel.type, definition.text, definition.more, ros1=ros1)
             return tree_decoder(imu, parse, "ROS")
-        return BinaryDecoder([Shape(fields, reached)], ros1=ros1, exact=definition.assumed)
+        return BinaryDecoder([Shape(fields, imu)], ros1=ros1, exact=definition.assumed)
     standard = built_in(channel.type, ros1=ros1)
     layouts = [fields, flatten(channel.type, standard, ros1=ros1)] if standard is not None else [fields]
     shapes = [_shape(channel, layout, topic, sensors) for layout in layouts]

@@ -112,7 +112,8 @@ class TreeDecoder:
     def _sample(self, tree: Any) -> Sample:  # noqa: ANN401 - any tree
         numbers = [number for paths in self._vectors for number in _vector(tree, paths)]
         warmth = _number(_follow(tree, self._temperature)) if self._temperature else math.nan
-        return self._time_of(tree), numbers, warmth
+        # A stamp beyond 64 bits is damage, to be found while the message is still known.
+        return int(np.int64(self._time_of(tree))), numbers, warmth
 
     def _time_of(self, tree: Any) -> int:  # noqa: ANN401 - any tree
         """Return the stamp of a message in ns; 0 where there is none."""
@@ -169,7 +170,7 @@ class ListDecoder(TreeDecoder):
             times = [self._ns_of(time) for time in zip(*parts, strict=True)]
         else:
             times = [self._time_of(tree)] * n
-        return list(zip(times, rows, warmth, strict=True))
+        return list(zip(np.array(times, dtype=np.int64).tolist(), rows, warmth, strict=True))
 
 
 def tree_decoder(imu: ImuFields, parse: Parse = json.loads, kind: str = "JSON") -> TreeDecoder:

@@ -282,6 +282,24 @@ def test_reads_json_messages(tmp_path: Path) -> None:
     check(read(write_mcap(tmp_path / "log.mcap", messages, definitions={IMU: ("jsonschema", "{}")})))
 
 
+def test_a_json_stamp_beyond_all_times_loses_its_message_alone(tmp_path: Path) -> None:
+    """It is no number of 64 bits; the others are read, and it is said."""
+    import json
+
+    messages = []
+    for row, stamp in enumerate(TRUTH.stamps.tolist()):
+        content = {
+            "header": {"stamp": {"sec": 10**40 if row == 7 else stamp // 10**9, "nanosec": stamp % 10**9}},
+            "angular_velocity": TRUTH.gyro[row].tolist(),
+            "linear_acceleration": TRUTH.accel[row].tolist(),
+        }
+        data = json.dumps(content).encode()
+        messages.append(Message(topic=TOPIC, type=IMU, log=stamp, data=data, encoding="json"))
+    recording = read(write_mcap(tmp_path / "log.mcap", messages, definitions={IMU: ("jsonschema", "{}")}))
+    assert recording.series[0].samples.size == len(messages) - 1
+    assert "a JSON message has no IMU sample: OverflowError" in recording.findings[0].text
+
+
 def test_refuses_an_encoding_with_what_it_is(tmp_path: Path) -> None:
     """Topic, type and encoding, and what can be read."""
     messages = [
