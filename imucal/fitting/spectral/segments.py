@@ -386,20 +386,18 @@ class _Tests:
 
     def __init__(self, problem: Problem, fitted: Fitted, segments: SegmentOrdinates) -> None:
         self.problem, self.segments = problem, segments
-        self.structure = in_order((*fitted.structure, *fitted.missing))
         self.absent = [COLUMN[symbol] for symbol in fitted.missing]
         old = fitted.candidate
         candidate = candidates_of(
-            [self.structure],
+            [in_order((*fitted.structure, *fitted.missing))],
             (),
             poles=int(old.poles[0]),
             zeros=int(old.zeros[0]),
             room_shaped=old.room,
         )
         theta = fitted.maximum.theta.copy()
-        theta[:, self.absent] = bounds(problem.ordinates, candidate, shortest=problem.shortest)[0][
-            self.absent
-        ]
+        low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
+        theta[:, self.absent] = low[self.absent]
         self.spectra = derivatives(segments.ordinates, candidate, theta)[: candidate.variances]
         self.whole = np.delete(self.spectra, self.absent, axis=0).sum(axis=0)
         for column in self.absent:
