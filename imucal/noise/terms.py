@@ -337,3 +337,6 @@ def require_fittable(symbols: Iterable[str], method: str) -> None:
             found, wanted = ", ".join(term.parameters()), "a coefficient and at most a time T"
             msg = f"{refusal}: it has {found}, expected {wanted}; leave {symbol} out"
             raise ValueError(msg)
+        if method == "slope" and term.slope is None:
+            msg = f"{refusal}: its curve has no slope of its own; leave {symbol} out"
+            raise ValueError(msg)

@@ -1,4 +1,4 @@
-"""A term of a shape that imucal does not know fits when its class is written, and nothing else."""
+"""A term of a shape that imucal does not know is fitted when its class is written, and nothing else."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -142,6 +142,15 @@ def test_a_term_of_other_parameters_is_refused(method: str, monkeypatch: pytest.
         f"method '{method}' can't fit SE (squared exponential): it has sigma, period, "
         "expected a coefficient and at most a time T; leave SE out"
     )
+
+
+def test_a_term_without_a_slope_is_not_read_from_slopes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though its class says that it may be."""
+    monkeypatch.setattr(SquaredExponential, "fitted_by", frozenset({"slope"}))
+    with pytest.raises(
+        ValueError, match=r"^method 'slope' can't fit SE .*: its curve has no slope of its own"
+    ):
+        fit_of("N=1e-3", "N + SE", "slope")
 
 
 def test_a_term_without_density_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

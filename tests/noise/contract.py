@@ -37,6 +37,9 @@ def _in_the_fits(symbol: str, term: type[NoiseTerm]) -> Iterator[str]:
     name = term.__name__
     for method in sorted(term.fitted_by - set(METHODS)):
         yield f"{name}: {method!r} in `fitted_by` is no method; there are {', '.join(METHODS)}"
+    if term.fitted_by and term.parameters()[1:] not in {(), ("T",)}:
+        has = ", ".join(term.parameters())
+        yield f"{name} has {has}, but a fit (`fitted_by`) estimates a coefficient and at most a time T"
     if "slope" in term.fitted_by and term.slope is None:
         yield f"{name} is read from slopes (`fitted_by`) but has none (`slope`)"
     if "slope" in term.fitted_by and len(symbol) > 1:

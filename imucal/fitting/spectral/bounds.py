@@ -46,8 +46,7 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, t
 
 def with_absent(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
     """Add the bounds of N, B and K that a given model lacks: what it leaves them beside its own terms."""
-    there = {e.symbol for e in estimates}
-    absent = [symbol for symbol in ALWAYS if symbol not in there]
+    absent = set(ALWAYS).difference(e.symbol for e in estimates)
     bounds_of = [upper_bound(problem, add_term(problem, fitted, symbol), symbol) for symbol in absent]
     return ordered((*estimates, *bounds_of))
 
@@ -153,6 +152,13 @@ def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
     return Fitted(structure=structure, candidate=candidate, maximum=found.take(best))
 
 
+def completed(problem: Problem, fitted: Fitted) -> Fitted:
+    """Return the fit with the terms that every fit reports, at zero where the data want them there."""
+    for symbol in fitted.missing:
+        fitted = add_term(problem, fitted, symbol)
+    return fitted
+
+
 def upper_bound(problem: Problem, fitted: Fitted, symbol: str) -> Estimate:
     """Return the bound of a power-law term that was added."""
     _, highs = problem.limits(fitted, [COLUMN[symbol]])
@@ -180,9 +186,9 @@ def hull_estimates(
     or K is shown that the chosen model lacks, the model is drawn with it: a parameter costs the choice
     more than data need to show it, and terms that are printed should add up to the line.
     """
-    completed = list(_completed(problem, choice))
     models = [
-        {e.key: e for e in estimate(_with_say(problem, distance), model)} for distance, model in completed
+        {e.key: e for e in estimate(_with_say(problem, distance), model)}
+        for distance, model in _completed(problem, choice)
     ]
     shown = {key for key in ALWAYS if not any(_may_be_zero(model[key]) for model in models)}
     if shown - set(fitted.structure):
@@ -264,13 +270,10 @@ def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, 
     seen = set()
     for index in np.flatnonzero(distances < _NO_SAY)[:_MOST].tolist():
         model = fitted_model(choice, index)
-        missing = [symbol for symbol in ALWAYS if symbol not in model.structure]
-        structure = in_order((*model.structure, *missing))
+        structure = in_order((*model.structure, *model.missing))
         if structure not in seen:
             seen.add(structure)
-            for symbol in missing:
-                model = add_term(problem, model, symbol)
-            yield float(distances[index]), model
+            yield float(distances[index]), completed(problem, model)
 
 
 def _with_say(problem: Problem, distance: float) -> Problem:

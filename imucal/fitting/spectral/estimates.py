@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
+from imucal.fitting.homogeneity import symbol_of
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import Ordinates
@@ -211,6 +212,11 @@ class Fitted:
     candidate: Candidates
     maximum: Maximum
 
+    @property
+    def missing(self) -> list[str]:
+        """Terms that every fit reports and this one lacks."""
+        return [symbol for symbol in ALWAYS if symbol not in self.structure]
+
     def columns(self, beside: Iterable[str] = ()) -> list[tuple[str, int]]:
         """Return name and column of each parameter but R, those of power laws `beside` it too."""
         return parameter_columns(in_order((*self.structure, *beside)), self.candidate.room)
@@ -336,19 +342,16 @@ def covariance_of(
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the names of the parameters and their covariance in SI, from the expected information."""
     known = {e.key: e for e in estimates if e.value is not None}
-    every = fitted.columns()
-    columns = [(name, column) for name, column in every if name.partition(".")[0] in known]
-    places = [column for _, column in columns]
+    columns = {name: at for name, at in fitted.columns() if name.partition(".")[0] in known}
+    names, places = list(columns), list(columns.values())
     inverse = covariance(fitted.maximum.information[0], fitted.candidate.free[0])
-    names = [name for name, _ in columns]
     slope = np.array([_slope(name, known) * problem.widening.get(name, 1.0) for name in names])
     matrix = inverse[np.ix_(places, places)] * np.outer(slope, slope)
     if "R" in known:
         names.append("R")
         variance = float(fitted.maximum.beta_covariance[0, 0, 0]) * problem.deviation("R") ** 2
-        matrix = np.block(
-            [[matrix, np.zeros((len(columns), 1))], [np.zeros((1, len(columns))), np.array([[variance]])]]
-        )
+        matrix = np.pad(matrix, (0, 1))
+        matrix[-1, -1] = variance
     return tuple(names), matrix
 
 
@@ -366,12 +369,10 @@ def misfits_of(problem: Problem, fitted: Fitted, found: Goodness) -> dict[str, f
     if found.statistic < MISFIT:
         return {}
     factors = misfit_factors(problem.ordinates, fitted.candidate, fitted.maximum.theta)
-    missing = [symbol for symbol in ALWAYS if symbol not in fitted.structure]
-    columns = fitted.columns(missing)
     largest: dict[str, float] = {}
-    for name, column in columns:
+    for name, column in fitted.columns(fitted.missing):
         if column < factors.size:
-            symbol = name.partition(".")[0].rstrip("0123456789")
+            symbol = symbol_of(name.partition(".")[0])
             largest[symbol] = max(largest.get(symbol, 1.0), float(factors[column]))
     return largest
 

@@ -22,11 +22,11 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.bins import Bins
-from imucal.fitting.homogeneity import widened
+from imucal.fitting.homogeneity import symbol_of, widened
 from imucal.fitting.noise_fit import Estimate, Goodness
 from imucal.fitting.spectral.band import Band, find_band
 from imucal.fitting.spectral.blocks import joined, ordinates_of
-from imucal.fitting.spectral.bounds import add_term, estimate_or_bound, fitted_model, numbered, with_absent
+from imucal.fitting.spectral.bounds import completed, estimate_or_bound, fitted_model, numbered, with_absent
 from imucal.fitting.spectral.estimates import Fitted, Problem, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import derivatives
 from imucal.fitting.spectral.ordinates import Ordinates
@@ -34,7 +34,6 @@ from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximiz
 from imucal.fitting.spectral.selection import choose
 from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, richest
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import ALWAYS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,10 +86,7 @@ def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm
     )
     choice = choose(seen, [structure], criterion="bic", band=band, common=common, shortest=SHORTEST_GIVEN)
     fitted, own = estimate_or_bound(problem, choice)
-    whole = fitted_model(choice, 0)
-    for symbol in ALWAYS:
-        if symbol not in whole.structure:
-            whole = add_term(problem, whole, symbol)
+    whole = completed(problem, fitted_model(choice, 0))
     found = misfit(seen, fitted.candidate, fitted.maximum.theta)
     estimates, _ = numbered(with_absent(problem, fitted, own), ())
     owner = np.repeat(np.arange(len(parts)), [one.size.size for one in parts])
@@ -193,7 +189,7 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
 def _test(problem: Problem, key: str, drop: float, peaks: FloatArray, errors: FloatArray) -> RecordTest:
     from scipy.special import chdtrc
 
-    symbol = key.rstrip("0123456789")
+    symbol = symbol_of(key)
     surplus = problem.widening.get(symbol, 1.0) ** 2
     statistic = max(2 * drop / surplus, 0.0)
     return RecordTest(
@@ -358,7 +354,7 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     result = {}
     for (name, _), value, (deviation, growth) in zip(columns, variance.tolist(), laws, strict=True):
         key = name.partition(".")[0]
-        symbol = key.rstrip("0123456789")
+        symbol = symbol_of(key)
         scale = problem.deviation(symbol) ** 2
         wider = problem.widening.get(symbol, 1.0) * found.misfits.get(symbol, 1.0)
         result[key] = SquaredCoefficient(

@@ -167,17 +167,11 @@ def evaluate(
     )
 
 
-def contributions(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> FloatArray:
-    """Return what each term adds to the spectrum of one candidate at `theta`, shape (1, p).
-
-    A row for each variance parameter, the response included, shape (4 + g, b); 0 for terms that the
-    candidate does not have.
-    """
-    return derivatives(ordinates, candidate, theta)[: candidate.variances]
-
-
 def derivatives(ordinates: Ordinates, candidate: Candidates, theta: FloatArray) -> FloatArray:
-    """Return the derivative of one candidate's spectrum in each parameter at `theta`, shape (p, b)."""
+    """Return the derivative of one candidate's spectrum in each parameter at `theta`, shape (p, b).
+
+    Those in the logs of the variances are what each term adds, the response included.
+    """
     spectrum, slopes = _spectrum(ordinates, candidate, theta)
     found: FloatArray = slopes[0] * spectrum[0]
     return found

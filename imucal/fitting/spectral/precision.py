@@ -52,9 +52,11 @@ def relative_deviations(
         return dict.fromkeys(names, math.inf)
     bins = dct_bins(n, singles=64, per_octave=12)
     count = bins.count.astype(np.float64)
-    slopes, spectrum = _slopes(model, bins, 1 / rate_hz)
-    # The deviations of the others do not depend on the size of a row.
-    slopes = np.vstack([slopes, *(_shape(symbol, bins, 1 / rate_hz) for symbol in beside)])
+    # The deviations of the others do not depend on the size of what may be there too.
+    terms = [*model.terms, *(TERMS[symbol].of(1.0) for symbol in beside)]
+    parts = [term.dct_slopes(bins.n, bins.first, bins.count, 1 / rate_hz) for term in terms]
+    spectrum = sum((own for own, _ in parts[: len(model.terms)]), np.zeros(bins.size))
+    slopes = np.vstack([own for _, own in parts])
     moving = [i for i in range(len(slopes)) if np.any(slopes[i] > 0) or np.any(slopes[i] < 0)]
     scaled = slopes[moving] / spectrum * np.sqrt(count / 2)
     result = dict.fromkeys(names, math.inf)
@@ -78,23 +80,6 @@ def _deviations(scaled: FloatArray) -> list[float]:
         return [math.inf] * length.size
     inverse = np.linalg.inv(factor)
     return [float(d) for d in np.sqrt(np.einsum("ij,ij->i", inverse, inverse)) / length]
-
-
-def _slopes(model: NoiseModel, bins: DctBins, tau0: float) -> tuple[FloatArray, FloatArray]:
-    """Return dS/d ln parameter, shape (p, b), and S, shape (b,), the mean of each bin."""
-    rows: list[FloatArray] = []
-    spectrum = np.zeros(bins.size)
-    for term in model.terms:
-        own, slopes = term.dct_slopes(bins.n, bins.first, bins.count, tau0)
-        rows.extend(slopes)
-        spectrum = spectrum + own
-    return np.array(rows), spectrum
-
-
-def _shape(symbol: str, bins: DctBins, tau0: float) -> FloatArray:
-    """Return the mean of a power law's spectrum in each bin, shape (b,), of any size."""
-    spectrum, _ = TERMS[symbol].of(1.0).dct_slopes(bins.n, bins.first, bins.count, tau0)
-    return spectrum
 
 
 def _ramp_deviation(bins: DctBins, spectrum: FloatArray) -> float:

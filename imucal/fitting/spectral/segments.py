@@ -24,12 +24,12 @@ from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
 from imucal.fitting.spectral.bounds import COLUMN
 from imucal.fitting.spectral.estimates import Fitted, Problem, quantile
-from imucal.fitting.spectral.likelihood import contributions
+from imucal.fitting.spectral.likelihood import derivatives
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
 from imucal.fitting.spectral.scoring import bounds
 from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import ALWAYS, in_order
+from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
 
 #: Fewest samples of a segment, and of a part of it between two long gaps.
@@ -386,26 +386,23 @@ class _Tests:
 
     def __init__(self, problem: Problem, fitted: Fitted, segments: SegmentOrdinates) -> None:
         self.problem, self.segments = problem, segments
-        missing = [symbol for symbol in ALWAYS if symbol not in fitted.structure]
-        self.structure = in_order((*fitted.structure, *missing))
-        self.absent = [COLUMN[symbol] for symbol in missing]
+        self.absent = [COLUMN[symbol] for symbol in fitted.missing]
         old = fitted.candidate
         candidate = candidates_of(
-            [self.structure],
+            [in_order((*fitted.structure, *fitted.missing))],
             (),
             poles=int(old.poles[0]),
             zeros=int(old.zeros[0]),
             room_shaped=old.room,
         )
         theta = fitted.maximum.theta.copy()
-        theta[:, self.absent] = bounds(problem.ordinates, candidate, shortest=problem.shortest)[0][
-            self.absent
-        ]
-        self.spectra = contributions(segments.ordinates, candidate, theta)
+        low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
+        theta[:, self.absent] = low[self.absent]
+        self.spectra = derivatives(segments.ordinates, candidate, theta)[: candidate.variances]
         self.whole = np.delete(self.spectra, self.absent, axis=0).sum(axis=0)
         for column in self.absent:
             self.spectra[column] *= _SHARE / np.max(self.spectra[column] / self.whole)
-        self.columns = dict(fitted.columns(missing))
+        self.columns = dict(fitted.columns(fitted.missing))
         self.spans = np.stack([segments.start_s, segments.end_s], axis=1)
 
     def terms(self) -> tuple[TermHomogeneity, ...]:

@@ -12,7 +12,7 @@ from imucal.fitting.settings import CRITERIA
 from imucal.fitting.spectral.band import Band
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.fitting.spectral.scoring import Maximum, Race, maximize
+from imucal.fitting.spectral.scoring import Maximum, maximize
 from imucal.fitting.spectral.starts import find_starts
 from imucal.fitting.spectral.structures import Structure, candidates_of
 from imucal.noise.model import structure_text
@@ -90,7 +90,7 @@ def choose(
         shortest=shortest,
         tolerance=1e-3,
         iterations=40,
-        race=Race(handicap=cost[owner] / 2),
+        handicap=cost[owner] / 2,
     )
     if not np.isfinite(rough.objective).any():
         msg = (

@@ -11,6 +11,7 @@ from imucal.fitting.spectral import bounds
 from imucal.fitting.spectral.estimates import Fitted, Problem
 from imucal.fitting.spectral.selection import RankedModels
 from imucal.fitting.spectral.structures import Structure
+from imucal.noise.terms import ALWAYS
 from tests.fitting.fits import ordinates_of
 
 PROBLEM = Problem(
@@ -58,12 +59,12 @@ def test_a_model_has_less_to_say_the_farther_it_is(distance: float, level: float
 
 def _completions(monkeypatch: pytest.MonkeyPatch, choice: RankedModels) -> list[tuple[float, str]]:
     """Return the distance of each completion, and its terms in the order in which they came."""
-    monkeypatch.setattr(
-        bounds, "fitted_model", lambda made, index: SimpleNamespace(structure=made.structures[index])
-    )
-    monkeypatch.setattr(
-        bounds, "add_term", lambda _, model, symbol: SimpleNamespace(structure=(*model.structure, symbol))
-    )
+
+    def model(structure: Structure) -> SimpleNamespace:
+        return SimpleNamespace(structure=structure, missing=[s for s in ALWAYS if s not in structure])
+
+    monkeypatch.setattr(bounds, "fitted_model", lambda made, index: model(made.structures[index]))
+    monkeypatch.setattr(bounds, "add_term", lambda _, fitted, symbol: model((*fitted.structure, symbol)))
     found = bounds._completed(PROBLEM, choice)
     return [(distance, " ".join(model.structure)) for distance, model in found]
 
