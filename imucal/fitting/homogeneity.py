@@ -26,7 +26,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import CHANCE, SLOW, Estimate, Interval, Segments, TermHomogeneity
+from imucal.fitting.noise_fit import CHANCE, Estimate, Interval, Segments, TermHomogeneity, is_slow
 from imucal.recording import AxisSeries
 
 #: Most windows, fewest, and fewest samples of a window.
@@ -247,7 +247,7 @@ def _said(term: TermHomogeneity) -> str:
 def _widths(segments: Segments) -> str:
     """Return by what factors the intervals are wider, in words."""
     factors = {
-        "of the slow terms" if symbol in SLOW else f"of {symbol}": segments.widening(symbol)
+        "of the slow terms" if is_slow(symbol) else f"of {symbol}": segments.widening(symbol)
         for symbol in dict.fromkeys(term.symbol for term in segments.changing)
     }
     said = " and ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
@@ -277,7 +277,7 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
     if estimate.value is None:
         return replace(estimate, high=estimate.high * factor, widening=factor)
     low, high = _limits(estimate, estimate.value, factor)
-    if estimate.symbol in SLOW and low <= _NOUGHT * high:
+    if is_slow(estimate.symbol) and low <= _NOUGHT * high:
         bounded = Estimate.bounded(estimate.key, estimate.symbol, high)
         return replace(bounded, alternatives=estimate.alternatives, widening=factor)
     time = estimate.correlation_time
@@ -289,6 +289,6 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
 
 def _limits(estimate: Estimate, value: float, factor: float) -> tuple[float, float]:
     low, high = estimate.low, estimate.high
-    if estimate.symbol in SLOW and low < _NARROW * value:
+    if is_slow(estimate.symbol) and low < _NARROW * value:
         return value - factor * (value - low), value + factor * (high - value)
     return value * (low / value) ** factor, value * (high / value) ** factor

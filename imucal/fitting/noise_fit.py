@@ -1,7 +1,4 @@
-"""NoiseFit: what explains an axis, with an interval on each number.
-
-Segments: what each part of a record says of its noise, as values.
-"""
+"""NoiseFit: what explains an axis, with an interval on each number; Segments: what its parts say of it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,13 +11,17 @@ from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.noise.model import NoiseModel
+from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 
 #: Chance that a term of a stationary record is found to change.
 CHANCE = 0.01
-#: Symbols of the slow terms. What changes slowly is one thing in a segment: which of them it was that
-#: changed is not told.
-SLOW = frozenset({"B", "GM", "K", "R"})
+
+
+def is_slow(symbol: str) -> bool:
+    """Whether a term is slower than white noise: what of that changed in a segment is not told."""
+    slope = TERMS[symbol].slope
+    return slope is None or slope >= 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,8 +113,9 @@ class Segments:
 
     def widening(self, symbol: str) -> float:
         """Return by what factor the intervals of a term are wider: its own, of slow terms the largest."""
-        alike = SLOW if symbol in SLOW else {symbol}
-        return max((term.factor for term in self.terms if term.symbol in alike), default=1.0)
+        slow = is_slow(symbol)
+        alike = (t for t in self.terms if t.symbol == symbol or (slow and is_slow(t.symbol)))
+        return max((term.factor for term in alike), default=1.0)
 
 
 Status: TypeAlias = Literal["estimated", "bounded"]
