@@ -1,7 +1,4 @@
-"""NoiseFit: what explains an axis, with an interval on each number.
-
-Segments: what each part of a record says of its noise, as values.
-"""
+"""NoiseFit: what explains an axis, with an interval on each number; Segments: what its parts say of it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -137,10 +137,12 @@ def sum_variance(term: NoiseTerm, n: FloatArray) -> FloatArray:
     """Return V(n), up to a multiple of n^2, of which covariances of second differences know nothing.
 
     For a Gauss-Markov term of variance 1 that multiple is left out: it would cost all digits where
-    the correlation time is much longer than n.
+    the correlation time is much longer than n. Of a term without a closed form `n` are whole numbers.
     """
-    if not isinstance(term, GaussMarkov):
+    if isinstance(term, PowerLawTerm):
         return term.sum_variance(n, 1.0)
+    if not isinstance(term, GaussMarkov):
+        return _every_sum_variance(term, 1 << int(n.max(initial=1)).bit_length())[n.astype(np.int64)]
     rate = 1 / term.T
     x = n * rate
     series = x**3 * (1 / 6 - x * (1 / 24 - x * (1 / 120 - x / 720)))
@@ -149,6 +151,11 @@ def sum_variance(term: NoiseTerm, n: FloatArray) -> FloatArray:
     slow = rate < 0.01
     slope = rate / 3 - rate**3 / 90 if slow else 1 / math.tanh(rate / 2) - rate / half
     return np.asarray(n * slope - rest / half)
+
+
+@lru_cache(maxsize=8)
+def _every_sum_variance(term: NoiseTerm, size: int) -> FloatArray:
+    return read_only(term.sum_variance(np.arange(size, dtype=np.float64), 1.0))
 
 
 @lru_cache(maxsize=512)

@@ -26,7 +26,7 @@ estimation", Econometrica 67, 543: the criteria MMSC-BIC, MMSC-HQIC and MMSC-AIC
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations, combinations_with_replacement, groupby, product
+from itertools import chain, combinations, groupby, product
 
 import numpy as np
 
@@ -258,9 +258,9 @@ def ranked(points: AvarPoints, weight: FloatArray, settings: FitSettings) -> lis
 
     Notes
     -----
-    All sets of terms, up to `max_gm` of those that have a time, which is one of a grid's, are screened by
-    their normal equations at once; a solution with a negative variance is one of a smaller model. The
-    best are then computed with free times.
+    All sets of terms, up to `max_gm` of each that may stand more than once, with times of a grid, are
+    screened by their normal equations at once; a solution with a negative variance is one of a smaller
+    model. The best are then computed with free times.
     """
     if settings.structure is not None:
         return [(0.0, minimise(points, weight, settings.structure))]
@@ -282,7 +282,9 @@ def screen(
     fixed = weight @ columns(points.m, unit_terms(laws))
     varied = {kind: weight @ columns(points.m, _on_grid([kind], grid)) for kind in kinds}
     sets = [own for size in range(len(laws) + 1) for own in combinations(range(len(laws)), size)]
-    for timed in chain.from_iterable(combinations_with_replacement(kinds, k) for k in range(max_gm + 1)):
+    counts = [range(max_gm + 1 if TERMS[kind].repeatable else 2) for kind in kinds]
+    for own_counts in product(*counts):
+        timed = [kind for kind, count in zip(kinds, own_counts, strict=True) for _ in range(count)]
         matrix = np.hstack([fixed, *(varied[kind] for kind in dict.fromkeys(timed))])
         matrix = matrix / np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
         # A ridge far below what tells models apart keeps equal columns from being singular.
