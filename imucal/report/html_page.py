@@ -1,21 +1,16 @@
 """`report.html`: one page that holds everything and opens without a network.
 
 Text and tables are there without any script. The plots are drawn by plotly's own script, which the
-page carries deflated: two megabytes instead of five.
-
-The frame of every page: head, verdict, controls, navigation, sections and what they look like.
-
-What the page's plots draw, as compact JSON: few digits, no repetition.
+page carries deflated: two megabytes instead of five. What they draw is compact JSON: few digits, no
+repetition.
 """
 
 import base64
 import json
 import math
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 
@@ -51,65 +46,6 @@ from imucal.report.page_parts import (
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.report.sheet_units import SheetUnits, sheet_units
 from imucal.units import duration, pretty
-
-#: Anchor, title and body of a section.
-Section = tuple[str, str, Markup]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Page:
-    """What a page holds.
-
-    Attributes
-    ----------
-    title, heading
-        Of the browser's window, and of the page.
-    grade, sentence
-        The verdict: ``good``, ``look`` or ``not-noise``, and why.
-    lead
-        One line on what was recorded.
-    sections
-        In their order; the first is what a reader with a keyboard skips to.
-    version
-        imucal's.
-    style, script
-        What this kind of page has beyond the frame's.
-    notices, data
-        Elements before the sections, and after everything.
-    """
-
-    title: str
-    heading: str
-    grade: str
-    sentence: str
-    lead: str
-    sections: Sequence[Section]
-    version: str
-    style: str = ""
-    script: str = ""
-    notices: Markup | None = None
-    data: Markup | None = None
-
-
-def render_frame(page: Page) -> str:
-    """Return the text of a page; it opens without a network and reads without a script."""
-    return render(
-        "styled.html",
-        title=page.title,
-        heading=page.heading,
-        grade=page.grade,
-        sentence=page.sentence,
-        lead=page.lead,
-        sections=page.sections,
-        version=page.version,
-        style=Markup(page.style),
-    )
-
-
-def page_file(name: str, package: str = "imucal.report") -> str:
-    """Return the text of a part of a page."""
-    return files(package).joinpath("page", name).read_text(encoding="utf-8")
-
 
 #: Points of a smooth line, per plot.
 _FINE = 60
