@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
-from imucal.pipeline import Settings, _workers, characterize
+from imucal.pipeline import Settings, _workers, characterize, screen
 from imucal.readers import read
-from imucal.recording import Axis, AxisSeries, Recording, Source
+from imucal.recording import Axis, AxisSeries, Recording, Source, Temperature
 from imucal.report.json_file import dumps, to_document
 from imucal.report.result import AxisReport, Report
 
@@ -183,3 +184,21 @@ def test_work_on_several_axes_keeps_to_the_memory(monkeypatch: pytest.MonkeyPatc
     assert (_workers(short, 9), _workers(short, None)) == (4, 1)
     with pytest.raises(ValueError, match=r"^workers must be at least 1, got 0$"):
         characterize(short, workers=0)
+
+
+def test_a_temperature_of_its_own_clock_is_taken_between_its_samples() -> None:
+    """Once a second, from half a second before the IMU on: the fit takes its effect out, `screen` warns."""
+    rng = np.random.default_rng(914)
+    n, clock = 20_000, Clock(source="made", rate_hz=1.0, segments=Clock.even(201, 1.0).segments, start_ns=0)
+    own = dataclasses.replace(Clock.even(n, 100.0), start_ns=500_000_000)
+    degrees = 30 + 2 * np.sin(np.arange(201) / 15) + 0.01 * rng.normal(size=201)
+    warmth = np.interp(own.grid() / 100 + 0.5, np.arange(201), degrees)
+    samples = 1e-3 * rng.normal(size=n) + 5e-4 * warmth
+    series = dataclasses.replace(AxisSeries.from_samples(samples, rate_hz=100.0), clock=own)
+    log = dataclasses.replace(recording_of(series), temperature=Temperature(samples=degrees, clock=clock))
+    (axis,) = characterize(log, Settings(second_opinion=False)).axes
+    assert [(f.code, f.level) for f in axis.findings if f.code in {"temperature", "cycle"}] == [
+        ("temperature", "info")
+    ]
+    assert axis.fit.taken_out["temperature"] == pytest.approx(5e-4, rel=0.02)
+    assert ("temperature", "warning", "gyro_x") in {(f.code, f.level, f.axis) for f in screen(log)}

@@ -20,7 +20,7 @@ from contextlib import suppress
 from email.message import Message
 from fnmatch import fnmatchcase
 from html import unescape
-from typing import IO, Any, Protocol, TypeVar
+from typing import IO, Any, TypeAlias, TypeVar
 from urllib.error import HTTPError
 from urllib.parse import quote, unquote, urljoin, urlsplit, urlunsplit
 from urllib.request import Request, urlopen
@@ -47,26 +47,7 @@ from imucal.remote.addresses import (
 )
 
 
-class Store(Protocol):
-    """A place that holds logs; every method raises ReadError with a message for people."""
-
-    def look_at(self, url: str) -> RemoteFile | None:
-        """Return what is known of an object; None where it is a folder."""
-
-    def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
-        """Return bytes `start` to `stop` of an object; raises ChangedError where it is another by now."""
-
-    def blocks(self, file: RemoteFile, start: int) -> Iterator[bytes]:
-        """Yield an object from byte `start` on; raises PassingError, or ChangedError."""
-
-    def files_in(self, url: str) -> list[str]:
-        """Return the URLs of what stands in a folder, without its folders."""
-
-    def matches(self, url: str) -> list[str]:
-        """Return the URLs that a URL with wildcards stands for."""
-
-
-def store_of(url: str) -> Store:
+def store_of(url: str) -> "Store":
     """Return the store of a URL.
 
     Raises
@@ -100,9 +81,10 @@ _RANGE = re.compile(r"bytes (?:\d+-\d+|\*)/(\d+)")
 
 
 class HttpStore:
-    """Files of web servers."""
+    """Files of web servers. Methods raise ReadError with a message for people, as those of `ObjectStore`."""
 
     def look_at(self, url: str) -> RemoteFile | None:
+        """Return what is known of an object; None where it is a folder."""
         if is_folder_name(url):
             return None
         return retried(url, lambda: self._looked_at(url))
@@ -117,6 +99,8 @@ class HttpStore:
         return RemoteFile(url=url, etag=_tag(headers), size=size, ranges=ranges)
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
+        """Return bytes `start` to `stop` of an object; raises ChangedError where it is another by now."""
+
         def part() -> bytes:
             with _open(file.url, f"bytes={start}-{stop - 1}") as (status, headers, body):
                 if status != 206 or _tag(headers) != file.etag:
@@ -130,6 +114,7 @@ class HttpStore:
         return retried(file.url, part)
 
     def blocks(self, file: RemoteFile, start: int) -> Iterator[bytes]:
+        """Yield an object from byte `start` on; raises PassingError, or ChangedError."""
         part = f"bytes={start}-" if start else None
         with _open(file.url, part) as (status, headers, body):
             if (start and status != 206) or _tag(headers) != file.etag:
@@ -138,10 +123,12 @@ class HttpStore:
                 yield block
 
     def files_in(self, url: str) -> list[str]:
+        """Return the URLs of what stands in a folder, without its folders."""
         folder = url if is_folder_name(url) else f"{shown(url)}/"
         return [link for link in _links(folder) if not link.endswith("/")]
 
     def matches(self, url: str) -> list[str]:
+        """Return the URLs that a URL with wildcards stands for."""
         parts = urlsplit(url)
         path, _, pattern = parts.path.rpartition("/")
         if "*" in path:
@@ -347,6 +334,9 @@ def _file_system(protocol: str) -> Any:  # noqa: ANN401 - fsspec has no types
         settings["config_kwargs"] = config | fsspec.config.conf.get("s3", {}).get("config_kwargs", {})
     return fsspec.filesystem(protocol, **settings)
 
+
+#: A place that holds logs.
+Store: TypeAlias = HttpStore | ObjectStore
 
 #: The file that makes a folder a bag.
 _METADATA = "metadata.yaml"

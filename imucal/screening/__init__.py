@@ -1,6 +1,6 @@
 """Recording -> findings: can it be trusted, as far as one can say without a model of its noise."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import TypeAlias
 
@@ -66,16 +66,20 @@ def screen_values(recording: Recording, *, workers: int = 1) -> tuple[Finding, .
     alive = [p for p in profiles if p.name not in dead and p.windows.size]
     findings = [finding for _, failed in made_of for finding in failed] + empty
     findings += temperature_finding(recording.temperature)
+    return worst_first(recording, [*findings, *_checked(alive)])
+
+
+def _checked(alive: Sequence[Profile]) -> Iterator[Finding]:
+    """Yield what each check says of the axes that hold data, in the order of the tables."""
     for log_check in _LOG_CHECKS:
-        findings += _judged(log_check, alive)
+        yield from _judged(log_check, alive)
     moved = _moved(alive)
-    findings += moved
+    yield from moved
     if not any(finding.level == "error" for finding in moved):
-        findings += _judged(check_gyroscope_unit, alive)
+        yield from _judged(check_gyroscope_unit, alive)
     for axis_check in _AXIS_CHECKS:
         for p in alive:
-            findings += _judged(axis_check, p, axis=p.name)
-    return worst_first(recording, findings)
+            yield from _judged(axis_check, p, axis=p.name)
 
 
 def worst_first(recording: Recording, findings: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -296,13 +296,13 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
     if length is None or swapped(profiles) or _GRAVITY[0] <= length <= _GRAVITY[1]:
         return ()
     if length < _NO_GRAVITY:
-        code, text = "no-gravity", f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
+        text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
         advice = "If a driver takes gravity off, log the raw acceleration: the filter's noise is in this one."
-    else:
-        guess = _accelerometer_guess(accel, length)
-        code, text = "unit-suspect", f"|a| is {length:.4g} at rest, where m/s^2 would give {G0:.1f}: {guess}."
-        advice = "Name the accelerometer's unit when reading; every figure of it scales with the unit."
-    return (Finding(level="warning", code=code, text=text, advice=advice, axis="accel"),)
+        return (Finding(level="warning", code="no-gravity", text=text, advice=advice, axis="accel"),)
+    guess = _accelerometer_guess(accel, length)
+    text = f"|a| is {length:.4g} at rest, where m/s^2 would give {G0:.1f}: {guess}."
+    advice = "Name the accelerometer's unit when reading; every figure of it scales with the unit."
+    return (Finding(level="warning", code="unit-suspect", text=text, advice=advice, axis="accel"),)
 
 
 def _accelerometer_guess(accel: Sequence[Profile], length: float) -> str:

@@ -430,14 +430,15 @@ def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, 
     time = one.value * series.tau0
     end = "; this drift is taken out with the fit" if fitted else ": a warm-up"
     settled = _SETTLED * time
-    return Finding(
+    said = Finding(
         level="warning",
-        code="warm-up-fitted" if fitted else "warm-up",
+        code="warm-up",
         axis=series.name,
         text=f"The axis settles exponentially, with a time constant of {time:.3g} s{end}.",
         advice="Leave out the first part of the record, or let the sensor warm up before recording.",
         keep_s=(round(settled, 1), round(series.duration_s, 1)) if settled < series.duration_s / 2 else None,
     )
+    return replace(said, code="warm-up-fitted") if fitted else said
 
 
 def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
