@@ -423,7 +423,7 @@ def propose_columns(
     table = np.array([[float(cell) for cell in cells(index)] for index in numeric], dtype=np.float64).T
     time = time or _text_time(cells, width)
     onward = None if time else _onward(table)
-    time = time if onward is None else str(numeric[onward])
+    time += "" if onward is None else str(numeric[onward])
     places = _places(table, numeric, onward).items()
     return _joined(
         time, [f"{k}={numeric[at]}:{numeric[at] + 3}{suffix}" for k, at in places if at is not None]
@@ -435,7 +435,7 @@ def _is_numeric(cells: Sequence[str]) -> bool:
 
 
 def _joined(time: str, axes: Sequence[str]) -> str:
-    return ",".join([*([f"t={time}"] if time else []), *axes]) if axes else ""
+    return ",".join([f"t={time}" if time else "", *axes]).strip(",") if axes else ""
 
 
 def _places(table: FloatArray, numeric: Sequence[int], onward: int | None) -> dict[str, int | None]:
