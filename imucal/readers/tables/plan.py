@@ -191,19 +191,23 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
     times = choose_times(table, triad.sensor)
     stamps = [time for time in times if time.kind != "counter"]
     if options.time == "log":
-        if len(stamps) > 1:
-            return SensorPlan(triad=triad, time=stamps[1])
-        msg = (
-            f"{table.path}: there is no log time beside the stamps; found times: "
-            f"{', '.join(time.name for time in times) or 'none'}; name the column to take as time"
-        )
-        raise ChoiceError(msg)
+        return SensorPlan(triad=triad, time=_log_time(table, times, stamps))
     if table.dialect is not None and table.dialect.has_log_time and len(stamps) > 1:
         # Stamps that stand still are still the first choice: the clock says so and takes the log time.
         header = next((time for time in stamps if "stamp" in time.name.lower()), stamps[0])
         log = next(time for time in stamps if time is not header)
         return SensorPlan(triad=triad, time=header, log_time=log)
     return SensorPlan(triad=triad, time=next(iter(times), None))
+
+
+def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
+    if len(stamps) > 1:
+        return stamps[1]
+    msg = (
+        f"{table.path}: there is no log time beside the stamps; found times: "
+        f"{', '.join(time.name for time in times) or 'none'}; name the column to take as time"
+    )
+    raise ChoiceError(msg)
 
 
 def _nothing_found(table: NamedTable, shape: str) -> ColumnsError:
@@ -235,15 +239,11 @@ def rows_of_sensors(
     ChoiceError
         If rows of several sensors can't be told apart; the message says how to choose.
     """
-    for column in table.columns:
-        texts = [] if column.role is Role.TIME else _texts(table, column.index)
-        tags = {sensor: [text for text in texts if sensor_of_name(text) is sensor] for sensor in Sensor}
-        if len(texts) <= _MOST_TAGS and any(tags.values()):
-            break
-    else:
+    found = _tag_column(table)
+    if found is None:
         _refuse_instances(table, gyro, accel)
         return gyro, accel, ""
-    header = column.header.strip() or str(column.index)
+    column, tags = found
     both: dict[Sensor, Triad | None] = {}
     for sensor, own, other in ((Sensor.GYROSCOPE, gyro, accel), (Sensor.ACCELEROMETER, accel, gyro)):
         names = tags[sensor]
@@ -252,15 +252,33 @@ def rows_of_sensors(
             # The header names these columns for the other sensor; the unit in this one's rows is open.
             triad = replace(other, sensor=sensor, unit=None)
         if triad is not None and len(names) != 1:
-            rows = names or [text for text in texts if not any(text in named for named in tags.values())]
-            examples = [
-                table.columns_text(triad, rows=f"@{column.index}:{row}") for row in (rows or texts)[:_SHOWN]
-            ]
-            found = f"{len(names)} of them name" if names else "none of them names"
-            problem = f"column {header} says whose a row is ({', '.join(texts)}); {found} the {sensor}"
-            raise table.ask(problem, example=" or ".join(examples))
+            raise _unclear(table, column, triad, tags)
         both[sensor] = replace(triad, rows=(column.index, names[0])) if triad is not None else None
-    return both[Sensor.GYROSCOPE], both[Sensor.ACCELEROMETER], f"in the rows that column {header} names"
+    reason = f"in the rows that column {column.header.strip() or column.index} names"
+    return both[Sensor.GYROSCOPE], both[Sensor.ACCELEROMETER], reason
+
+
+def _tag_column(table: NamedTable) -> tuple[NamedColumn, dict[Sensor, list[str]]] | None:
+    """Return the column of text that names the sensors of rows, and which text names which."""
+    for column in table.columns:
+        texts = [] if column.role is Role.TIME else _texts(table, column.index)
+        tags = {sensor: [text for text in texts if sensor_of_name(text) is sensor] for sensor in Sensor}
+        if len(texts) <= _MOST_TAGS and any(tags.values()):
+            return column, tags
+    return None
+
+
+def _unclear(
+    table: NamedTable, column: NamedColumn, triad: Triad, tags: dict[Sensor, list[str]]
+) -> ColumnsError:
+    """Return the error for rows of which none, or several kinds, are the sensor's."""
+    names, texts = tags[triad.sensor], _texts(table, column.index)
+    rows = names or [text for text in texts if not any(text in named for named in tags.values())] or texts
+    examples = [table.columns_text(triad, rows=f"@{column.index}:{row}") for row in rows[:_SHOWN]]
+    found = f"{len(names)} of them name" if names else "none of them names"
+    header = column.header.strip() or column.index
+    problem = f"column {header} says whose a row is ({', '.join(texts)}); {found} the {triad.sensor}"
+    return table.ask(problem, example=" or ".join(examples))
 
 
 def _texts(table: NamedTable, index: int) -> list[str]:
@@ -396,22 +414,32 @@ def propose_columns(
     suffix
         Which rows are meant, such as ``@imu``.
     """
-    filled = {index: cells(index) for index in range(width) if index not in taken}
-    numeric = [index for index, column in filled.items() if column and all(map(is_number, column))]
+    numeric = [index for index in range(width) if index not in taken and _is_numeric(cells(index))]
     if len(numeric) < 3:
-        # One axis, perhaps behind a time. Of two beside a known time nothing tells which.
-        if not numeric or (len(numeric) == 2 and time):
-            return ""
-        time = time or "".join(map(str, numeric[:-1]))
-        axes = [f"gz={numeric[-1]}"]
-    else:
-        table = np.array([[float(cell) for cell in filled[index]] for index in numeric], dtype=np.float64).T
-        time = time or _text_time(cells, width)
-        onward = None if time else _onward(table)
-        time = time if onward is None else str(numeric[onward])
-        places = _places(table, numeric, onward)
-        axes = [f"{key}={numeric[at]}:{numeric[at] + 3}" for key, at in places.items() if at is not None]
-    return ",".join([*([f"t={time}"] if time else []), *(axis + suffix for axis in axes)]) if axes else ""
+        return _single_axis(numeric, time, suffix)
+    table = np.array([[float(cell) for cell in cells(index)] for index in numeric], dtype=np.float64).T
+    time = time or _text_time(cells, width)
+    onward = None if time else _onward(table)
+    time += "" if onward is None else str(numeric[onward])
+    places = _places(table, numeric, onward).items()
+    return _joined(
+        time, [f"{k}={numeric[at]}:{numeric[at] + 3}{suffix}" for k, at in places if at is not None]
+    )
+
+
+def _single_axis(numeric: Sequence[int], time: str, suffix: str) -> str:
+    """Return the columns text of one axis, perhaps behind a time; of two beside a known time none is told."""
+    if not numeric or (len(numeric) == 2 and time):
+        return ""
+    return _joined(time or "".join(map(str, numeric[:-1])), [f"gz={numeric[-1]}{suffix}"])
+
+
+def _is_numeric(cells: Sequence[str]) -> bool:
+    return bool(cells) and all(map(is_number, cells))
+
+
+def _joined(time: str, axes: Sequence[str]) -> str:
+    return ",".join([f"t={time}" if time else "", *axes]).strip(",") if axes else ""
 
 
 def _places(table: FloatArray, numeric: Sequence[int], onward: int | None) -> dict[str, int | None]:

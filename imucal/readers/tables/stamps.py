@@ -372,13 +372,19 @@ def _score(column: NamedColumn, cells: Sequence[str], sensor: Sensor) -> float:
     owners = [owner for owner, starts in _OWNERS.items() if any(word.startswith(starts) for word in words)]
     if owners and sensor not in owners:
         return -1.0
-    score = max((_PREFERENCE.get(word.rstrip("0123456789"), _UNKNOWN) for word in words), default=_UNKNOWN)
+    score: float = max(
+        (_PREFERENCE.get(word.rstrip("0123456789"), _UNKNOWN) for word in words), default=_UNKNOWN
+    )
     score += sum(_BONUS.get(word, 0) for word in words) + (2 if column.unit else 0)
     if owners:
         score += 30
     elif any(word.startswith(_OTHER_OWNERS) for word in words):
         score -= 35
-    filled = [cell for cell in cells if cell]
+    return _with_cells(score, [cell for cell in cells if cell])
+
+
+def _with_cells(score: float, filled: Sequence[str]) -> float:
+    """Return a score that the filled cells of a time change; those that stand still make it a last choice."""
     if not filled:
         return score
     # Dates are worse than numbers, ns since 1970 better.

@@ -373,12 +373,8 @@ def read_table(
     # The blocks of text are as large as its chunks: freed, they are to be used again.
     keep_freed_memory()
     layout, plan = plan_of_head(source, options, name)
-    # Sensors of the same rows are read together.
-    groups: dict[Rows, list[SensorPlan]] = {}
-    for sensor in plan.sensors:
-        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
-        groups.setdefault(sensor.triad.rows, []).append(timed)
-    readers = [_reader(source, layout, group, plan.temperature, options) for group in groups.values()]
+    groups = _by_rows(plan, stamps)
+    readers = [_reader(source, layout, group, plan.temperature, options) for group in groups]
     blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
     cut = _read_blocks(blocks, layout, readers)
     if options.strict and source.findings:
@@ -386,7 +382,7 @@ def read_table(
         raise ReadError(msg)
     findings = _row_findings(source.name, cut, layout, readers, options)
     sensors = []
-    for reader, group in zip(readers, groups.values(), strict=True):
+    for reader, group in zip(readers, groups, strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
         counts = reader.counts
         if stamps is not None and (counts.bad or counts.good != stamps.values.size):
@@ -411,6 +407,15 @@ def read_table(
         findings=[*source.findings, *findings, *plan.findings],
     )
     return assemble(work, sensors, "csv", plan.topics)
+
+
+def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:
+    """Return the sensors in groups that are read from the same rows; `stamps` are the times of all."""
+    groups: dict[Rows, list[SensorPlan]] = {}
+    for sensor in plan.sensors:
+        timed = replace(sensor, time=stamps.choice, log_time=None) if stamps else sensor
+        groups.setdefault(sensor.triad.rows, []).append(timed)
+    return list(groups.values())
 
 
 def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
@@ -680,14 +685,7 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
     source = replace(parts[0].source, path=path)
     if len(parts) == 1:
         return replace(parts[0], source=source)
-    clocks = [part.series[0].clock for part in parts]
-    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
-    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
-        msg = (
-            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
-            "read one file at a time"
-        )
-        raise ChoiceError(msg)
+    _refuse_other_times(path, names, parts)
     every = chain.from_iterable(part.series for part in parts)
     series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
     if all(one.clock == series[0].clock for one in series):
@@ -702,6 +700,17 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
         temperature=next((part.temperature for part in parts if part.temperature is not None), None),
         findings=tuple(dict.fromkeys(findings)),
     )
+
+
+def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
+    clocks = [part.series[0].clock for part in parts]
+    spans = [(c.start_ns, c.start_ns + c.duration_s * 1e9) for c in clocks if c.start_ns is not None]
+    if len(spans) == len(parts) and min(end for _, end in spans) < max(start for start, _ in spans):
+        msg = (
+            f"{path}: {' and '.join(names)} were not recorded at the same time; expected one recording; "
+            "read one file at a time"
+        )
+        raise ChoiceError(msg)
 
 
 def _is_time_file(path: Path) -> bool:

@@ -335,6 +335,12 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
         # The indices in a columns text, and in the error that proposes one, are those of the widest table.
         widest = max(groups, key=lambda group: (len(group), group[0].size))
         return [_part(path, widest, options, table.shapes)]
+    _refuse_doubles(path, parts)
+    return parts
+
+
+def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
+    """Refuse a sensor that stands in two tables."""
     triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
     for sensor in Sensor:
         names = [triad.headers[0] for triad in triads if triad.sensor is sensor]
@@ -344,7 +350,6 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
                 "expected one; give the columns"
             )
             raise ChoiceError(msg)
-    return parts
 
 
 def _part(path: Path, columns: Sequence[TypedColumn], options: ReadOptions, shapes: Sequence[str]) -> _Part:
