@@ -57,7 +57,7 @@ def relative_deviations(
     parts = [term.dct_slopes(bins.n, bins.first, bins.count, 1 / rate_hz) for term in terms]
     spectrum = sum((own for own, _ in parts[: len(model.terms)]), np.zeros(bins.size))
     slopes = np.vstack([own for _, own in parts])
-    moving = [i for i in range(len(slopes)) if np.any(slopes[i] > 0) or np.any(slopes[i] < 0)]
+    moving = np.flatnonzero(np.any(np.abs(slopes) > 0, axis=1)).tolist()
     scaled = slopes[moving] / spectrum * np.sqrt(count / 2)
     result = dict.fromkeys(names, math.inf)
     for place, deviation in zip(moving, _deviations(scaled), strict=True):
