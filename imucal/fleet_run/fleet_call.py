@@ -117,10 +117,7 @@ def run_fleet(
     Logs are done in processes of their own, which load imucal and not the script that calls: so a script
     needs no ``if __name__ == "__main__"``, and a notebook may call this.
     """
-    _refuse_numbers(level=level, jobs=jobs, timeout_s=timeout_s)
-    if reports not in REPORTS:
-        msg = f"reports {reports!r}, expected one of {', '.join(REPORTS)}"
-        raise ValueError(msg)
+    _refuse_slips(reports, level=level, jobs=jobs, timeout_s=timeout_s)
     if shard and not 1 <= shard[0] <= shard[1]:
         msg = f"shard {shard} is no part; expected (i, n) with i from 1 to n"
         raise ValueError(msg)
@@ -150,7 +147,10 @@ def run_fleet(
     return load_fleet(folder)
 
 
-def _refuse_numbers(**given: float | None) -> None:
+def _refuse_slips(reports: str, **given: float | None) -> None:
+    if reports not in REPORTS:
+        msg = f"reports {reports!r}, expected one of {', '.join(REPORTS)}"
+        raise ValueError(msg)
     for name, number in given.items():
         fits, expected = _NUMBERS[name]
         if number is not None and not fits(number):

@@ -438,7 +438,7 @@ def plan_fleet(
         If the store is damaged.
     """
     known = store.logs().select(_KNOWN).rows(named=True) if store and store.exists else []
-    logs, keys = _keyed(entries, reading or {}, settings, known)
+    logs, keys = _keyed(entries, reading, settings, known)
     settled = {log["key"]: log["path"] for log in filter(_is_settled, known)}
     failed = {log["path"] for log in itertools.filterfalse(_is_settled, known)}
     # The first of equal contents counts, if none is done.
@@ -464,7 +464,7 @@ def _is_settled(log: Mapping[str, Any]) -> bool:
 
 def _keyed(
     entries: Sequence[LogTask],
-    reading: Mapping[str, object],
+    reading: Mapping[str, object] | None,
     settings: FleetSettings,
     known: Sequence[Mapping[str, Any]],
 ) -> tuple[dict[str, LogTask], dict[str, str]]:
@@ -474,7 +474,7 @@ def _keyed(
     contents = _contents(stamps, places, known)
     logs, keys = {}, {}
     for entry in entries:
-        path, own = entry.path, {**reading, **entry.reading}
+        path, own = entry.path, {**(reading or {}), **entry.reading}
         logs[path] = replace(entry, reading=own, size=stamps[path].size if path in stamps else 0)
         # A log whose content is like no other's has a key of its path.
         keys[path] = settings.key(contents.get(path, f"path:{path}"), own)
