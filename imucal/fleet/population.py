@@ -12,7 +12,7 @@ which such logs do not tell.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +38,7 @@ FEWEST = 3
 FALSE_SHARE = 0.05
 #: Share of bounds above which they are worth a sentence.
 _MOSTLY = 0.5
-#: Units that are judged by the others alone: the oddest, up to a chance of being so odd at a quick look.
+#: Units that are judged by the others alone at most, and up to which chance at a quick look.
 _SUSPECTS, _SUSPECT = 5, 0.2
 #: Quantile of the normal law at 95 %, two-sided; and where the interval and the median lie.
 _TWO_SIDED = 1.959963984540054
@@ -145,6 +145,10 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
     units = _judged(values, unit_likelihoods(values, within.value, place), posterior, place)
     if only_bounded(values):
         return _bounded(values, units, content, confidence)
+    share = float(np.mean(values.bounded))
+    weak = (
+        f"{100 * share:.0f} % of the logs only bound this term: longer logs would say more than more units."
+    )
     reach = posterior.mu + float(ndtri(content)) * posterior.tau
     quantile, tolerance = np.exp(posterior.quantiles(reach, (0.5, confidence))).tolist()
     low, high = np.exp(posterior.prediction(_TAILS[::2])).tolist()
@@ -159,7 +163,8 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         tolerance=tolerance,
         content=content,
         confidence=confidence,
-        findings=_weakness(values),
+        # The median then leans on the bounds.
+        findings=(Finding(level="info", code="weak-term", text=weak),) if share > _MOSTLY else (),
     )
 
 
@@ -236,17 +241,6 @@ def _too_few(values: LogValues, place: Place, content: float, confidence: float)
     )
 
 
-def _weakness(values: LogValues) -> tuple[Finding, ...]:
-    """Say where nearly all logs only bound the term: the median then leans on the bounds."""
-    share = float(np.mean(values.bounded))
-    if share <= _MOSTLY:
-        return ()
-    text = (
-        f"{100 * share:.0f} % of the logs only bound this term: longer logs would say more than more units."
-    )
-    return (Finding(level="info", code="weak-term", text=text),)
-
-
 def _interval(limits: FloatArray) -> Interval:
     low, value, high = map(float, limits)
     return Interval(value=value, low=low, high=high)
@@ -273,11 +267,10 @@ def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
 def _judged(
     values: LogValues, units: UnitLikelihoods, posterior: Posterior, place: Place
 ) -> tuple[UnitValue, ...]:
-    """Return each unit with the chance of being so odd: the oddest by the posterior of the others.
+    """Return each unit with the chance of being so odd.
 
-    To that they are new, so it allows for how badly the spreads between and within units are known. A quick
-    look finds who is to be judged so: Student's t of well told units, else the posterior of all. The rest
-    can only pass.
+    A unit is new to the posterior of the others, so that allows for how badly the spreads between and within
+    units are known. The quick look is Student's t of well told units, else the posterior of all.
     """
     told = bool(units.normal.all())
     squares = values.unit_squares(place.centre)
@@ -288,22 +281,35 @@ def _judged(
         quick = leave_one_out(units.centre, units.deviation, tau)
     else:
         quick = posterior.p_values(squares, own)
-    p_values = np.ones(quick.size)
-    for unit in np.argsort(quick)[:_SUSPECTS].tolist():
+
+    def by_others(unit: int) -> float:
         others = values.without(unit)
-        if quick[unit] >= _SUSPECT or len(others.names) < FEWEST:
-            continue
+        if len(others.names) < FEWEST:
+            return 1.0
         alone = posterior_of(others, scatters(others) if told else scatter, place)
         if told:
-            p_values[unit] = alone.p_value(*values.unit_centre(unit, alone.omega.ravel()))
-        else:
-            p_values[unit] = alone.p_values(squares[[unit]], own[[unit]])[0]
+            return alone.p_value(*values.unit_centre(unit, alone.omega.ravel()))
+        return float(alone.p_values(squares[[unit]], own[[unit]])[0])
+
+    p_values = oddest_by_others(quick, _SUSPECT, by_others)
     return tuple(
         replace(unit, p_value=p, p_odd=p_odd, odd=p_odd <= FALSE_SHARE)
         for unit, p, p_odd in zip(
             _units(values, units), p_values.tolist(), adjusted(p_values).tolist(), strict=True
         )
     )
+
+
+def oddest_by_others(quick: FloatArray, suspect: float, by_others: Callable[[int], float]) -> FloatArray:
+    """Return p-values of units, shape (units,): of the oddest by the others alone; the rest can only pass.
+
+    The oddest have a p-value below `suspect` at a quick look.
+    """
+    result = np.ones(quick.size)
+    for unit in np.argsort(quick)[:_SUSPECTS].tolist():
+        if quick[unit] < suspect:
+            result[unit] = by_others(unit)
+    return result
 
 
 def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> FloatArray:

@@ -70,20 +70,10 @@ def place_of(logs: LogValues) -> Place:
 class UnitLikelihoods:
     """Likelihoods of the units' coefficients, where logs of one unit scatter by `omega`.
 
-    Attributes
-    ----------
-    about
-        Where the deviations of weak units hold, in the logarithm.
-    normal
-        Which units are a normal law, shape (units,).
-    centre, deviation
-        Of the normal law; of the others the same from curvature, for weights only.
-    constant
-        Logarithm of what the normal law leaves out: the scatter of logs about their units.
-    theta
-        Grid of logarithms of the coefficient for the others, shape (points,).
-    weak
-        Their log-likelihoods on it, shape (weak units, points).
+    Units that are `normal` have a `centre` and a `deviation`, shape (units,); `constant` is the logarithm of
+    what that leaves out: the scatter of logs about their units. Of the others these are for weights only, and
+    hold `about` a logarithm; their log-likelihoods are `weak`, shape (weak units, points), at the logarithms
+    `theta`, shape (points,).
     """
 
     omega: float

@@ -21,7 +21,7 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Interval
-from imucal.fleet.population import FALSE_SHARE, adjusted, leave_one_out
+from imucal.fleet.population import FALSE_SHARE, adjusted, leave_one_out, oddest_by_others
 from imucal.fleet.posterior import place_of, support
 from imucal.fleet.values import LogValue, LogValues
 
@@ -43,8 +43,8 @@ _OUTSIDE, _NOTHING = 10.0, 8.0
 _NONE = 0.05
 #: Halvings that find a quantile; points of less weight than this, of the greatest, say nothing of it.
 _HALVINGS, _LITTLE = 40, 1e-3
-#: Units that are judged by the others alone: the oddest, up to a chance of being so odd at a quick look.
-_SUSPECTS, _SUSPECT = 5, 0.1
+#: The chance of a slope at a quick look up to which its unit is judged by the others alone.
+_SUSPECT = 0.1
 _TAILS = (0.025, 0.5, 0.975)
 
 #: Means and standard deviations, shape (numbers, points) each, of numbers that are normal at each point of a
@@ -178,36 +178,27 @@ def _p_values(
 ) -> list[float]:
     """Return how probable the slope of each unit is: the oddest in the posterior of the others.
 
-    That allows for how badly the scatter and the spread of slopes are known. A quick look finds who is to be
-    judged so; the rest can only pass.
+    That allows for how badly the scatter and the spread of slopes are known.
     """
-    result = [1.0] * len(units)
     weight = posterior.weight
     mean, error = own[0] @ weight, np.sqrt(own[1] ** 2 @ weight)
     quick = leave_one_out(mean, error, float(weight @ posterior.tau[:, place]))
-    for i in np.argsort(quick)[:_SUSPECTS].tolist():
-        if quick[i] < _SUSPECT:
-            others = slope_posterior(logs.of([unit for unit in range(len(logs.names)) if unit != units[i]]))
-            (result[i],) = others.two_sided(others.beyond(logs.of([units[i]]), place))
-    return result
+
+    def by_others(i: int) -> float:
+        others = slope_posterior(logs.of([unit for unit in range(len(logs.names)) if unit != units[i]]))
+        return others.two_sided(others.beyond(logs.of([units[i]]), place))[0]
+
+    p_values: list[float] = oddest_by_others(quick, _SUSPECT, by_others).tolist()
+    return p_values
 
 
 @dataclass(frozen=True, slots=True)
 class LabelledLogs:
-    """Logs of units, sorted by unit.
+    """Logs of units, sorted by `unit`, their index in `names`, shape (logs,).
 
-    Attributes
-    ----------
-    columns
-        The labels that vary in some unit, and what their columns of `x` were divided by.
-    names
-        Of the units.
-    unit
-        Index of each log's unit, ascending, shape (logs,).
-    x
-        Labels about their mean in the unit, shape (logs, labels); 0 where they vary too little in it.
-    y, deviation
-        Logarithm of the coefficient and its standard error, shape (logs,).
+    `columns` are the labels that vary in some unit, and what their columns of `x`, shape (logs, labels), were
+    divided by: labels about their mean in the unit, 0 where they vary too little in it. `y` and `deviation`,
+    shape (logs,), are the logarithm of the coefficient and its standard error.
     """
 
     columns: Mapping[str, float]
@@ -311,14 +302,8 @@ def _linear(values: LogValues) -> tuple[FloatArray, FloatArray]:
 class Sums:
     """What the logs of a unit tell of its slopes, its level integrated out.
 
-    Attributes
-    ----------
-    information
-        Shape (…, labels, labels).
-    score
-        Shape (…, labels).
-    height
-        Log-likelihood at slopes of zero, shape (…,).
+    `information` has the shape (…, labels, labels), `score` (…, labels), and `height`, the log-likelihood at
+    slopes of zero, (…,).
     """
 
     information: FloatArray
@@ -341,14 +326,8 @@ class Sums:
 class SlopePosterior:
     """Points of the posterior of scatter and spreads, and the law of the mean slopes at each.
 
-    Attributes
-    ----------
-    omega, tau
-        Shape (points,) and (points, labels).
-    weight
-        Shape (points,); adds up to one.
-    mean, covariance
-        Of the mean slopes, shape (points, labels) and (points, labels, labels).
+    Of shapes (points,) and (points, labels) are `omega` and `tau`, of (points,) their `weight`, which adds up
+    to one; of (points, labels) and (points, labels, labels) `mean` and `covariance` of the mean slopes.
     """
 
     omega: FloatArray

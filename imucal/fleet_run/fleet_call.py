@@ -15,6 +15,7 @@ from imucal.fleet_run.plan import (
     REPORTS,
     FleetPlan,
     FleetSettings,
+    LogTask,
     as_json,
     asked_logs,
     plan_fleet,
@@ -26,6 +27,12 @@ from imucal.resources import memory_there_is, parse_size, threads
 
 #: The share of the machine's memory that all workers may take, and what is taken where none is known.
 _SHARE, _UNKNOWN = 0.8, 2 << 30
+#: Argument -> which numbers it may be, in code and in words.
+_NUMBERS: dict[str, tuple[Callable[[float], bool], str]] = {
+    "level": (lambda level: 0 < level < 1, "one between 0 and 1, such as 0.95"),
+    "jobs": (lambda jobs: jobs >= 1, "a number from 1"),
+    "timeout_s": (lambda seconds: 0 < seconds < math.inf, "seconds above 0"),
+}
 
 
 def run_fleet(
@@ -110,53 +117,68 @@ def run_fleet(
     Logs are done in processes of their own, which load imucal and not the script that calls: so a script
     needs no ``if __name__ == "__main__"``, and a notebook may call this.
     """
-    slips = {
-        f"shard {shard} is no part; expected (i, n) with i from 1 to n": shard
-        and not 1 <= shard[0] <= shard[1],
-        "a shard works without a cluster; expected shard or scheduler, not both": shard and scheduler,
-        f"reports {reports!r}, expected one of {', '.join(REPORTS)}": reports not in REPORTS,
-        f"level {level}, expected one between 0 and 1, such as 0.95": level is not None and not 0 < level < 1,
-        f"jobs {jobs}, expected a number from 1": jobs is not None and jobs < 1,
-        f"timeout_s {timeout_s}, expected seconds above 0": timeout_s is not None
-        and not 0 < timeout_s < math.inf,
-    }
-    for msg, wrong in slips.items():
-        if wrong:
-            raise ValueError(msg)
-    names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
-    if logs is not None and not names and manifest is None:
-        # A pattern that matched nothing, say: it must not become all that the folder has.
-        msg = f"logs {logs!r}, expected some; leave them out to go on with those of the folder"
+    _refuse_slips(reports, level=level, jobs=jobs, timeout_s=timeout_s)
+    if shard and not 1 <= shard[0] <= shard[1]:
+        msg = f"shard {shard} is no part; expected (i, n) with i from 1 to n"
+        raise ValueError(msg)
+    if shard and scheduler:
+        msg = "a shard works without a cluster; expected shard or scheduler, not both"
         raise ValueError(msg)
     store = FleetStore(Path(folder).absolute())
+    workers = 1 if shard else jobs or threads()
     settings = fleet_settings(
         store,
         model=model and structure_text(parse_structure(model)),
         level=level,
         fresh=fresh,
-        workers=1 if shard else jobs or threads(),
-        memory=None if memory is None else _memory(memory),
+        workers=workers,
+        memory=_memory(memory),
         timeout=timeout_s,
         reports=reports,
         shard=shard,
     )
-    pattern = None if labels is None else LabelPattern(labels)
-    if logs is None and manifest is None:
-        asked, _ = stored_logs(store.manifest(), pattern)
-    else:
-        table = None if manifest is None else Path(manifest)
-        asked, _ = asked_logs(names, manifest=table, labels=pattern)
+    asked = _asked(store, logs, manifest, labels)
     plan = plan_fleet(asked, settings, None if fresh else store, reading=as_json(reading or {}))
     plan = plan.shard(*shard) if shard else plan
     prepare(store, plan, settings, fresh=fresh)
-    engine = None if shard else Engine(address=scheduler, jobs=jobs or threads(), memory=settings.memory)
+    engine = None if shard else Engine(address=scheduler, jobs=workers, memory=settings.memory)
     tell = progress or (lambda _, __: None)
     run_plan(plan, settings, engine=engine, tell=lambda count: tell(count.done, count.logs))
     return load_fleet(folder)
 
 
-def _memory(asked: int | str) -> int:
+def _refuse_slips(reports: str, **given: float | None) -> None:
+    if reports not in REPORTS:
+        msg = f"reports {reports!r}, expected one of {', '.join(REPORTS)}"
+        raise ValueError(msg)
+    for name, number in given.items():
+        fits, expected = _NUMBERS[name]
+        if number is not None and not fits(number):
+            msg = f"{name} {number}, expected {expected}"
+            raise ValueError(msg)
+
+
+def _asked(
+    store: FleetStore,
+    logs: str | Path | Iterable[str | Path] | None,
+    manifest: str | Path | None,
+    labels: str | None,
+) -> list[LogTask]:
+    pattern = None if labels is None else LabelPattern(labels)
+    if logs is None and manifest is None:
+        return stored_logs(store.manifest(), pattern)[0]
+    names = [str(logs)] if isinstance(logs, str | Path) else [str(log) for log in logs or ()]
+    if not names and manifest is None:
+        # A pattern that matched nothing, say: it must not become all that the folder has.
+        msg = f"logs {logs!r}, expected some; leave them out to go on with those of the folder"
+        raise ValueError(msg)
+    return asked_logs(names, manifest=None if manifest is None else Path(manifest), labels=pattern)[0]
+
+
+def _memory(asked: int | str | None) -> int | None:
     """Return bytes, as they are asked for or as a text says them."""
+    if asked is None:
+        return None
     try:
         return parse_size(str(asked), least=LEAST_MEMORY)
     except ValueError as error:

@@ -5,6 +5,7 @@ They are named by hand, or by a manifest: a table of text, one row a log. Equal 
 
 import csv
 import hashlib
+import itertools
 import json
 import math
 from collections import Counter
@@ -436,32 +437,48 @@ def plan_fleet(
     ReadError
         If the store is damaged.
     """
-    places = {entry.path: entry.place for entry in entries}
-    stamps = stamps_of(places)
     known = store.logs().select(_KNOWN).rows(named=True) if store and store.exists else []
-    contents = _contents({path: stamp for path, stamp in stamps.items() if stamp}, places, known)
-    logs, keys = {}, {}
-    for entry in entries:
-        path, stamp = entry.path, stamps[entry.path]
-        own = {**(reading or {}), **entry.reading}
-        logs[path] = replace(entry, reading=own, size=stamp.size if stamp else 0)
-        # A log whose content is like no other's has a key of its path.
-        keys[path] = settings.key(contents.get(path, f"path:{path}"), own)
-    is_settled = [bool(log["content"]) and log["status"] in _SETTLED for log in known]
-    settled = {log["key"]: log["path"] for log, for_good in zip(known, is_settled, strict=True) if for_good}
-    failed = {log["path"] for log, for_good in zip(known, is_settled, strict=True) if not for_good}
+    logs, keys = _keyed(entries, reading, settings, known)
+    settled = {log["key"]: log["path"] for log in filter(_is_settled, known)}
+    failed = {log["path"] for log in itertools.filterfalse(_is_settled, known)}
     # The first of equal contents counts, if none is done.
     first: dict[str, str] = {}
     counted = {path: settled.get(key) or first.setdefault(key, path) for path, key in keys.items()}
-    tasks = tuple(log for path, log in logs.items() if keys[path] not in settled and counted[path] == path)
+    done = tuple(path for path, key in keys.items() if key in settled)
+    copies = {path: other for path, other in counted.items() if other != path}
+    out = {*done, *copies}
+    tasks = tuple(task for path, task in logs.items() if path not in out)
     return FleetPlan(
         entries=tuple(logs.values()),
         tasks=tasks,
-        done=tuple(path for path, key in keys.items() if key in settled),
+        done=done,
         again=tuple(task.path for task in tasks if task.path in failed),
-        copies={path: other for path, other in counted.items() if other != path},
+        copies=copies,
         own=tuple(logs),
     )
+
+
+def _is_settled(log: Mapping[str, Any]) -> bool:
+    return bool(log["content"]) and log["status"] in _SETTLED
+
+
+def _keyed(
+    entries: Sequence[LogTask],
+    reading: Mapping[str, object] | None,
+    settings: FleetSettings,
+    known: Sequence[Mapping[str, Any]],
+) -> tuple[dict[str, LogTask], dict[str, str]]:
+    """Return logs with their sizes and how to read them, and the keys of their results, by path."""
+    places = {entry.path: entry.place for entry in entries}
+    stamps = {path: stamp for path, stamp in stamps_of(places).items() if stamp}
+    contents = _contents(stamps, places, known)
+    logs, keys = {}, {}
+    for entry in entries:
+        path, own = entry.path, {**(reading or {}), **entry.reading}
+        logs[path] = replace(entry, reading=own, size=stamps[path].size if path in stamps else 0)
+        # A log whose content is like no other's has a key of its path.
+        keys[path] = settings.key(contents.get(path, f"path:{path}"), own)
+    return logs, keys
 
 
 def _contents(

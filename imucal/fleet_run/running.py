@@ -63,6 +63,12 @@ class RunCount:
     running: int = 0
     done_size: int = 0
 
+    def add(self, tasks: Sequence[LogTask], logs: Sequence[LogDone]) -> None:
+        """Count logs that are done."""
+        self.done += len(logs)
+        self.done_size += sum(task.size for task in tasks)
+        self.failed += sum(log.failed for log in logs)
+
 
 def run_plan(
     plan: FleetPlan,
@@ -112,20 +118,28 @@ def run_plan(
     found = _here(take, work) if engine is None else outcomes(take, work, engine=engine, patience=patience)
     for batch, outcome in found:
         count.running -= len(batch)
-        logs = outcome
-        if isinstance(logs, Lost):
-            if len(batch) > 1 or batch[0].path not in lost:
-                # It may have been another log's fault, or its worker's: one that was alone gets one more try.
-                lost.update(task.path for task in batch if len(batch) == 1)
-                alone.extend([task] for task in batch)
-                continue
-            reason = f"{batch[0].path}: {logs.reason}"
-            logs = commit([failure(batch[0], settings, logs.status, reason)], settings)
-        count.done += len(logs)
-        count.done_size += sum(task.size for task in batch)
-        count.failed += sum(log.failed for log in logs)
+        if isinstance(outcome, Lost) and (len(batch) > 1 or batch[0].path not in lost):
+            _try_alone(batch, alone, lost)
+            continue
+        count.add(batch, _given_up(batch, outcome, settings) if isinstance(outcome, Lost) else outcome)
         tell(count)
     return count
+
+
+def _try_alone(batch: list[LogTask], alone: deque[list[LogTask]], lost: set[str]) -> None:
+    """Let the logs of a lost batch be done by themselves: it may have been another's fault.
+
+    One that was alone is noted as lost and gets one more try: it may have been its worker's fault.
+    """
+    if len(batch) == 1:
+        lost.add(batch[0].path)
+    alone.extend([task] for task in batch)
+
+
+def _given_up(batch: list[LogTask], lost: Lost, settings: FleetSettings) -> list[LogDone]:
+    """Commit that a batch could not be done."""
+    rows = [failure(task, settings, lost.status, f"{task.path}: {lost.reason}") for task in batch]
+    return commit(rows, settings)
 
 
 def _here(
