@@ -1,13 +1,12 @@
 """Fitting a table of Allan deviations that another tool made: no samples, so no report folder."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from imucal.allan.deviation_table import NamedCurve, is_adev_table, read_adev_table, read_curve
-from imucal.cli._printing import echo, echo_json, fitted, name_of_log, picked, print_findings, say, width
+from imucal.cli._printing import echo, fitted, name_of_log, picked, print_findings, print_json, say, width
 from imucal.cli.parameters import LogRequest
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS
@@ -54,7 +53,7 @@ def fit_curves(request: LogRequest, settings: FitSettings, *, as_json: bool) -> 
     ]
     print_findings(found, quiet=request.quiet)
     if as_json:
-        echo_json(json.dumps([_document(named, result) for named, result in results], indent=1))
+        print_json([_document(named, result) for named, result in results], indent=1)
     else:
         echo("\n\n".join(_table(named, result) for named, result in results))
     say("A table of deviations has no report folder; --json has all numbers.", quiet=request.quiet)

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Sized
+from collections.abc import Sequence, Sized
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,8 +71,7 @@ def conclude(
     every = store.logs()
     logs = every.filter(every["path"].is_in(sorted(counted)))
     print_standing(logs, out)
-    failed = failed_logs(logs)
-    print_failures(failed, quiet=quiet)
+    failed = print_failures(logs, quiet=quiet)
     asked = store.manifest()
     # Copies are done with their originals.
     waiting = set(asked.filter(asked["copy_of"].is_null())["path"]) - set(every["path"])
@@ -82,9 +81,9 @@ def conclude(
     if logs.height and not readable:
         say(f"Error: {out}: none of {number_of(logs.height, 'log')} can be read")
         ctx.exit(3)
-    if failed.height > max_failed * max(logs.height, 1):
-        percent = f"{100 * failed.height / logs.height:.3g} %"
-        share = f"{failed.height} of {number_of(logs.height, 'log')} failed ({percent})"
+    if failed > max_failed * max(logs.height, 1):
+        percent = f"{100 * failed / logs.height:.3g} %"
+        share = f"{failed} of {number_of(logs.height, 'log')} failed ({percent})"
         say(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%")
         ctx.exit(4)
 
@@ -109,25 +108,20 @@ def write_files(store: "FleetStore", *, quiet: bool) -> None:
         say(f"the report is missing: {error}")
         return
     echo(str(next((file for file in files if file.suffix == ".html"), files[0])))
-    print_findings([*fleet.findings, *missing], quiet=quiet)
-    say_verdict(fleet, quiet=quiet)
+    say_verdict(fleet, missing, quiet=quiet)
 
 
-def say_verdict(fleet: "Fleet", *, quiet: bool) -> None:
-    """Print which units are odd; on a terminal broken between words, else in one line for who searches it."""
+def say_verdict(fleet: "Fleet", missing: Sequence["Finding"], *, quiet: bool) -> None:
+    """Print the findings of a fleet and of its files, and which units are odd.
+
+    That is broken between words on a terminal; elsewhere it is one line for who searches it.
+    """
     from imucal.fleet_report.verdict import verdict
 
+    print_findings([*fleet.findings, *missing], quiet=quiet)
     text = verdict(fleet)[1]
     for line in fitted(text, width(), indent=2) if sys.stderr.isatty() else [text]:
         say(line, quiet=quiet)
-
-
-def failed_logs(logs: "pl.DataFrame") -> "pl.DataFrame":
-    """Return the rows of logs that gave no numbers which may be used."""
-    from imucal.fleet_run.plan import has_failed
-
-    pairs = zip(logs["status"], logs["verdict"], strict=True)
-    return logs.filter([has_failed(status, verdict) for status, verdict in pairs])
 
 
 def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
@@ -143,18 +137,22 @@ def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
         echo(f"{data_size(size)} in {duration(cpu)} of one core, {size / cpu / 1e6:.3g} MB/s")
 
 
-def print_failures(failed: "pl.DataFrame", *, quiet: bool) -> None:
-    """Print the logs that failed, by kind; of many the first ones."""
+def print_failures(logs: "pl.DataFrame", *, quiet: bool) -> int:
+    """Print the logs that gave no numbers which may be used, by kind, of many the first; return how many."""
+    from imucal.fleet_run.plan import has_failed
+
     groups: dict[str, list[str]] = {}
-    for status, path, reason in failed.select("status", "path", "reason").iter_rows():
-        text = f"{path}: not noise" if status == "ok" else reason if path in reason else f"{path}: {reason}"
-        groups.setdefault("not noise" if status == "ok" else status, []).append(text)
+    for path, status, verdict, reason in logs.select("path", "status", "verdict", "reason").iter_rows():
+        if has_failed(status, verdict):
+            kind, why = ("not noise", "not noise") if status == "ok" else (status, reason)
+            groups.setdefault(kind, []).append(why if path in why else f"{path}: {why}")
     for kind, texts in groups.items():
         say(f"{kind}: {len(texts)}", quiet=quiet)
         for text in texts[:_NAMED]:
             say(f"  {text}", quiet=quiet)
         if len(texts) > _NAMED:
             say(f"  and {len(texts) - _NAMED} more", quiet=quiet)
+    return sum(map(len, groups.values()))
 
 
 def number_of(things: int | Sized, one: str, many: str = "") -> str:

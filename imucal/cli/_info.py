@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from typing import Any, TypeAlias
 
 from imucal.cli import options_for
-from imucal.cli._printing import FULL, picked, suggestion, width, wrapped
+from imucal.cli._printing import FULL, Words, picked, said_of, width, words, wrapped
 from imucal.cli._progress import download_progress
 from imucal.errors import ImucalError
 from imucal.findings import Finding
@@ -137,8 +137,6 @@ def _fit(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[:left]}…{text[len(text) - (most - 1 - left) :]}"
 
 
-#: Level, code and sentence of a finding: what it says, whatever axis it is about.
-_Words: TypeAlias = tuple[str, str, str]
 #: Stamps before this, 1 January 1980 in ns, count from the start of a computer or a sensor: no date.
 _NO_DATE = 315_532_800_000_000_000
 
@@ -157,7 +155,7 @@ def lines_of_log(
         yield ""
         yield from wrapped(f"{topic.name} has the fields")
         yield from wrapped(", ".join(topic.fields), indent=2)
-    said = {_words(finding) for finding in contents.findings}
+    said = set(map(words, contents.findings))
     for topic in contents.imu_topics:
         yield from _what_was_read(topic, found.get(topic.name), said)
     if contents.imu_topics and not looked:
@@ -171,7 +169,7 @@ def lines_of_log(
         else:
             yield "No gyroscope or accelerometer was found."
     for finding in contents.findings:
-        yield from _sentence(_words(finding), [])
+        yield from wrapped(f"{finding.level} {said_of((), words(finding))}", indent=2)
     yield ""
 
 
@@ -198,7 +196,7 @@ def _head(contents: LogContents) -> Iterator[str]:
         yield f"from {_date(contents.start_ns)}"
 
 
-def _what_was_read(topic: TopicContents, found: Reading, said: set[_Words]) -> Iterator[str]:
+def _what_was_read(topic: TopicContents, found: Reading, said: set[Words]) -> Iterator[str]:
     """Yield rate, gaps, units and findings of a topic that was read; not those said of the whole log."""
     if found is None:
         return
@@ -216,12 +214,12 @@ def _what_was_read(topic: TopicContents, found: Reading, said: set[_Words]) -> I
         # Each topic is read by its name here, which says nothing about what fit would choose.
         if question not in {"topic", "topics"}:
             yield from wrapped(f"{question}: {answer}", indent=2)
-    about: dict[_Words, list[str]] = {}
+    about: dict[Words, list[str]] = {}
     for finding in found.findings:
-        about.setdefault(_words(finding), []).extend([finding.axis] if finding.axis else [])
-    for words, axes in about.items():
-        if words not in said:
-            yield from _sentence(words, axes)
+        about.setdefault(words(finding), []).extend([finding.axis] if finding.axis else [])
+    for own, axes in about.items():
+        if own not in said:
+            yield from wrapped(f"{own[0]} {said_of(axes, own)}", indent=2)
 
 
 def _jitter(seconds: float) -> str:
@@ -232,17 +230,6 @@ def _jitter(seconds: float) -> str:
         pair for pair in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if seconds >= pair[1]
     )
     return f"jitter {seconds / size:.3g} {unit}"
-
-
-def _words(finding: Finding) -> _Words:
-    parts = (finding.text, finding.advice, suggestion(finding))
-    return finding.level, finding.code, " ".join(part for part in parts if part)
-
-
-def _sentence(words: _Words, axes: list[str]) -> Iterator[str]:
-    level, code, text = words
-    where = f" {' '.join(dict.fromkeys(axes))}" if axes else ""
-    yield from wrapped(f"{level} [{code}]{where}: {text}", indent=2)
 
 
 def _date(ns: int) -> str:

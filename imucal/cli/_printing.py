@@ -1,16 +1,18 @@
 """Printing: texts that fit the terminal and never steer it, findings, names, and what ends a command."""
 
+import json
 import shlex
 import shutil
+import sys
 import textwrap
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import click
 
 from imucal.errors import DataError
-from imucal.findings import Finding, Level
+from imucal.findings import Finding
 from imucal.grading import NoiseVerdict
 from imucal.printable import printable, printable_json
 
@@ -20,9 +22,19 @@ def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
     click.echo(printable(text), err=err, nl=nl)
 
 
-def echo_json(text: str, *, nl: bool = True) -> None:
-    """Print a JSON text on standard output: the same value, such signs as JSON's own escapes."""
-    click.echo(printable_json(text), nl=nl)
+def print_json(document: object, *, indent: int = 2, ascii_only: bool = True) -> None:
+    """Print a document as JSON on standard output; what would steer a terminal stands as JSON's escapes."""
+    text = json.dumps(document, indent=indent, ensure_ascii=ascii_only, allow_nan=False)
+    click.echo(printable_json(text))
+
+
+def can_print(text: str, encoding: str | None = None) -> bool:
+    """Return whether an encoding has all signs of a text; by default that of standard output."""
+    try:
+        text.encode(encoding or sys.stdout.encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        return False
+    return True
 
 
 def picked(value: object, *names: str) -> dict[str, object]:
@@ -71,26 +83,21 @@ def wrapped(text: str, *, indent: int = 0) -> list[str]:
     return lines
 
 
-_STYLES: dict[Level, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
+#: Level, code and sentence of a finding: what it says, whatever axis it is about.
+Words: TypeAlias = tuple[str, str, str]
+_STYLES: dict[str, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 
 
-@dataclass(slots=True)
-class _Line:
-    """A sentence, the axes it is said of, and how many more there are of its level and code."""
+def words(finding: Finding, text: str | None = None) -> Words:
+    """Return level, code and sentence of a finding, its own text or another, with what to do."""
+    parts = (finding.text if text is None else text, finding.advice, suggestion(finding))
+    return finding.level, finding.code, " ".join(part for part in parts if part)
 
-    level: Level
-    code: str
-    text: str
-    axes: list[str] = field(default_factory=list)
-    more: int = 0
-    others: list[str] = field(default_factory=list)
 
-    @property
-    def tail(self) -> str:
-        if not self.more:
-            return ""
-        where = f", on {' '.join(self.others)}" if self.others else ""
-        return f" ({self.more} more like it{where}; -v shows all)"
+def said_of(axes: Sequence[str], said: Words) -> str:
+    """Return ``[code] axes: sentence``, each axis once."""
+    _, code, text = said
+    return f"[{code}]{''.join(f' {axis}' for axis in dict.fromkeys(axes))}: {text}"
 
 
 def print_findings(findings: Sequence[Finding], *, quiet: bool, verbose: bool = False) -> None:
@@ -104,38 +111,33 @@ def print_findings(findings: Sequence[Finding], *, quiet: bool, verbose: bool = 
     from rich.text import Text
 
     console = Console(stderr=True, highlight=False)
-    for line in _lines(findings, verbose=verbose):
-        text = Text(line.level, style=_STYLES[line.level])
-        where = f" {' '.join(line.axes)}" if line.axes else ""
-        said = printable(f" [{line.code}]{where}: {line.text}{line.tail}")
-        text.append(said, style="not bold default")
+    for said, axes, others in _grave_first(findings, verbose=verbose):
+        text = Text(said[0], style=_STYLES[said[0]])
+        tail = ""
+        if others:
+            where = " ".join(dict.fromkeys(axis for own in others for axis in own))
+            tail = f" ({len(others)} more like it, on {where}; -v shows all)"
+        text.append(printable(f" {said_of(axes, said)}{tail}"), style="not bold default")
         console.print(text)
 
 
-def _lines(findings: Sequence[Finding], *, verbose: bool) -> list[_Line]:
-    """Return what to print, grave ones first."""
-    same: dict[tuple[str, str, str], _Line] = {}
+def _grave_first(
+    findings: Sequence[Finding], *, verbose: bool
+) -> Iterator[tuple[Words, list[str], list[list[str]]]]:
+    """Yield what findings say, of which axes, and the axes of those that each of them stands for."""
+    about: dict[Words, list[str]] = {}
     for finding in findings:
-        plain = finding.text.removeprefix(f"{finding.axis}: ")
-        text = " ".join(part for part in (plain, finding.advice, suggestion(finding)) if part)
-        line = same.setdefault((finding.level, finding.code, text), _Line(finding.level, finding.code, text))
-        line.axes += [finding.axis] if finding.axis and finding.axis not in line.axes else []
-    lines = [line for level in _STYLES for line in same.values() if line.level == level]
-    return lines if verbose else _folded(lines)
-
-
-def _folded(lines: Sequence[_Line]) -> list[_Line]:
-    """Let the first line of a level and code stand for the others that are about an axis; errors stay."""
-    first: dict[tuple[str, str], _Line] = {}
-    folded = []
-    for line in lines:
-        lead = first.setdefault((line.level, line.code), line)
-        if lead is line or line.level == "error" or not line.axes:
-            folded.append(line)
-            continue
-        lead.more += 1
-        lead.others += [axis for axis in line.axes if axis not in lead.others]
-    return folded
+        said = words(finding, finding.text.removeprefix(f"{finding.axis}: "))
+        about.setdefault(said, []).extend([finding.axis] if finding.axis else [])
+    ordered = [(said, axes) for level in _STYLES for said, axes in about.items() if said[0] == level]
+    lead: dict[tuple[str, str], Words] = {}
+    others: dict[Words, list[list[str]]] = {}
+    for said, axes in ordered:
+        first = lead.setdefault(said[:2], said)
+        # The first of a level and code stands for the others that are about an axis; errors stay.
+        folds = first is not said and said[0] != "error" and axes and not verbose
+        others.setdefault(first if folds else said, []).extend([axes] if folds else [])
+    yield from ((said, axes, others[said]) for said, axes in ordered if said in others)
 
 
 def suggestion(finding: Finding) -> str:

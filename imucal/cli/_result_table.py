@@ -1,12 +1,11 @@
 """The table that a run prints: the verdict, then both sensors side by side, all with intervals."""
 
 import re
-import sys
 import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
-from imucal.cli._printing import FULL
+from imucal.cli._printing import FULL, can_print
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
@@ -39,9 +38,14 @@ def summary_table(
     columns
         Of the terminal; with less than 80 the sensors stand one after the other, 39 columns wide.
     """
-    plain = not _can_print(encoding or sys.stdout.encoding or "ascii")
-    sensors = list(_sensors(report, datasheet=datasheet, plain=plain))
-    lines = [*_wrapped(_verdict(report, plain=plain), columns), ""]
+    plain = not can_print("√²³µ", encoding)
+    sensors: list[dict[str, _Block]] = []
+    for sensor in Sensor:
+        if axes := [axis for axis in report.axes if axis.sensor is sensor]:
+            units = sheet_units(report, sensor) if datasheet else None
+            sensors.append(dict(_blocks(axes, units, plain=plain)))
+    sentence = report.verdict.sentence
+    lines = [*_wrapped(sentence.replace("±", "+-") if plain else sentence, columns), ""]
     for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:
         for key in _order(beside):
             sides = [sensor.get(key, []) for sensor in beside]
@@ -54,32 +58,10 @@ def summary_table(
     return "\n".join(lines)
 
 
-def _sensors(report: Report, *, datasheet: bool, plain: bool) -> Iterator[dict[str, _Block]]:
-    """Yield the blocks of each sensor that the report has."""
-    for sensor in Sensor:
-        axes = [axis for axis in report.axes if axis.sensor is sensor]
-        if axes:
-            units = sheet_units(report, sensor) if datasheet else None
-            yield dict(_blocks(axes, units, plain=plain))
-
-
-def _verdict(report: Report, *, plain: bool) -> str:
-    sentence = report.verdict.sentence
-    return sentence.replace("±", "+-") if plain else sentence
-
-
 def _wrapped(text: str, columns: int) -> list[str]:
     """Break a text into lines; a number keeps its unit: lines break after commas and before brackets."""
     kept = _KEPT.sub("\N{NO-BREAK SPACE}", text)
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(kept, columns)]
-
-
-def _can_print(encoding: str) -> bool:
-    try:
-        "√²³µ".encode(encoding)
-    except (UnicodeEncodeError, LookupError):
-        return False
-    return True
 
 
 def _order(columns: Sequence[dict[str, _Block]]) -> list[str]:

@@ -1,6 +1,5 @@
 """``imucal adev``: the curves alone."""
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +8,7 @@ import click
 from imucal._version import __version__
 from imucal.allan.intervals import EDF_METHODS
 from imucal.allan.variance import ESTIMATORS
-from imucal.cli._printing import echo, echo_json, force_option, print_findings, refuse, say
+from imucal.cli._printing import echo, force_option, picked, print_findings, print_json, refuse, say
 from imucal.cli.parameters import LEVEL, TAUS, LogRequest, json_option, log_options, shown
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -84,7 +83,7 @@ def command(
             "level": level,
             "axes": axes,
         }
-        echo_json(json.dumps(document, indent=1, allow_nan=False))
+        print_json(document, indent=1)
     else:
         echo("\n".join(["axis,tau,m,adev,low,high,edf", *(line for a in axes for line in _lines(a))]))
     print_findings(findings, quiet=request.quiet, verbose=request.verbose)
@@ -106,13 +105,7 @@ def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Find
 
 
 def _axis(
-    series: AxisSeries,
-    taus: str | Sequence[float],
-    *,
-    estimator: str,
-    edf: str,
-    level: float,
-    spectrum: bool,
+    series: AxisSeries, taus: str | Sequence[float], *, estimator: str, edf: str, level: float, spectrum: bool
 ) -> dict[str, Any]:
     """Return what is printed of one axis, as JSON values."""
     from imucal import allan
@@ -123,15 +116,10 @@ def _axis(
     curve = allan.allan_curve(series, taus=taus, estimator=estimator, edf=edf)
     low, high = curve.confidence_interval(level)
     axis: dict[str, Any] = {
-        "name": series.name,
-        "sensor": str(series.sensor),
-        "axis": series.axis,
-        "unit": series.unit,
+        **picked(series, "name", "sensor", "axis", "unit"),
         "samples": curve.n,
         "rate_hz": series.rate_hz,
-        "estimator": curve.estimator,
-        "computed": curve.computed,
-        "edf_method": curve.edf_method,
+        **picked(curve, "estimator", "computed", "edf_method"),
         "curve": {
             "tau_s": curve.tau.tolist(),
             "m": curve.m.tolist(),

@@ -1,6 +1,5 @@
 """``imucal check``: the gate that a CI runs."""
 
-import json
 import textwrap
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ import click
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
 from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
-from imucal.cli._printing import FULL, echo, echo_json, say, width
+from imucal.cli._printing import FULL, echo, print_json, say, width
 from imucal.cli._report_input import REPORT, load_report, read_report, report_or_log
 from imucal.cli.parameters import LogRequest, json_option
 from imucal.errors import ReadError
@@ -121,7 +120,7 @@ def command(
             scratch.write_text(junit_xml(result), encoding="utf-8")
         say(junit, quiet=request.quiet)
     if as_json:
-        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
+        print_json(to_document(result))
     else:
         click.echo(_table(result))
     if github:

@@ -1,13 +1,12 @@
 """``imucal compare``: what differs between two reports."""
 
-import json
 import shlex
 from pathlib import Path
 
 import click
 
 from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
-from imucal.cli._printing import FULL, as_typed, echo_json, picked, say, width
+from imucal.cli._printing import FULL, as_typed, picked, print_json, say, width
 from imucal.cli._report_input import read_report
 from imucal.cli.parameters import Number, datasheet_option, json_option, quiet_option, shown
 from imucal.comparison import Comparison, Difference, compare
@@ -76,7 +75,7 @@ def command(
     """
     result = compare(*_both(a, b, fleet_model), alpha=alpha, tolerance=tolerance)
     if as_json:
-        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
+        print_json(to_document(result))
     else:
         # Its colours are our own; names of files stand in the lines below it.
         click.echo(_table(result, datasheet=datasheet))

@@ -1,6 +1,5 @@
 """``imucal decompose``: what the bias did in a log."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal._version import __version__
-from imucal.cli._printing import echo, echo_json, force_option, print_findings, refuse, say
+from imucal.cli._printing import echo, force_option, print_findings, print_json, refuse, say
 from imucal.cli._progress import axes_progress, smoothing_progress
 from imucal.cli.fit import report_folder
 from imucal.cli.parameters import (
@@ -125,7 +124,7 @@ def command(
     }
     written = write_document(document, folder)
     if as_json:
-        echo_json(json.dumps(document, indent=1, allow_nan=False))
+        print_json(document, indent=1)
     else:
         echo(_table(described))
     say(written, quiet=request.quiet)

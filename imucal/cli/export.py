@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 from click.shell_completion import CompletionItem
@@ -22,13 +22,6 @@ if TYPE_CHECKING:
     from imucal.fleet_report.as_report import FleetValue
 
 _FOLDER = Path("imucal-exports")
-
-
-class _Options(TypedDict):
-    axis_policy: AxisPolicy
-    inflate: dict[str, float]
-    unidentified: Unidentified
-    topic: str | None
 
 
 #: What --to takes, with its title.
@@ -142,13 +135,11 @@ def command(
     request: LogRequest,
     targets: tuple[str, ...],
     out: Path | None,
-    axis_policy: AxisPolicy,
-    inflate: dict[str, float],
-    unidentified: Unidentified,
     value: "FleetValue | None",
     fleet_model: str | None,
     rostopic: str | None,
     force: bool,
+    **options: Any,  # noqa: ANN401 - the other options of `render` and of `imucal.export`
 ) -> None:
     """Write the config files that filters and simulators read.
 
@@ -158,12 +149,7 @@ def command(
     """
     report = _report(request, value, fleet_model)
     refuse(report.verdict, request.logs[0], "nothing was exported", force=force)
-    options: _Options = {
-        "axis_policy": axis_policy,
-        "inflate": inflate,
-        "unidentified": unidentified,
-        "topic": rostopic,
-    }
+    options["topic"] = rostopic
     names = tuple(TARGETS) if "all" in targets else _names(targets, quiet=request.quiet)
     texts = [render(report, name, **options) for name in names]  # so that a refusal leaves no file
     several = len(names) > 1

@@ -1,14 +1,13 @@
 """``imucal fit``: the main job."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from imucal.cli._printing import (
     as_typed,
     echo,
-    echo_json,
     force_option,
     name_of_log,
     print_findings,
@@ -30,6 +29,7 @@ from imucal.cli.parameters import (
 )
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MOST_SEGMENTS
+from imucal.printable import printable_json
 
 if TYPE_CHECKING:
     from imucal.findings import Finding
@@ -55,7 +55,9 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 @model_option('Terms, such as "N + B + K" or "N + 2*GM".')
 @shown("--method", type=click.Choice(METHODS), default="mle", help="Estimator.")
 @shown("--level", type=LEVEL, default=0.95, help="Confidence level of every interval.")
-@shown("--ic", type=click.Choice(CRITERIA), default="bic", help="Criterion that chooses the model.")
+@shown(
+    "--ic", "criterion", type=click.Choice(CRITERIA), default="bic", help="Criterion that chooses the model."
+)
 @shown("--weights", type=click.Choice(WEIGHTS), default="full", help="Weights of gmwm.")
 @shown(
     "--segments",
@@ -91,25 +93,16 @@ def command(
     *,
     request: LogRequest,
     out: Path | None,
-    model: str,
-    method: str,
-    level: float,
-    ic: str,
-    weights: str,
-    segments: int,
-    taus: str,
-    edf: str,
     no_clean: bool,
-    verify: bool,
     datasheet: bool,
     formats: tuple[str, ...],
     no_html: bool,
     no_report: bool,
     jobs: int | None,
-    bins: bool,
     as_json: bool,
     curve: bool,
     force: bool,
+    **choices: Any,  # noqa: ANN401 - what else `Settings` takes, checked by the types of the options
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
@@ -125,20 +118,7 @@ def command(
     from imucal.pipeline import Settings
 
     try:
-        settings = Settings(
-            model=model,
-            method=method,
-            level=level,
-            criterion=ic,
-            weights=weights,
-            segments=segments,
-            taus=taus,
-            edf=edf,
-            clean=not no_clean,
-            verify=verify,
-            bins=bins,
-            reading=request.settings(),
-        )
+        settings = Settings(clean=not no_clean, reading=request.settings(), **choices)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     if curve or is_curve_table(request):
@@ -153,7 +133,7 @@ def command(
         check_folder(folder)
     report = request.characterise(settings, workers=jobs)
     if as_json:
-        echo_json(dumps(to_document(report)), nl=False)
+        click.echo(printable_json(dumps(to_document(report))), nl=False)
     else:
         echo(summary_table(report, datasheet=datasheet, columns=width()))
     print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._fleet import say_verdict
-from imucal.cli._printing import echo, print_findings, say
+from imucal.cli._printing import echo, say
 from imucal.cli.parameters import SHARE, quiet_option, shown
 
 if TYPE_CHECKING:
@@ -45,7 +45,6 @@ def command(
     missing: list[Finding] = []
     for path in write_fleet(fleet, html=html, pictures=pictures, tell=missing.append):
         echo(str(path))
-    print_findings([*fleet.findings, *missing], quiet=quiet)
-    say_verdict(fleet, quiet=quiet)
+    say_verdict(fleet, missing, quiet=quiet)
     if fleet.loose:
         say(f"to have them counted, run the fleet with --labels '{fleet.labels}'", quiet=quiet)

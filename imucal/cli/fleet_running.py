@@ -7,27 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._fleet import (
-    FIXED_STRUCTURE,
-    LABELS,
-    PATIENCE,
-    SHARD,
-    SIZE,
-    conclude,
-    print_plan,
-    say_plan,
-)
+from imucal.cli._fleet import FIXED_STRUCTURE, LABELS, PATIENCE, SHARD, SIZE, conclude, print_plan, say_plan
 from imucal.cli._printing import say
 from imucal.cli._progress import fleet_progress
-from imucal.cli.parameters import (
-    DURATION,
-    LEVEL,
-    Number,
-    quiet_option,
-    reading_options,
-    shown,
-    topic_option,
-)
+from imucal.cli.parameters import DURATION, LEVEL, Number, quiet_option, reading_options, shown, topic_option
 from imucal.errors import ImucalError
 from imucal.resources import threads
 
@@ -119,12 +102,7 @@ Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
 @topic_option
 @reading_options
 @click.option(
-    "--skip",
-    "skip_s",
-    type=DURATION,
-    default=0.0,
-    metavar="TIME",
-    help="Leave out the start of each log.",
+    "--skip", "skip_s", type=DURATION, default=0.0, metavar="TIME", help="Leave out the start of each log."
 )
 @click.option(
     "--take", "take_s", type=DURATION, metavar="TIME", help="Use only so much of each log, such as 2h."

@@ -1,13 +1,12 @@
 """``imucal fleet status``: what of a fleet is done, what failed and why, what is left."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._fleet import count, failed_logs, number_of, print_failures, print_standing
-from imucal.cli._printing import as_typed, echo, echo_json, say
+from imucal.cli._fleet import count, number_of, print_failures, print_standing
+from imucal.cli._printing import as_typed, echo, print_json, say
 from imucal.cli.parameters import json_option, quiet_option
 from imucal.grading import GRADES
 
@@ -36,10 +35,10 @@ def command(*, folder: Path, as_json: bool, quiet: bool) -> None:
     settled = {*logs["path"], *copies["path"]}
     left = [path for path in manifest["path"] if path not in settled]
     if as_json:
-        echo_json(json.dumps(_document(logs, manifest, left, damaged), indent=2))
+        print_json(_document(logs, manifest, left, damaged))
         return
     print_standing(logs, folder)
-    print_failures(failed_logs(logs), quiet=quiet)
+    print_failures(logs, quiet=quiet)
     for path, other in copies.select("path", "copy_of").iter_rows():
         say(f"  {path}: same content as {other}, counted once", quiet=quiet)
     for part in damaged:

@@ -1,12 +1,11 @@
 """``imucal info``: what is in a log, from its index; gaps and clocks where the log is small."""
 
-import json
 from typing import Any
 
 import click
 
 from imucal.cli._info import SCHEMA, lines_of_log, log_document, read_topics
-from imucal.cli._printing import echo, echo_json, wrapped
+from imucal.cli._printing import echo, print_json, wrapped
 from imucal.cli._progress import download_progress
 from imucal.cli.parameters import json_option, reading_options
 from imucal.readers import LogContents, describe, logs_of
@@ -47,12 +46,7 @@ Exit codes: 0 done, 2 usage, 3 a log can't be read."""
 @reading_options
 @click.option("-v", "--verbose", is_flag=True, help="List the fields of messages too.")
 def command(
-    logs: tuple[str, ...],
-    *,
-    as_json: bool,
-    gaps: bool | None,
-    verbose: bool,
-    reading: dict[str, Any],
+    logs: tuple[str, ...], *, as_json: bool, gaps: bool | None, verbose: bool, reading: dict[str, Any]
 ) -> None:
     """Say what is in each LOG: topics, types, counts, rates, duration, units, gaps."""
     entries = []
@@ -72,8 +66,7 @@ def command(
         text = f"{shown(folder)}: {len(parts)} logs without a metadata.yaml that says they are one recording."
         echo("\n".join([*wrapped(f"{text} {_JOINED_WHERE}"), ""]))
     if as_json:
-        document = {"schema": SCHEMA, "logs": entries}
-        echo_json(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+        print_json({"schema": SCHEMA, "logs": entries}, ascii_only=False)
 
 
 def _is_small(contents: LogContents, *, remote: bool) -> bool:

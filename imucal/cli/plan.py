@@ -1,13 +1,11 @@
 """``imucal plan``: how long to record for a wanted precision."""
 
-import json
 import math
-import sys
 from pathlib import Path
 
 import click
 
-from imucal.cli._printing import FULL, echo, echo_json, fitted, picked, say, width
+from imucal.cli._printing import FULL, can_print, echo, fitted, picked, print_json, say, width
 from imucal.cli._report_input import is_report, read_report
 from imucal.cli.parameters import (
     DURATION,
@@ -101,7 +99,7 @@ def command(
         duration_s=duration,
     )
     if as_json:
-        echo_json(json.dumps(to_document(result), indent=2, allow_nan=False))
+        print_json(to_document(result))
     else:
         echo(_table(result, datasheet=datasheet))
     if any(need.bounded for axis in result.axes for need in axis.needs):
@@ -157,34 +155,25 @@ def _table(result: Plan, *, datasheet: bool) -> str:
         if axis.duration_s is not None:
             title += f", {describe_time(axis.duration_s)}"
         lines += ["", *fitted(title, width(), indent=2)]
-        if narrow:
-            lines += [line for need in axis.needs for line in _pair(axis, need, datasheet=datasheet)]
-            continue
-        lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}")
-        if durations != {None}:
-            lines[-1] += f"{'this tells':>17}"
-        lines += [_line(axis, need, datasheet=datasheet) for need in axis.needs]
+        if not narrow:
+            tells = "" if durations == {None} else f"{'this tells':>17}"
+            lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}{tells}")
+        for need in axis.needs:
+            lines += _lines(axis, need, datasheet=datasheet, narrow=narrow)
     text = "\n".join(lines)
-    try:
-        text.encode(sys.stdout.encoding or "ascii")
-    except (UnicodeEncodeError, LookupError):
-        text = text.replace("±", "+-")
-    return text
+    return text if can_print(text) else text.replace("±", "+-")
 
 
-def _line(axis: AxisPlan, need: Need, *, datasheet: bool) -> str:
+def _lines(axis: AxisPlan, need: Need, *, datasheet: bool, narrow: bool) -> list[str]:
+    """Return a need as a row of the table; as two lines where the terminal is narrow."""
     unit = _unit(axis.sensor, need, datasheet=datasheet)
     value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
-    line = f"  {need.name:<10}{value:>12}  {unit.name:<18}{describe_time(need.needed_s):>19}"
-    return line if need.reached is None else f"{line}{_reached(need):>17}"
-
-
-def _pair(axis: AxisPlan, need: Need, *, datasheet: bool) -> list[str]:
-    """Return the two lines of a narrow terminal."""
-    unit = _unit(axis.sensor, need, datasheet=datasheet)
-    tells = "" if need.reached is None else f", tells {_reached(need)}"
-    first = f"  {need.name:<10}{'< ' if need.bounded else ''}{need.value * unit.factor:.4g} {unit.name}"
-    return [first, *fitted(f"    needs {describe_time(need.needed_s)}{tells}", width(), indent=6)]
+    time = describe_time(need.needed_s)
+    tells = "" if need.reached is None else _reached(need)
+    if narrow:
+        needs = f"    needs {time}{f', tells {tells}' if tells else ''}"
+        return [f"  {need.name:<10}{value} {unit.name}", *fitted(needs, width(), indent=6)]
+    return [f"  {need.name:<10}{value:>12}  {unit.name:<18}{time:>19}{f'{tells:>17}' if tells else ''}"]
 
 
 def _reached(need: Need) -> str:

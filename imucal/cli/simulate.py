@@ -1,21 +1,11 @@
 """``imucal simulate``: a log of known truth."""
 
-import json
 from pathlib import Path
 
 import click
 
-from imucal.cli._printing import echo, echo_json, picked, say
-from imucal.cli.parameters import (
-    DURATION,
-    RATE,
-    Number,
-    Text,
-    json_option,
-    quiet_option,
-    seconds_of,
-    shown,
-)
+from imucal.cli._printing import echo, picked, print_json, say
+from imucal.cli.parameters import DURATION, RATE, Number, Text, json_option, quiet_option, seconds_of, shown
 from imucal.noise import NoiseModel
 from imucal.units import G0
 
@@ -139,5 +129,5 @@ def command(
         "gaps": [picked(gap, "start_s", "duration_s") for gap in clock.gaps],
         "seed": seed,
     }
-    echo_json(json.dumps(truth, indent=2))
+    print_json(truth)
     say(f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}", quiet=quiet)

@@ -5,12 +5,4 @@ from imucal.fleet_report.files import write_fleet
 from imucal.fleet_report.fleet_check import check_fleet
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel, load_fleet
 
-__all__ = [
-    "Fleet",
-    "FleetTerm",
-    "SensorModel",
-    "check_fleet",
-    "fleet_as_report",
-    "load_fleet",
-    "write_fleet",
-]
+__all__ = ["Fleet", "FleetTerm", "SensorModel", "check_fleet", "fleet_as_report", "load_fleet", "write_fleet"]

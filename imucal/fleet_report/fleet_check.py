@@ -11,6 +11,13 @@ from imucal.fleet_report.verdict import sheet_unit
 from imucal.noise.terms import TERMS
 from imucal.report.result import Report
 
+#: What a verdict says of the log.
+_SAID: dict[Verdict, str] = {
+    "pass": "as a unit of the fleet",
+    "fail": "not as a unit of the fleet",
+    "undecided": "the log is too short to tell",
+}
+
 
 def check_fleet(
     report: Report, fleet: Fleet, model: str | None = None, *, alpha: float = 0.05
@@ -56,18 +63,12 @@ def check_fleet(
             f"has {axes}; check a log of the same sensor"
         )
         raise DataError(msg)
-    adjusted = iter(holm([membership(term.logs, value) for term, value in common if _band(term)]))
+    told = [(term, value) for term, value in common if term.population.prediction]
+    chances = iter(holm([membership(term.logs, value) for term, value in told]))
     return tuple(
-        _row(found, term, value, band=band, p=next(adjusted), alpha=alpha)
-        if (band := _band(term))
-        else _row_of_few(term, value)
+        _row(found, term, value, p=next(chances) if term.population.prediction else None, alpha=alpha)
         for term, value in common
     )
-
-
-def _band(term: FleetTerm) -> tuple[float, float] | None:
-    """Return where the next unit lies; None where too few units have the term to tell."""
-    return term.population.prediction
 
 
 def holm(p_values: list[float]) -> list[float]:
@@ -91,49 +92,31 @@ def _values(fit: NoiseFit, terms: list[FleetTerm]) -> dict[str, LogValue]:
     }
 
 
-def _row_of_few(term: FleetTerm, value: LogValue) -> Row:
-    """Return the row of a term that few units have, such as of a sensor that most of them lack."""
-    unit, units = sheet_unit(term), len(term.population.units)
+def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | None, alpha: float) -> Row:
+    """Return the verdict on a term; without `p` too few units have it, such as of a sensor that most lack."""
+    unit, found = sheet_unit(term), term.population
     measured = Measured(value=value.value, low=value.low, high=value.high).scaled(unit.factor)
-    text = (
-        f"{term.name}: {term.term} is {measured.text()} {unit.name}; {units} unit{'s' * (units > 1)} of the "
-        f"fleet with it, expected {FEWEST} at least to say where the next one lies: not judged"
-    )
-    return Row(
-        where=term.name, subject=term.term, verdict="undecided", text=text, unit=unit.name, measured=measured
-    )
-
-
-def _row(
-    model: SensorModel,
-    term: FleetTerm,
-    value: LogValue,
-    *,
-    band: tuple[float, float],
-    p: float,
-    alpha: float,
-) -> Row:
-    unit = sheet_unit(term)
-    low, high = (limit * unit.factor for limit in band)
-    measured = Measured(value=value.value, low=value.low, high=value.high).scaled(unit.factor)
-    verdict: Verdict = "fail" if p < alpha else "pass"
-    if verdict == "pass" and value.value is None and value.high * unit.factor > high:
-        verdict = "undecided"
-    said = {
-        "pass": "as a unit of the fleet",
-        "fail": "not as a unit of the fleet",
-        "undecided": "the log is too short to tell",
-    }
-    where = f"in [{low:.4g}, {high:.4g}]" if low else f"<= {high:.4g}"
-    text = (
-        f"{term.name}: {term.term} is {measured.text()} {unit.name}; the next unit of {model.title} lies "
-        f"{where if low else f'below {high:.4g}'} with 95 % (adjusted p = {p:.2g}): {said[verdict]}"
-    )
+    verdict: Verdict = "undecided"
+    if found.prediction is None or p is None:
+        subject, units = term.term, f"{len(found.units)} unit{'s' * (len(found.units) > 1)}"
+        expected = f"expected {FEWEST} at least to say where the next one lies"
+        said = f"{units} of the fleet with it, {expected}: not judged"
+    else:
+        low, high = (limit * unit.factor for limit in found.prediction)
+        if p < alpha:
+            verdict = "fail"
+        elif value.value is not None or value.high * unit.factor <= high:
+            verdict = "pass"
+        where = f"in [{low:.4g}, {high:.4g}]" if low else f"below {high:.4g}"
+        subject = f"{term.term} {where if low else f'<= {high:.4g}'} {unit.name}"
+        said = (
+            f"the next unit of {model.title} lies {where} with 95 % (adjusted p = {p:.2g}): {_SAID[verdict]}"
+        )
     return Row(
         where=term.name,
-        subject=f"{term.term} {where} {unit.name}",
+        subject=subject,
         verdict=verdict,
-        text=text,
+        text=f"{term.name}: {term.term} is {measured.text()} {unit.name}; {said}",
         unit=unit.name,
         measured=measured,
     )

@@ -107,9 +107,7 @@ def by_term(model: SensorModel) -> dict[tuple[str, str], list[FleetTerm]]:
     return groups
 
 
-def same_terms(
-    models: Sequence[SensorModel],
-) -> dict[tuple[str, str], list[tuple[SensorModel, FleetTerm]]]:
+def same_terms(models: Sequence[SensorModel]) -> dict[tuple[str, str], list[tuple[SensorModel, FleetTerm]]]:
     """Return the models that have a term, with theirs, by axis and term."""
     groups: dict[tuple[str, str], list[tuple[SensorModel, FleetTerm]]] = {}
     for model in models:
