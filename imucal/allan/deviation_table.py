@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
@@ -110,13 +110,8 @@ def read_curve(
         raise ReadError(msg)
     curves = []
     for i, unit in zip(wanted, given or [None] * len(wanted), strict=True):
-        values = rows[:, i]
-        good = np.isfinite(values) & (values > 0)
-        if not good.any():
-            msg = f"{path}: column {headings[i]!r} holds no positive number; expected Allan deviations"
-            raise ReadError(msg)
         sensor, factor = _meaning(path, headings[i], unit)
-        avar = values[good] ** (1 if _VARIANCE.search(headings[i]) else 2) * (factor or 1.0) ** 2
+        good, avar = _variances(path, headings[i], rows[:, i], factor or 1.0)
         curves.append(
             NamedCurve(
                 name=_bare(headings[i]),
@@ -127,6 +122,15 @@ def read_curve(
             )
         )
     return tuple(curves)
+
+
+def _variances(path: Path, heading: str, values: FloatArray, factor: float) -> tuple[BoolArray, FloatArray]:
+    """Return which values of a column are positive numbers, and their Allan variances."""
+    good = np.isfinite(values) & (values > 0)
+    if not good.any():
+        msg = f"{path}: column {heading!r} holds no positive number; expected Allan deviations"
+        raise ReadError(msg)
+    return good, values[good] ** (1 if _VARIANCE.search(heading) else 2) * factor**2
 
 
 def _curve(tau: FloatArray, m: IntArray, avar: FloatArray, *, n: int | None, estimator: str) -> AllanCurve:

@@ -163,14 +163,19 @@ def lines_of_log(
         yield from wrapped(f"Gaps are not looked for {_why_not(contents.path)}.")
     if not contents.imu_topics:
         yield ""
-        hints = [hint for topic in contents.topics if (hint := options_for(topic.note))]
-        if hints:
-            yield from wrapped(f"As it is, no samples can be read; give imucal fit {hints[0]}.")
-        else:
-            yield "No gyroscope or accelerometer was found."
+        yield from _what_to_give(contents)
     for finding in contents.findings:
         yield from wrapped(f"{finding.level} {said_of((), words(finding))}", indent=2)
     yield ""
+
+
+def _what_to_give(contents: LogContents) -> Iterator[str]:
+    """Yield what would read a log of which nothing can be read as it is."""
+    hints = [hint for topic in contents.topics if (hint := options_for(topic.note))]
+    if hints:
+        yield from wrapped(f"As it is, no samples can be read; give imucal fit {hints[0]}.")
+    else:
+        yield "No gyroscope or accelerometer was found."
 
 
 def _why_not(log: str) -> str:

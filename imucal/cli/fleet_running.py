@@ -1,7 +1,9 @@
 """``imucal fleet run``: one noise model for many logs."""
 
+import contextlib
 import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -181,18 +183,20 @@ def command(
         say(f"{part}: was cut off; its logs are done again", quiet=quiet)
     say_plan(plan, store, quiet=quiet)
     engine = None if shard else Engine(address=scheduler, jobs=workers, memory=settings.memory)
-    try:
-        with fleet_progress(quiet=quiet or not plan.tasks) as progress:
-            run_plan(plan, settings, engine=engine, tell=progress or (lambda _: None))
-    except (KeyboardInterrupt, ImucalError):
-        say(f"What is done is kept; to go on: {_resume(ctx.obj or [], out)}")
-        raise
+    with _saying_how_to_go_on(ctx, out), fleet_progress(quiet=quiet or not plan.tasks) as progress:
+        run_plan(plan, settings, engine=engine, tell=progress or (lambda _: None))
     conclude(ctx, store, plan, out, max_failed=max_failed, quiet=quiet)
 
 
-def _resume(typed: list[str], out: Path) -> str:
-    """Return the command that goes on: the one that was typed, without what must not be done again."""
+@contextlib.contextmanager
+def _saying_how_to_go_on(ctx: click.Context, out: Path) -> Iterator[None]:
+    """Print the command that goes on where a run ends early: as typed, less what must not be done again."""
     from imucal.remote import addresses
 
-    kept = [addresses.shown(word) for word in typed if word not in {"--fresh", "-"}]
-    return shlex.join(["imucal", *(kept or ["fleet", "run", "-o", str(out)])])
+    try:
+        yield
+    except (KeyboardInterrupt, ImucalError):
+        kept = [addresses.shown(word) for word in ctx.obj or () if word not in {"--fresh", "-"}]
+        resume = shlex.join(["imucal", *(kept or ["fleet", "run", "-o", str(out)])])
+        say(f"What is done is kept; to go on: {resume}")
+        raise

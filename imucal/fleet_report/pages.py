@@ -76,9 +76,7 @@ def _sections(fleet: Fleet) -> Iterator[tuple[str, str, Markup]]:
     """Yield anchor, title and body of each section."""
     models = fleet.models
     if models:
-        few = [model.title for model in models if len(model.units) < 3]
-        with_axes = [(m, sorted({term.axis for term in m.terms})) for m in models]
-        yield "config", "The number for the config", _filled("config.html", models=with_axes, few=few)
+        yield "config", "The number for the config", _for_the_config(models)
     for i, model in enumerate(models):
         title = f"Units of {model.name}" if model.name else "Units"
         yield f"units-{i}", title, _filled("units.html", model=model)
@@ -97,6 +95,12 @@ def _sections(fleet: Fleet) -> Iterator[tuple[str, str, Markup]]:
     if fleet.findings:
         yield "findings", "Findings", _filled("remarks.html", findings=fleet.findings)
     yield "words", "What the words mean", _filled("words.html")
+
+
+def _for_the_config(models: Sequence[SensorModel]) -> Markup:
+    few = [model.title for model in models if len(model.units) < 3]
+    with_axes = [(model, sorted({term.axis for term in model.terms})) for model in models]
+    return _filled("config.html", models=with_axes, few=few)
 
 
 def by_term(model: SensorModel) -> dict[tuple[str, str], list[FleetTerm]]:

@@ -283,17 +283,7 @@ def _packed(
     store: FleetStore, logs: Mapping[str, FleetLog]
 ) -> Iterator[tuple[tuple[str, str, str, str], list[bytes]]]:
     """Yield the packed bins of units with several logs, by model, sensor, axis and unit."""
-    keys: dict[tuple[str, str], list[str]] = {}
-    for key, log in logs.items():
-        if log.counts:
-            keys.setdefault((log.model, log.unit or ""), []).append(key)
-    # Of some units at a time.
-    batches: list[list[str]] = []
-    for _, own in sorted(keys.items()):
-        if len(own) > 1 and batches and len(batches[-1]) < _AT_ONCE:
-            batches[-1].extend(own)
-        elif len(own) > 1:
-            batches.append(own)
+    batches = _batches(logs)
     for frame in store.bins_in_turn(batches) if batches else ():
         found: dict[tuple[str, str, str, str], list[bytes]] = {}
         for row in frame.iter_rows(named=True):
@@ -302,6 +292,21 @@ def _packed(
                 place = (log.model, row["sensor"], row["axis"], log.unit or "")
                 found.setdefault(place, []).append(row["bins"])
         yield from ((place, every) for place, every in sorted(found.items()) if len(every) > 1)
+
+
+def _batches(logs: Mapping[str, FleetLog]) -> list[list[str]]:
+    """Return the logs that count of units with several, some units at a time."""
+    keys: dict[tuple[str, str], list[str]] = {}
+    for key, log in logs.items():
+        if log.counts:
+            keys.setdefault((log.model, log.unit or ""), []).append(key)
+    batches: list[list[str]] = []
+    for own in (own for _, own in sorted(keys.items()) if len(own) > 1):
+        if batches and len(batches[-1]) < _AT_ONCE:
+            batches[-1].extend(own)
+        else:
+            batches.append(own)
+    return batches
 
 
 def _pooled(packed: Sequence[bytes], symbols: tuple[str, ...], sensor: Sensor) -> PooledFit:

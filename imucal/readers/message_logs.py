@@ -101,12 +101,7 @@ def describe_logs(
             topics = find_topics(containers, options)
         contents = [_contents(containers, topic, options) for topic in topics]
     if not any(entry.sensors for entry in contents):
-        contents = [
-            replace(entry, note=f"may be read by a fields text such as {text!r}")
-            if topic.count and not entry.note and (text := topic.leaves.proposal())
-            else entry
-            for entry, topic in zip(contents, topics, strict=True)
-        ]
+        contents = [_with_proposal(entry, topic) for entry, topic in zip(contents, topics, strict=True)]
     starts = [c.start_ns for c in containers if c.start_ns is not None]
     ends = [c.end_ns for c in containers if c.end_ns is not None]
     return LogContents(
@@ -119,6 +114,12 @@ def describe_logs(
         compression=", ".join(sorted({container.compression for container in containers})),
         findings=tuple(finding for container in containers for finding in container.findings),
     )
+
+
+def _with_proposal(entry: TopicContents, topic: Topic) -> TopicContents:
+    """Return an entry with the fields text that might read it, where nothing else is said of it."""
+    text = topic.leaves.proposal() if topic.count and not entry.note else None
+    return replace(entry, note=f"may be read by a fields text such as {text!r}") if text else entry
 
 
 def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
@@ -173,15 +174,27 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     for choice, stream, decoding in zip(choices, streams, decodings, strict=True):
         work.findings += [*_loss_findings(decoding.losses), *_other_elements(choice.topic, stream)]
         if not decoding.columns.n:
-            seen = [told.text for told in decoding.losses] + [told.text for told in work.findings]
-            why = seen[0] if seen else "the log holds none"
-            msg = f"{path}: no message of topic {choice.topic.name} could be read: {why}"
-            raise ReadError(msg)
+            raise _no_message(path, choice.topic, decoding.losses, work.findings)
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
     beside = read_temperature(containers, topics, choices[0].topic.name) if work.temperature is None else None
     if beside is not None:
         work.temperature, name = beside
         work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
+    _require_samples(work, path, options)
+    return work.build(
+        topics=[choice.topic.name for choice in choices],
+        message_types=[choice.topic.type for choice in choices],
+    )
+
+
+def _no_message(path: Path, topic: Topic, losses: Sequence[Loss], findings: Sequence[Finding]) -> ReadError:
+    seen = [loss.text for loss in losses] + [finding.text for finding in findings]
+    why = seen[0] if seen else "the log holds none"
+    return ReadError(f"{path}: no message of topic {topic.name} could be read: {why}")
+
+
+def _require_samples(work: RecordingBuilder, path: Path, options: ReadOptions) -> None:
+    """Refuse a damaged log where that is asked for, and one in which nothing changes."""
     damage = [finding for finding in work.findings if finding.code in DAMAGE]
     if options.strict and damage:
         msg = f"{path}: the log is damaged, and recovery was not wanted: {damage[0].text}"
@@ -190,10 +203,6 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         texts = "; ".join(finding.text for finding in work.findings) or "no data"
         msg = f"{path}: no sensor has samples that change: {texts}"
         raise DataError(msg)
-    return work.build(
-        topics=[choice.topic.name for choice in choices],
-        message_types=[choice.topic.type for choice in choices],
-    )
 
 
 def _refuse_options(path: Path, options: ReadOptions) -> None:
@@ -235,10 +244,7 @@ def _add_topic(
     topic = choice.topic
     imu = topic.imu or ImuFields(stamp=None, vectors=())
     vectors = {vector.sensor: vector for vector in imu.vectors}
-    if imu.others:
-        read = " and ".join(vector.field for vector in imu.vectors)
-        text = f"Messages of {topic.name} hold {', '.join(imu.others)} too; {read} were read."
-        work.findings.append(Finding(level="warning", code="other-vectors", text=text))
+    work.findings += _other_vectors(topic, imu)
     work.findings += in_time_order(columns, work.room)
     spread_lists(imu, columns, work.room)
     reading = _clock(work, topic, columns, options)
@@ -261,6 +267,13 @@ def _add_topic(
         work.add_sensor(sensor, rows, clock, order=order, scale=factor, names=vectors[sensor].axes)
     if columns.temperature is not None and columns.temperature.any():
         work.add_temperature(columns.temperature, clock, order=order)
+
+
+def _other_vectors(topic: Topic, imu: ImuFields) -> Iterator[Finding]:
+    if imu.others:
+        read = " and ".join(vector.field for vector in imu.vectors)
+        text = f"Messages of {topic.name} hold {', '.join(imu.others)} too; {read} were read."
+        yield Finding(level="warning", code="other-vectors", text=text)
 
 
 def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:

@@ -206,10 +206,11 @@ def fit_slope(
     none = Goodness(statistic=np.nan, p_value=np.nan, chi2_per_bin=np.nan)
     spread = logs.covariance * 4 * np.outer(points.avar, points.avar)
     tau = points.m * points.tau0
+    sensor, rate_hz = (series.sensor, series.rate_hz) if series else (None, 1 / points.tau0)
     return NoiseFit(
         method="slope",
-        sensor=series.sensor if series is not None else None,
-        rate_hz=series.rate_hz if series is not None else 1 / points.tau0,
+        sensor=sensor,
+        rate_hz=rate_hz,
         level=level,
         model=solution.model(points),
         estimates=estimates,

@@ -334,18 +334,13 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
         return None
     skip, end = batch.header + (4 if code else 0), batch.header + batch.sizes
     places = {path: Place(skip + _fixed(place.at), place.dtype) for path, place in found.places.items()}
-    # What every record must repeat: its head, the encapsulation and the lengths of strings.
-    u4 = np.dtype(layout.order + "u4")
-    alike = [*batch.guards, *([(batch.header, code)] if code else [])]
-    alike += [(skip + _fixed(at), np.array(_fixed(size), dtype=u4).tobytes()) for at, size in found.lengths]
-    times = [places[path] for path in (imu.stamp.sec, imu.stamp.nanosec) if path] if imu.stamp else []
-    ends = [at + len(value) for at, value in alike]
-    ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
-    head = max([*ends, (batch.log_at or 0) + 8])
-    head = whole if (whole := -(-head // 8) * 8) <= end else head
+    alike = _repeated(batch, found, layout, code)
+    stamp = (imu.stamp.sec, imu.stamp.nanosec) if imu.stamp else ()
+    times = [places[path] for path in stamp if path]
+    head = _head_size(alike, times, batch.log_at or 0, end)
     if head > min(_HEAD, end) or skip + _fixed(found.end) > end or (times and times[0].dtype[1] == "f"):
         return None
-    plain = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
+    plain, others = _parted(imu, places)
     return Template(
         guards=batch.guards,
         alike=Alike(alike, head),
@@ -354,8 +349,31 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
         places=places,
         imu=imu,
         spans=_spans([(vector.sensor, places[vector.paths[0]]) for vector in plain]),
-        others=tuple(vector for vector in imu.vectors if vector not in plain),
+        others=others,
     )
+
+
+def _parted(imu: ImuFields, places: dict[str, Place]) -> tuple[list[Vector], tuple[Vector, ...]]:
+    """Return the vectors whose numbers lie side by side as they are, and the others."""
+    plain = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
+    return plain, tuple(vector for vector in imu.vectors if vector not in plain)
+
+
+def _head_size(alike: Sequence[Guard], times: Sequence[Place], log_at: int, end: int) -> int:
+    """Return how many bytes of a record hold its times and what is compared: whole words if it has them."""
+    ends = [at + len(value) for at, value in alike]
+    ends += [_fixed(place.at) + int(place.dtype[-1]) for place in times]
+    head = max([*ends, log_at + 8])
+    whole = -(-head // 8) * 8
+    return whole if whole <= end else head
+
+
+def _repeated(batch: Batch, found: Found, layout: Layout, code: bytes) -> list[Guard]:
+    """Return what every record must repeat: its head, the encapsulation and the lengths of strings."""
+    u4 = np.dtype(layout.order + "u4")
+    first = batch.header + (4 if code else 0)
+    lengths = [(first + _fixed(at), np.array(_fixed(size), u4).tobytes()) for at, size in found.lengths]
+    return [*batch.guards, *([(batch.header, code)] if code else []), *lengths]
 
 
 def _spans(vectors: list[tuple[Sensor, Place]]) -> tuple[_Span, ...]:
