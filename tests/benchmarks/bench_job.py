@@ -59,7 +59,7 @@ STAGES = {
 #: Work that could be shared -> the functions of which the calls are counted.
 REPEATS = {
     "transforms": ("imucal/allan/dct.py", "_transform"),
-    "bins": ("imucal/fitting/spectral/blocks.py", "_bin"),
+    "bins": ("imucal/fitting/spectral/blocks.py", "_binned"),
     "spike searches": ("imucal/fitting/robust.py", "find_spikes"),
     "covariances of a curve": ("imucal/fitting/moments/points.py", "_computed"),
     "likelihood evaluations": ("imucal/fitting/spectral/likelihood.py", "evaluate"),
