@@ -1,4 +1,4 @@
-"""The house stays one that others can live in: small rooms, one name each, no circles, short paths."""
+"""The house stays one that others can live in: rooms within a budget, no circles, short paths."""
 
 import ast
 from pathlib import Path
@@ -28,30 +28,6 @@ BUDGET = {
 IN_ALL = Size(50_200, 338_000, 210)
 #: Modules of the package that one fit with its report may load.
 LOADED = 135
-
-#: Lines, tokens and modules that each room may have. Numbers go down with the room; one goes up only
-#: with a comment behind it that says what the room has got for it.
-BUDGET = {
-    "readers": Size(15078, 106056, 53),
-    "fitting": Size(10015, 71272, 34),
-    "report": Size(6537, 43239, 27),
-    "cli": Size(4002, 24800, 24),
-    "top": Size(3632, 19711, 21),
-    "fleet_report": Size(2412, 17720, 7),
-    "fleet": Size(2534, 16675, 6),
-    "allan": Size(2477, 15994, 7),
-    "screening": Size(1813, 12597, 6),
-    "fleet_run": Size(2107, 11542, 6),
-    "noise": Size(1305, 8549, 6),
-    "remote": Size(1210, 6693, 4),
-    "checking": Size(989, 5906, 4),
-}
-#: The whole package; the rooms together may have less.
-IN_ALL = Size(46_000, 315_000, 220)
-#: Modules of the package that one fit with its report may load.
-LOADED = 135
-
-FOLDERS = [module for module in modules() if module.is_folder and module.name != "imucal"]
 
 
 def beyond(size: Size, budget: Size) -> dict[str, str]:
