@@ -282,10 +282,7 @@ def _inferred_scales(
 ) -> dict[Sensor, tuple[float, str]]:
     """Return what turns samples of fields that a user named into SI: as a table's columns have it.
 
-    Raises
-    ------
-    ChoiceError
-        If a unit is open.
+    Raises ChoiceError if a unit is open.
     """
     # Few logs of messages need what reads tables, and it takes longer to load than such a log to read.
     from imucal.readers.tables.columns import Triad

@@ -245,10 +245,7 @@ class ChangedError(Exception):
 def timeout() -> float:
     """Return how many seconds an answer may take: ``IMUCAL_REMOTE_TIMEOUT``, or 30.
 
-    Raises
-    ------
-    SettingError
-        If it is no positive number.
+    Raises SettingError if it is no positive number.
     """
     text = os.environ.get(TIMEOUT, "").strip()
     if not text:
@@ -277,13 +274,7 @@ class Attempts:
         self._failed = 0
 
     def wait(self, error: PassingError) -> None:
-        """Wait before the next attempt.
-
-        Raises
-        ------
-        ReadError
-            If it was the last one.
-        """
+        """Wait before the next attempt; raises ReadError if it was the last one."""
         self._failed += 1
         if self._failed > len(self._waits):
             often = f" ({self._failed} attempts)" if self._waits else ""
@@ -295,10 +286,7 @@ class Attempts:
 def retried(url: str, work: Callable[[], Result]) -> Result:
     """Return what `work` does, which is tried again where it fails by something that may pass.
 
-    Raises
-    ------
-    ReadError
-        If it fails every time.
+    Raises ReadError if it fails every time.
     """
     attempts = Attempts(url)
     while True:

@@ -156,10 +156,7 @@ def _size(path: Path) -> int:
 def cache_folder() -> Path:
     """Return the folder of the copies: ``IMUCAL_CACHE``, or the user's own for caches.
 
-    Raises
-    ------
-    ReadError
-        If it can't be made or written to.
+    Raises ReadError if it can't be made or written to.
     """
     asked = os.environ.get(FOLDER, "").strip()
     base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
@@ -178,10 +175,7 @@ def cache_folder() -> Path:
 def cache_size() -> int:
     """Return how many bytes copies may take together: ``IMUCAL_CACHE_SIZE``, or 10 GB; 0 keeps none.
 
-    Raises
-    ------
-    SettingError
-        If it is no size.
+    Raises SettingError if it is no size.
     """
     size = size_setting(SIZE, least=0)
     return _DEFAULT_SIZE if size is None else size

@@ -56,10 +56,7 @@ _HEAD_BLOCK = 128
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
     """Open an MCAP file; also return the name of its format.
 
-    Raises
-    ------
-    ReadError
-        If it can't be read.
+    Raises ReadError if it can't be read.
     """
     del progress
     return [McapFile(path)], McapFile.format
@@ -146,10 +143,7 @@ class LooseTask:
 def index_count(file: LogFile, key: int, position: int) -> int:
     """Return the number of messages of a channel in a chunk, by its message index.
 
-    Raises
-    ------
-    DamagedError
-        If there is no such index at `position`.
+    Raises DamagedError if there is no such index at `position`.
     """
     head = file.read(position, _INDEX_HEAD)
     opcode, length, channel = _RECORD.unpack_from(head, 0)
@@ -296,10 +290,7 @@ class Bookkeeping:
 def scan(file: LogFile, reason: DamagedError) -> Bookkeeping:
     """Return what the records of a file say whose index is missing or damaged.
 
-    Raises
-    ------
-    ReadError
-        If the file holds no channel.
+    Raises ReadError if the file holds no channel.
     """
     found = _Scan(file)
     end, book = found.visit_records(), found.book
@@ -441,10 +432,7 @@ class McapFile(MessageFile):
     def _summary(self) -> Bookkeeping:
         """Read the summary section.
 
-        Raises
-        ------
-        DamagedError
-            If it is missing, damaged, or does not index all messages.
+        Raises DamagedError if it is missing, damaged, or does not index all messages.
         """
         size = self.size
         if size < len(MAGIC) + _FOOTER_SIZE or self._file.read(0, len(MAGIC)) != MAGIC:

@@ -82,10 +82,7 @@ class BagChunkTask:
 def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
     """Return what the chunk at the start of a region holds, and where its record ends.
 
-    Raises
-    ------
-    DamagedError
-        If it is damaged.
+    Raises DamagedError if it is damaged.
     """
     entry = record(region, 0)
     data = region[entry.start : entry.end]
@@ -178,10 +175,7 @@ def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> B
 def _take_alike(raw: memoryview, key: int, payloads: IntArray, sizes: IntArray) -> IntArray:
     """Turn the starts of messages whose header is that of the last into their payloads; return the others.
 
-    Raises
-    ------
-    DamagedError
-        If the last is no message of the connection.
+    Raises DamagedError if the last is no message of the connection.
     """
     last = int(payloads[-1])
     head = bytes(raw[last : _message(raw, key, last)[0]])

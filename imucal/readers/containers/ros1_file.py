@@ -37,10 +37,7 @@ _HEAD_BLOCK = 1 << 12
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
     """Open a bag; also return the name of its format.
 
-    Raises
-    ------
-    ReadError
-        If it can't be read.
+    Raises ReadError if it can't be read.
     """
     del progress
     return [BagFile(path)], BagFile.format
@@ -76,13 +73,7 @@ class BagFile(MessageFile):
                 yield cast("Task", task)
 
     def _read_section(self) -> None:
-        """Read the index section.
-
-        Raises
-        ------
-        DamagedError
-            If there is none, or it is damaged.
-        """
+        """Read the index section; raises DamagedError if there is none, or it is damaged."""
         head = record(self._file.read(0, min(_HEAD_BLOCK, self.size)), len(MAGIC)).head
         if head.get(b"encryptor"):
             name = head[b"encryptor"].decode("utf-8", "replace")

@@ -57,10 +57,7 @@ class Record(NamedTuple):
 def record(buffer: Bytes, at: int) -> Record:
     """Return the record at `at`; its data may reach beyond the buffer.
 
-    Raises
-    ------
-    DamagedError
-        If there is no whole header.
+    Raises DamagedError if there is no whole header.
     """
     try:
         end = at + 4 + U32.unpack_from(buffer, at)[0]

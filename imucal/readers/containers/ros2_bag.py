@@ -24,10 +24,7 @@ _MAX_MESSAGE = 1 << 28
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
     """Open the files of a bag, those of a folder or one; also return the name of its format.
 
-    Raises
-    ------
-    ReadError
-        If the bag can't be read.
+    Raises ReadError if the bag can't be read.
     """
     folder = open_folder(path) if path.is_dir() else Folder(files=(path,))
     counts = folder.counts if len(folder.files) == 1 else None

@@ -37,23 +37,14 @@ class Folder:
 
 
 def open_folder(path: Path) -> Folder:
-    """Return the files of a bag.
-
-    Raises
-    ------
-    ReadError
-        If the folder holds none.
-    """
+    """Return the files of a bag; raises ReadError if the folder holds none."""
     return folder_of(path, [entry.name for entry in path.iterdir()], _metadata(path / METADATA))
 
 
 def folder_of(path: Path, inside: Sequence[str], metadata: str) -> Folder:
     """Return the files of a bag, by the names in its folder and the text of its metadata, which may be empty.
 
-    Raises
-    ------
-    ReadError
-        If the folder holds none.
+    Raises ReadError if the folder holds none.
     """
     present = {name: path / name for name in inside if name.endswith(ENDINGS)}
     names, mode, counts = parse_metadata(metadata)

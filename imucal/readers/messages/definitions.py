@@ -362,10 +362,7 @@ class ChannelDefinition:
 def definition_of_channel(channel: Channel, options: ReadOptions) -> ChannelDefinition:
     """Return the definition of a channel's type: the log's own, one that is given, or the standard one.
 
-    Raises
-    ------
-    DefinitionError
-        If the type has no definition, or one that can't be read.
+    Raises DefinitionError if the type has no definition, or one that can't be read.
     """
     standard = built_in(channel.type, ros1=channel.encoding == "ros1")
     if channel.definition and channel.definition_kind in {"ros2msg", "ros1msg"}:

@@ -107,10 +107,7 @@ class Walker:
     def walk(self, buffer: Bytes, starts: IntArray, layout: Layout) -> Found:
         """Find the wanted fields of messages whose payloads start at `starts`, shape (n,).
 
-        Raises
-        ------
-        DamagedError
-            If a length reaches beyond the buffer.
+        Raises DamagedError if a length reaches beyond the buffer.
         """
         found = Found()
         at: Position = 0
@@ -489,10 +486,7 @@ class BinaryDecoder:
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:
         """Decode a checked batch whose messages may all differ.
 
-        Raises
-        ------
-        DamagedError
-            If a message is shorter than its type, or is laid out in an unknown way.
+        Raises DamagedError if a message is shorter than its type, or is laid out in an unknown way.
         """
         if self.ros1:
             self._walk(batch, batch.payload(), _ROS1, columns, slice(first, first + batch.n))

@@ -38,10 +38,7 @@ def _leaves(known: Definitions, name: str, prefix: str, depth: int, steps: Itera
 def parser_of(name: str, text: str, more: dict[str, str] | None, *, ros1: bool) -> Parse:
     """Return what parses messages of a type; `more` are definitions of types in it.
 
-    Raises
-    ------
-    DefinitionError
-        If its definition can't be read.
+    Raises DefinitionError if its definition can't be read.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

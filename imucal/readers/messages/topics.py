@@ -128,10 +128,7 @@ def _topics(
 def _leaves(channel: Channel, container: Container, options: ReadOptions) -> Leaves:
     """Return the numbers in the messages of a channel; those of JSON are those of the first message.
 
-    Raises
-    ------
-    DefinitionError
-        If the messages can't be read.
+    Raises DefinitionError if the messages can't be read.
     """
     if channel.encoding == "json":
         first = first_message(container, channel.key)
