@@ -25,17 +25,11 @@ _SHARE, _LEAST = 4, 1 << 22
 
 @dataclass(frozen=True, slots=True)
 class LocalLogs:
-    """Logs on this machine, those by URL as copies.
+    """Logs on this machine, those by URL as copies."""
 
-    Attributes
-    ----------
-    paths
-        What the readers read.
-    copies
-        The copies among them.
-    """
-
+    #: What the readers read.
     paths: tuple[Path, ...]
+    #: The copies among them.
     copies: tuple[LocalCopy, ...] = field(default=())
 
     def said(self, text: str) -> str:

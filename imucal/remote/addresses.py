@@ -113,24 +113,16 @@ def without_secrets(text: str, url: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RemoteFile:
-    """One object of a store.
+    """One object of a store."""
 
-    Attributes
-    ----------
-    url
-        Where it is, as it was given: with the query, which may be a secret.
-    etag
-        What changes when the object does: its ETag, or the time of its last change; empty where the
-        store says neither.
-    size
-        Bytes; None where the store doesn't say.
-    ranges
-        Whether parts of it can be read.
-    """
-
+    #: Where it is, as it was given: with the query, which may be a secret.
     url: str = field(repr=False)
+    #: What changes when the object does: its ETag, or the time of its last change; empty where the
+    #: store says neither.
     etag: str
+    #: Bytes; None where the store doesn't say.
     size: int | None
+    #: Whether parts of it can be read.
     ranges: bool = True
 
     @property

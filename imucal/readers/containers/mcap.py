@@ -102,22 +102,15 @@ class ChunkTask:
 
 @dataclass(slots=True)
 class LooseTask:
-    """Messages that lie in the file itself, or in what is left of a cut chunk.
-
-    Attributes
-    ----------
-    position, size
-        The part of the file.
-    starts
-        Channel -> positions of records from the start of that part.
-    data
-        What is left of the chunk; None where the records lie in the file.
-    """
+    """Messages that lie in the file itself, or in what is left of a cut chunk."""
 
     file: LogFile
+    #: The part of the file.
     position: int
     size: int = 0
+    #: Channel -> positions of records from the start of that part.
     starts: dict[int, list[int]] = field(default_factory=dict)
+    #: What is left of the chunk; None where the records lie in the file.
     data: bytes | None = None
 
     @property

@@ -18,24 +18,16 @@ from imucal.readers.files import DamagedError, LogFile, Scratch
 
 @dataclass(slots=True, kw_only=True)
 class BagChunk:
-    """Where a chunk and its index records lie.
+    """Where a chunk and its index records lie."""
 
-    Attributes
-    ----------
-    start, size
-        From the chunk record to the end of its index records, in bytes.
-    counts
-        Connection -> messages, as the file says.
-    indexed
-        Whether index records follow.
-    cut
-        Whether the end of the file cuts the chunk.
-    """
-
+    #: From the chunk record to the end of its index records, in bytes.
     start: int
     size: int
+    #: Connection -> messages, as the file says.
     counts: dict[int, int] = field(default_factory=dict)
+    #: Whether index records follow.
     indexed: bool = True
+    #: Whether the end of the file cuts the chunk.
     cut: bool = False
     first_ns: int = 0
     last_ns: int = 0

@@ -16,23 +16,15 @@ METADATA = "metadata.yaml"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Folder:
-    """A bag's files, in order, and what the metadata say of them.
+    """A bag's files, in order, and what the metadata say of them."""
 
-    Attributes
-    ----------
-    files
-        Those that exist, in the order of the recording.
-    missing
-        Names of files that the metadata list and the folder lacks.
-    per_message
-        Whether each message is compressed on its own.
-    counts
-        Topic -> messages in all files; None where the metadata don't say.
-    """
-
+    #: Those that exist, in the order of the recording.
     files: tuple[Path, ...]
+    #: Names of files that the metadata list and the folder lacks.
     missing: tuple[str, ...] = ()
+    #: Whether each message is compressed on its own.
     per_message: bool = False
+    #: Topic -> messages in all files; None where the metadata don't say.
     counts: dict[str, int] | None = field(default=None)
 
 

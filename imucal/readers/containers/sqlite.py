@@ -140,24 +140,17 @@ def _copy_tables(source: sqlite3.Connection, target: sqlite3.Connection) -> None
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rows:
-    """Rows of `messages`.
+    """Rows of `messages`."""
 
-    Attributes
-    ----------
-    topics, times, starts, sizes
-        Topic, time in ns, and where the data lie, of each row that a page holds whole, shape (n,).
-    long_ids, long_topics
-        Row and topic of those that reach over several pages.
-    damaged
-        Number of rows that can't be parsed.
-    """
-
+    #: Topic, time in ns, and where the data lie, of each row that a page holds whole, shape (n,).
     topics: IntArray
     times: IntArray
     starts: IntArray
     sizes: IntArray
+    #: Row and topic of those that reach over several pages.
     long_ids: IntArray
     long_topics: IntArray
+    #: Number of rows that can't be parsed.
     damaged: int
 
 
@@ -257,20 +250,13 @@ def _integers(data: NDArray[np.uint8], at: IntArray, kinds: IntArray) -> IntArra
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Leaves:
-    """Leaf pages of a table, in the order of its rows.
+    """Leaf pages of a table, in the order of its rows."""
 
-    Attributes
-    ----------
-    pages
-        Their numbers, from 1, shape (p,).
-    last_ids
-        The largest row that each may hold, shape (p,).
-    first_id
-        The smallest row of the first.
-    """
-
+    #: Their numbers, from 1, shape (p,).
     pages: IntArray
+    #: The largest row that each may hold, shape (p,).
     last_ids: IntArray
+    #: The smallest row of the first.
     first_id: int
 
     def groups(self) -> Iterator[tuple[IntArray, int]]:

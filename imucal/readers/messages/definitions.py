@@ -24,21 +24,13 @@ class DefinitionError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of a message, with its path from the top such as ``header.stamp.sec``.
-
-    Attributes
-    ----------
-    kind
-        See `Kind`.
-    code
-        NumPy code of a number without byte order, such as ``f8``; empty for strings and others.
-    count
-        Numbers of a fixed array, or numbers of one element of a sequence; 1 otherwise.
-    """
+    """A field of a message, with its path from the top such as ``header.stamp.sec``."""
 
     path: str
     kind: Kind
+    #: NumPy code of a number without byte order, such as ``f8``; empty for strings and others.
     code: str = ""
+    #: Numbers of a fixed array, or numbers of one element of a sequence; 1 otherwise.
     count: int = 1
 
     @property

@@ -66,19 +66,13 @@ class Decoding:
 
 @dataclass(slots=True, eq=False)
 class _Target:
-    """Where the messages of a stream go.
-
-    Attributes
-    ----------
-    filled
-        Spans of the columns (first, last + 1) that were written.
-    extra, losses
-        Columns that found no room, and what was lost, each with the number of its chunk: threads are not done
-        with chunks in their order.
-    """
+    """Where the messages of a stream go."""
 
     columns: Columns
+    #: Spans of the columns (first, last + 1) that were written.
     filled: list[tuple[int, int]] = field(default_factory=list)
+    #: Columns that found no room, and what was lost, each with the number of its chunk: threads are not done
+    #: with chunks in their order.
     extra: list[tuple[int, Columns]] = field(default_factory=list)
     losses: list[tuple[int, Loss]] = field(default_factory=list)
 

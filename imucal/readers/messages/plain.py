@@ -49,17 +49,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """How numbers are laid out.
+    """How numbers are laid out."""
 
-    Attributes
-    ----------
-    order
-        ``<`` or ``>``.
-    align
-        Largest alignment in bytes; 1 for ROS 1.
-    """
-
+    #: ``<`` or ``>``.
     order: str = "<"
+    #: Largest alignment in bytes; 1 for ROS 1.
     align: int = 8
 
     def aligned(self, at: Position, size: int) -> Position:
@@ -240,36 +234,23 @@ def _apart(first: Position, second: Position, size: int) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Template:
-    """The shape of the messages of a channel; positions count from the start of a record.
+    """The shape of the messages of a channel; positions count from the start of a record."""
 
-    Attributes
-    ----------
-    guards
-        Those of the batch it was learnt from.
-    alike
-        The guards, the encapsulation and the lengths of strings, which every record must repeat.
-    head
-        Bytes at the start of a record that hold them and the stamp; whole words where there is room.
-    end
-        Bytes of a record.
-    places
-        Path -> position and type of every wanted field.
-    imu
-        What to take.
-    spans
-        Vectors that are three plain numbers side by side, those close to each other in one span of bytes:
-        its position and width, and sensor, position in the span and type of each vector.
-    others
-        The other vectors.
-    """
-
+    #: Those of the batch it was learnt from.
     guards: tuple[Guard, ...]
+    #: The guards, the encapsulation and the lengths of strings, which every record must repeat.
     alike: Alike
+    #: Bytes at the start of a record that hold them and the stamp; whole words where there is room.
     head: int
+    #: Bytes of a record.
     end: int
+    #: Path -> position and type of every wanted field.
     places: dict[str, Place]
     imu: ImuFields
+    #: Vectors that are three plain numbers side by side, those close to each other in one span of bytes:
+    #: its position and width, and sensor, position in the span and type of each vector.
     spans: tuple[_Span, ...]
+    #: The other vectors.
     others: tuple[Vector, ...]
 
     def fits(self, batch: Batch) -> bool:
