@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -30,7 +30,7 @@ class LocalLogs:
     #: What the readers read.
     paths: tuple[Path, ...]
     #: The copies among them.
-    copies: tuple[LocalCopy, ...] = field(default=())
+    copies: tuple[LocalCopy, ...] = ()
 
     def said(self, text: str) -> str:
         """Return a text with URLs in the place of the copies' paths; without what is secret in them."""

@@ -119,11 +119,6 @@ class Entry:
             return False
         return all(file.size in {None, size} for file, size in zip(log.files, sizes, strict=True))
 
-    def used(self) -> None:
-        """Note that the copy is used now."""
-        with suppress(OSError):
-            os.utime(self.lock)
-
     def remove(self) -> bool:
         """Remove the copy, unless somebody uses it; return whether it is gone."""
         try:
@@ -279,7 +274,10 @@ def fetched(
         else:
             return
         finally:
-            _tidy(asked, entry)
+            if asked.keep and asked.etag and entry.whole.exists():
+                make_room(entry.root, 0, most=cache_size())
+            else:
+                entry.remove()
     msg = f"{asked.shown}: it changes while it is read; wait until it is written"
     raise ReadError(msg)
 
@@ -290,7 +288,9 @@ def _made(log: RemoteLog, entry: Entry, progress: Progress | None) -> Iterator[L
     while True:
         with locked(entry.lock, shared=True):
             if entry.is_whole(log):
-                entry.used()
+                # The time of its last use.
+                with suppress(OSError):
+                    os.utime(entry.lock)
                 files = tuple(entry.files(log, entry.whole))
                 yield LocalCopy(log=log, path=entry.path(log), files=files)
                 return
@@ -358,11 +358,3 @@ def _download(file: RemoteFile, out: IO[bytes], tell: Callable[[int], None]) -> 
             done = 0
     if file.size is not None and done != file.size:
         raise ChangedError
-
-
-def _tidy(log: RemoteLog, entry: Entry) -> None:
-    """Remove what is not to be kept."""
-    if not (log.keep and log.etag and entry.whole.exists()):
-        entry.remove()
-    else:
-        make_room(entry.root, 0, most=cache_size())

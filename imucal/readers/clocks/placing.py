@@ -204,10 +204,7 @@ def _resets(stamps: IntArray, at: IntArray) -> IntArray:
 def find_breaks(stamps: IntArray, period: Period, resets: IntArray | None = None) -> Breaks:
     """Return the missing and doubled samples of stamps in ns, shape (n,).
 
-    Parameters
-    ----------
-    resets
-        Samples at which the clock was set, shape (r,): each stretch between two is looked at by itself.
+    Each stretch between two `resets`, samples at which the clock was set, shape (r,), is looked at by itself.
     """
     spread = (period.burst - 1) if period.burst > 1 else min(3 * period.jitter, 0.3)
     near = min(max(_SAMPLES_AROUND, 2 * period.burst), _REACH)

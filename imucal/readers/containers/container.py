@@ -23,12 +23,7 @@ class Alike:
     comparison of each guard on its own would pass over all records once for each, and one of raw bytes
     (``V11``) takes a nanosecond for every byte.
 
-    Parameters
-    ----------
-    guards
-        The bytes, and where they stand.
-    width
-        Bytes of a record, as it was gathered; fastest where it is a multiple of eight.
+    Records are `width` bytes wide, as they were gathered; fastest where that is a multiple of eight.
     """
 
     def __init__(self, guards: Iterable[Guard], width: int) -> None:
@@ -194,13 +189,7 @@ class Task(Protocol):
         """Bytes of the file, for progress."""
 
     def load(self, scratch: Scratch) -> Iterable[tuple[int, Batch]]:
-        """Yield the messages of each wanted channel.
-
-        Raises
-        ------
-        DamagedError
-            If the chunk can't be read.
-        """
+        """Yield the messages of each wanted channel; raises DamagedError if the chunk can't be read."""
 
 
 class Container(Protocol):
@@ -226,13 +215,7 @@ class Container(Protocol):
 
 
 class MessageFile:
-    """A container that is read by the bytes of its one file.
-
-    Parameters
-    ----------
-    file
-        What reads it; by default the file at `path`.
-    """
+    """A container that is read by the bytes of its one file: by default that at `path`."""
 
     format: str
     compression: str

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,10 +116,6 @@ class LooseTask:
     def counts(self) -> dict[int, int]:
         """Channel -> number of messages."""
         return {key: len(positions) for key, positions in self.starts.items()}
-
-    def only(self, keys: frozenset[int]) -> "LooseTask":
-        """Return the same part with some channels only."""
-        return replace(self, starts={key: starts for key, starts in self.starts.items() if key in keys})
 
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
         """Yield the messages of each channel; see `Task`."""
@@ -416,11 +411,10 @@ class McapFile(MessageFile):
         for chunk in self._book.chunks:
             task = ChunkTask(self._file, chunk, keys)
             if task.counts:
-                yield cast("Task", task)
+                yield task
         for loose in self._book.loose:
-            part = loose.only(keys)
-            if part.starts:
-                yield cast("Task", part)
+            if starts := {key: starts for key, starts in loose.starts.items() if key in keys}:
+                yield replace(loose, starts=starts)
 
     def _summary(self) -> Bookkeeping:
         """Read the summary section.

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,7 +38,7 @@ class BagChunkTask:
     def __init__(self, file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> None:
         self._file = file
         self._chunk = chunk
-        self.position, self.size = chunk.start, chunk.size
+        self.size = chunk.size
         # An index entry has 12 bytes: a count beyond them is not believed.
         most = chunk.size // 12 if chunk.indexed else chunk.size
         self.counts = {key: min(n, most) for key, n in chunk.counts.items() if key in keys and n}
@@ -112,35 +111,27 @@ def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
     head = bytes(raw[last : last + size + 8])
     time = head.find(b"time=") + 5
     common = _message_head(head[:time] + bytes(8) + head[time + 8 :]) if time >= 5 else None
-    if common is None or common.key != key:
+    if common is None or common[0] != key:
         return check()
     return Batch(
         buffer=raw,
         starts=starts,
         header=len(head),
-        sizes=common.size,
+        sizes=common[1],
         log_ns=log_ns,
-        guards=common.guards,
+        guards=common[2],
         check=check,
     )
 
 
-class _Head(NamedTuple):
-    """What the header of a message says: connection, bytes of its data, and what others like it repeat."""
-
-    key: int
-    size: int
-    guards: tuple[Guard, ...]
-
-
 @lru_cache(maxsize=64)
-def _message_head(head: bytes) -> _Head | None:
-    """Return what a header says, its time blank: the same in every chunk; None where it is no message's."""
+def _message_head(head: bytes) -> tuple[int, int, tuple[Guard, ...]] | None:
+    """Return connection, bytes of data and guards by a message's header, its time blank; None for others."""
     guards = _guards(head)
     with suppress(DamagedError):
         entry = record(head, 0)
         if guards is not None and entry.opcode == records.MESSAGE and entry.start == len(head):
-            return _Head(entry.key, entry.end - entry.start, guards)
+            return entry.key, entry.end - entry.start, guards
     return None
 
 

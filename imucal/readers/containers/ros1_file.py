@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
@@ -70,7 +69,7 @@ class BagFile(MessageFile):
         for chunk in self._chunks:
             task = BagChunkTask(self._file, chunk, keys)
             if task.counts:
-                yield cast("Task", task)
+                yield task
 
     def _read_section(self) -> None:
         """Read the index section; raises DamagedError if there is none, or it is damaged."""

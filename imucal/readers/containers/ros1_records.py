@@ -84,12 +84,6 @@ def walk(raw: Bytes) -> Iterator[tuple[int, Record]]:
         at = entry.end
 
 
-@lru_cache(maxsize=128)
-def _head(data: bytes) -> Mapping[bytes, bytes]:
-    """Return the fields of a header; those of index records are mostly what they were in the chunk before."""
-    return fields(data)
-
-
 def fields(data: bytes) -> dict[bytes, bytes]:
     """Return name -> value of the fields that stand one behind the other."""
     found, place = {}, 0
@@ -101,6 +95,10 @@ def fields(data: bytes) -> dict[bytes, bytes]:
             raise _broken()
         found[name] = value
     return found
+
+
+#: The fields of a header; those of index records are mostly what they were in the chunk before.
+_head = lru_cache(maxsize=128)(fields)
 
 
 def number(found: Mapping[bytes, bytes], name: bytes, size: int) -> int:

@@ -3,7 +3,6 @@
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
@@ -131,7 +130,7 @@ class _ZstdMessages(_Wrapped):
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         for task in self._inner.tasks(keys):
-            yield cast("Task", _ZstdTask(task))
+            yield _ZstdTask(task)
 
 
 class _ZstdTask:

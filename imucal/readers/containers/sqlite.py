@@ -14,7 +14,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 from urllib.parse import quote
 
 import numpy as np
@@ -324,15 +324,10 @@ Fetch: TypeAlias = Callable[[list[int]], list[tuple[int, int, bytes]]]
 
 
 class PageTask:
-    """A group of leaf pages to load.
+    """A group of leaf pages to load, which hold `most` rows at most.
 
-    Parameters
-    ----------
-    most
-        Rows they hold at most.
-    fetch
-        Asks SQLite for rows that reach over several pages; None where the file is cut, and rows that can't
-        be parsed belong to other tables.
+    `fetch` asks SQLite for rows that reach over several pages; it is None where the file is cut, and rows
+    that can't be parsed belong to other tables.
     """
 
     def __init__(
@@ -414,13 +409,7 @@ def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray
 
 
 class SqliteFile(MessageFile):
-    """A container of the messages of a `.db3` file.
-
-    Parameters
-    ----------
-    counts
-        Topic -> messages, where the bag's metadata tells.
-    """
+    """A container of the messages of a `.db3` file; `counts` of each topic where the bag's metadata tells."""
 
     format = "rosbag2-sqlite3"
     compression = "none"
@@ -478,11 +467,11 @@ class SqliteFile(MessageFile):
             return
         if not self._cut and self._needs_sqlite():
             for rows, size in self._ranges():
-                yield cast("Task", SqliteTask(self._database, wanted, rows, size))
+                yield SqliteTask(self._database, wanted, rows, size)
             return
         groups, fetch = self._pages()
         for pages, most in groups:
-            yield cast("Task", PageTask(self._file, pages, wanted, most, fetch))
+            yield PageTask(self._file, pages, wanted, most, fetch)
 
     @property
     def _database(self) -> sqlite3.Connection:

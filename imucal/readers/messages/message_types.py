@@ -194,16 +194,8 @@ class ImuFields:
 def find_imus(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> dict[str, ImuFields]:
     """Return what messages of a type can give: one entry for each IMU in a message.
 
-    The key is the field that holds the IMU, such as ``left``; it is empty where there is only one.
-
-    Parameters
-    ----------
-    name, fields
-        The type and its flat fields.
-    topic
-        Its topic, which tells gyroscope from accelerometer where the type doesn't.
-    sensor
-        What the caller says the topic is; None where they don't.
+    The key is the field that holds the IMU, such as ``left``; it is empty where there is only one. Where the
+    type doesn't tell gyroscope from accelerometer, the caller's `sensor` does, or the name of the topic.
     """
     known = _plain(plain_type(name), fields, topic, sensor) or _px4(plain_type(name), fields)
     if known is not None:

@@ -70,7 +70,6 @@ _ENCAPSULATIONS = {
     0x0007: Layout(order="<", align=4),
 }
 _ROS1 = Layout(order="<", align=1)
-_CDR = _ENCAPSULATIONS[0x0001]
 
 
 @dataclass(slots=True, eq=False)
@@ -194,7 +193,7 @@ class Messages:
         else:
             seconds, rest = self._field(stamp.sec), self._field(stamp.nanosec)
         result = seconds.astype(np.int64)
-        result *= 1_000_000_000
+        result *= _SECOND
         result += rest
         return result
 
@@ -294,19 +293,9 @@ class Template:
 
 
 def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuFields) -> Template | None:
-    """Return the template of a batch, from a walk of its first message.
+    """Return the template of a batch, from a walk of its first message; None where it can't be taken at once.
 
-    Parameters
-    ----------
-    found
-        What the walk found, from the end of the encapsulation on.
-    code
-        The first bytes of the encapsulation, or none for ROS 1.
-
-    Returns
-    -------
-    template
-        None where the messages can't be taken at once.
+    The walk starts at the end of the encapsulation, whose first bytes are `code` (none for ROS 1).
     """
     if not isinstance(batch.sizes, int):
         return None
@@ -399,13 +388,9 @@ def is_reachable(imu: ImuFields, fields: Sequence[Field]) -> bool:
 class BinaryDecoder:
     """Decodes the ROS 1 or CDR messages of one channel.
 
-    Parameters
-    ----------
-    shapes
-        Definitions to try on the first messages: the log's own, and the standard one of its type. The
-        first whose size fits is taken; where none fits, the first.
-    exact
-        Whether messages must have exactly the size of their definition, which is then only assumed.
+    The `shapes` are definitions to try on the first messages: the log's own, and the standard one of its
+    type. The first whose size fits is taken; where none fits, the first. Where messages must have `exact`-ly
+    the size of their definition, it is only assumed.
     """
 
     def __init__(self, shapes: Sequence[Shape], *, ros1: bool, exact: bool = False) -> None:
@@ -447,7 +432,7 @@ class BinaryDecoder:
         try:
             if not self.ros1:
                 codes = gather(batch.buffer, body, 2).view(">u2")
-                layout, body = _ENCAPSULATIONS.get(int(codes[0]), _CDR), body + 4
+                layout, body = _ENCAPSULATIONS.get(int(codes[0]), _ENCAPSULATIONS[1]), body + 4
             end = Walker(shape.fields, [shape.fields[-1].path]).walk(batch.buffer, body, layout).end
         except DamagedError:
             return False
