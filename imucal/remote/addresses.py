@@ -276,10 +276,7 @@ class Attempts:
 
 
 def retried(url: str, work: Callable[[], Result]) -> Result:
-    """Return what `work` does, which is tried again where it fails by something that may pass.
-
-    Raises ReadError if it fails every time.
-    """
+    """Return what `work` does, tried again where that may pass; raises ReadError if it fails every time."""
     attempts = Attempts(url)
     while True:
         try:

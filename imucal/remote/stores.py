@@ -48,10 +48,7 @@ from imucal.remote.addresses import (
 
 
 def store_of(url: str) -> "Store":
-    """Return the store of a URL.
-
-    Raises ReadError if no store has such a scheme, or its package is not installed.
-    """
+    """Return the store of a URL; raises ReadError if its scheme has none, or its package is not installed."""
     scheme = scheme_of(url)
     if scheme in WEB:
         return HttpStore()

@@ -53,10 +53,7 @@ _HEAD_BLOCK = 128
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open an MCAP file; also return the name of its format.
-
-    Raises ReadError if it can't be read.
-    """
+    """Open an MCAP file, and name its format; raises ReadError if it can't be read."""
     del progress
     return [McapFile(path)], McapFile.format
 
@@ -129,10 +126,7 @@ class LooseTask:
 
 
 def index_count(file: LogFile, key: int, position: int) -> int:
-    """Return the number of messages of a channel in a chunk, by its message index.
-
-    Raises DamagedError if there is no such index at `position`.
-    """
+    """Return the messages of a channel by its index at `position`; raises DamagedError if there is none."""
     head = file.read(position, _INDEX_HEAD)
     opcode, length, channel = _RECORD.unpack_from(head, 0)
     size = int.from_bytes(head[11:], "little")
@@ -276,10 +270,7 @@ class Bookkeeping:
 
 
 def scan(file: LogFile, reason: DamagedError) -> Bookkeeping:
-    """Return what the records of a file say whose index is missing or damaged.
-
-    Raises ReadError if the file holds no channel.
-    """
+    """Return what the records say where the index is of no use; raises ReadError if there is no channel."""
     found = _Scan(file)
     end, book = found.visit_records(), found.book
     found.define_from_chunks()
@@ -417,10 +408,7 @@ class McapFile(MessageFile):
                 yield replace(loose, starts=starts)
 
     def _summary(self) -> Bookkeeping:
-        """Read the summary section.
-
-        Raises DamagedError if it is missing, damaged, or does not index all messages.
-        """
+        """Read the summary; raises DamagedError if it is missing, damaged or does not index all."""
         size = self.size
         if size < len(MAGIC) + _FOOTER_SIZE or self._file.read(0, len(MAGIC)) != MAGIC:
             msg = "the file does not start and end as an MCAP file"

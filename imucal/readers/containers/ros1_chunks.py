@@ -71,10 +71,7 @@ class BagChunkTask:
 
 
 def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
-    """Return what the chunk at the start of a region holds, and where its record ends.
-
-    Raises DamagedError if it is damaged.
-    """
+    """Return what the chunk at the start of a region holds, and where it ends; raises DamagedError."""
     entry = record(region, 0)
     data = region[entry.start : entry.end]
     if entry.head.get(b"op") != bytes([records.CHUNK]):

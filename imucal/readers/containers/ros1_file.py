@@ -34,10 +34,7 @@ _HEAD_BLOCK = 1 << 12
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open a bag; also return the name of its format.
-
-    Raises ReadError if it can't be read.
-    """
+    """Open a bag, and name its format; raises ReadError if it can't be read."""
     del progress
     return [BagFile(path)], BagFile.format
 

@@ -55,10 +55,7 @@ class Record(NamedTuple):
 
 
 def record(buffer: Bytes, at: int) -> Record:
-    """Return the record at `at`; its data may reach beyond the buffer.
-
-    Raises DamagedError if there is no whole header.
-    """
+    """Return the record at `at`, which may reach beyond the buffer; raises DamagedError without a header."""
     try:
         end = at + 4 + U32.unpack_from(buffer, at)[0]
         if end - at - 4 > _MAX_HEADER or end > len(buffer):

@@ -21,10 +21,7 @@ _MAX_MESSAGE = 1 << 28
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open the files of a bag, those of a folder or one; also return the name of its format.
-
-    Raises ReadError if the bag can't be read.
-    """
+    """Open the file or the files of a bag, and name its format; raises ReadError if it can't be read."""
     folder = open_folder(path) if path.is_dir() else Folder(files=(path,))
     counts = folder.counts if len(folder.files) == 1 else None
     return open_parts(folder, lambda file: _open(file, folder, counts, progress))

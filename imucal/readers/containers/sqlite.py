@@ -280,10 +280,7 @@ def page_size(file: LogFile) -> tuple[int, int]:
 
 
 def find_leaves(file: LogFile, root: int, first_id: int, last_id: int) -> Leaves:
-    """Return the leaf pages of the table whose root page is `root`.
-
-    Raises DamagedError if an interior page is damaged or missing.
-    """
+    """Return the leaf pages below the page `root`; raises DamagedError if a page is damaged or missing."""
     size, _ = page_size(file)
     pages, ids = [np.array([root], dtype=np.int64)], [np.array([last_id], dtype=np.int64)]
     for _ in range(_DEEP):
