@@ -53,10 +53,7 @@ def keep_freed_memory() -> None:
 def decompress(kind: str, data: memoryview, size: int) -> memoryview:
     """Return the `size` bytes that `data` holds.
 
-    Raises
-    ------
-    DamagedError
-        If the data are damaged, hold another number of bytes, or claim an impossible one.
+    Raises DamagedError if the data are damaged, hold another number of bytes, or claim an impossible one.
     """
     if kind in {"", "none"}:
         if len(data) != size:
@@ -114,10 +111,7 @@ def check_crc(raw: memoryview, expected: int) -> None:
 def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]) -> None:
     """Decompress a zstd file into an open file, block by block; calls `progress` with the bytes read.
 
-    Raises
-    ------
-    DamagedError
-        If the file ends early or is damaged; what came before is written.
+    Raises DamagedError if the file ends early or is damaged; what came before is written.
     """
     import zstandard
 

@@ -62,7 +62,8 @@ class MessageReader:
             If the log can't be read; `ChoiceError` if several topics fit or none does.
         """
         containers, form = self.open_files(path, options.progress)
-        return read_logs(containers, path, options, form=form)
+        with _closing(containers):
+            return _read(containers, path, options, form)
 
     def describe(self, path: Path, options: ReadOptions) -> LogContents:
         """Return the topics of a log, by its index."""
@@ -95,7 +96,7 @@ def _closing(containers: Sequence[Container]) -> Iterator[None]:
 def describe_logs(
     containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str
 ) -> LogContents:
-    """Return the topics of the files of one log, and close them; arguments as of `read_logs`."""
+    """Return the topics of the files of one log, which the user named `path`, and close them."""
     with _closing(containers):
         with _naming(path):
             topics = find_topics(containers, options)
@@ -144,20 +145,6 @@ def _contents(containers: Sequence[Container], topic: Topic, options: ReadOption
         note=note,
         fields=tuple(map(str, topic.leaves.all[:MOST])),
     )
-
-
-def read_logs(containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str) -> Recording:
-    """Read the IMU samples of the files of one log, and close them.
-
-    Parameters
-    ----------
-    path
-        The log as the user named it.
-    form
-        Its format.
-    """
-    with _closing(containers):
-        return _read(containers, path, options, form)
 
 
 def _read(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> Recording:
@@ -295,10 +282,7 @@ def _inferred_scales(
 ) -> dict[Sensor, tuple[float, str]]:
     """Return what turns samples of fields that a user named into SI: as a table's columns have it.
 
-    Raises
-    ------
-    ChoiceError
-        If a unit is open.
+    Raises ChoiceError if a unit is open.
     """
     # Few logs of messages need what reads tables, and it takes longer to load than such a log to read.
     from imucal.readers.tables.columns import Triad

@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -25,18 +25,12 @@ _SHARE, _LEAST = 4, 1 << 22
 
 @dataclass(frozen=True, slots=True)
 class LocalLogs:
-    """Logs on this machine, those by URL as copies.
+    """Logs on this machine, those by URL as copies."""
 
-    Attributes
-    ----------
-    paths
-        What the readers read.
-    copies
-        The copies among them.
-    """
-
+    #: What the readers read.
     paths: tuple[Path, ...]
-    copies: tuple[LocalCopy, ...] = field(default=())
+    #: The copies among them.
+    copies: tuple[LocalCopy, ...] = ()
 
     def said(self, text: str) -> str:
         """Return a text with URLs in the place of the copies' paths; without what is secret in them."""

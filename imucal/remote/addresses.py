@@ -113,24 +113,16 @@ def without_secrets(text: str, url: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RemoteFile:
-    """One object of a store.
+    """One object of a store."""
 
-    Attributes
-    ----------
-    url
-        Where it is, as it was given: with the query, which may be a secret.
-    etag
-        What changes when the object does: its ETag, or the time of its last change; empty where the
-        store says neither.
-    size
-        Bytes; None where the store doesn't say.
-    ranges
-        Whether parts of it can be read.
-    """
-
+    #: Where it is, as it was given: with the query, which may be a secret.
     url: str = field(repr=False)
+    #: What changes when the object does: its ETag, or the time of its last change; empty where the
+    #: store says neither.
     etag: str
+    #: Bytes; None where the store doesn't say.
     size: int | None
+    #: Whether parts of it can be read.
     ranges: bool = True
 
     @property
@@ -245,10 +237,7 @@ class ChangedError(Exception):
 def timeout() -> float:
     """Return how many seconds an answer may take: ``IMUCAL_REMOTE_TIMEOUT``, or 30.
 
-    Raises
-    ------
-    SettingError
-        If it is no positive number.
+    Raises SettingError if it is no positive number.
     """
     text = os.environ.get(TIMEOUT, "").strip()
     if not text:
@@ -277,13 +266,7 @@ class Attempts:
         self._failed = 0
 
     def wait(self, error: PassingError) -> None:
-        """Wait before the next attempt.
-
-        Raises
-        ------
-        ReadError
-            If it was the last one.
-        """
+        """Wait before the next attempt; raises ReadError if it was the last one."""
         self._failed += 1
         if self._failed > len(self._waits):
             often = f" ({self._failed} attempts)" if self._waits else ""
@@ -293,13 +276,7 @@ class Attempts:
 
 
 def retried(url: str, work: Callable[[], Result]) -> Result:
-    """Return what `work` does, which is tried again where it fails by something that may pass.
-
-    Raises
-    ------
-    ReadError
-        If it fails every time.
-    """
+    """Return what `work` does, tried again where that may pass; raises ReadError if it fails every time."""
     attempts = Attempts(url)
     while True:
         try:

@@ -119,11 +119,6 @@ class Entry:
             return False
         return all(file.size in {None, size} for file, size in zip(log.files, sizes, strict=True))
 
-    def used(self) -> None:
-        """Note that the copy is used now."""
-        with suppress(OSError):
-            os.utime(self.lock)
-
     def remove(self) -> bool:
         """Remove the copy, unless somebody uses it; return whether it is gone."""
         try:
@@ -156,10 +151,7 @@ def _size(path: Path) -> int:
 def cache_folder() -> Path:
     """Return the folder of the copies: ``IMUCAL_CACHE``, or the user's own for caches.
 
-    Raises
-    ------
-    ReadError
-        If it can't be made or written to.
+    Raises ReadError if it can't be made or written to.
     """
     asked = os.environ.get(FOLDER, "").strip()
     base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
@@ -178,10 +170,7 @@ def cache_folder() -> Path:
 def cache_size() -> int:
     """Return how many bytes copies may take together: ``IMUCAL_CACHE_SIZE``, or 10 GB; 0 keeps none.
 
-    Raises
-    ------
-    SettingError
-        If it is no size.
+    Raises SettingError if it is no size.
     """
     size = size_setting(SIZE, least=0)
     return _DEFAULT_SIZE if size is None else size
@@ -285,7 +274,10 @@ def fetched(
         else:
             return
         finally:
-            _tidy(asked, entry)
+            if asked.keep and asked.etag and entry.whole.exists():
+                make_room(entry.root, 0, most=cache_size())
+            else:
+                entry.remove()
     msg = f"{asked.shown}: it changes while it is read; wait until it is written"
     raise ReadError(msg)
 
@@ -296,7 +288,9 @@ def _made(log: RemoteLog, entry: Entry, progress: Progress | None) -> Iterator[L
     while True:
         with locked(entry.lock, shared=True):
             if entry.is_whole(log):
-                entry.used()
+                # The time of its last use.
+                with suppress(OSError):
+                    os.utime(entry.lock)
                 files = tuple(entry.files(log, entry.whole))
                 yield LocalCopy(log=log, path=entry.path(log), files=files)
                 return
@@ -364,11 +358,3 @@ def _download(file: RemoteFile, out: IO[bytes], tell: Callable[[int], None]) -> 
             done = 0
     if file.size is not None and done != file.size:
         raise ChangedError
-
-
-def _tidy(log: RemoteLog, entry: Entry) -> None:
-    """Remove what is not to be kept."""
-    if not (log.keep and log.etag and entry.whole.exists()):
-        entry.remove()
-    else:
-        make_room(entry.root, 0, most=cache_size())

@@ -48,13 +48,7 @@ from imucal.remote.addresses import (
 
 
 def store_of(url: str) -> "Store":
-    """Return the store of a URL.
-
-    Raises
-    ------
-    ReadError
-        If no store has such a scheme, or its package is not installed.
-    """
+    """Return the store of a URL; raises ReadError if its scheme has none, or its package is not installed."""
     scheme = scheme_of(url)
     if scheme in WEB:
         return HttpStore()
@@ -416,13 +410,7 @@ def _of_one(url: str, file: RemoteFile, *, keep: bool = True) -> RemoteLog:
 
 
 def _logs_in(store: Store, url: str) -> list[str]:
-    """Return the files of a folder that belong to logs.
-
-    Raises
-    ------
-    ReadError
-        If there are none.
-    """
+    """Return the files of a folder that belong to logs; raises ReadError if there are none."""
     files = store.files_in(url)
     logs = [file for file in files if name_of(file) == _METADATA or name_of(file).endswith(_LOGS)]
     if not any(name_of(log) != _METADATA for log in logs):

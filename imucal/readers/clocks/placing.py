@@ -36,23 +36,15 @@ _SAMPLES_AROUND = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Period:
-    """A first estimate of the sampling period.
+    """A first estimate of the sampling period."""
 
-    Attributes
-    ----------
-    tau_ns
-        Sampling period, in ns; good to about one percent.
-    jitter
-        Standard deviation of a stamp about its neighbours, in samples.
-    burst
-        Samples that arrive together; 1 where they arrive one by one.
-    resolution_ns
-        Greatest common divisor of the steps, in ns.
-    """
-
+    #: Sampling period, in ns; good to about one percent.
     tau_ns: float
+    #: Standard deviation of a stamp about its neighbours, in samples.
     jitter: float
+    #: Samples that arrive together; 1 where they arrive one by one.
     burst: int
+    #: Greatest common divisor of the steps, in ns.
     resolution_ns: int
 
 
@@ -150,18 +142,12 @@ def _conserved(blocks: list[IntArray], tau: float) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Breaks:
-    """Where the samples do not follow each other.
+    """Where the samples do not follow each other."""
 
-    Attributes
-    ----------
-    at, missing
-        Samples before which others are missing, shape (b,), and how many, shape (b,).
-    doubled
-        Samples that are one too many, shape (d,).
-    """
-
+    #: Samples before which others are missing, shape (b,), and how many, shape (b,).
     at: IntArray
     missing: IntArray
+    #: Samples that are one too many, shape (d,).
     doubled: IntArray
 
 
@@ -172,21 +158,14 @@ NO_BREAKS = Breaks(at=_NONE, missing=_NONE, doubled=_NONE)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Steps:
-    """What the steps from stamp to stamp show.
+    """What the steps from stamp to stamp show."""
 
-    Attributes
-    ----------
-    same, back
-        Number of stamps equal to, and earlier than, the one before.
-    resets
-        Samples at which the clock went back for good, shape (r,).
-    even
-        Whether every step is between half a period and one and a half.
-    """
-
+    #: Number of stamps equal to, and earlier than, the one before.
     same: int
     back: int
+    #: Samples at which the clock went back for good, shape (r,).
     resets: IntArray
+    #: Whether every step is between half a period and one and a half.
     even: bool
 
 
@@ -225,10 +204,7 @@ def _resets(stamps: IntArray, at: IntArray) -> IntArray:
 def find_breaks(stamps: IntArray, period: Period, resets: IntArray | None = None) -> Breaks:
     """Return the missing and doubled samples of stamps in ns, shape (n,).
 
-    Parameters
-    ----------
-    resets
-        Samples at which the clock was set, shape (r,): each stretch between two is looked at by itself.
+    Each stretch between two `resets`, samples at which the clock was set, shape (r,), is looked at by itself.
     """
     spread = (period.burst - 1) if period.burst > 1 else min(3 * period.jitter, 0.3)
     near = min(max(_SAMPLES_AROUND, 2 * period.burst), _REACH)

@@ -23,12 +23,7 @@ class Alike:
     comparison of each guard on its own would pass over all records once for each, and one of raw bytes
     (``V11``) takes a nanosecond for every byte.
 
-    Parameters
-    ----------
-    guards
-        The bytes, and where they stand.
-    width
-        Bytes of a record, as it was gathered; fastest where it is a multiple of eight.
+    Records are `width` bytes wide, as they were gathered; fastest where that is a multiple of eight.
     """
 
     def __init__(self, guards: Iterable[Guard], width: int) -> None:
@@ -79,38 +74,25 @@ class Loss:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Batch:
-    """Messages of one channel.
+    """Messages of one channel."""
 
-    Attributes
-    ----------
-    buffer
-        What they lie in; valid until the next chunk is loaded by the same thread.
-    starts
-        Where each record starts, shape (n,).
-    header
-        Bytes of a record before its payload.
-    sizes
-        Bytes of the payload: one for all messages, or one for each, shape (n,).
-    log_ns
-        When each was recorded, shape (n,), in ns; empty where `log_at` tells.
-    log_at
-        Where in a record that time stands as eight bytes, or None.
-    guards
-        What must be true of every record for `header` and `sizes` to hold; empty where it was checked.
-    check
-        Returns the same messages with every record checked on its own; raises DamagedError.
-    loss
-        What was found wrong while checking.
-    """
-
+    #: What they lie in; valid until the next chunk is loaded by the same thread.
     buffer: Bytes
+    #: Where each record starts, shape (n,).
     starts: IntArray
+    #: Bytes of a record before its payload.
     header: int
+    #: Bytes of the payload: one for all messages, or one for each, shape (n,).
     sizes: IntArray | int
+    #: When each was recorded, shape (n,), in ns; empty where `log_at` tells.
     log_ns: IntArray
+    #: Where in a record that time stands as eight bytes, or None.
     log_at: int | None = None
+    #: What must be true of every record for `header` and `sizes` to hold; empty where it was checked.
     guards: tuple[Guard, ...] = ()
+    #: Returns the same messages with every record checked on its own; raises DamagedError.
     check: Callable[[], "Batch"] | None = None
+    #: What was found wrong while checking.
     loss: Loss | None = None
 
     @classmethod
@@ -174,34 +156,23 @@ def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Channel:
-    """A stream of messages of one type.
+    """A stream of messages of one type."""
 
-    Attributes
-    ----------
-    key
-        Number of the channel in its container.
-    topic, type
-        Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``.
-    encoding
-        ``cdr``, ``ros1``, ``json``, or what the log says.
-    definition, definition_kind
-        The text of the message definition, or empty; ``ros2msg``, ``ros1msg``, …
-    schema
-        Its bytes, where it is no text.
-    count
-        Number of messages, or None where only reading tells; for SQLite it may be an upper bound.
-    first_ns, last_ns
-        When the first and the last message were recorded, in ns; None where the index doesn't say.
-    """
-
+    #: Number of the channel in its container.
     key: int
+    #: Such as ``/imu/data`` and ``sensor_msgs/msg/Imu``.
     topic: str
     type: str
+    #: ``cdr``, ``ros1``, ``json``, or what the log says.
     encoding: str
+    #: The text of the message definition, or empty; ``ros2msg``, ``ros1msg``, …
     definition: str = ""
     definition_kind: str = ""
+    #: Its bytes, where it is no text.
     schema: bytes = b""
+    #: Number of messages, or None where only reading tells; for SQLite it may be an upper bound.
     count: int | None = None
+    #: When the first and the last message were recorded, in ns; None where the index doesn't say.
     first_ns: int | None = None
     last_ns: int | None = None
 
@@ -218,13 +189,7 @@ class Task(Protocol):
         """Bytes of the file, for progress."""
 
     def load(self, scratch: Scratch) -> Iterable[tuple[int, Batch]]:
-        """Yield the messages of each wanted channel.
-
-        Raises
-        ------
-        DamagedError
-            If the chunk can't be read.
-        """
+        """Yield the messages of each wanted channel; raises DamagedError if the chunk can't be read."""
 
 
 class Container(Protocol):
@@ -250,13 +215,7 @@ class Container(Protocol):
 
 
 class MessageFile:
-    """A container that is read by the bytes of its one file.
-
-    Parameters
-    ----------
-    file
-        What reads it; by default the file at `path`.
-    """
+    """A container that is read by the bytes of its one file: by default that at `path`."""
 
     format: str
     compression: str

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,13 +53,7 @@ _HEAD_BLOCK = 128
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open an MCAP file; also return the name of its format.
-
-    Raises
-    ------
-    ReadError
-        If it can't be read.
-    """
+    """Open an MCAP file, and name its format; raises ReadError if it can't be read."""
     del progress
     return [McapFile(path)], McapFile.format
 
@@ -105,32 +98,21 @@ class ChunkTask:
 
 @dataclass(slots=True)
 class LooseTask:
-    """Messages that lie in the file itself, or in what is left of a cut chunk.
-
-    Attributes
-    ----------
-    position, size
-        The part of the file.
-    starts
-        Channel -> positions of records from the start of that part.
-    data
-        What is left of the chunk; None where the records lie in the file.
-    """
+    """Messages that lie in the file itself, or in what is left of a cut chunk."""
 
     file: LogFile
+    #: The part of the file.
     position: int
     size: int = 0
+    #: Channel -> positions of records from the start of that part.
     starts: dict[int, list[int]] = field(default_factory=dict)
+    #: What is left of the chunk; None where the records lie in the file.
     data: bytes | None = None
 
     @property
     def counts(self) -> dict[int, int]:
         """Channel -> number of messages."""
         return {key: len(positions) for key, positions in self.starts.items()}
-
-    def only(self, keys: frozenset[int]) -> "LooseTask":
-        """Return the same part with some channels only."""
-        return replace(self, starts={key: starts for key, starts in self.starts.items() if key in keys})
 
     def load(self, scratch: Scratch) -> Iterator[tuple[int, Batch]]:
         """Yield the messages of each channel; see `Task`."""
@@ -144,13 +126,7 @@ class LooseTask:
 
 
 def index_count(file: LogFile, key: int, position: int) -> int:
-    """Return the number of messages of a channel in a chunk, by its message index.
-
-    Raises
-    ------
-    DamagedError
-        If there is no such index at `position`.
-    """
+    """Return the messages of a channel by its index at `position`; raises DamagedError if there is none."""
     head = file.read(position, _INDEX_HEAD)
     opcode, length, channel = _RECORD.unpack_from(head, 0)
     size = int.from_bytes(head[11:], "little")
@@ -294,13 +270,7 @@ class Bookkeeping:
 
 
 def scan(file: LogFile, reason: DamagedError) -> Bookkeeping:
-    """Return what the records of a file say whose index is missing or damaged.
-
-    Raises
-    ------
-    ReadError
-        If the file holds no channel.
-    """
+    """Return what the records say where the index is of no use; raises ReadError if there is no channel."""
     found = _Scan(file)
     end, book = found.visit_records(), found.book
     found.define_from_chunks()
@@ -432,20 +402,13 @@ class McapFile(MessageFile):
         for chunk in self._book.chunks:
             task = ChunkTask(self._file, chunk, keys)
             if task.counts:
-                yield cast("Task", task)
+                yield task
         for loose in self._book.loose:
-            part = loose.only(keys)
-            if part.starts:
-                yield cast("Task", part)
+            if starts := {key: starts for key, starts in loose.starts.items() if key in keys}:
+                yield replace(loose, starts=starts)
 
     def _summary(self) -> Bookkeeping:
-        """Read the summary section.
-
-        Raises
-        ------
-        DamagedError
-            If it is missing, damaged, or does not index all messages.
-        """
+        """Read the summary; raises DamagedError if it is missing, damaged or does not index all."""
         size = self.size
         if size < len(MAGIC) + _FOOTER_SIZE or self._file.read(0, len(MAGIC)) != MAGIC:
             msg = "the file does not start and end as an MCAP file"

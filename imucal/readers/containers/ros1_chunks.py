@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,24 +17,16 @@ from imucal.readers.files import DamagedError, LogFile, Scratch
 
 @dataclass(slots=True, kw_only=True)
 class BagChunk:
-    """Where a chunk and its index records lie.
+    """Where a chunk and its index records lie."""
 
-    Attributes
-    ----------
-    start, size
-        From the chunk record to the end of its index records, in bytes.
-    counts
-        Connection -> messages, as the file says.
-    indexed
-        Whether index records follow.
-    cut
-        Whether the end of the file cuts the chunk.
-    """
-
+    #: From the chunk record to the end of its index records, in bytes.
     start: int
     size: int
+    #: Connection -> messages, as the file says.
     counts: dict[int, int] = field(default_factory=dict)
+    #: Whether index records follow.
     indexed: bool = True
+    #: Whether the end of the file cuts the chunk.
     cut: bool = False
     first_ns: int = 0
     last_ns: int = 0
@@ -47,7 +38,7 @@ class BagChunkTask:
     def __init__(self, file: LogFile, chunk: BagChunk, keys: frozenset[int]) -> None:
         self._file = file
         self._chunk = chunk
-        self.position, self.size = chunk.start, chunk.size
+        self.size = chunk.size
         # An index entry has 12 bytes: a count beyond them is not believed.
         most = chunk.size // 12 if chunk.indexed else chunk.size
         self.counts = {key: min(n, most) for key, n in chunk.counts.items() if key in keys and n}
@@ -80,13 +71,7 @@ class BagChunkTask:
 
 
 def unpack(region: memoryview, *, cut: bool = False) -> tuple[memoryview, int]:
-    """Return what the chunk at the start of a region holds, and where its record ends.
-
-    Raises
-    ------
-    DamagedError
-        If it is damaged.
-    """
+    """Return what the chunk at the start of a region holds, and where it ends; raises DamagedError."""
     entry = record(region, 0)
     data = region[entry.start : entry.end]
     if entry.head.get(b"op") != bytes([records.CHUNK]):
@@ -123,35 +108,27 @@ def _indexed(raw: memoryview, key: int, entries: memoryview) -> Batch:
     head = bytes(raw[last : last + size + 8])
     time = head.find(b"time=") + 5
     common = _message_head(head[:time] + bytes(8) + head[time + 8 :]) if time >= 5 else None
-    if common is None or common.key != key:
+    if common is None or common[0] != key:
         return check()
     return Batch(
         buffer=raw,
         starts=starts,
         header=len(head),
-        sizes=common.size,
+        sizes=common[1],
         log_ns=log_ns,
-        guards=common.guards,
+        guards=common[2],
         check=check,
     )
 
 
-class _Head(NamedTuple):
-    """What the header of a message says: connection, bytes of its data, and what others like it repeat."""
-
-    key: int
-    size: int
-    guards: tuple[Guard, ...]
-
-
 @lru_cache(maxsize=64)
-def _message_head(head: bytes) -> _Head | None:
-    """Return what a header says, its time blank: the same in every chunk; None where it is no message's."""
+def _message_head(head: bytes) -> tuple[int, int, tuple[Guard, ...]] | None:
+    """Return connection, bytes of data and guards by a message's header, its time blank; None for others."""
     guards = _guards(head)
     with suppress(DamagedError):
         entry = record(head, 0)
         if guards is not None and entry.opcode == records.MESSAGE and entry.start == len(head):
-            return _Head(entry.key, entry.end - entry.start, guards)
+            return entry.key, entry.end - entry.start, guards
     return None
 
 
@@ -178,10 +155,7 @@ def _checked(raw: memoryview, key: int, starts: IntArray, log_ns: IntArray) -> B
 def _take_alike(raw: memoryview, key: int, payloads: IntArray, sizes: IntArray) -> IntArray:
     """Turn the starts of messages whose header is that of the last into their payloads; return the others.
 
-    Raises
-    ------
-    DamagedError
-        If the last is no message of the connection.
+    Raises DamagedError if the last is no message of the connection.
     """
     last = int(payloads[-1])
     head = bytes(raw[last : _message(raw, key, last)[0]])

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
@@ -35,13 +34,7 @@ _HEAD_BLOCK = 1 << 12
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open a bag; also return the name of its format.
-
-    Raises
-    ------
-    ReadError
-        If it can't be read.
-    """
+    """Open a bag, and name its format; raises ReadError if it can't be read."""
     del progress
     return [BagFile(path)], BagFile.format
 
@@ -73,16 +66,10 @@ class BagFile(MessageFile):
         for chunk in self._chunks:
             task = BagChunkTask(self._file, chunk, keys)
             if task.counts:
-                yield cast("Task", task)
+                yield task
 
     def _read_section(self) -> None:
-        """Read the index section.
-
-        Raises
-        ------
-        DamagedError
-            If there is none, or it is damaged.
-        """
+        """Read the index section; raises DamagedError if there is none, or it is damaged."""
         head = record(self._file.read(0, min(_HEAD_BLOCK, self.size)), len(MAGIC)).head
         if head.get(b"encryptor"):
             name = head[b"encryptor"].decode("utf-8", "replace")

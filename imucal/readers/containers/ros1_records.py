@@ -55,13 +55,7 @@ class Record(NamedTuple):
 
 
 def record(buffer: Bytes, at: int) -> Record:
-    """Return the record at `at`; its data may reach beyond the buffer.
-
-    Raises
-    ------
-    DamagedError
-        If there is no whole header.
-    """
+    """Return the record at `at`, which may reach beyond the buffer; raises DamagedError without a header."""
     try:
         end = at + 4 + U32.unpack_from(buffer, at)[0]
         if end - at - 4 > _MAX_HEADER or end > len(buffer):
@@ -87,12 +81,6 @@ def walk(raw: Bytes) -> Iterator[tuple[int, Record]]:
         at = entry.end
 
 
-@lru_cache(maxsize=128)
-def _head(data: bytes) -> Mapping[bytes, bytes]:
-    """Return the fields of a header; those of index records are mostly what they were in the chunk before."""
-    return fields(data)
-
-
 def fields(data: bytes) -> dict[bytes, bytes]:
     """Return name -> value of the fields that stand one behind the other."""
     found, place = {}, 0
@@ -104,6 +92,10 @@ def fields(data: bytes) -> dict[bytes, bytes]:
             raise _broken()
         found[name] = value
     return found
+
+
+#: The fields of a header; those of index records are mostly what they were in the chunk before.
+_head = lru_cache(maxsize=128)(fields)
 
 
 def number(found: Mapping[bytes, bytes], name: bytes, size: int) -> int:

@@ -3,7 +3,6 @@
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
@@ -22,13 +21,7 @@ _MAX_MESSAGE = 1 << 28
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open the files of a bag, those of a folder or one; also return the name of its format.
-
-    Raises
-    ------
-    ReadError
-        If the bag can't be read.
-    """
+    """Open the file or the files of a bag, and name its format; raises ReadError if it can't be read."""
     folder = open_folder(path) if path.is_dir() else Folder(files=(path,))
     counts = folder.counts if len(folder.files) == 1 else None
     return open_parts(folder, lambda file: _open(file, folder, counts, progress))
@@ -134,7 +127,7 @@ class _ZstdMessages(_Wrapped):
 
     def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
         for task in self._inner.tasks(keys):
-            yield cast("Task", _ZstdTask(task))
+            yield _ZstdTask(task)
 
 
 class _ZstdTask:

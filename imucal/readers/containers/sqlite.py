@@ -14,7 +14,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 from urllib.parse import quote
 
 import numpy as np
@@ -140,24 +140,17 @@ def _copy_tables(source: sqlite3.Connection, target: sqlite3.Connection) -> None
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rows:
-    """Rows of `messages`.
+    """Rows of `messages`."""
 
-    Attributes
-    ----------
-    topics, times, starts, sizes
-        Topic, time in ns, and where the data lie, of each row that a page holds whole, shape (n,).
-    long_ids, long_topics
-        Row and topic of those that reach over several pages.
-    damaged
-        Number of rows that can't be parsed.
-    """
-
+    #: Topic, time in ns, and where the data lie, of each row that a page holds whole, shape (n,).
     topics: IntArray
     times: IntArray
     starts: IntArray
     sizes: IntArray
+    #: Row and topic of those that reach over several pages.
     long_ids: IntArray
     long_topics: IntArray
+    #: Number of rows that can't be parsed.
     damaged: int
 
 
@@ -257,20 +250,13 @@ def _integers(data: NDArray[np.uint8], at: IntArray, kinds: IntArray) -> IntArra
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Leaves:
-    """Leaf pages of a table, in the order of its rows.
+    """Leaf pages of a table, in the order of its rows."""
 
-    Attributes
-    ----------
-    pages
-        Their numbers, from 1, shape (p,).
-    last_ids
-        The largest row that each may hold, shape (p,).
-    first_id
-        The smallest row of the first.
-    """
-
+    #: Their numbers, from 1, shape (p,).
     pages: IntArray
+    #: The largest row that each may hold, shape (p,).
     last_ids: IntArray
+    #: The smallest row of the first.
     first_id: int
 
     def groups(self) -> Iterator[tuple[IntArray, int]]:
@@ -294,13 +280,7 @@ def page_size(file: LogFile) -> tuple[int, int]:
 
 
 def find_leaves(file: LogFile, root: int, first_id: int, last_id: int) -> Leaves:
-    """Return the leaf pages of the table whose root page is `root`.
-
-    Raises
-    ------
-    DamagedError
-        If an interior page is damaged or missing.
-    """
+    """Return the leaf pages below the page `root`; raises DamagedError if a page is damaged or missing."""
     size, _ = page_size(file)
     pages, ids = [np.array([root], dtype=np.int64)], [np.array([last_id], dtype=np.int64)]
     for _ in range(_DEEP):
@@ -341,15 +321,10 @@ Fetch: TypeAlias = Callable[[list[int]], list[tuple[int, int, bytes]]]
 
 
 class PageTask:
-    """A group of leaf pages to load.
+    """A group of leaf pages to load, which hold `most` rows at most.
 
-    Parameters
-    ----------
-    most
-        Rows they hold at most.
-    fetch
-        Asks SQLite for rows that reach over several pages; None where the file is cut, and rows that can't
-        be parsed belong to other tables.
+    `fetch` asks SQLite for rows that reach over several pages; it is None where the file is cut, and rows
+    that can't be parsed belong to other tables.
     """
 
     def __init__(
@@ -431,13 +406,7 @@ def _children(file: LogFile, page: int, size: int, bound: int) -> tuple[IntArray
 
 
 class SqliteFile(MessageFile):
-    """A container of the messages of a `.db3` file.
-
-    Parameters
-    ----------
-    counts
-        Topic -> messages, where the bag's metadata tells.
-    """
+    """A container of the messages of a `.db3` file; `counts` of each topic where the bag's metadata tells."""
 
     format = "rosbag2-sqlite3"
     compression = "none"
@@ -495,11 +464,11 @@ class SqliteFile(MessageFile):
             return
         if not self._cut and self._needs_sqlite():
             for rows, size in self._ranges():
-                yield cast("Task", SqliteTask(self._database, wanted, rows, size))
+                yield SqliteTask(self._database, wanted, rows, size)
             return
         groups, fetch = self._pages()
         for pages, most in groups:
-            yield cast("Task", PageTask(self._file, pages, wanted, most, fetch))
+            yield PageTask(self._file, pages, wanted, most, fetch)
 
     @property
     def _database(self) -> sqlite3.Connection:

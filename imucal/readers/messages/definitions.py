@@ -24,21 +24,13 @@ class DefinitionError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of a message, with its path from the top such as ``header.stamp.sec``.
-
-    Attributes
-    ----------
-    kind
-        See `Kind`.
-    code
-        NumPy code of a number without byte order, such as ``f8``; empty for strings and others.
-    count
-        Numbers of a fixed array, or numbers of one element of a sequence; 1 otherwise.
-    """
+    """A field of a message, with its path from the top such as ``header.stamp.sec``."""
 
     path: str
     kind: Kind
+    #: NumPy code of a number without byte order, such as ``f8``; empty for strings and others.
     code: str = ""
+    #: Numbers of a fixed array, or numbers of one element of a sequence; 1 otherwise.
     count: int = 1
 
     @property
@@ -56,10 +48,8 @@ _NUMBERS = {
 _TIMES = {"time", "duration", "builtin_interfaces/Time", "builtin_interfaces/Duration"}
 _FIELD = re.compile(r"([\w/]+)(?:<=\d+)?(\[(<=)?(\d*)\])?\s+(\w+)\s*(.*)$")
 _SEPARATOR = re.compile(r"^=+\s*$", re.MULTILINE)
-#: A definition that nests deeper than this, or has more fields, is refused.
+#: A definition that nests deeper than this, or has more fields, is refused; more files are not read.
 _DEEP, _MANY = 16, 20_000
-#: A folder with more files is none of message definitions.
-_MANY_FILES = 20_000
 
 #: Definitions of types that logs don't always carry. Source: common_interfaces, PX4 1.14 msg/.
 _BUILT_IN: dict[str, str] = {
@@ -140,14 +130,9 @@ class Line:
 
 
 class Definitions:
-    """The definition of a message type and of the types in it.
+    """The definition of a message type, and behind lines of ``===`` perhaps those of the types in it.
 
-    Parameters
-    ----------
-    text
-        Its own, those of types in it behind lines of ``===`` perhaps.
-    more
-        Definitions of other types, by ``package/Name``; with them the standard types of ROS are known too.
+    `more` are those of other types, by ``package/Name``; with them the standard types of ROS are known too.
     """
 
     def __init__(self, name: str, text: str, *, ros1: bool, more: Mapping[str, str] | None = None) -> None:
@@ -317,7 +302,7 @@ def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
     """
     found = {}
     for path in paths:
-        files = sorted(path.rglob("*.msg"))[:_MANY_FILES] if path.is_dir() else [path]
+        files = sorted(path.rglob("*.msg"))[:_MANY] if path.is_dir() else [path]
         if not files:
             msg = f"{path}: no .msg files in this folder; expected the definitions of message types"
             raise ReadError(msg)
@@ -350,38 +335,40 @@ class ChannelDefinition:
     `more` are definitions of other types; None where the log's own definition is whole.
     """
 
+    channel: Channel
     text: str
     assumed: bool
     more: dict[str, str] | None = None
 
-    def fields(self, channel: Channel) -> tuple[Field, ...]:
+    @property
+    def ros1(self) -> bool:
+        return self.channel.encoding == "ros1"
+
+    def fields(self) -> tuple[Field, ...]:
         """Return the flat fields; a DefinitionError where they can't be told."""
-        return flatten(channel.type, self.text, ros1=channel.encoding == "ros1", more=self.more)
+        return flatten(self.channel.type, self.text, ros1=self.ros1, more=self.more)
 
 
 def definition_of_channel(channel: Channel, options: ReadOptions) -> ChannelDefinition:
     """Return the definition of a channel's type: the log's own, one that is given, or the standard one.
 
-    Raises
-    ------
-    DefinitionError
-        If the type has no definition, or one that can't be read.
+    Raises DefinitionError if the type has no definition, or one that can't be read.
     """
     standard = built_in(channel.type, ros1=channel.encoding == "ros1")
     if channel.definition and channel.definition_kind in {"ros2msg", "ros1msg"}:
-        own = ChannelDefinition(channel.definition, assumed=False)
+        own = ChannelDefinition(channel, channel.definition, assumed=False)
         try:
-            own.fields(channel)
+            own.fields()
         except DefinitionError:
             # A damaged definition of a well-known type loses nothing: messages must have its size.
             if standard is None:
                 raise
-            return ChannelDefinition(standard, assumed=True)
+            return ChannelDefinition(channel, standard, assumed=True)
         return own
     given = read_definitions(options.message_definitions)
     text = definition_of(channel.type, given)
     if text is not None:
-        return ChannelDefinition(text, assumed=True, more=given)
+        return ChannelDefinition(channel, text, assumed=True, more=given)
     if standard is None:
         kind = f" but of kind {channel.definition_kind!r}" if channel.definition_kind else ""
         others = ", ".join(sorted(name.strip("/") for name in given)[:8])
@@ -389,7 +376,7 @@ def definition_of_channel(channel: Channel, options: ReadOptions) -> ChannelDefi
         last = plain_type(channel.type).rpartition("/")[2]
         msg = f"the log holds no definition of {channel.type}{kind}{names}; give its .msg file, {last}.msg"
         raise DefinitionError(msg)
-    return ChannelDefinition(standard, assumed=True)
+    return ChannelDefinition(channel, standard, assumed=True)
 
 
 def is_given(channel: Channel, options: ReadOptions) -> bool:

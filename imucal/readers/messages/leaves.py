@@ -117,10 +117,7 @@ class Leaves:
     def _asked_vector(self, sensor: Sensor, wanted: Named) -> Vector | None:
         """Return what a user says are a sensor's fields: a vector, or some axes; None where there are none.
 
-        Raises
-        ------
-        ChoiceError
-            If a number is named, and nothing says which axis it is.
+        Raises ChoiceError if a number is named, and nothing says which axis it is.
         """
         if wanted.axes or (len(wanted.paths) == 1 and self.is_number(wanted.paths[0])):
             paths: tuple[str, ...] | None = wanted.paths if all(map(self.is_number, wanted.paths)) else None
@@ -134,10 +131,7 @@ class Leaves:
     def stamp(self, paths: Sequence[str], unit: str | None) -> Stamp | None:
         """Return the time that paths lead to; None where there is none.
 
-        Raises
-        ------
-        ChoiceError
-            If it is a number whose unit is open.
+        Raises ChoiceError if it is a number whose unit is open.
         """
         if len(paths) == 1 and not self.is_number(paths[0]):
             pairs = ((f"{paths[0]}.{s}", f"{paths[0]}.{n}") for s, n in product(_SECONDS, _NANOSECONDS))

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 from operator import itemgetter
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 
@@ -45,9 +45,6 @@ class Decoder(Protocol):
         """Decode checked messages that may differ; raises DamagedError."""
 
 
-_Found = TypeVar("_Found", Loss, Columns)
-
-
 @dataclass(slots=True, eq=False)
 class Stream:
     """One topic to decode: what to take, and who decodes each channel of each container."""
@@ -66,30 +63,24 @@ class Decoding:
 
 @dataclass(slots=True, eq=False)
 class _Target:
-    """Where the messages of a stream go.
-
-    Attributes
-    ----------
-    filled
-        Spans of the columns (first, last + 1) that were written.
-    extra, losses
-        Columns that found no room, and what was lost, each with the number of its chunk: threads are not done
-        with chunks in their order.
-    """
+    """Where the messages of a stream go."""
 
     columns: Columns
+    #: Spans of the columns (first, last + 1) that were written.
     filled: list[tuple[int, int]] = field(default_factory=list)
+    #: Columns that found no room, and what was lost, each with the number of its chunk: threads are not done
+    #: with chunks in their order.
     extra: list[tuple[int, Columns]] = field(default_factory=list)
     losses: list[tuple[int, Loss]] = field(default_factory=list)
 
     def decoding(self, decoders: Iterable[Decoder]) -> Decoding:
-        """Return what the stream gave, in order."""
-        losses = [loss for _, loss in _in_order(self.losses)][:_MAX_LOSSES]
+        """Return what the stream gave, in the order of the chunks, and as it was found in each."""
+        losses = [loss for _, loss in sorted(self.losses, key=itemgetter(0))][:_MAX_LOSSES]
         losses += [note for decoder in decoders for note in decoder.notes]
         columns = self.columns
         columns.keep_spans(_merged(self.filled))
         if self.extra:
-            columns = columns.joined([more for _, more in _in_order(self.extra)])
+            columns = columns.joined([more for _, more in sorted(self.extra, key=itemgetter(0))])
         columns.release()
         return Decoding(columns, losses)
 
@@ -111,14 +102,6 @@ class _Part:
     hopeless: bool = False
 
 
-@dataclass(slots=True, eq=False)
-class _Job:
-    """A task, and where its messages go."""
-
-    task: Task
-    parts: list[_Part]
-
-
 def decode(
     containers: Sequence[Container],
     streams: Sequence[Stream],
@@ -127,14 +110,9 @@ def decode(
     progress: Progress | None = None,
     most_chunks: int | None = None,
 ) -> list[Decoding]:
-    """Decode streams from containers.
+    """Decode streams from containers; at most `most_chunks` of the first file that holds messages.
 
-    Parameters
-    ----------
-    limit
-        Bytes of samples to hold in memory before a temporary file takes them.
-    most_chunks
-        Decode only so many chunks of the first file that holds messages.
+    Of the samples, `limit` bytes are held in memory before a temporary file takes them.
     """
     return _Run(containers, streams, limit, progress, most_chunks=most_chunks).go()
 
@@ -171,13 +149,13 @@ class _Run:
         ]
         self.parallel = all(container.parallel for container in containers)
         self.progress = progress
-        self.done, self.total = 0, sum(job.task.size for job in self.jobs)
+        self.done, self.total = 0, sum(task.size for task, _ in self.jobs)
         self.lock = threading.Lock()
 
     def _plan(
         self, containers: Sequence[Container], totals: list[int], most_chunks: int | None
-    ) -> Iterator[_Job]:
-        """Yield the tasks, each with room behind that of the ones before; adds up the `totals`."""
+    ) -> Iterator[tuple[Task, list[_Part]]]:
+        """Yield the tasks, the parts of each with room behind those before; adds up the `totals`."""
         jobs = 0
         for at, container in enumerate(containers):
             keys = frozenset(key for stream in self.streams for other, key in stream.decoders if other == at)
@@ -191,7 +169,7 @@ class _Run:
                                 _Part(jobs, key, index, stream.decoders[at, key], totals[index], count)
                             )
                             totals[index] += count
-                yield _Job(task, parts)
+                yield task, parts
                 jobs += 1
             if most_chunks is not None and jobs > before:
                 return
@@ -205,7 +183,7 @@ class _Run:
         else:
             scratch = Scratch()
             for job in self.jobs:
-                self._work(job, scratch)
+                self._work(*job, scratch)
         both = zip(self.targets, self.streams, strict=True)
         return [target.decoding(stream.decoders.values()) for target, stream in both]
 
@@ -213,7 +191,7 @@ class _Run:
         """Each thread takes the next chunk when it is done with one, so that writes stay near each other."""
         jobs = iter(self.jobs)
         # The first chunk, by which the definition is chosen, is the same however many threads there are.
-        self._work(next(jobs), Scratch())
+        self._work(*next(jobs), Scratch())
         stop = threading.Event()
 
         def work() -> None:
@@ -223,7 +201,7 @@ class _Run:
                     job = next(jobs, None)
                 if job is None:
                     return
-                self._work(job, scratch)
+                self._work(*job, scratch)
 
         with ThreadPoolExecutor(threads) as pool:
             try:
@@ -233,22 +211,22 @@ class _Run:
                 # An error, or an interrupt of the user, ends all threads after the chunk they are in.
                 stop.set()
 
-    def _work(self, job: _Job, scratch: Scratch) -> None:
+    def _work(self, task: Task, parts: list[_Part], scratch: Scratch) -> None:
         """Decode one chunk into every stream."""
         seen: set[int] = set()
         try:
-            for key, batch in job.task.load(scratch):
+            for key, batch in task.load(scratch):
                 seen.add(key)
-                for part in job.parts:
+                for part in parts:
                     if part.key == key and batch.n:
                         self._decode(part, batch)
         except DamagedError as error:
-            for part in job.parts:
+            for part in parts:
                 if part.key not in seen:
                     self._lose(part, _loss(error, part.most))
         if self.progress is not None:
             with self.lock:
-                self.done += job.task.size
+                self.done += task.size
                 self.progress(self.done, self.total)
 
     def _decode(self, part: _Part, batch: Batch) -> None:
@@ -316,17 +294,12 @@ class _Run:
             target.losses.append((part.number, loss))
             if len(target.losses) >= 2 * _MAX_LOSSES:
                 # Those of the first chunks stay, whichever thread came first.
-                target.losses = _in_order(target.losses)[:_MAX_LOSSES]
+                target.losses = sorted(target.losses, key=itemgetter(0))[:_MAX_LOSSES]
 
 
 def _columns(imu: ImuFields, n: int, limit: int | None) -> Columns:
     axes = tuple(len(vector.axes) for vector in imu.vectors)
     return Columns(n, imu.sensors, temperature=bool(imu.temperature), limit=limit, axes=axes)
-
-
-def _in_order(found: list[tuple[int, _Found]]) -> list[tuple[int, _Found]]:
-    """Return what was found in the order of the chunks, and as it was found in each."""
-    return sorted(found, key=itemgetter(0))
 
 
 def _loss(error: DamagedError, messages: int) -> Loss:

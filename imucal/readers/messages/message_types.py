@@ -136,22 +136,15 @@ class Stamp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vector:
-    """Three numbers: the paths of x, y, z, or the one path of an array of three; or those of some axes.
-
-    Attributes
-    ----------
-    axes
-        What the numbers are, in their order.
-    divisor
-        Path of a duration in µs that turns an increment into a rate; empty for a plain rate.
-    unit
-        Unit in the names of the fields, a key of `imucal.units.SAMPLE_UNITS`; None where they have none.
-    """
+    """Three numbers: the paths of x, y, z, or the one path of an array of three; or those of some axes."""
 
     sensor: Sensor
     paths: tuple[str, ...]
+    #: What the numbers are, in their order.
     axes: tuple[Axis, ...] = AXES
+    #: Path of a duration in µs that turns an increment into a rate; empty for a plain rate.
     divisor: str = ""
+    #: Unit in the names of the fields, a key of `imucal.units.SAMPLE_UNITS`; None where they have none.
     unit: str | None = None
 
     @property
@@ -162,32 +155,21 @@ class Vector:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuFields:
-    """What a message type can give.
+    """What a message type can give."""
 
-    Attributes
-    ----------
-    stamp
-        None where messages carry no time of their own.
-    vectors
-        One or two, the gyroscope first.
-    temperature
-        Path of a temperature in degrees Celsius, or empty.
-    plain
-        True for general-purpose vectors: read only where the user asks.
-    standard
-        True where the definition fixes SI units; else SI is assumed and said.
-    others
-        Fields of vectors that could be meant too, and are not read.
-    asked
-        Whether the user named the fields: nothing is known of their units then.
-    """
-
+    #: None where messages carry no time of their own.
     stamp: Stamp | None
+    #: One or two, the gyroscope first.
     vectors: tuple[Vector, ...]
+    #: Path of a temperature in degrees Celsius, or empty.
     temperature: str = ""
+    #: True for general-purpose vectors: read only where the user asks.
     plain: bool = False
+    #: True where the definition fixes SI units; else SI is assumed and said.
     standard: bool = True
+    #: Fields of vectors that could be meant too, and are not read.
     others: tuple[str, ...] = ()
+    #: Whether the user named the fields: nothing is known of their units then.
     asked: bool = False
 
     @property
@@ -212,16 +194,8 @@ class ImuFields:
 def find_imus(name: str, fields: Sequence[Field], topic: str, sensor: Sensor | None) -> dict[str, ImuFields]:
     """Return what messages of a type can give: one entry for each IMU in a message.
 
-    The key is the field that holds the IMU, such as ``left``; it is empty where there is only one.
-
-    Parameters
-    ----------
-    name, fields
-        The type and its flat fields.
-    topic
-        Its topic, which tells gyroscope from accelerometer where the type doesn't.
-    sensor
-        What the caller says the topic is; None where they don't.
+    The key is the field that holds the IMU, such as ``left``; it is empty where there is only one. Where the
+    type doesn't tell gyroscope from accelerometer, the caller's `sensor` does, or the name of the topic.
     """
     known = _plain(plain_type(name), fields, topic, sensor) or _px4(plain_type(name), fields)
     if known is not None:

@@ -49,17 +49,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """How numbers are laid out.
+    """How numbers are laid out."""
 
-    Attributes
-    ----------
-    order
-        ``<`` or ``>``.
-    align
-        Largest alignment in bytes; 1 for ROS 1.
-    """
-
+    #: ``<`` or ``>``.
     order: str = "<"
+    #: Largest alignment in bytes; 1 for ROS 1.
     align: int = 8
 
     def aligned(self, at: Position, size: int) -> Position:
@@ -76,7 +70,6 @@ _ENCAPSULATIONS = {
     0x0007: Layout(order="<", align=4),
 }
 _ROS1 = Layout(order="<", align=1)
-_CDR = _ENCAPSULATIONS[0x0001]
 
 
 @dataclass(slots=True, eq=False)
@@ -107,10 +100,7 @@ class Walker:
     def walk(self, buffer: Bytes, starts: IntArray, layout: Layout) -> Found:
         """Find the wanted fields of messages whose payloads start at `starts`, shape (n,).
 
-        Raises
-        ------
-        DamagedError
-            If a length reaches beyond the buffer.
+        Raises DamagedError if a length reaches beyond the buffer.
         """
         found = Found()
         at: Position = 0
@@ -203,7 +193,7 @@ class Messages:
         else:
             seconds, rest = self._field(stamp.sec), self._field(stamp.nanosec)
         result = seconds.astype(np.int64)
-        result *= 1_000_000_000
+        result *= _SECOND
         result += rest
         return result
 
@@ -243,36 +233,23 @@ def _apart(first: Position, second: Position, size: int) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Template:
-    """The shape of the messages of a channel; positions count from the start of a record.
+    """The shape of the messages of a channel; positions count from the start of a record."""
 
-    Attributes
-    ----------
-    guards
-        Those of the batch it was learnt from.
-    alike
-        The guards, the encapsulation and the lengths of strings, which every record must repeat.
-    head
-        Bytes at the start of a record that hold them and the stamp; whole words where there is room.
-    end
-        Bytes of a record.
-    places
-        Path -> position and type of every wanted field.
-    imu
-        What to take.
-    spans
-        Vectors that are three plain numbers side by side, those close to each other in one span of bytes:
-        its position and width, and sensor, position in the span and type of each vector.
-    others
-        The other vectors.
-    """
-
+    #: Those of the batch it was learnt from.
     guards: tuple[Guard, ...]
+    #: The guards, the encapsulation and the lengths of strings, which every record must repeat.
     alike: Alike
+    #: Bytes at the start of a record that hold them and the stamp; whole words where there is room.
     head: int
+    #: Bytes of a record.
     end: int
+    #: Path -> position and type of every wanted field.
     places: dict[str, Place]
     imu: ImuFields
+    #: Vectors that are three plain numbers side by side, those close to each other in one span of bytes:
+    #: its position and width, and sensor, position in the span and type of each vector.
     spans: tuple[_Span, ...]
+    #: The other vectors.
     others: tuple[Vector, ...]
 
     def fits(self, batch: Batch) -> bool:
@@ -316,19 +293,9 @@ class Template:
 
 
 def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuFields) -> Template | None:
-    """Return the template of a batch, from a walk of its first message.
+    """Return the template of a batch, from a walk of its first message; None where it can't be taken at once.
 
-    Parameters
-    ----------
-    found
-        What the walk found, from the end of the encapsulation on.
-    code
-        The first bytes of the encapsulation, or none for ROS 1.
-
-    Returns
-    -------
-    template
-        None where the messages can't be taken at once.
+    The walk starts at the end of the encapsulation, whose first bytes are `code` (none for ROS 1).
     """
     if not isinstance(batch.sizes, int):
         return None
@@ -439,13 +406,9 @@ def is_reachable(imu: ImuFields, fields: Sequence[Field]) -> bool:
 class BinaryDecoder:
     """Decodes the ROS 1 or CDR messages of one channel.
 
-    Parameters
-    ----------
-    shapes
-        Definitions to try on the first messages: the log's own, and the standard one of its type. The
-        first whose size fits is taken; where none fits, the first.
-    exact
-        Whether messages must have exactly the size of their definition, which is then only assumed.
+    The `shapes` are definitions to try on the first messages: the log's own, and the standard one of its
+    type. The first whose size fits is taken; where none fits, the first. Where messages must have `exact`-ly
+    the size of their definition, it is only assumed.
     """
 
     def __init__(self, shapes: Sequence[Shape], *, ros1: bool, exact: bool = False) -> None:
@@ -487,7 +450,7 @@ class BinaryDecoder:
         try:
             if not self.ros1:
                 codes = gather(batch.buffer, body, 2).view(">u2")
-                layout, body = _ENCAPSULATIONS.get(int(codes[0]), _CDR), body + 4
+                layout, body = _ENCAPSULATIONS.get(int(codes[0]), _ENCAPSULATIONS[1]), body + 4
             end = Walker(shape.fields, [shape.fields[-1].path]).walk(batch.buffer, body, layout).end
         except DamagedError:
             return False
@@ -507,10 +470,7 @@ class BinaryDecoder:
     def slow(self, batch: Batch, columns: Columns, first: int) -> None:
         """Decode a checked batch whose messages may all differ.
 
-        Raises
-        ------
-        DamagedError
-            If a message is shorter than its type, or is laid out in an unknown way.
+        Raises DamagedError if a message is shorter than its type, or is laid out in an unknown way.
         """
         if self.ros1:
             self._walk(batch, batch.payload(), _ROS1, columns, slice(first, first + batch.n))

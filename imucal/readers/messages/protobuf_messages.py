@@ -24,8 +24,7 @@ def parser_of(channel: Channel) -> Parse:
     """Return what parses the messages of a channel; a DefinitionError where its schema is damaged."""
     from google.protobuf.message_factory import GetMessageClass
 
-    kind = GetMessageClass(_descriptor(channel))
-    parse: Parse = kind.FromString
+    parse: Parse = GetMessageClass(_descriptor(channel)).FromString
     return parse
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from itertools import count
 from typing import Any
 
-from imucal.readers.messages.definitions import DefinitionError, Definitions, plain_type
+from imucal.readers.messages.definitions import ChannelDefinition, DefinitionError, Definitions
 from imucal.readers.messages.leaves import Leaf
 from imucal.readers.messages.trees import Parse
 
@@ -12,9 +12,9 @@ from imucal.readers.messages.trees import Parse
 _DEEP, _MANY = 8, 4000
 
 
-def leaves_of(name: str, text: str, more: dict[str, str] | None, *, ros1: bool) -> list[Leaf]:
+def leaves_of(given: ChannelDefinition) -> list[Leaf]:
     """Return the numbers in messages of a type; a DefinitionError where its definition can't be read."""
-    known = Definitions(name, text, ros1=ros1, more=more)
+    known = Definitions(given.channel.type, given.text, ros1=given.ros1, more=given.more)
     return list(_leaves(known, known.name, "", 0, count()))
 
 
@@ -35,23 +35,18 @@ def _leaves(known: Definitions, name: str, prefix: str, depth: int, steps: Itera
             yield from _leaves(known, known.resolve(name, line.kind), f"{own}.", depth + 1, steps)
 
 
-def parser_of(name: str, text: str, more: dict[str, str] | None, *, ros1: bool) -> Parse:
-    """Return what parses messages of a type; `more` are definitions of types in it.
-
-    Raises
-    ------
-    DefinitionError
-        If its definition can't be read.
-    """
+def parser_of(given: ChannelDefinition) -> Parse:
+    """Return what parses messages of a type; a DefinitionError where its definition can't be read."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+    name = _long(given.channel.type)
     try:
         own: dict[str, Any] = {}
-        package = plain_type(name).partition("/")[0]
-        for other, body in (more or {}).items():
+        package = name.partition("/")[0]
+        for other, body in (given.more or {}).items():
             own |= get_types_from_msg(body, _long(other if other[0] != "/" else package + other))
-        own |= get_types_from_msg(text, _long(name))
-        standard = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST).fielddefs
+        own |= get_types_from_msg(given.text, name)
+        standard = get_typestore(Stores.ROS1_NOETIC if given.ros1 else Stores.LATEST).fielddefs
         store = get_typestore(Stores.EMPTY)
         store.register({**{kind: fields for kind, fields in standard.items() if kind not in own}, **own})
     except Exception as error:
@@ -61,7 +56,7 @@ def parser_of(name: str, text: str, more: dict[str, str] | None, *, ros1: bool) 
         raise DefinitionError(msg) from error
 
     def parse(data: bytes) -> Any:  # noqa: ANN401 - rosbags makes the types
-        return store.deserialize_ros1(data, _long(name)) if ros1 else store.deserialize_cdr(data, _long(name))
+        return store.deserialize_ros1(data, name) if given.ros1 else store.deserialize_cdr(data, name)
 
     return parse
 

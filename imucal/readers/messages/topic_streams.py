@@ -73,11 +73,10 @@ def _decoder(
         return tree_decoder(imu, protobuf_messages.parser_of(channel), "protobuf")
     ros1 = channel.encoding == "ros1"
     definition = definition_of_channel(channel, options)
-    fields = definition.fields(channel)
+    fields = definition.fields()
     if imu.asked:
         if not is_reachable(imu, fields):
-            parse = ros_trees.parser_of(channel.type, definition.text, definition.more, ros1=ros1)
-            return tree_decoder(imu, parse, "ROS")
+            return tree_decoder(imu, ros_trees.parser_of(definition), "ROS")
         return BinaryDecoder([Shape(fields, imu)], ros1=ros1, exact=definition.assumed)
     standard = built_in(channel.type, ros1=ros1)
     layouts = [fields, flatten(channel.type, standard, ros1=ros1)] if standard is not None else [fields]

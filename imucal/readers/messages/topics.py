@@ -64,17 +64,11 @@ class Topic:
         return sum(known) if len(known) == len(counts) else None
 
     @property
-    def span_ns(self) -> tuple[int, int] | None:
-        """Time of the first and the last message, where it is known."""
+    def duration_s(self) -> float | None:
+        """From the first message to the last, in s, where it is known."""
         firsts = [channel.first_ns for _, channel in self.channels if channel.first_ns is not None]
         lasts = [channel.last_ns for _, channel in self.channels if channel.last_ns is not None]
-        return (min(firsts), max(lasts)) if firsts and lasts else None
-
-    @property
-    def duration_s(self) -> float | None:
-        """From the first message to the last, in s."""
-        span = self.span_ns
-        return (span[1] - span[0]) / 1e9 if span else None
+        return (max(lasts) - min(firsts)) / 1e9 if firsts and lasts else None
 
     @property
     def rate_hz(self) -> float | None:
@@ -128,10 +122,7 @@ def _topics(
 def _leaves(channel: Channel, container: Container, options: ReadOptions) -> Leaves:
     """Return the numbers in the messages of a channel; those of JSON are those of the first message.
 
-    Raises
-    ------
-    DefinitionError
-        If the messages can't be read.
+    Raises DefinitionError if the messages can't be read.
     """
     if channel.encoding == "json":
         first = first_message(container, channel.key)
@@ -149,9 +140,8 @@ def _leaves(channel: Channel, container: Container, options: ReadOptions) -> Lea
         raise DefinitionError(msg)
     definition = definition_of_channel(channel, options)
     # The flat fields say whether the definition is whole.
-    definition.fields(channel)
-    ros1 = channel.encoding == "ros1"
-    return Leaves(ros_trees.leaves_of(channel.type, definition.text, definition.more, ros1=ros1))
+    definition.fields()
+    return Leaves(ros_trees.leaves_of(definition))
 
 
 def _known(channel: Channel, leaves: Leaves, options: ReadOptions) -> dict[str, ImuFields]:
@@ -160,9 +150,10 @@ def _known(channel: Channel, leaves: Leaves, options: ReadOptions) -> dict[str, 
         vectors = tuple(v for v in JSON_FIELDS.vectors if leaves.vector(v.paths) is not None)
         known = len(vectors) == 2 or (not leaves.all and _looks_like_imu(channel))
         return {"": JSON_FIELDS} if known else {}
-    protobuf = channel.encoding == "protobuf"
-    definition = None if protobuf else definition_of_channel(channel, options)
-    fields = definition.fields(channel) if definition else tuple(protobuf_messages.fields_of(channel))
+    if channel.encoding == "protobuf":
+        fields = tuple(protobuf_messages.fields_of(channel))
+    else:
+        fields = definition_of_channel(channel, options).fields()
     return find_imus(channel.type, fields, channel.topic, _said(channel.topic, options))
 
 

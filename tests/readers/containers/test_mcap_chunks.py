@@ -231,6 +231,3 @@ def test_messages_outside_chunks_know_their_times(held: Held) -> None:
             1: [b"abcd", b"efgh"],
             2: [b"", b""],
         }
-        alone = part.only(frozenset({2, 3}))
-        assert (alone.counts, alone.position, alone.size) == ({2: 2}, 3, len(RECORDS))
-        assert payloads(dict(alone.load(Scratch()))[2]) == [b"", b""]

@@ -37,7 +37,7 @@ def loaded(held: Held, *parts: bytes, indexed: bool = True, cut: bool = False) -
     data = b"".join(parts)
     about = BagChunk(start=3, size=len(data), counts={1: 2, 2: 1, 3: 5}, indexed=indexed, cut=cut)
     task = BagChunkTask(held(b"???", data), about, frozenset({1, 2}))
-    assert (task.position, task.size, task.counts) == (3, len(data), {1: 2, 2: 1})
+    assert (task.size, task.counts) == (len(data), {1: 2, 2: 1})
     return dict(task.load(Scratch()))
 
 
