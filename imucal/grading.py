@@ -171,7 +171,6 @@ def _reasons(findings: Sequence[Finding], axes: Sequence[str]) -> str:
 
 
 def _placed(phrase: str, names: Sequence[str], axes: Sequence[str]) -> str:
-    """Return a phrase with the axes that it is about."""
     given = [name for name in dict.fromkeys(names) if name]
     about = [axis for axis in axes if any(_within(axis, name) for name in given)]
     about += [name for name in given if not any(_within(axis, name) for axis in axes)]

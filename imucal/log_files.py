@@ -37,7 +37,6 @@ class Rows:
 
 
 def _rows(recording: Recording) -> Iterator[Rows]:
-    """Yield the samples of a recording, in order."""
     clock, columns = recording.series[0].clock, [series.samples for series in recording.series]
     for part in blocks(clock.n, *columns, size=_MESSAGES):
         own = clock.slice(part.start, part.stop)

@@ -117,7 +117,10 @@ def characterize(
         try:
             return _characterize_axis(series, settings, recording.temperature, findings)
         except DataError as error:
-            return _no_result(series, error, findings)
+            # With the screening's advice about an axis without data.
+            advice = next((f.advice for f in findings if f.axis == series.name and f.code == "no-data"), "")
+            text = f"{error}."
+            return Finding(level="error", code="no-result", axis=series.name, text=text, advice=advice)
 
     def tell(done: int, following: AxisSeries | None) -> None:
         if progress:
@@ -130,12 +133,15 @@ def characterize(
         reasons = _reasons(failures) or "the log holds no samples"
         msg = f"{recording.source.path}: no axis can be analysed: {reasons}"
         raise DataError(msg)
+    fitted, failed = {axis.name for axis in axes}, {failure.axis for failure in failures}
+    # Those of no axis's result; a failure says what `no-data` says, and more.
+    others = (f for f in findings if f.axis not in fitted and (f.code != "no-data" or f.axis not in failed))
     return Report(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
         settings=settings.document(),
         version=__version__,
-        findings=_of_no_result(findings, axes, failures),
+        findings=(*others, *failures),
     )
 
 
@@ -179,22 +185,6 @@ def _workers(recording: Recording, wanted: int | None) -> int:
     largest = max((series.n for series in recording.series), default=0)
     count, room = (threads(), min(memory_limit(), _ROOM)) if wanted is None else (wanted, memory_limit())
     return max(1, min(count, room // (_BESIDES + _BYTES * largest)))
-
-
-def _no_result(series: AxisSeries, error: DataError, screened: tuple[Finding, ...]) -> Finding:
-    """Return why an axis has no result, with the screening's advice about an axis without data."""
-    advice = next((f.advice for f in screened if f.axis == series.name and f.code == "no-data"), "")
-    return Finding(level="error", code="no-result", axis=series.name, text=f"{error}.", advice=advice)
-
-
-def _of_no_result(
-    screened: tuple[Finding, ...], axes: list[AxisReport], failures: list[Finding]
-) -> tuple[Finding, ...]:
-    """Return the findings that are of no axis's result; a failure says what `no-data` says, and more."""
-    fitted = {axis.name for axis in axes}
-    failed = {failure.axis for failure in failures}
-    others = (f for f in screened if f.axis not in fitted and (f.code != "no-data" or f.axis not in failed))
-    return (*others, *failures)
 
 
 def _reasons(failures: list[Finding]) -> str:

@@ -219,7 +219,6 @@ def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
 
 
 def _term(estimate: Estimate, value: float) -> NoiseTerm:
-    """Return an estimate as a term of coefficient `value`."""
     time = estimate.correlation_time
     return TERMS[estimate.symbol].of(value, *([time.value] if time else []))
 

@@ -1,6 +1,7 @@
 """Text of others, such as names of topics, columns and files, as a terminal or a page may show it."""
 
 import unicodedata
+from collections.abc import Callable
 
 #: Categories of signs that steer a terminal or turn text round instead of showing something.
 _STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
@@ -10,24 +11,19 @@ _LAYOUT = frozenset("\n\t")
 
 def printable(text: str) -> str:
     """Return a text in which signs that steer a terminal stand as Python's escapes; its lines stay."""
-    if text.replace("\n", "").isprintable():
-        return text
-    return "".join(sign if _is_shown(sign) else _escape(sign) for sign in text)
+    return _escaped(text, lambda sign: sign.encode("unicode_escape").decode("ascii"))
 
 
 def printable_json(text: str) -> str:
     """Return a JSON text of the same value in which such signs stand as JSON's escapes."""
+    return _escaped(text, _json_escape)
+
+
+def _escaped(text: str, escape: Callable[[str], str]) -> str:
     if text.replace("\n", "").isprintable():
         return text
-    return "".join(sign if _is_shown(sign) else _json_escape(sign) for sign in text)
-
-
-def _is_shown(sign: str) -> bool:
-    return sign in _LAYOUT or unicodedata.category(sign) not in _STEERING
-
-
-def _escape(sign: str) -> str:
-    return sign.encode("unicode_escape").decode("ascii")
+    steering = {sign for sign in {*text} - _LAYOUT if unicodedata.category(sign) in _STEERING}
+    return "".join(escape(sign) if sign in steering else sign for sign in text)
 
 
 def _json_escape(sign: str) -> str:

@@ -85,7 +85,6 @@ class RecordingBuilder:
 
 
 def _kept(values: FloatArray, order: IntArray | None, room: Room) -> FloatArray:
-    """Return the samples to keep side by side."""
     return np.ascontiguousarray(values) if order is None else room.taken(values, order)
 
 

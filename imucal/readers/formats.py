@@ -96,12 +96,7 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".db3", ".db3.zstd", ".mcap.zstd"),
         folders=True,
     ),
-    Format(
-        name="PX4 ULog",
-        module="imucal.readers.ulog",
-        magic=(b"ULog\x01\x12\x35",),
-        suffixes=(".ulg",),
-    ),
+    Format(name="PX4 ULog", module="imucal.readers.ulog", magic=(b"ULog\x01\x12\x35",), suffixes=(".ulg",)),
     Format(
         name="Parquet, NPZ, NPY, MATLAB",
         module="imucal.readers.tables.typed_table",

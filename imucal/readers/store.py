@@ -263,17 +263,14 @@ class Columns:
                     # Forward moves of overlapping ranges: NumPy copies through a buffer where they overlap.
                     copy_to(row[end : end + stop - start], row[start:stop])
             end += stop - start
-        self._keep_first(end)
+        if end != self.n:
+            self._view(self._data[:, :end], tuple(self.vectors), temperature=self.temperature is not None)
 
     def reorder(self, first: int, order: IntArray) -> None:
         """Put the samples from `first` on in another order, in place, row by row; `order` counts from it."""
         for row in self.rows:
             part = row[first : first + order.size]
             part[:] = part[order]
-
-    def _keep_first(self, n: int) -> None:
-        if n != self.n:
-            self._view(self._data[:, :n], tuple(self.vectors), temperature=self.temperature is not None)
 
 
 def copy_to(target: NDArray[Any], source: NDArray[Any]) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding, Level
@@ -63,17 +62,12 @@ def check_tremor(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         return ()
     worst, rms = max(shaken, key=lambda pair: pair[1])
     low, high = _BAND_HZ
-    return (
-        Finding(
-            level="error",
-            code="motion",
-            text=(
-                f"The IMU was not at rest: between {low:g} and {high:g} Hz {worst.name} moves by "
-                f"{amount(rms, Sensor.GYROSCOPE)} rms, as in a hand or on a running machine."
-            ),
-            advice="Record again with the IMU on a firm, quiet surface; these figures are not its noise.",
-        ),
+    text = (
+        f"The IMU was not at rest: between {low:g} and {high:g} Hz {worst.name} moves by "
+        f"{amount(rms, Sensor.GYROSCOPE)} rms, as in a hand or on a running machine."
     )
+    advice = "Record again with the IMU on a firm, quiet surface; these figures are not its noise."
+    return (Finding(level="error", code="motion", text=text, advice=advice),)
 
 
 def _tremor(profile: Profile) -> float:
@@ -147,26 +141,17 @@ def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 def _moved(ends: list[_Disturbance], level: Level, duration: float, keep: tuple[float, float]) -> Finding:
     """Return the finding of what happened near the start and the end."""
-    where = {True: "start", False: "end"}
-    sides = name_list(list(dict.fromkeys(where[d.start_s < duration / 2] for d in ends)))
-    return Finding(
-        level=level,
-        code="motion",
-        text=f"The IMU was moved near the {sides} of the log: {_listed(ends)}.",
-        advice=f"Leave that out: keep {span(*keep)}.",
-        keep_s=keep,
-    )
+    sides = name_list(list(dict.fromkeys("start" if d.start_s < duration / 2 else "end" for d in ends)))
+    text = f"The IMU was moved near the {sides} of the log: {_listed(ends)}."
+    advice = f"Leave that out: keep {span(*keep)}."
+    return Finding(level=level, code="motion", text=text, advice=advice, keep_s=keep)
 
 
 def _touched(middle: list[_Disturbance], level: Level, keep: tuple[float, float]) -> Finding:
     """Return the finding of what happened in between."""
-    return Finding(
-        level=level,
-        code="touch",
-        text=f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}.",
-        advice=f"Record again undisturbed, or keep the longest quiet part, {span(*keep)}.",
-        keep_s=keep,
-    )
+    text = f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}."
+    advice = f"Record again undisturbed, or keep the longest quiet part, {span(*keep)}."
+    return Finding(level=level, code="touch", text=text, advice=advice, keep_s=keep)
 
 
 def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
@@ -192,18 +177,12 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     if angles.max() < _TURN_DEG:
         return ()
     turn = int(np.linalg.norm(np.diff(down, axis=0), axis=1).argmax())
-    return (
-        Finding(
-            level="error",
-            code="motion",
-            text=(
-                f"The IMU was turned by up to {angles.max():.0f} degrees, mostly near "
-                f"{seconds[turn]:.1f} s: gravity points elsewhere then."
-            ),
-            advice=f"Record again in one pose{f', or keep the longest rest, {span(*keep)}' if keep else ''}.",
-            keep_s=keep,
-        ),
+    text = (
+        f"The IMU was turned by up to {angles.max():.0f} degrees, mostly near "
+        f"{seconds[turn]:.1f} s: gravity points elsewhere then."
     )
+    advice = f"Record again in one pose{f', or keep the longest rest, {span(*keep)}' if keep else ''}."
+    return (Finding(level="error", code="motion", text=text, advice=advice, keep_s=keep),)
 
 
 def _disturbances(profiles: Sequence[Profile]) -> list[_Disturbance]:
@@ -229,7 +208,8 @@ def _spans(profile: Profile) -> list[tuple[float, float, float]]:
     windows, marks = profile.windows, profile.disturbed
     if not marks.any():
         return []
-    firsts, lasts = _runs(marks)
+    steps = np.diff(np.concatenate([[0], marks.astype(np.int8), [0]]))
+    firsts, lasts = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1
     scale = _scale(profile)
     spans = []
     for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
@@ -237,11 +217,6 @@ def _spans(profile: Profile) -> list[tuple[float, float, float]]:
         factor = float(np.sqrt(loudest / scale)) if scale > 0 else float("inf")
         spans.append((windows.time_s[first], windows.end_s[last], factor))
     return spans
-
-
-def _runs(marks: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    steps = np.diff(np.concatenate([[0], marks.astype(np.int8), [0]]))
-    return np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1
 
 
 def _level(profiles: Sequence[Profile], disturbances: list[_Disturbance], duration: float) -> Level:

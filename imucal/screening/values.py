@@ -41,7 +41,7 @@ def check_no_data(profile: Profile) -> tuple[Finding, ...]:
     if series.n and not (profile.windows.size and profile.constant):
         return ()
     code = "no-data"
-    if series.n == 0:
+    if not series.n:
         text = f"{series.name} holds no finite sample."
         advice = "Look at the driver or at the choice of columns."
     elif first == 0:
@@ -66,9 +66,8 @@ def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
         f"{count} {samples} of {series.name} ({share:.2g} of all) {are} NaN, infinite or absurdly large and "
         "left out."
     )
-    return (
-        Finding(level=level, code="not-finite", text=text, advice="Look at the driver.", axis=series.name),
-    )
+    advice = "Look at the driver."
+    return (Finding(level=level, code="not-finite", text=text, advice=advice, axis=series.name),)
 
 
 def check_stuck(profile: Profile) -> tuple[Finding, ...]:
@@ -81,32 +80,20 @@ def check_stuck(profile: Profile) -> tuple[Finding, ...]:
     by_chance = windows.size * min(usual, 1.0) ** (windows.width - 1)
     if by_chance > _FALSE_ALARM:
         return ()
-    total = frozen.sum() * windows.length_s
-    first = int(frozen.argmax())
-    return (
-        Finding(
-            level="warning",
-            code="stuck",
-            text=(
-                f"{series.name} is stuck at one value for {time(total)} in all, first at "
-                f"{windows.time_s[first]:.1f} s."
-            ),
-            advice="Look at the driver and the cable; leave these parts out.",
-            axis=series.name,
-            keep_s=_longest_false(profile, frozen.astype(bool)),
-        ),
-    )
+    total, first = frozen.sum() * windows.length_s, windows.time_s[int(frozen.argmax())]
+    text = f"{series.name} is stuck at one value for {time(total)} in all, first at {first:.1f} s."
+    advice = "Look at the driver and the cable; leave these parts out."
+    keep = _longest_false(profile, frozen.astype(bool))
+    return (Finding(level="warning", code="stuck", text=text, advice=advice, axis=series.name, keep_s=keep),)
 
 
 def _longest_false(profile: Profile, marks: NDArray[np.bool_]) -> tuple[float, float]:
     """Return start and end, in s, of the longest run of windows that are not marked."""
     edges = np.flatnonzero(np.concatenate([[True], marks, [True]]))
-    lengths = np.diff(edges)
-    longest = int(lengths.argmax())
+    longest = int(np.diff(edges).argmax())
     first, last = int(edges[longest]), int(edges[longest + 1]) - 2
     windows = profile.windows
-    last = max(last, first)
-    return round(float(windows.time_s[first]), 1), round(float(windows.end_s[last]), 1)
+    return round(float(windows.time_s[first]), 1), round(float(windows.end_s[max(last, first)]), 1)
 
 
 def check_saturated(profile: Profile) -> tuple[Finding, ...]:
@@ -160,17 +147,13 @@ def check_repeats(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         together, apart, least = _repeats(group)
         if together > _LEAST_REPEATS and together - apart > 0.5 * (least - apart):
             rate = group[0].series.rate_hz
+            text = (
+                f"{together:.1%} of the {sensor} samples repeat the one before on all axes: the log "
+                f"holds {rate:.4g} samples a second, about {rate * (1 - together):.3g} of them new."
+            )
+            advice = "Log at the sensor's own rate; a held sample shapes the curve at short times."
             findings.append(
-                Finding(
-                    level="warning",
-                    code="held-samples",
-                    text=(
-                        f"{together:.1%} of the {sensor} samples repeat the one before on all axes: the log "
-                        f"holds {rate:.4g} samples a second, about {rate * (1 - together):.3g} of them new."
-                    ),
-                    advice="Log at the sensor's own rate; a held sample shapes the curve at short times.",
-                    axis=sensor.short,
-                )
+                Finding(level="warning", code="held-samples", text=text, advice=advice, axis=sensor.short)
             )
     return tuple(findings)
 
@@ -196,37 +179,26 @@ def check_lsb(profile: Profile) -> tuple[Finding, ...]:
         return ()
     noise = max(0.0, profile.noise**2 - lsb**2 / 12) ** 0.5
     figure = f"about {noise / lsb:.1f}" if noise > 0.2 * lsb else "less than 0.2"
-    return (
-        Finding(
-            level="warning",
-            code="coarse-lsb",
-            text=(
-                f"The steps of {series.name}, {amount(lsb, series.sensor)}, are coarse: its noise is "
-                f"{figure} LSB, and rounding distorts N and hides slow changes."
-            ),
-            advice="Choose a smaller range of the sensor, log more digits, or average less before logging.",
-            axis=series.name,
-        ),
+    text = (
+        f"The steps of {series.name}, {amount(lsb, series.sensor)}, are coarse: its noise is "
+        f"{figure} LSB, and rounding distorts N and hides slow changes."
     )
+    advice = "Choose a smaller range of the sensor, log more digits, or average less before logging."
+    return (Finding(level="warning", code="coarse-lsb", text=text, advice=advice, axis=series.name),)
 
 
 def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return an error for each two axes that hold the same samples, up to sign, scale and offset."""
     findings = []
+    advice = "Look at the choice of columns, or at the driver that fills them."
     for one, two in combinations(profiles, 2):
         if one.constant or two.constant or one.series.n != two.series.n or one.series.n < _LEAST:
             continue
         correlation = _correlation(one, two)
         if abs(correlation) > _COPY:
             sign = "the same samples" if correlation > 0 else "the same samples with the sign turned"
-            findings.append(
-                Finding(
-                    level="error",
-                    code="duplicate-axes",
-                    text=f"{one.name} and {two.name} hold {sign} (correlation {correlation:.3f}).",
-                    advice="Look at the choice of columns, or at the driver that fills them.",
-                )
-            )
+            text = f"{one.name} and {two.name} hold {sign} (correlation {correlation:.3f})."
+            findings.append(Finding(level="error", code="duplicate-axes", text=text, advice=advice))
     return tuple(findings)
 
 

@@ -335,10 +335,6 @@ def resolution(series: AxisSeries) -> float | None:
     A constant axis has none.
     """
     values = np.unique(np.concatenate([series.samples[part] for part in excerpt(series.n)]))
-    return _lattice_step(values)
-
-
-def _lattice_step(values: FloatArray) -> float | None:
     if values.size < 2:
         return None
     steps = np.diff(values)
@@ -385,6 +381,5 @@ def _figure(value: float) -> str:
 
 def name_list(names: list[str]) -> str:
     """Return ``a``, ``a and b`` or ``a, b and c``."""
-    if len(names) < 2:
-        return "".join(names)
-    return ", ".join(names[:-1]) + " and " + names[-1]
+    *first, last = names or [""]
+    return f"{', '.join(first)} and {last}" if first else last

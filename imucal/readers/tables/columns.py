@@ -129,9 +129,8 @@ class NamedTable:
     def index_of(self, name: str) -> int:
         """Return the index of a column given by name or index; a ValueError if there is none, or several."""
         name = name.strip()
-        matches = [
-            index for index, header in enumerate(self.headers) if plain_name(header) == plain_name(name)
-        ]
+        wanted = plain_name(name)
+        matches = [index for index, header in enumerate(self.headers) if plain_name(header) == wanted]
         if len(matches) == 1:
             return matches[0]
         if name.isdigit() and not matches and int(name) < len(self.columns):
@@ -439,7 +438,7 @@ def pick(table: NamedTable, triads: Sequence[Triad], sensor: Sensor) -> Triad | 
     """Return the only triad of a sensor, or None; a ChoiceError where there are several."""
     found = [triad for triad in triads if triad.sensor is sensor]
     if len(found) <= 1:
-        return found[0] if found else None
+        return next(iter(found), None)
     texts = [table.columns_text(*pair) for pair in _pairs(table, triads)]
     problem = f"{len(found)} sets of {sensor} columns: " + ", ".join(triad.headers[0] for triad in found)
     raise table.ask(problem, example=" or ".join(texts))

@@ -260,10 +260,7 @@ DIALECTS: tuple[Dialect, ...] = (
     Dialect(name="Xsens", headers=(r"gyr_x", r"acc_x"), preamble=r"^// ", **_SI),
     # GnssLogger for Android: rows of many sensors, whose fields comments name.
     Dialect(
-        name="GnssLogger",
-        headers=(r"tag", r"(uncal)?gyroxradpersec"),
-        **_SI,
-        messages=_find_gnss_logger,
+        name="GnssLogger", headers=(r"tag", r"(uncal)?gyroxradpersec"), **_SI, messages=_find_gnss_logger
     ),
     # ArduPilot dataflash message IMU.
     Dialect(name="ArduPilot", headers=(r"timeus", r"gyrx", r"accx"), **_SI, messages=_find_ardupilot),

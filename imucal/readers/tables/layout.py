@@ -102,7 +102,7 @@ def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> LineSplit |
     ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
     if ended:
         lines = [line.rstrip("; \t") for line in lines]
-    rows = _cells(lines, delimiter)
+    rows = [split_line(line, delimiter) if line.strip() else [] for line in lines]
     # Where commas part the cells, one within a cell stood in quotes.
     decimal = _decimal(rows)
     width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
@@ -113,11 +113,6 @@ def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> LineSplit |
         rows = [[" ".join(row)] if row else [] for row in rows]
     start = _start(fitting, len(lines))
     return LineSplit(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start), ended)
-
-
-def _cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
-    """Return the cells of each line; none of an empty one."""
-    return [split_line(line, delimiter) if line.strip() else [] for line in lines]
 
 
 def without_ends(block: bytes) -> bytes:
@@ -166,7 +161,6 @@ def _decimal(rows: Sequence[Sequence[str]]) -> str:
 
 
 def _numbers(row: Sequence[str], decimal: str) -> int:
-    """Return how many cells of a row are numbers."""
     return sum(
         bool(_NUMBER.fullmatch(cell) or (decimal == "," and _COMMA_NUMBER.fullmatch(cell))) for cell in row
     )

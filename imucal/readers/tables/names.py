@@ -58,7 +58,6 @@ def _words(text: str) -> frozenset[str]:
 
 
 def _stems(words: Sequence[str]) -> list[str]:
-    """Return words without the numbers at their ends."""
     return [word.rstrip("0123456789") or word for word in words]
 
 

@@ -133,7 +133,6 @@ def make_plan(
 
 
 def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> TablePlan:
-    """Return the plan of a columns text."""
     time = time_of_columns(table, asked.time) if asked.time else None
     sensors = [
         SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
@@ -143,7 +142,6 @@ def _as_asked(table: NamedTable, asked: ColumnSpec, options: ReadOptions) -> Tab
 
 
 def _by_name(table: NamedTable, options: ReadOptions, name: str, shape: str) -> TablePlan:
-    """Return the plan that the names of the columns tell."""
     gyro, accel, reason = _sensors(table, options, name)
     if gyro is None and accel is None:
         raise _nothing_found(table, shape)
@@ -161,21 +159,18 @@ def _plan(
     table: NamedTable, sensors: Sequence[SensorPlan], temperature: int | None, reason: str
 ) -> TablePlan:
     decisions = []
-    for plan in sensors:
-        shown = ", ".join(table.columns[index].header or f"column {index}" for index in plan.triad.indices)
-        decisions.append((f"{plan.triad.sensor} columns", f"{shown}, {reason}"))
-    if table.dialect is not None:
-        decisions.append(("layout", f"{table.dialect.name}, from the column names"))
+    for triad in (plan.triad for plan in sensors):
+        shown = ", ".join(table.columns[index].header or f"column {index}" for index in triad.indices)
+        decisions.append((f"{triad.sensor} columns", f"{shown}, {reason}"))
+    dialect = table.dialect
+    if dialect is not None:
+        decisions.append(("layout", f"{dialect.name}, from the column names"))
     return TablePlan(
-        sensors=tuple(sensors),
-        temperature=temperature,
-        dialect=table.dialect,
-        decisions=tuple(decisions),
+        sensors=tuple(sensors), temperature=temperature, dialect=dialect, decisions=tuple(decisions)
     )
 
 
 def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Triad | None, Triad | None, str]:
-    """Return gyroscope and accelerometer, and how they were found."""
     given = [s for s in Sensor if options.unit_of(s) is not None or options.scale_of(s) is not None]
     triads = find_triads(table, units_given=given)
     if triads:
@@ -348,8 +343,7 @@ def missing_sensor(table: NamedTable, gyro: Triad | None, accel: Triad | None) -
 def _may_be_samples(table: NamedTable, column: NamedColumn) -> bool:
     if column.role in {Role.TIME, Role.COUNTER, Role.TEMPERATURE} or is_of_something_else(column):
         return False
-    filled = table.filled(column.index)
-    return bool(filled) and all(map(is_number, filled))
+    return _is_numeric(table.filled(column.index))
 
 
 def _candidate(columns: Sequence[NamedColumn], sensor: Sensor) -> Triad | None:
@@ -416,7 +410,10 @@ def propose_columns(
     """
     numeric = [index for index in range(width) if index not in taken and _is_numeric(cells(index))]
     if len(numeric) < 3:
-        return _single_axis(numeric, time, suffix)
+        # One axis, perhaps behind a time; of two beside a known time none is told.
+        if not numeric or (len(numeric) == 2 and time):
+            return ""
+        return _joined(time or "".join(map(str, numeric[:-1])), [f"gz={numeric[-1]}{suffix}"])
     table = np.array([[float(cell) for cell in cells(index)] for index in numeric], dtype=np.float64).T
     time = time or _text_time(cells, width)
     onward = None if time else _onward(table)
@@ -425,13 +422,6 @@ def propose_columns(
     return _joined(
         time, [f"{k}={numeric[at]}:{numeric[at] + 3}{suffix}" for k, at in places if at is not None]
     )
-
-
-def _single_axis(numeric: Sequence[int], time: str, suffix: str) -> str:
-    """Return the columns text of one axis, perhaps behind a time; of two beside a known time none is told."""
-    if not numeric or (len(numeric) == 2 and time):
-        return ""
-    return _joined(time or "".join(map(str, numeric[:-1])), [f"gz={numeric[-1]}{suffix}"])
 
 
 def _is_numeric(cells: Sequence[str]) -> bool:
@@ -460,9 +450,7 @@ def _places(table: FloatArray, numeric: Sequence[int], onward: int | None) -> di
 def _gravity(table: FloatArray, free: Sequence[int], starts: Sequence[int]) -> int | None:
     """Return where the only three columns with the magnitude of gravity begin."""
     sizes = {first: median_size(table[:, first : first + 3]) for first in free[::3] if first in starts}
-    found = [
-        first for first, size in sizes.items() if any(abs(size / gravity - 1) < 0.05 for gravity in (G0, 1.0))
-    ]
+    found = [first for first, size in sizes.items() if min(abs(size / G0 - 1), abs(size - 1)) < 0.05]
     return found[0] if len(found) == 1 else None
 
 

@@ -330,7 +330,6 @@ def named_time(table: NamedTable, name: str) -> TimeChoice:
 
 
 def _joined(kind: TimeKind, *columns: NamedColumn, ns: int | None = None, source: str = "") -> TimeChoice:
-    """Return the time that some columns give together."""
     name = "+".join(column.header or str(column.index) for column in columns)
     indices = tuple(column.index for column in columns)
     return TimeChoice(kind=kind, indices=indices, name=name, ns=ns, ns_source=source)
@@ -418,7 +417,6 @@ def _pairs(table: NamedTable) -> list[tuple[float, TimeChoice]]:
 
 
 def _weeks(table: NamedTable) -> list[tuple[float, TimeChoice]]:
-    """Return the GPS week with the time of the week."""
     week = next((c for c in table.columns if "week" in c.words and c.axis is None), None)
     tow = next((c for c in table.columns if "tow" in c.words and c.role is Role.TIME), None)
     if week is None or tow is None:

@@ -225,7 +225,6 @@ def _tells_time(work: Work, time: TimeChoice, columns: SensorColumns) -> bool:
 
 
 def _unit_of_rate(values: Numbers, rate_hz: float) -> str | None:
-    """Return the unit in which times have a given rate."""
     rates = rates_by_unit(values)
     return next((unit for unit, rate in rates.items() if abs(rate / rate_hz - 1) <= _AS_GIVEN), None)
 
@@ -392,6 +391,12 @@ def contents_of(
     )
 
 
+def of_a_part(contents: LogContents, count: int | None = None) -> LogContents:
+    """Return what the head of a table tells: its rate and columns, but not how long it is; `count` rows."""
+    topics = tuple(replace(topic, count=count, duration_s=None) for topic in contents.topics)
+    return replace(contents, topics=topics, duration_s=None)
+
+
 def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> Unscaled:
     """Drop rows that are none of the sensor's, and read its clock."""
     triad = columns.plan.triad
@@ -420,9 +425,9 @@ def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> Unscaled:
 def _rows_of_sensor(work: Work, columns: SensorColumns) -> BoolArray | None:
     """Return which rows are samples of the sensor; None where all are."""
     room, n = work.room, columns.axes[0].size
-    keep: BoolArray | None = None
+    axes, keep = columns.axes, None
     if columns.sparse:
-        keep = room.made(n, np.bool_, partial(_filled, columns.axes), *columns.axes)
+        keep = room.made(n, np.bool_, lambda part: ~np.all([np.isnan(a[part]) for a in axes], axis=0), *axes)
     for column in columns.time:
         if column.dtype.kind == "f":
             before = n if keep is None else count(keep)
@@ -434,12 +439,6 @@ def _rows_of_sensor(work: Work, columns: SensorColumns) -> BoolArray | None:
     return None if keep is None or count(keep) == n else keep
 
 
-def _filled(axes: Sequence[FloatArray], part: slice) -> BoolArray:
-    """Return which rows of a block hold a value."""
-    empty: BoolArray = np.logical_and.reduce([np.isnan(axis[part]) for axis in axes])
-    return ~empty
-
-
 def _finite(column: Numbers, among: BoolArray | None, part: slice) -> BoolArray:
     """Return which rows of a block have a finite value, among those that are kept so far."""
     finite = np.asarray(np.isfinite(column[part]))
@@ -447,7 +446,6 @@ def _finite(column: Numbers, among: BoolArray | None, part: slice) -> BoolArray:
 
 
 def _add_temperature(builder: RecordingBuilder, work: Work, timed: Sequence[Unscaled]) -> None:
-    """Add the temperature, where its column holds degrees."""
     for entry in timed:
         if entry.temperature is None:
             continue

@@ -13,6 +13,7 @@ import lzma
 import sys
 import zlib
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, Self, cast
 
@@ -176,18 +177,12 @@ class _Zstd:
         return piece
 
 
-def _lz4(raw: BinaryIO) -> object:
-    import lz4.frame
-
-    return lz4.frame.LZ4FrameFile(raw, "rb")
-
-
 _OPENERS: dict[str, Callable[[BinaryIO], Any]] = {
     "gzip": lambda raw: gzip.GzipFile(fileobj=raw, mode="rb"),
     "bzip2": bz2.BZ2File,
     "xz": lzma.LZMAFile,
     "zstd": _Zstd,
-    "lz4": _lz4,
+    "lz4": lambda raw: import_module("lz4.frame").LZ4FrameFile(raw, "rb"),
 }
 
 

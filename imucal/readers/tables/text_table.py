@@ -46,7 +46,7 @@ from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
 from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import TimeChoice
-from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, refuse_topics
+from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
 from imucal.recording import Recording, Sensor
 from imucal.resources import column_limit
@@ -118,22 +118,14 @@ _QUOTED = re.compile(rb'"[^"\n]*"')
 _COMMENTS = ("#", "%", "//", ";")
 
 
-@dataclass(slots=True)
-class RowCounts:
-    """How many rows were read, how many are none of the table, and the first of those."""
-
-    good: int = 0
-    bad: int = 0
-    first_bad: str = ""
-
-
 @dataclass(slots=True, kw_only=True)
 class BlockReader:
     """Reads the wanted columns of a text table, block by block.
 
     `kinds` says by index what the cells of each wanted column are. A row that lacks a cell of a `needed`
     column is bad. `limit` is the bytes of a column to hold in memory, `expected` the rows to make room for.
-    Dates with the year last begin with the month, or `by_day`.
+    Dates with the year last begin with the month, or `by_day`. `good` rows were read; of the `bad` ones,
+    which are none of the table, the first is kept.
     """
 
     layout: TextLayout
@@ -143,7 +135,9 @@ class BlockReader:
     limit: int = 1 << 62
     expected: int = 0
     by_day: bool = False
-    counts: RowCounts = field(default_factory=RowCounts)
+    good: int = 0
+    bad: int = 0
+    first_bad: str = ""
     columns: dict[int, GrowingColumn] = field(init=False)
     _pattern: re.Pattern[bytes] | None = field(init=False)
 
@@ -170,7 +164,7 @@ class BlockReader:
             # Blank lines are looked for only now: the search costs as much as the parsing.
             plain = re.sub(rb"\n{2,}", b"\n", plain).lstrip(b"\n")
             values = self._by_polars(plain, last_try=True) or self._by_hand(plain)
-        self.counts.good += len(next(iter(values.values())))
+        self.good += len(next(iter(values.values())))
         for index, column in self.columns.items():
             column.append(values[index])
 
@@ -287,9 +281,9 @@ class BlockReader:
         return parse_texts(cells, cast("TextKind", kind), by_day=self.by_day)
 
     def _note_bad(self, count: int, first: str) -> None:
-        if not self.counts.bad:
-            self.counts.first_bad = first[:120]
-        self.counts.bad += count
+        if not self.bad:
+            self.first_bad = first[:120]
+        self.bad += count
 
 
 def _number(cell: str, kind: Kind) -> int | float | str | None:
@@ -384,16 +378,15 @@ def read_table(
     sensors = []
     for reader, group in zip(readers, groups, strict=True):
         values = {index: column.take() for index, column in reader.columns.items()}
-        counts = reader.counts
-        if stamps is not None and (counts.bad or counts.good != stamps.values.size):
-            msg = (
-                f"{stamps.path}: {stamps.values.size} times for the {counts.good} good and {counts.bad} bad "
-                f"rows of {source.name}; expected one time for each row"
-            )
-            raise ReadError(msg)
         if stamps is not None:
+            if reader.bad or reader.good != stamps.values.size:
+                msg = (
+                    f"{stamps.path}: {stamps.values.size} times for the {reader.good} good and {reader.bad} "
+                    f"bad rows of {source.name}; expected one time for each row"
+                )
+                raise ReadError(msg)
             values[EXTERNAL] = stamps.values
-        if counts.good:
+        if reader.good:
             sensors += [_columns(reader, sensor, values, plan.temperature) for sensor in group]
     if not sensors:
         msg = f"{source.name}: the table has no rows of its sensors; expected a row per sample"
@@ -443,7 +436,6 @@ def _reader(
     temperature: int | None,
     options: ReadOptions,
 ) -> BlockReader:
-    """Return the reader of the rows of some sensors."""
     rows = sensors[0].triad.rows or layout.tag
     layout = _of_rows(source.head, layout, rows)
     kinds: dict[int, Kind] = {}
@@ -486,8 +478,8 @@ def _kind(cells: Sequence[str], *, text: bool) -> Kind:
     if text:
         return text_kind(cells)
     filled = [cell.strip("\"'") for cell in cells if cell]
-    integers = bool(filled) and all(_INTEGER.fullmatch(cell) for cell in filled)
-    return "integer" if integers and all(-(2**63) <= int(cell) < 2**63 for cell in filled) else "float"
+    integers = filled and all(_INTEGER.fullmatch(cell) and -(2**63) <= int(cell) < 2**63 for cell in filled)
+    return "integer" if integers else "float"
 
 
 def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]) -> str:
@@ -520,10 +512,9 @@ def _row_findings(
 ) -> list[Finding]:
     """Return what was wrong with the rows; refuse a table of which hardly a row can be read."""
     findings = []
-    good = sum(reader.counts.good for reader in readers)
-    bad = sum(reader.counts.bad for reader in readers)
+    good, bad = sum(reader.good for reader in readers), sum(reader.bad for reader in readers)
     if bad:
-        first = next(reader.counts.first_bad for reader in readers if reader.counts.bad)
+        first = next(reader.first_bad for reader in readers if reader.bad)
         found = f"{bad} of {good + bad} rows are no rows of {layout.width} numbers, the first is {first!r}"
         if options.strict or bad > good:
             msg = f"{path}: {found}; expected a table with a row per sample"
@@ -781,7 +772,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
         whole = unpacked <= _SMALL
         compression = "zip" if path.is_file() else "none"
         contents = _described(path, None, compression, partial(_read_set, path, options, head=not whole))
-        return replace(contents if whole else _of_a_part(contents), unpacked_bytes=unpacked)
+        return replace(contents if whole else of_a_part(contents), unpacked_bytes=unpacked)
     size = path.stat().st_size if str(path) != STANDARD_INPUT and path.is_file() else None
     if size is not None and size <= _SMALL:
         try:
@@ -793,13 +784,7 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     with open_text(path) as source:
         reading = partial(read_table, source, options, name=path.name, head=True)
         contents = _described(path, size, source.compression, reading)
-    return replace(_of_a_part(contents), unpacked_bytes=max(size or 0, _SMALL + 1))
-
-
-def _of_a_part(contents: LogContents) -> LogContents:
-    """Return what the head tells: rate and columns, but not how many rows there are."""
-    topics = tuple(replace(topic, count=None, duration_s=None) for topic in contents.topics)
-    return replace(contents, topics=topics, duration_s=None)
+    return replace(of_a_part(contents), unpacked_bytes=max(size or 0, _SMALL + 1))
 
 
 def _described(

@@ -34,7 +34,7 @@ from imucal.readers.tables.foreign_files import (
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
 from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import Numbers, TimeChoice
-from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, refuse_topics
+from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
 from imucal.recording import Recording, Sensor
 from imucal.resources import MEMORY, column_limit, memory_limit
 
@@ -88,11 +88,6 @@ class TableFile:
     columns: tuple[TypedColumn, ...]
     rate_hz: float | None = None
     shapes: tuple[str, ...] = ()
-
-    @property
-    def unpacked_bytes(self) -> int:
-        """Bytes of all columns as numbers of eight bytes."""
-        return 8 * sum(column.size for column in self.columns)
 
 
 def open_table(path: Path, *, limit: int | None = None, heads_above: int | None = None) -> TableFile:
@@ -293,7 +288,8 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     """Return what a table holds."""
     size = path.stat().st_size
     table = open_table(path, heads_above=_SMALL)
-    unpacked = table.unpacked_bytes
+    # As numbers of eight bytes.
+    unpacked = 8 * sum(column.size for column in table.columns)
     shown = ", ".join(f"{column.name} ({column.size})" for column in table.columns[:60])
     try:
         parts = _parts(path, table, options)
@@ -302,12 +298,8 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
     except ImucalError as error:
         topic = TopicContents(name=path.name, type="table", note=f"{error}; columns: {shown}")
         return LogContents(path=str(path), format=table.format, size_bytes=size, topics=(topic,))
-    contents = replace(contents, unpacked_bytes=unpacked)
-    if unpacked <= _SMALL:
-        return contents
-    rows = parts[0].columns[0].size
-    topics = tuple(replace(topic, count=rows, duration_s=None) for topic in contents.topics)
-    return replace(contents, topics=topics, duration_s=None)
+    contents = contents if unpacked <= _SMALL else of_a_part(contents, parts[0].columns[0].size)
+    return replace(contents, unpacked_bytes=unpacked)
 
 
 def _heads(part: _Part) -> _Part:
@@ -340,7 +332,6 @@ def _parts(path: Path, table: TableFile, options: ReadOptions) -> list[_Part]:
 
 
 def _refuse_doubles(path: Path, parts: Sequence[_Part]) -> None:
-    """Refuse a sensor that stands in two tables."""
     triads = [sensor.triad for part in parts for sensor in part.plan.sensors]
     for sensor in Sensor:
         names = [triad.headers[0] for triad in triads if triad.sensor is sensor]

@@ -69,8 +69,7 @@ def test_bad_rows_are_counted_and_the_first_is_kept() -> None:
     blocks = reader()
     bad = "x" * 130
     blocks.add(f"1,2,3\n# note\n% note\n// note\n; note\n\nt, x, y\n{bad}\nworse\n2,3,4\n".encode())
-    counts = blocks.counts
-    assert (counts.good, counts.bad, counts.first_bad) == (2, 2, "x" * 120)
+    assert (blocks.good, blocks.bad, blocks.first_bad) == (2, 2, "x" * 120)
 
 
 @pytest.mark.parametrize(
