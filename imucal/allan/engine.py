@@ -318,6 +318,12 @@ def allan_curve(
     )
 
 
+def same_curve(series: AxisSeries, curve: AllanCurve) -> AllanCurve:
+    """Return the curve of an axis at the averaging times of another, by its estimator and its method."""
+    edf = curve.edf_method or "hybrid"
+    return allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf)
+
+
 def _streamed(series: AxisSeries, per_octave: int) -> AllanCurve:
     """Return the curve by one pass in constant memory; what is not finite counts as missing."""
     cascade = Cascade(axes=1, per_octave=per_octave)

@@ -38,8 +38,10 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, t
     bounded: dict[str, Estimate] = {}
     estimates = estimate(problem, fitted)
     while len(estimates) > 1 and (gone := _can_not_stay(problem, fitted, estimates)):
-        fitted, dropped = _without_least(problem, fitted, gone)
-        bounded[dropped.key] = dropped
+        # The term whose absence costs the least likelihood.
+        fits = [drop_terms(problem, fitted, [e.key]) for e in gone]
+        least = int(np.argmin([float(fit.maximum.objective[0]) for fit in fits]))
+        fitted, bounded[gone[least].key] = fits[least].by_time(), gone[least]
         estimates = estimate(problem, fitted)
     return fitted, ordered((*estimates, *bounded.values()))
 
@@ -92,13 +94,6 @@ def numbered(
     new = {e.key: key for e, key in zip(every, keys, strict=True)}
     result = tuple(replace(e, key=new[e.key]) for e in every)
     return result, tuple(".".join((new[key], *rest)) for key, *rest in (n.split(".") for n in names))
-
-
-def _without_least(problem: Problem, fitted: Fitted, gone: list[Estimate]) -> tuple[Fitted, Estimate]:
-    """Return the fit without the term whose absence costs the least likelihood, and its bound."""
-    fits = [drop_terms(problem, fitted, [e.key]) for e in gone]
-    best = int(np.argmin([float(fit.maximum.objective[0]) for fit in fits]))
-    return fits[best].by_time(), gone[best]
 
 
 def fitted_model(choice: RankedModels, index: int) -> Fitted:

@@ -65,17 +65,10 @@ def profile_limits(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of parameter `columns[i]` of candidate i, shape (k,) each.
 
-    In log units; of a ramp, in its own. The lower is -inf where the parameter may vanish, the upper
-    inf where it may grow past its bound.
-
-    Parameters
-    ----------
-    candidates, maximum
-        One row for each parameter that is profiled; a model stands once for each of them.
-    columns
-        Place of the parameter in the row, or `RAMP`.
-    reach
-        Root of twice the drop at the limits of each, shape (k,): a quantile of its level.
+    In log units; of a ramp, whose column is `RAMP`, in its own. The lower is -inf where the parameter may
+    vanish, the upper inf where it may grow past its bound. A model stands once among candidates and maximum
+    for each of its parameters that is profiled. The root of twice the drop at the limits is `reach`, shape
+    (k,): a quantile of the level.
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
