@@ -302,10 +302,8 @@ def allan_curve(
     else:
         computed, values = _of_gaps(series, taus, chosen)
         m, avar = values.m, values.avar
-        freedom, edf = (
-            gappy_degrees_of_freedom(series, values, chosen, edf),
-            "model" if edf == "hybrid" else edf,
-        )
+        freedom = gappy_degrees_of_freedom(series, values, chosen, edf)
+        edf = "model" if edf == "hybrid" else edf
     return AllanCurve(
         tau=m.astype(np.float64) * series.tau0,
         m=m,

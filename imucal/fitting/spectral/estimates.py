@@ -302,27 +302,18 @@ def _term(problem: Problem, key: str, symbol: str, table: dict[str, tuple[float,
         value, low, high = (unit * x for x in table[key])
         if low <= 0 <= high:
             return Estimate.bounded(key, symbol, max(-low, high))
-        ends = sorted((abs(low), abs(high)))
-        return Estimate(
-            key=key, symbol=symbol, status="estimated", value=abs(value), low=ends[0], high=ends[1]
-        )
+        low, high = sorted((abs(low), abs(high)))
+        return Estimate(key=key, symbol=symbol, status="estimated", value=abs(value), low=low, high=high)
     value, low, high = table[TERMS[symbol].parameter_names(key)[0]]
     widening = problem.widening.get(symbol, 1.0)
     high = value + widening * (high - value)
     if np.isneginf(low):
         return Estimate.bounded(key, symbol, float(unit * np.exp(high / 2)))
     low = value - widening * (value - low)
-    ends = [float(unit * np.exp(x / 2)) for x in (value, low, high)]
+    value, low, high = (float(unit * np.exp(x / 2)) for x in (value, low, high))
     time = _time(table[f"{key}.T"], problem.tau0) if f"{key}.T" in table else None
-    return Estimate(
-        key=key,
-        symbol=symbol,
-        status="estimated",
-        value=ends[0],
-        low=ends[1],
-        high=ends[2],
-        correlation_time=time,
-    )
+    found = Estimate(key=key, symbol=symbol, status="estimated", value=value, low=low, high=high)
+    return replace(found, correlation_time=time)
 
 
 def _time(logs: tuple[float, float, float], tau0: float) -> Interval:

@@ -426,7 +426,7 @@ def _laws(
     """
     count = variance.size
     weight = 0.5 * size / spectrum**2
-    gain = _inverse(np.einsum("ib,b,jb->ij", slopes, weight, slopes))[:count] @ (slopes * weight)
+    gain = _inverse(slopes, weight)[:count] @ (slopes * weight)
     own = (gain * (2 * spectrum**2 / size)) @ gain.T
     deviation = np.sqrt(np.diag(own))
     laws = []
@@ -444,16 +444,15 @@ def _laws(
     return laws
 
 
-def _inverse(information: FloatArray) -> FloatArray:
+def _inverse(slopes: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the inverse of the slopes' information, also where some of them are alike."""
+    information = np.einsum("ib,b,jb->ij", slopes, weight, slopes)
     root = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse: FloatArray = np.linalg.pinv(
-        information / np.outer(root, root), rcond=1e-12, hermitian=True
-    ) / np.outer(root, root)
-    return inverse
+    both = np.outer(root, root)
+    return np.asarray(np.linalg.pinv(information / both, rcond=1e-12, hermitian=True) / both)
 
 
 def _deviations(slopes: FloatArray, size: FloatArray, spectrum: FloatArray) -> FloatArray:
     """Return standard deviations from the expected information, shape of the slopes' rows."""
-    information = np.einsum("ib,b,jb->ij", slopes, 0.5 * size / spectrum**2, slopes)
-    deviations: FloatArray = np.sqrt(np.maximum(np.diag(_inverse(information)), 0.0))
-    return deviations
+    inverse = _inverse(slopes, 0.5 * size / spectrum**2)
+    return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 0.0)))

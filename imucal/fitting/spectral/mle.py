@@ -108,13 +108,15 @@ def fit_mle(
     def over_time() -> tuple[Segments | None, VarianceChange | None]:
         if settings.segments < 2:
             return None, None
-        wanted, fraction = settings.segments, band.fraction
         segments = fit_segments(
-            *(series, view.blocks, problem, fitted),
+            series,
+            view.blocks,
+            problem,
+            fitted,
             model=model,
             curve=curve,
-            wanted=wanted,
-            fraction=fraction,
+            wanted=settings.segments,
+            fraction=band.fraction,
         )
         return segments, find_variance_change(series)
 

@@ -342,7 +342,7 @@ def fit_segments(
         white=white,
         floor=floor,
         floor_tau_s=tau,
-        terms=tests.terms(),
+        terms=tuple(tests.test(name) for name in tests.columns if not name.endswith(".T")),
     )
 
 
@@ -369,11 +369,6 @@ class _Tests:
             self.spectra[column] *= _SHARE / np.max(self.spectra[column] / self.whole)
         self.columns = dict(fitted.columns(fitted.missing))
         self.spans = np.stack([segments.start_s, segments.end_s], axis=1)
-
-    def terms(self) -> tuple[TermHomogeneity, ...]:
-        """Return the test of each term but the ramp, by rising slope."""
-        names = [name for name in self.columns if not name.endswith(".T")]
-        return tuple(self.test(name) for name in names)
 
     def test(self, name: str) -> TermHomogeneity:
         """Return the test of one term: Cochran's Q where each segment tells it, else the likelihood ratio."""
@@ -436,18 +431,12 @@ class _Tests:
             return n, None, np.nan
         fast, rest = shares["N"] * np.exp(free.tested), slow * np.exp(free.beside)
         total = fast + rest + shares.get("Q", 0.0)
-        error = np.sqrt(_variance(sure, fast / total, rest / total, surplus))
+        fast, rest = fast / total, rest / total
+        # The variance of the log of a sum of both parts that have these shares of it.
+        tested, both, beside = sure.matrix
+        variance = surplus * fast**2 * beside - 2 * fast * rest * both + rest**2 * tested
+        error = np.sqrt(variance / (tested * beside - both**2))
         return n, _trace(1.0, np.log(total), z * error), tau
-
-
-def _variance(sure: Scales, fast: FloatArray, slow: FloatArray, surplus: float) -> FloatArray:
-    """Return the variance of the log of a sum of both parts that have these shares of it, shape (s,)."""
-    tested, both, beside = sure.matrix
-    determinant = tested * beside - both**2
-    variance: FloatArray = (
-        surplus * fast**2 * beside - 2 * fast * slow * both + slow**2 * tested
-    ) / determinant
-    return variance
 
 
 def _trace(unit: float, logs: FloatArray, reach: FloatArray) -> Trace:
