@@ -225,16 +225,9 @@ class DctBins:
 
 @lru_cache(maxsize=64)
 def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
-    """Return the bins for `n` samples.
+    """Return the bins for `n` samples, at least 2.
 
-    Parameters
-    ----------
-    n
-        Number of samples, at least 2.
-    singles
-        The ordinates 1 … `singles` have a bin each.
-    per_octave
-        Above, bins widen so that so many cover an octave.
+    The ordinates 1 … `singles` have a bin each; above, bins widen so that `per_octave` cover an octave.
 
     Raises
     ------

@@ -302,10 +302,8 @@ def allan_curve(
     else:
         computed, values = _of_gaps(series, taus, chosen)
         m, avar = values.m, values.avar
-        freedom, edf = (
-            gappy_degrees_of_freedom(series, values, chosen, edf),
-            "model" if edf == "hybrid" else edf,
-        )
+        freedom = gappy_degrees_of_freedom(series, values, chosen, edf)
+        edf = "model" if edf == "hybrid" else edf
     return AllanCurve(
         tau=m.astype(np.float64) * series.tau0,
         m=m,
@@ -316,6 +314,12 @@ def allan_curve(
         computed=computed,
         edf_method=edf,
     )
+
+
+def same_curve(series: AxisSeries, curve: AllanCurve) -> AllanCurve:
+    """Return the curve of an axis at the averaging times of another, by its estimator and its method."""
+    edf = curve.edf_method or "hybrid"
+    return allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf)
 
 
 def _streamed(series: AxisSeries, per_octave: int) -> AllanCurve:

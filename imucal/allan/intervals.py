@@ -108,18 +108,9 @@ class GenericModel:
 def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *, stride: int = 1) -> float:
     """Return the equivalent degrees of freedom of one value, at least 1.
 
-    Parameters
-    ----------
-    model
-        What the samples are taken to be; its scale does not matter.
-    m
-        Averaging factor.
-    terms
-        Number M of differences that are averaged.
-    estimator
-        Which differences.
-    stride
-        Samples between neighbouring differences of an overlapping estimator; a divisor of `m`.
+    The samples are taken to be the `model`, whose scale does not matter; `terms` is the number M of
+    differences that are averaged, `stride` the samples between neighbouring ones of an overlapping
+    estimator, a divisor of the averaging factor `m`.
 
     Notes
     -----
@@ -215,19 +206,9 @@ def _smoothed(law: PowerLaw, n: FloatArray, m: int) -> FloatArray:
 def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> GenericModel:
     """Return the maximum-likelihood generic model of DCT-II ordinates.
 
-    Parameters
-    ----------
-    ordinates
-        The lowest ordinates from k = 1 on, shape (j,); they show the drift.
-    power
-        Sums of squared ordinates, shape (b,).
-    bins
-        Their bins.
-
-    Notes
-    -----
-    The model is scored bin by bin as -log L = ½ Σ (n_b log S_b + P_b / S_b). The drift is kept
-    only where it gains 3.84 in 2 log L.
+    Of the `ordinates` from k = 1 on, shape (j,), the lowest show the drift; `power` are the sums of their
+    squares, shape (b,), in `bins`. The model is scored bin by bin as -log L = ½ Σ (n_b log S_b + P_b / S_b).
+    The drift is kept only where it gains 3.84 in 2 log L.
 
     Source: Whittle (1953), with the exact E[X_k²] of the DCT-II in place of the psd.
     """
@@ -254,12 +235,7 @@ def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> Gen
 def fit_curve(m: IntArray | FloatArray, avar: FloatArray, weight: FloatArray) -> GenericModel:
     """Return the generic model nearest to a curve, where there is no spectrum to fit.
 
-    Parameters
-    ----------
-    m, avar
-        The curve, shape (k,).
-    weight
-        Rough degrees of freedom of each value, shape (k,).
+    `m` and `avar`, shape (k,), are the curve, `weight`, shape (k,), rough degrees of freedom of each value.
     """
     good = avar > 0
     basis = np.array([law.avar(m[good].astype(np.float64)) for law in PowerLaw])
@@ -476,14 +452,8 @@ def spectral_edf(
     With G the spectrum of the differences, EDF = M (mean G)² / mean G². The squared power of a bin
     of n_b ordinates is too large by 1 + 2/n_b on average, which is taken out.
 
-    Parameters
-    ----------
-    power, bins
-        Sums of squared DCT-II ordinates of each bin, shape (b,).
-    m, terms
-        Averaging factors and the number M of differences of each, shape (k,).
-    estimator
-        An overlapping one.
+    `power` are the sums of squared DCT-II ordinates of `bins`, shape (b,), `m` and `terms` the averaging
+    factors and the number M of differences of each, shape (k,), of an overlapping estimator.
     """
     count = bins.count.astype(np.float64)
     level = power / count

@@ -163,13 +163,15 @@ def square_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
         )
         raise ValueError(msg)
     if not estimator.overlapping:
-        return _strided_sums(_integral(samples, 1), m, estimator.order)
+        total = _integral(samples, 1)
+        return np.array([sum_of_squares(np.diff(total[::factor], estimator.order)) for factor in m.tolist()])
     sums = np.zeros(m.size)
     small = m <= _SMALL
     if small.any():
         sums[small] = _small_sums(samples, m[small], estimator)
     if not small.all():
-        sums[~small] = _large_sums(samples, m[~small], estimator)
+        total = _integral(samples, estimator.integrations)
+        sums[~small] = [_column_sum(total, factor, estimator.order) for factor in m[~small].tolist()]
     return sums
 
 
@@ -267,11 +269,6 @@ def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatA
         values = target[:size]
 
 
-def _large_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
-    total = _integral(samples, estimator.integrations)
-    return np.array([_column_sum(total, factor, estimator.order) for factor in m.tolist()])
-
-
 def _column_sum(total: FloatArray, m: int, order: int) -> float:
     """Return the sum of squared differences, walking each column of starts in steps of m.
 
@@ -294,11 +291,6 @@ def _column_sum(total: FloatArray, m: int, order: int) -> float:
                 squares.add(size)
             kept, fresh = fresh, kept
     return squares.total()
-
-
-def _strided_sums(total: FloatArray, m: IntArray, order: int) -> FloatArray:
-    """Sum the squared differences of every m-th value of the integral."""
-    return np.array([sum_of_squares(np.diff(total[::factor], order)) for factor in m.tolist()])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

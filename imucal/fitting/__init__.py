@@ -6,6 +6,7 @@ import numpy as np
 
 from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.allan.dct import shared_transform
+from imucal.allan.engine import same_curve
 from imucal.arrays import FloatArray
 from imucal.fitting.ambiguity import ambiguity_findings, unseen_spectrum
 from imucal.fitting.noise_fit import Estimate, NoiseFit
@@ -112,20 +113,12 @@ def fit_axis(
     series = series.finite()
     cleaned, findings = clean_spikes(series) if settings.clean else (series, ())
     if cleaned is not series:
-        series, curve = cleaned, _again(cleaned, curve)
+        series, curve = cleaned, same_curve(cleaned, curve) if curve else None
     with shared_transform(series.samples):
         if curve is None:
             curve = allan_curve(series)
         result = method(series, curve, settings, temperature)
     return replace(result, findings=findings + result.findings)
-
-
-def _again(series: AxisSeries, curve: AllanCurve | None) -> AllanCurve | None:
-    """Return a curve of the cleaned samples at the same averaging times, None for None."""
-    if curve is None:
-        return None
-    edf = curve.edf_method or "hybrid"
-    return allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf)
 
 
 def _at_finite(temperature: FloatArray | None, series: AxisSeries) -> FloatArray | None:

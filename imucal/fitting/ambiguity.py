@@ -69,17 +69,13 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     low, high = frequency[far][[0, -1]]
     worst = ratio[far][int(np.argmax(np.abs(np.log(ratio[far]))))]
     factor, side = max(worst, 1 / worst), "above" if worst > 1 else "below"
-    return (
-        Finding(
-            level="warning",
-            code="spectral-ambiguity",
-            axis=axis,
-            text=f"{result.model} describes the Allan curve but not the spectrum: between {low:.3g} and "
-            f"{high:.3g} Hz the density is up to {factor:.3g} times {side} the model's. The curve can't "
-            "tell: spectra that differ by Phi(f) = 2 Phi(2f) share it.",
-            advice="Look at the spectrum and fit the samples themselves by mle; trust no number of this fit.",
-        ),
+    text = (
+        f"{result.model} describes the Allan curve but not the spectrum: between {low:.3g} and {high:.3g} Hz "
+        f"the density is up to {factor:.3g} times {side} the model's. The curve can't tell: spectra that "
+        "differ by Phi(f) = 2 Phi(2f) share it."
     )
+    advice = "Look at the spectrum and fit the samples themselves by mle; trust no number of this fit."
+    return (Finding(level="warning", code="spectral-ambiguity", axis=axis, text=text, advice=advice),)
 
 
 def _ramp(result: NoiseFit, frequency: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.findings import Finding
+from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, term_keys
@@ -87,13 +87,9 @@ def _finding(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) -
         f"{_value(estimate)} by {fit.method}" for fit, estimate in ((mle, first), (gmwm, second))
     )
     axis = next((f.axis for f in (*mle.findings, *gmwm.findings) if f.axis), None)
-    return Finding(
-        level="warning",
-        code="second-opinion",
-        axis=axis,
-        text=f"{first.key} is {said}: the two disagree, so the model does not hold at all frequencies.",
-        advice="Look at the curve and the spectrum, and trust neither interval.",
-    )
+    text = f"{first.key} is {said}: the two disagree, so the model does not hold at all frequencies."
+    advice = "Look at the curve and the spectrum, and trust neither interval."
+    return Finding(level="warning", code="second-opinion", axis=axis, text=text, advice=advice)
 
 
 def _value(estimate: Estimate) -> str:
@@ -114,16 +110,11 @@ def verify_findings(
     if not worst:
         return ()
     far = distance[worst] > _FAR
-    return (
-        Finding(
-            level="warning" if far else "info",
-            code="verified",
-            axis=series.name,
-            text="The exact state-space likelihood has its maximum "
-            f"{distance[worst]:.2g} standard errors away at most ({worst}).",
-            advice="Trust neither alone: look for lines, a filter or a misfit." if far else "",
-        ),
-    )
+    level: Level = "warning" if far else "info"
+    text = "The exact state-space likelihood has its maximum "
+    text += f"{distance[worst]:.2g} standard errors away at most ({worst})."
+    advice = "Trust neither alone: look for lines, a filter or a misfit." if far else ""
+    return (Finding(level=level, code="verified", axis=series.name, text=text, advice=advice),)
 
 
 def distances(

@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucal.allan import AllanCurve, allan_curve
+from imucal.allan import AllanCurve
+from imucal.allan.engine import same_curve
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.fitting.moments import fit_gmwm
@@ -36,8 +37,7 @@ def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | 
     curve = first.curve
     if first.taken_out:
         series = without_disturbances(series, first, temperature)
-        edf = curve.edf_method or "hybrid"
-        curve = allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf)
+        curve = same_curve(series, curve)
     settings = FitSettings(model=str(first.model), method="gmwm", level=first.level)
     return fit_gmwm(series, _of_noise(curve, first.noise_share, series.name), settings)
 
@@ -66,9 +66,5 @@ def _of_noise(curve: AllanCurve, share: FloatArray | None, axis: str) -> AllanCu
         )
         raise DataError(msg)
     return replace(
-        curve,
-        tau=curve.tau[keep],
-        m=curve.m[keep],
-        avar=(curve.avar * share)[keep],
-        edf=curve.edf[keep],
+        curve, tau=curve.tau[keep], m=curve.m[keep], avar=(curve.avar * share)[keep], edf=curve.edf[keep]
     )

@@ -209,20 +209,9 @@ def smooth(
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return the components given the samples: key -> conditional means and standard errors, shapes (n,).
 
-    Parameters
-    ----------
-    states
-        What the samples are made of.
-    samples
-        Shape (n,); any value where `seen`, shape (n,), is false. The first is seen.
-    progress
-        Called after some blocks.
-
-    Returns
-    -------
-    dict
-        In the order ``level``, the groups of states, ``R`` (the slope times the time since the first
-        sample), as far as they are there, and ``bias``, their sum.
+    In the order ``level``, the groups of states, ``R`` (the slope times the time since the first sample), as
+    far as they are there, and ``bias``, their sum. Samples, shape (n,), count where they are `seen`, shape
+    (n,), as the first one is. `progress` is called after some blocks.
     """
     n, scale = samples.size, float(np.sqrt(states.white))
     blocks = Blocks.of(samples / scale, seen)
@@ -285,18 +274,9 @@ def _parts(states: StateSpace, block: BlockLaw) -> dict[str, _Part]:
     return parts
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Inside:
-    """A component inside blocks that miss the same samples, given their samples and their ends.
-
-    Its mean is of_samples @ samples + of_ends @ (extended start, end); `left` is the variance that is left
-    when all of these are known.
-    """
-
-    key: str
-    of_samples: FloatArray
-    of_ends: FloatArray
-    left: FloatArray
+#: A component inside blocks that miss the same samples: its key, of_samples, of_ends, left. Its mean is
+#: of_samples @ samples + of_ends @ (extended start, end), its variance `left` when all of these are known.
+_Inside: TypeAlias = tuple[str, FloatArray, FloatArray, FloatArray]
 
 
 def _insides(parts: dict[str, _Part], block: BlockLaw, seen: BoolArray) -> list[_Inside]:
@@ -311,8 +291,7 @@ def _insides(parts: dict[str, _Part], block: BlockLaw, seen: BoolArray) -> list[
         to_samples = alone - to_end @ told.gain
         start = part.trace - to_samples @ block.trace[seen] - to_end @ block.passed
         known = np.sum(to_samples * cross, axis=1) + np.sum(to_end * part.with_end, axis=1)
-        of_ends = np.concatenate([start, to_end], axis=1)
-        insides.append(_Inside(key=key, of_samples=to_samples, of_ends=of_ends, left=part.variance - known))
+        insides.append((key, to_samples, np.concatenate([start, to_end], axis=1), part.variance - known))
     return insides
 
 
@@ -370,9 +349,8 @@ def _components(
     """Yield each component's key, means and variances in some blocks, shapes (b, length)."""
     own = blocks.samples[members][:, blocks.seen[members[0]]]
     extended, covariance = ends.extended(states, members)
-    for inside in insides:
-        mean = own @ inside.of_samples.T + extended @ inside.of_ends.T
-        yield inside.key, mean, _spread(covariance, inside.of_ends) + inside.left
+    for key, of_samples, of_ends, left in insides:
+        yield key, own @ of_samples.T + extended @ of_ends.T, _spread(covariance, of_ends) + left
     for i, name in enumerate(states.flat, start=2 * states.size):
         time = np.ones((members.size, blocks.length))
         if name == "R":

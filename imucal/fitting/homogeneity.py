@@ -20,12 +20,11 @@ Statistics 12, 367 (the ratio of the mean square successive difference to the va
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.findings import Finding
+from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import CHANCE, Estimate, Interval, Segments, TermHomogeneity, is_slow
 from imucal.recording import AxisSeries
 
@@ -46,8 +45,6 @@ _NARROW = 0.8
 _NOUGHT = 0.02
 #: Relative spread between segments from which a user should look before using the numbers.
 _NOTABLE_SPREAD = 0.05
-#: Of a model that describes the record.
-_NONE: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,20 +172,12 @@ def bartlett_correction(information: FloatArray) -> float:
 
 
 def widened(
-    estimates: Iterable[Estimate], segments: Segments | None, misfits: Mapping[str, float] = _NONE
+    estimates: Iterable[Estimate], segments: Segments | None, misfits: Mapping[str, float] | None = None
 ) -> tuple[Estimate, ...]:
     """Return the estimates with intervals as wide as the segments and the misfit ask for.
 
-    A slow term that then reaches down to zero is bounded.
-
-    Parameters
-    ----------
-    estimates
-        As the likelihood gives them.
-    segments
-        What the parts of the record say; None for nothing.
-    misfits
-        Symbol -> factor where the model does not describe the record.
+    A slow term that then reaches down to zero is bounded. `misfits`, a symbol -> its factor, are those of a
+    model that does not describe the record.
     """
     return tuple(_wider(estimate, _factor(estimate.symbol, segments, misfits)) for estimate in estimates)
 
@@ -197,7 +186,7 @@ def widened_covariance(
     names: tuple[str, ...],
     covariance: FloatArray,
     segments: Segments | None,
-    misfits: Mapping[str, float] = _NONE,
+    misfits: Mapping[str, float] | None = None,
 ) -> FloatArray:
     """Return the covariance of parameters, shape (p, p), that belongs to the wider intervals."""
     factor = np.array([_factor(symbol_of(name.partition(".")[0]), segments, misfits) for name in names])
@@ -205,8 +194,8 @@ def widened_covariance(
     return wider
 
 
-def _factor(symbol: str, segments: Segments | None, misfits: Mapping[str, float]) -> float:
-    return max(segments.widening(symbol) if segments else 1.0, misfits.get(symbol, 1.0))
+def _factor(symbol: str, segments: Segments | None, misfits: Mapping[str, float] | None) -> float:
+    return max(segments.widening(symbol) if segments else 1.0, (misfits or {}).get(symbol, 1.0))
 
 
 def nonstationary_finding(
@@ -221,20 +210,17 @@ def nonstationary_finding(
             f"{'; '.join(map(_said, changing))}; {_widths(segments)}."
         )
     if change:
-        said.append(_swing(change))
+        over = f"swings with a period of {change.period_s:.3g} s" if change.period_s else "changes over time"
+        said.append(
+            f"The variance of the noise {over}: in short windows the noise is {change.low:.2g} to "
+            f"{change.high:.2g} times its median."
+        )
     if not said:
         return ()
     notable = change is not None or any(term.spread > _NOTABLE_SPREAD for term in changing)
-    return (
-        Finding(
-            level="warning" if notable else "info",
-            code="nonstationary",
-            axis=axis,
-            text=" ".join(said),
-            advice="Look for what changed (temperature, vibration, supply); another record may differ "
-            "as much.",
-        ),
-    )
+    level: Level = "warning" if notable else "info"
+    advice = "Look for what changed (temperature, vibration, supply); another record may differ as much."
+    return (Finding(level=level, code="nonstationary", axis=axis, text=" ".join(said), advice=advice),)
 
 
 def _said(term: TermHomogeneity) -> str:
@@ -252,14 +238,6 @@ def _widths(segments: Segments) -> str:
     }
     said = " and ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
     return f"intervals {said} times as wide allow for that"
-
-
-def _swing(change: VarianceChange) -> str:
-    over = f"swings with a period of {change.period_s:.3g} s" if change.period_s else "changes over time"
-    return (
-        f"The variance of the noise {over}: in short windows the noise is {change.low:.2g} to "
-        f"{change.high:.2g} times its median."
-    )
 
 
 def _span(span: tuple[float, float]) -> str:

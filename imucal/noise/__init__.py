@@ -4,12 +4,4 @@ from imucal.noise.model import NoiseModel, parse_structure, structure_text
 from imucal.noise.term import NoiseTerm, Stroke
 from imucal.noise.terms import TERMS, GaussMarkov
 
-__all__ = [
-    "TERMS",
-    "GaussMarkov",
-    "NoiseModel",
-    "NoiseTerm",
-    "Stroke",
-    "parse_structure",
-    "structure_text",
-]
+__all__ = ["TERMS", "GaussMarkov", "NoiseModel", "NoiseTerm", "Stroke", "parse_structure", "structure_text"]

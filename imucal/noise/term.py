@@ -359,26 +359,8 @@ def draw_flicker(n: int, rng: np.random.Generator) -> FloatArray:
 def gauss_markov_dct(
     log_time: FloatArray, lam: FloatArray, length: FloatArray, sign: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return E[X_k²] of a unit-variance AR1 and its derivative in the log of the correlation time.
+    """Return `NoiseTerm.dct_shapes` of a unit-variance AR1.
 
-    Parameters
-    ----------
-    log_time
-        Logs of correlation times in samples, shape (c, 1).
-    lam
-        4 sin²(theta_k / 2), averaged over each bin, shape (b,).
-    length
-        Number of samples of the series each bin belongs to, shape (b,).
-    sign
-        (-1)^k for bins of a single ordinate, 0 for wider ones, where it averages out, shape (b,).
-
-    Returns
-    -------
-    expectation, slope
-        Shapes (c, b).
-
-    Notes
-    -----
     With phi = exp(-1/T), r = (-1)^k phi^n and den = (1 - phi)² + phi lam,
 
         E = (1 - phi²)/den [1 - (1 - r) (2 phi/n) (1 - phi) (1 + cos theta) / ((1 + phi) den)],

@@ -83,16 +83,8 @@ class AvarCovariance:
 def avar_covariance(m: IntArray, n: int, terms: Sequence[NoiseTerm], *, overlapping: bool) -> AvarCovariance:
     """Return the covariance of the Allan variances of `n` samples at averaging factors `m`.
 
-    Parameters
-    ----------
-    m
-        Averaging factors, shape (k,), each in 1 <= m <= n // 2.
-    n
-        Number of samples.
-    terms
-        Of the model: of unit variance, with times in samples.
-    overlapping
-        Whether the Allan variances are the overlapping ones (MOAV) or those of adjacent windows.
+    The factors, shape (k,), are from 1 to n // 2, and the model's terms of unit variance, with times in
+    samples; the Allan variances are the `overlapping` ones (MOAV) or those of adjacent windows.
 
     Raises
     ------

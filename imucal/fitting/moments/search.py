@@ -160,17 +160,9 @@ def minimise(
 ) -> Solution:
     """Return the global minimum over the variances and times of terms.
 
-    Parameters
-    ----------
-    points
-        The Allan variances.
-    weight
-        Of the sum of squares, as `whitening` gives it, shape (k, k).
-    symbols
-        Of the terms.
-    near
-        Times of a minimum with another weight, one for each term that has one: they and the best place
-        of the grid are refined then, instead of the best few.
+    `weight` is that of the sum of squares, as `whitening` gives it, shape (k, k). With `near`, the times of a
+    minimum with another weight, one for each term that has one, they and the best place of the grid are
+    refined instead of the best few.
     """
     laws, kinds = _parted(in_order(symbols))
     target = weight @ points.avar
@@ -412,16 +404,10 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
 
 
 def limits(value: float, spread_at: Callable[[float], float], quantile: float) -> tuple[float, float]:
-    """Return the interval of a variance; its lower end is 0 where 0 is inside.
+    """Return the interval of a variance, estimated as `value`; its lower end is 0 where 0 is inside.
 
-    Parameters
-    ----------
-    value
-        The estimate, at least 0.
-    spread_at
-        Returns the standard error of the estimate if its argument were the true variance.
-    quantile
-        Chi-squared quantile with one degree of freedom.
+    `spread_at` returns the standard error of the estimate if its argument were the true variance; `quantile`
+    is that of chi-squared with one degree of freedom.
     """
     own = spread_at(value)
 

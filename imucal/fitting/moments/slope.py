@@ -162,25 +162,12 @@ def fit_slope(
     *,
     windows: Mapping[str, tuple[float, float]] | None = None,
 ) -> NoiseFit:
-    """Read the terms of an Allan curve off its slopes.
+    """Read terms off the slopes of Allan variances, overlapping or standard.
 
-    Parameters
-    ----------
-    series
-        The samples that the curve was made of; None where only the curve is left.
-    curve
-        Allan variances, overlapping or standard.
-    settings
-        Its model and level; ``auto`` reads all terms that have their slope somewhere.
-    windows
-        Symbol -> first and last averaging time, in s, of the line it is read on, instead of the
-        window found.
-
-    Returns
-    -------
-    NoiseFit
-        With N, B and K always among the estimates. A term without its slope, or one that the others
-        explain, is bounded: alone it would lie above the curve.
+    Where they are all that is left, `series` is None. Model ``auto`` reads all terms that have their slope
+    somewhere; N, B and K are always among the estimates. A term without its slope, or one that the others
+    explain, is bounded: alone it would lie above the curve. `windows`, a symbol -> the first and the last
+    averaging time in s of the line it is read on, take the place of those found.
 
     Raises
     ------

@@ -63,6 +63,11 @@ class Band:
     zeros: int
     response: FloatArray
 
+    @property
+    def flat(self) -> bool:
+        """Whether it is the whole spectrum, without a response."""
+        return self.poles == 0 and self.fraction == 1.0
+
 
 def response_of(ordinates: Ordinates, fitted: Fitted, band: Band, rate_hz: float) -> Response | None:
     """Return the filter's kind and -3 dB corner, or None where it has none inside the band."""
@@ -126,7 +131,7 @@ def filter_finding(
 ) -> tuple[Finding, ...]:
     """Return what is said about an output filter; nothing where the whole band is flat."""
     top = band.fraction * rate_hz / 2
-    if band.poles == 0 and band.fraction == 1.0:
+    if band.flat:
         return ()
     if response is not None:
         text = (
@@ -145,15 +150,8 @@ def filter_finding(
             f"Above {top:.4g} Hz an output filter, or a vibration, shapes the spectrum; "
             "the fit uses what is below."
         )
-    return (
-        Finding(
-            level="info",
-            code="output-filter",
-            axis=axis,
-            text=text,
-            advice="The model is that of the noise before the filter, right at times beyond the filter's.",
-        ),
-    )
+    advice = "The model is that of the noise before the filter, right at times beyond the filter's."
+    return (Finding(level="info", code="output-filter", axis=axis, text=text, advice=advice),)
 
 
 def start_response(seen: Ordinates, low: FloatArray, order: Order, *, width: int, room: int) -> FloatArray:
@@ -260,20 +258,11 @@ def find_band(
     common: tuple[str, ...] = (),
     given: Structure | None = None,
 ) -> Band:
-    """Return the band, and the response in it, that a rich model describes.
+    """Return the band, and the response in it, that a rich model describes, which holds all the candidates.
 
-    Parameters
-    ----------
-    rich
-        Terms of a model that holds all the candidates; Q counts only where the response is flat,
-        because both bend the top of the spectrum.
-    shortest
-        Shortest correlation time of its terms, in samples.
-    common
-        Regressors that are in every model.
-    given
-        Terms that the caller gave: where those with a time of any length describe the whole
-        band beside white noise, they are believed.
+    Its correlation times are `shortest` samples at least; its Q counts only where the response is flat,
+    because both bend the top of the spectrum. Terms that the caller gave are believed where those with a
+    time of any length describe the whole band beside white noise. Every model has the regressors `common`.
     """
     coarse = coarser(ordinates.below(1.0), singles=48, merge=3)
     if given is not None and shaped_symbols(given):

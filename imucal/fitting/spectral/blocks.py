@@ -43,21 +43,9 @@ def complete(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return expected ordinates, the variance of each, what the gaps took, and a draw of what they miss.
 
-    Parameters
-    ----------
-    samples
-        Shape (n,), the values at missing places are ignored; overwritten.
-    seen
-        Which samples were observed, shape (n,).
-
-    Returns
-    -------
-    ordinates, variance
-        Shapes (n-1,).
-    loss
-        Share of each bin's information that the gaps took, shape (b,), from 0 to 1.
-    drawn
-        The missing samples in order, their expectation and an error drawn with it, shape (g,).
+    Of samples of shape (n,), which are overwritten, those that were `seen`, shape (n,), count. Returned are
+    ordinates and variances, shapes (n-1,); the share of each bin's information that the gaps took, shape
+    (b,); and the missing samples in order, their expectation and an error drawn with it, shape (g,).
     """
     n = samples.size
     gaps = np.flatnonzero(~seen)
@@ -79,7 +67,9 @@ def complete(
         drawn = idct2(_weighed(draw, 1 / np.sqrt(spectrum), groups))[gaps]
         del draw
         apply = _precision(gaps, pairs, 1 / spectrum, groups, n)
-        unit = _upper_median(spectrum, groups, n)
+        # The median over the upper half of the ordinates.
+        ends = np.maximum(np.append(groups, n - 1), (n - 1) // 2)
+        unit = float(np.median(np.repeat(spectrum, np.diff(ends))))
         samples[gaps] -= _conjugate(apply, right, unit)
         error = _conjugate(apply, drawn, unit)
         error_of = dct2(_padded(error, gaps, n))
@@ -182,13 +172,6 @@ def _means(ordinates: FloatArray, variance: FloatArray, groups: IntArray) -> Flo
     return np.maximum(means, 1e-300)
 
 
-def _upper_median(spectrum: FloatArray, groups: IntArray, n: int) -> float:
-    """Return the median over the upper half of the ordinates."""
-    half = (n - 1) // 2
-    ends = np.maximum(np.append(groups, n - 1), half)
-    return float(np.median(np.repeat(spectrum, np.diff(ends))))
-
-
 def _spans(n: int, groups: IntArray) -> list[tuple[int, int]]:
     """Return the first and the last index of each group, the last beyond it."""
     return list(pairwise([*groups.tolist(), n]))
@@ -286,16 +269,11 @@ class Block:
         """Return the block of the lowest bins only, of at least `count` ordinates in all."""
         bins = self.bins
         number = int(np.searchsorted(bins.first, count, side="right"))
-        stop = int(bins.first[number - 1] + bins.count[number - 1] - 1)
+        bins = replace(bins, **{name: getattr(bins, name)[:number] for name in ("first", "count", "omega")})
+        stop = int(bins.first[-1] + bins.count[-1] - 1)
         stops = {"ordinates": stop, "variance": stop, "kept": stop, "loss": number}
         given = {name: end for name, end in stops.items() if getattr(self, name) is not None}
-        return replace(
-            self,
-            bins=replace(
-                bins, first=bins.first[:number], count=bins.count[:number], omega=bins.omega[:number]
-            ),
-            **{name: getattr(self, name)[:end] for name, end in given.items()},
-        )
+        return replace(self, bins=bins, **{name: getattr(self, name)[:end] for name, end in given.items()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -485,24 +463,18 @@ def _gap_findings(series: AxisSeries, runs: list[_Stretch], lost: int) -> tuple[
     parts = []
     if len(runs) > 1:
         parts.append(f"the likelihoods of {len(runs)} blocks between long gaps are multiplied")
-    if completed:
-        samples = "one missing sample" if completed == 1 else f"{completed} missing samples"
-        verb = "is" if completed == 1 else "are"
-        parts.append(
-            f"{samples} in short gaps {verb} completed by {'its' if completed == 1 else 'their'} expectation"
-        )
+    if completed == 1:
+        parts.append("one missing sample in short gaps is completed by its expectation")
+    elif completed:
+        parts.append(f"{completed} missing samples in short gaps are completed by their expectation")
     if lost:
         parts.append(f"{lost} samples in runs shorter than {_FEWEST} are left out")
-    return (
-        Finding(
-            level="info",
-            code="gaps-in-fit",
-            axis=series.name,
-            text=f"The fit allows for gaps: {'; '.join(parts)}.",
-        ),
-    )
+    text = f"The fit allows for gaps: {'; '.join(parts)}."
+    return (Finding(level="info", code="gaps-in-fit", axis=series.name, text=text),)
 
 
+#: What a result keeps of its ordinates.
+_KEPT = ("size", "power", "names", "cross", "gram")
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
 
@@ -553,14 +525,10 @@ def bins_of(whole: Ordinates, blocks: SeriesBlocks, *, tau0: float, widening: fl
         n=np.array([bins.n for bins in every], dtype=np.int64),
         start=np.cumsum([0, *(bins.size for bins in every[:-1])]),
         first=np.concatenate([bins.first for bins in every]),
-        size=whole.size,
-        power=whole.power,
-        names=whole.names,
-        cross=whole.cross,
-        gram=whole.gram,
         scale=blocks.scale,
         tau0=tau0,
         widening=widening,
+        **{name: getattr(whole, name) for name in _KEPT},
     )
 
 
@@ -572,15 +540,7 @@ def ordinates_of(bins: Bins) -> Ordinates:
         omega = np.pi * (first + (count - 1) / 2) / n
         shapes.append(bin_shapes(DctBins(n=n, first=first, count=count, omega=omega)))
     joint: dict[str, Any] = {name: np.concatenate([s[name] for s in shapes], axis=-1) for name in shapes[0]}
-    return Ordinates(
-        scale=bins.scale,
-        size=bins.size,
-        power=bins.power,
-        names=bins.names,
-        cross=bins.cross,
-        gram=bins.gram,
-        **joint,
-    )
+    return Ordinates(**joint, **{name: getattr(bins, name) for name in ("scale", *_KEPT)})
 
 
 def joined(records: Sequence[Ordinates]) -> Ordinates:

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucal.fitting.noise_fit import Estimate, Interval
+from imucal.fitting.noise_fit import Estimate
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, quantile
 from imucal.fitting.spectral.likelihood import Candidates
 from imucal.fitting.spectral.ordinates import LAWS, SHAPED
@@ -38,8 +38,10 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fitted, t
     bounded: dict[str, Estimate] = {}
     estimates = estimate(problem, fitted)
     while len(estimates) > 1 and (gone := _can_not_stay(problem, fitted, estimates)):
-        fitted, dropped = _without_least(problem, fitted, gone)
-        bounded[dropped.key] = dropped
+        # The term whose absence costs the least likelihood.
+        fits = [drop_terms(problem, fitted, [e.key]) for e in gone]
+        least = int(np.argmin([float(fit.maximum.objective[0]) for fit in fits]))
+        fitted, bounded[gone[least].key] = fits[least].by_time(), gone[least]
         estimates = estimate(problem, fitted)
     return fitted, ordered((*estimates, *bounded.values()))
 
@@ -92,13 +94,6 @@ def numbered(
     new = {e.key: key for e, key in zip(every, keys, strict=True)}
     result = tuple(replace(e, key=new[e.key]) for e in every)
     return result, tuple(".".join((new[key], *rest)) for key, *rest in (n.split(".") for n in names))
-
-
-def _without_least(problem: Problem, fitted: Fitted, gone: list[Estimate]) -> tuple[Fitted, Estimate]:
-    """Return the fit without the term whose absence costs the least likelihood, and its bound."""
-    fits = [drop_terms(problem, fitted, [e.key]) for e in gone]
-    best = int(np.argmin([float(fit.maximum.objective[0]) for fit in fits]))
-    return fits[best].by_time(), gone[best]
 
 
 def fitted_model(choice: RankedModels, index: int) -> Fitted:
@@ -241,27 +236,17 @@ def _hull(own: Estimate, span: list[Estimate]) -> Estimate:
     high = max(e.high for e in span)
     if own.value is None or any(map(_may_be_zero, span)):
         return Estimate.bounded(own.key, own.symbol, high)
-    return replace(
-        own,
-        low=min(own.value, *(e.low for e in span)),
-        high=max(own.value, high),
-        correlation_time=_time_hull(own, span),
-    )
+    time = own.correlation_time
+    if time is not None:
+        times = [time, *(e.correlation_time for e in span if e.correlation_time)]
+        time = replace(time, low=min(t.low for t in times), high=max(t.high for t in times))
+    low = min(own.value, *(e.low for e in span))
+    return replace(own, low=low, high=max(own.value, high), correlation_time=time)
 
 
 def _may_be_zero(found: Estimate) -> bool:
     """Whether an interval reaches down to zero, or to what is printed as zero beside its upper limit."""
     return found.low <= _NOUGHT * found.high
-
-
-def _time_hull(own: Estimate, span: list[Estimate]) -> Interval | None:
-    time = own.correlation_time
-    if time is None:
-        return None
-    times = [e.correlation_time for e in span if e.correlation_time]
-    return replace(
-        time, low=min([time.low, *(t.low for t in times)]), high=max([time.high, *(t.high for t in times)])
-    )
 
 
 def _completed(problem: Problem, choice: RankedModels) -> Iterator[tuple[float, Fitted]]:

@@ -429,16 +429,12 @@ def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, 
     (one,) = found
     time = one.value * series.tau0
     end = "; this drift is taken out with the fit" if fitted else ": a warm-up"
-    settled = _SETTLED * time
-    said = Finding(
-        level="warning",
-        code="warm-up",
-        axis=series.name,
-        text=f"The axis settles exponentially, with a time constant of {time:.3g} s{end}.",
-        advice="Leave out the first part of the record, or let the sensor warm up before recording.",
-        keep_s=(round(settled, 1), round(series.duration_s, 1)) if settled < series.duration_s / 2 else None,
-    )
-    return replace(said, code="warm-up-fitted") if fitted else said
+    settled, length = _SETTLED * time, series.duration_s
+    keep_s = (round(settled, 1), round(length, 1)) if settled < length / 2 else None
+    text = f"The axis settles exponentially, with a time constant of {time:.3g} s{end}."
+    advice = "Leave out the first part of the record, or let the sensor warm up before recording."
+    code = "warm-up-fitted" if fitted else "warm-up"
+    return Finding(level="warning", code=code, axis=series.name, text=text, advice=advice, keep_s=keep_s)
 
 
 def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
@@ -454,14 +450,10 @@ def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *,
     taken_out = f"; the {'jumps are' if several else 'jump is'} taken out with the fit" if fitted else ""
     ends = np.array([0.0, *times, series.duration_s])
     longest = int(np.argmax(np.diff(ends)))
-    return Finding(
-        level="warning",
-        code="step",
-        axis=series.name,
-        text=f"The level jumps by {', '.join(jumps)}{stays}{taken_out}.",
-        advice="Fix the IMU so that nothing tilts it, or look for a bias that switches.",
-        keep_s=(round(float(ends[longest]), 1), round(float(ends[longest + 1]), 1)),
-    )
+    keep_s = (round(float(ends[longest]), 1), round(float(ends[longest + 1]), 1))
+    text = f"The level jumps by {', '.join(jumps)}{stays}{taken_out}."
+    advice = "Fix the IMU so that nothing tilts it, or look for a bias that switches."
+    return Finding(level="warning", code="step", axis=series.name, text=text, advice=advice, keep_s=keep_s)
 
 
 def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
@@ -470,13 +462,9 @@ def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *
         for one in sorted(found, key=lambda one: -one.amplitude)
     ]
     taken_out = "; taken out with the fit" if fitted else ""
-    return Finding(
-        level="warning",
-        code="cycle",
-        axis=series.name,
-        text=f"The axis swings with a period of {', '.join(cycles)}{taken_out}.",
-        advice="Look for a heating or cooling that switches, and record at a steady temperature.",
-    )
+    text = f"The axis swings with a period of {', '.join(cycles)}{taken_out}."
+    advice = "Look for a heating or cooling that switches, and record at a steady temperature."
+    return Finding(level="warning", code="cycle", axis=series.name, text=text, advice=advice)
 
 
 def _amount(one: Disturbance, series: AxisSeries, scale: float) -> str:

@@ -65,17 +65,10 @@ def profile_limits(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of parameter `columns[i]` of candidate i, shape (k,) each.
 
-    In log units; of a ramp, in its own. The lower is -inf where the parameter may vanish, the upper
-    inf where it may grow past its bound.
-
-    Parameters
-    ----------
-    candidates, maximum
-        One row for each parameter that is profiled; a model stands once for each of them.
-    columns
-        Place of the parameter in the row, or `RAMP`.
-    reach
-        Root of twice the drop at the limits of each, shape (k,): a quantile of its level.
+    In log units; of a ramp, whose column is `RAMP`, in its own. The lower is -inf where the parameter may
+    vanish, the upper inf where it may grow past its bound. A model stands once among candidates and maximum
+    for each of its parameters that is profiled. The root of twice the drop at the limits is `reach`, shape
+    (k,): a quantile of the level.
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
@@ -309,27 +302,18 @@ def _term(problem: Problem, key: str, symbol: str, table: dict[str, tuple[float,
         value, low, high = (unit * x for x in table[key])
         if low <= 0 <= high:
             return Estimate.bounded(key, symbol, max(-low, high))
-        ends = sorted((abs(low), abs(high)))
-        return Estimate(
-            key=key, symbol=symbol, status="estimated", value=abs(value), low=ends[0], high=ends[1]
-        )
+        low, high = sorted((abs(low), abs(high)))
+        return Estimate(key=key, symbol=symbol, status="estimated", value=abs(value), low=low, high=high)
     value, low, high = table[TERMS[symbol].parameter_names(key)[0]]
     widening = problem.widening.get(symbol, 1.0)
     high = value + widening * (high - value)
     if np.isneginf(low):
         return Estimate.bounded(key, symbol, float(unit * np.exp(high / 2)))
     low = value - widening * (value - low)
-    ends = [float(unit * np.exp(x / 2)) for x in (value, low, high)]
+    value, low, high = (float(unit * np.exp(x / 2)) for x in (value, low, high))
     time = _time(table[f"{key}.T"], problem.tau0) if f"{key}.T" in table else None
-    return Estimate(
-        key=key,
-        symbol=symbol,
-        status="estimated",
-        value=ends[0],
-        low=ends[1],
-        high=ends[2],
-        correlation_time=time,
-    )
+    found = Estimate(key=key, symbol=symbol, status="estimated", value=value, low=low, high=high)
+    return replace(found, correlation_time=time)
 
 
 def _time(logs: tuple[float, float, float], tau0: float) -> Interval:

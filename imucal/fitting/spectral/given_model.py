@@ -75,6 +75,8 @@ def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm
     common = every.names[1:]
     band = _band(every, parts, structure, max_gm)
     seen = every.below(band.fraction)
+    # Of all records half the excess kurtosis plus one, weighted by their ordinates.
+    surplus = np.average([one.widening**2 for one in bins], weights=[one.size.sum() for one in bins])
     problem = Problem(
         ordinates=seen,
         level=level,
@@ -82,7 +84,7 @@ def fit_bins(bins: Sequence[Bins], structure: Structure, *, level: float, max_gm
         common=common,
         unit=every.scale,
         tau0=bins[0].tau0,
-        widening={"N": _widening(bins)},
+        widening={"N": float(np.sqrt(surplus))},
     )
     choice = choose(seen, [structure], criterion="bic", band=band, common=common, shortest=SHORTEST_GIVEN)
     fitted, own = estimate_or_bound(problem, choice)
@@ -115,22 +117,11 @@ def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, ma
         return find_band(whole, rich, shortest=SHORTEST, common=common, given=structure)
 
     band = find(every)
-    if len(parts) > 1 and not _flat(band):
-        own = [find(part) for part in parts]
-        flat = [alone for alone in own if _flat(alone)]
-        if 2 * len(flat) > len(own):
+    if len(parts) > 1 and not band.flat:
+        flat = [alone for alone in map(find, parts) if alone.flat]
+        if 2 * len(flat) > len(parts):
             return flat[0]
     return band
-
-
-def _flat(band: Band) -> bool:
-    return band.poles == 0 and band.fraction == 1.0
-
-
-def _widening(bins: Sequence[Bins]) -> float:
-    """Return the factor of all records: half the excess kurtosis plus one, weighted by their ordinates."""
-    weight = np.array([one.size.sum() for one in bins])
-    return float(np.sqrt(np.average([one.widening**2 for one in bins], weights=weight)))
 
 
 #: Deviations at which the profile is looked at, from the smallest record's to the largest's; and how often
@@ -435,7 +426,7 @@ def _laws(
     """
     count = variance.size
     weight = 0.5 * size / spectrum**2
-    gain = _inverse(np.einsum("ib,b,jb->ij", slopes, weight, slopes))[:count] @ (slopes * weight)
+    gain = _inverse(slopes, weight)[:count] @ (slopes * weight)
     own = (gain * (2 * spectrum**2 / size)) @ gain.T
     deviation = np.sqrt(np.diag(own))
     laws = []
@@ -453,16 +444,15 @@ def _laws(
     return laws
 
 
-def _inverse(information: FloatArray) -> FloatArray:
+def _inverse(slopes: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the inverse of the slopes' information, also where some of them are alike."""
+    information = np.einsum("ib,b,jb->ij", slopes, weight, slopes)
     root = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse: FloatArray = np.linalg.pinv(
-        information / np.outer(root, root), rcond=1e-12, hermitian=True
-    ) / np.outer(root, root)
-    return inverse
+    both = np.outer(root, root)
+    return np.asarray(np.linalg.pinv(information / both, rcond=1e-12, hermitian=True) / both)
 
 
 def _deviations(slopes: FloatArray, size: FloatArray, spectrum: FloatArray) -> FloatArray:
     """Return standard deviations from the expected information, shape of the slopes' rows."""
-    information = np.einsum("ib,b,jb->ij", slopes, 0.5 * size / spectrum**2, slopes)
-    deviations: FloatArray = np.sqrt(np.maximum(np.diag(_inverse(information)), 0.0))
-    return deviations
+    inverse = _inverse(slopes, 0.5 * size / spectrum**2)
+    return np.asarray(np.sqrt(np.maximum(np.diag(inverse), 0.0)))

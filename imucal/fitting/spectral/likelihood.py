@@ -136,11 +136,7 @@ class Evaluation:
 
 
 def evaluate(
-    ordinates: Ordinates,
-    candidates: Candidates,
-    theta: FloatArray,
-    *,
-    ramp: FloatArray | None = None,
+    ordinates: Ordinates, candidates: Candidates, theta: FloatArray, *, ramp: FloatArray | None = None
 ) -> Evaluation:
     """Return objective, score and information of each candidate at `theta`, shape (c, p).
 
@@ -205,11 +201,7 @@ def _spectrum(
 
 
 def _filter(
-    ordinates: Ordinates,
-    candidates: Candidates,
-    theta: FloatArray,
-    spectrum: FloatArray,
-    slopes: FloatArray,
+    ordinates: Ordinates, candidates: Candidates, theta: FloatArray, spectrum: FloatArray, slopes: FloatArray
 ) -> None:
     """Multiply the spectrum by the response and add its slopes, in place."""
     first = candidates.response
@@ -231,10 +223,7 @@ def _filter(
 
 
 def _regress(
-    ordinates: Ordinates,
-    candidates: Candidates,
-    spectrum: FloatArray,
-    ramp: FloatArray | None,
+    ordinates: Ordinates, candidates: Candidates, spectrum: FloatArray, ramp: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return beta (c, r), its covariance (c, r, r) and the squares it leaves in each bin (c, b)."""
     has = candidates.regressors

@@ -60,12 +60,7 @@ def find_lines(
 ) -> tuple[BoolArray | None, tuple[Line, ...]]:
     """Return which ordinates to keep, shape (n-1,), or None for all; and the lines, strongest first.
 
-    Parameters
-    ----------
-    ordinates
-        X_k for k = 1 … n-1, shape (n-1,), in scaled units.
-    scale
-        U per scaled unit, for the lines' amplitudes.
+    The `ordinates` k = 1 … n-1 are in scaled units of `scale` U each.
     """
     size = ordinates.size
     starts = bins.first - 1
@@ -87,7 +82,7 @@ def find_lines(
         excess = square[found] / level[of_bin]
         reach = np.ceil(np.sqrt(excess / _TAIL) / np.pi)
         reach = np.minimum(np.maximum(reach, _LEAST), np.maximum(_LEAST, _MOST * found)).astype(np.int64)
-        kept = _without(found, reach, size)
+        kept = outside(np.maximum(found - reach, _LOWEST), found + reach + 1, size)
     if kept is None:
         return None, ()
     return kept, _describe(square, kept, level, bins, scale=scale, rate_hz=rate_hz)
@@ -146,12 +141,8 @@ def _level_of(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[Floa
 
 def _beyond(square: FloatArray, bins: DctBins, suspects: IntArray, limit: FloatArray) -> IntArray:
     """Return the ordinates beyond the limit of their bin, looking only into suspect bins."""
-    found = [
-        start + np.flatnonzero(square[start : start + count] > limit[at])
-        for at, start, count in zip(
-            suspects.tolist(), (bins.first[suspects] - 1).tolist(), bins.count[suspects].tolist(), strict=True
-        )
-    ]
+    starts, stops = bins.first - 1, bins.first - 1 + bins.count
+    found = [starts[at] + np.flatnonzero(square[starts[at] : stops[at]] > limit[at]) for at in suspects]
     return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
 
 
@@ -198,28 +189,27 @@ def _exceeds(square: FloatArray, top: int, others: FloatArray) -> bool:
     return bool(square[top] > limit[0] * np.median(others) / _MEDIAN)
 
 
-def _without(found: IntArray, reach: IntArray, size: int) -> BoolArray:
-    """Return a mask without the found ordinates and so many neighbours on each side."""
+def outside(first: IntArray, stop: IntArray, size: int) -> BoolArray:
+    """Return which places 0 … size-1 are in none of the spans from `first` to before `stop`, (s,) each."""
     steps = np.zeros(size + 1, dtype=np.int64)
-    np.add.at(steps, np.maximum(found - reach, _LOWEST), 1)
-    np.add.at(steps, np.minimum(found + reach + 1, size), -1)
+    np.add.at(steps, np.clip(first, 0, size), 1)
+    np.add.at(steps, np.clip(stop, 0, size), -1)
     free: BoolArray = np.cumsum(steps[:size]) == 0
     return free
 
 
+def left_out(kept: BoolArray) -> tuple[IntArray, IntArray]:
+    """Return where each run of places that are not kept begins, and the place after its end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], kept, [True]]).astype(np.int8)))
+    return edges[::2], edges[1::2]
+
+
 def _describe(
-    square: FloatArray,
-    kept: BoolArray,
-    level: FloatArray,
-    bins: DctBins,
-    *,
-    scale: float,
-    rate_hz: float,
+    square: FloatArray, kept: BoolArray, level: FloatArray, bins: DctBins, *, scale: float, rate_hz: float
 ) -> tuple[Line, ...]:
     """Return frequency and amplitude of each run of ordinates that was left out."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], kept, [True]]).astype(np.int8)))
     lines = []
-    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for start, stop in zip(*(ends.tolist() for ends in left_out(kept)), strict=True):
         top = start + int(np.argmax(square[start:stop]))
         at = int(np.searchsorted(bins.first - 1, top, side="right")) - 1
         power = max(float(square[start:stop].sum()) - (stop - start) * float(level[at]), 0.0)

@@ -40,7 +40,6 @@ from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segments import fit_segments
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
 from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, all_structures, richest
-from imucal.noise.model import NoiseModel
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries
 
@@ -58,23 +57,12 @@ class View:
 
 
 def fit_mle(
-    series: AxisSeries | None,
-    curve: AllanCurve,
-    settings: FitSettings,
-    temperature: FloatArray | None = None,
+    series: AxisSeries | None, curve: AllanCurve, settings: FitSettings, temperature: FloatArray | None = None
 ) -> NoiseFit:
-    """Fit a noise model to an axis by maximum likelihood.
+    """Fit a noise model to finite samples, gaps allowed, by maximum likelihood.
 
-    Parameters
-    ----------
-    series
-        Finite samples; gaps are allowed.
-    curve
-        Their Allan curve, for the picture; the fit does not use it.
-    settings
-        Its method and weights are not looked at.
-    temperature
-        In degrees Celsius at the samples, shape (n,), or None.
+    Their Allan curve is for the picture: the fit does not use it. `temperature`, shape (n,), is in degrees
+    Celsius at the samples.
 
     Raises
     ------
@@ -116,8 +104,24 @@ def fit_mle(
     response = response_of(view.ordinates, fitted, band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
+
+    def over_time() -> tuple[Segments | None, VarianceChange | None]:
+        if settings.segments < 2:
+            return None, None
+        segments = fit_segments(
+            series,
+            view.blocks,
+            problem,
+            fitted,
+            model=model,
+            curve=curve,
+            wanted=settings.segments,
+            fraction=band.fraction,
+        )
+        return segments, find_variance_change(series)
+
     (segments, change), not_compared = try_side_work(
-        lambda: _over_time(series, view, problem, fitted, model=model, curve=curve, wanted=settings.segments),
+        over_time,
         (None, None),
         what="The parts of the record are not compared",
         code="nonstationary",
@@ -146,6 +150,7 @@ def fit_mle(
             axis=series.name,
         )
     nyquist = series.rate_hz / 2
+    beta = dict(zip(view.ordinates.names, fitted.maximum.beta[0].tolist(), strict=True))
     return NoiseFit(
         method="mle",
         sensor=series.sensor,
@@ -155,10 +160,8 @@ def fit_mle(
         estimates=estimates,
         parameters=names,
         covariance=covariance,
-        goodness=Goodness(
-            statistic=found.statistic,
-            p_value=found.p_value,
-            chi2_per_bin=found.chi2_per_bin,
+        goodness=replace(
+            found,
             band_hz=(float(view.ordinates.fraction.min()) * nyquist, band.fraction * nyquist),
             lines=view.blocks.lines,
         ),
@@ -168,9 +171,14 @@ def fit_mle(
         candidates=near_candidates(choice),
         criterion=settings.chosen_by,
         findings=tuple(findings),
-        settings=_settings(band, view.common),
+        settings={
+            "band_fraction": band.fraction,
+            "response_poles": band.poles,
+            "response_zeros": band.zeros,
+            "regressors": list(view.common),
+        },
         noise_share=_noise_share(view, fitted, curve, series.rate_hz),
-        taken_out=_taken_out(view, fitted),
+        taken_out={name: beta[name] * view.blocks.scale for name in view.common},
         segments=segments,
         bins=bins_of(view.whole, view.blocks, tau0=series.tau0, widening=problem.widening["N"]),
     )
@@ -182,7 +190,7 @@ def _noise_share(view: View, fitted: Fitted, curve: AllanCurve, rate_hz: float) 
     A line of amplitude A at f adds A² sin⁴(pi f m tau0) / (m sin(pi f tau0))² to the variance.
     """
     lines = view.blocks.lines
-    if not (lines or view.band.poles or view.band.fraction < 1):
+    if not lines and view.band.flat:
         return None
     sizes = [block.bins.size for block in view.blocks.blocks]
     longest = int(np.argmax([block.bins.n for block in view.blocks.blocks]))
@@ -214,12 +222,6 @@ def _spectra(whole: Ordinates, fitted: Fitted, band: Band) -> tuple[FloatArray, 
     return model, seen
 
 
-def _taken_out(view: View, fitted: Fitted) -> dict[str, float]:
-    """Return the coefficient of each regressor beside the ramp, in U."""
-    beta = dict(zip(view.ordinates.names, fitted.maximum.beta[0].tolist(), strict=True))
-    return {name: beta[name] * view.blocks.scale for name in view.common}
-
-
 def spectral_view(
     series: AxisSeries, structure: Structure | None, max_gm: int, temperature: FloatArray | None
 ) -> View:
@@ -239,32 +241,6 @@ def spectral_view(
     )
 
 
-def _over_time(
-    series: AxisSeries,
-    view: View,
-    problem: Problem,
-    fitted: Fitted,
-    *,
-    model: NoiseModel,
-    curve: AllanCurve,
-    wanted: int,
-) -> tuple[Segments | None, VarianceChange | None]:
-    """Return what the segments of the record say, and whether the variance changes within them."""
-    if wanted < 2:
-        return None, None
-    segments = fit_segments(
-        series,
-        view.blocks,
-        problem,
-        fitted,
-        model=model,
-        curve=curve,
-        wanted=wanted,
-        fraction=view.band.fraction,
-    )
-    return segments, find_variance_change(series)
-
-
 def _structures(structure: Structure | None, max_gm: int, *, filtered: bool) -> list[Structure]:
     """Return the candidates; behind a filter they have N, which the response refers to, and no Q."""
     if structure is not None:
@@ -278,16 +254,6 @@ def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:
     return np.flatnonzero(curve.m * min(band.fraction, corner) >= 1 - 1e-9)
 
 
-def _settings(band: Band, common: tuple[str, ...]) -> dict[str, object]:
-    """Return what the fit decided, as JSON values."""
-    return {
-        "band_fraction": band.fraction,
-        "response_poles": band.poles,
-        "response_zeros": band.zeros,
-        "regressors": list(common),
-    }
-
-
 def _misfit_findings(
     found: Goodness, misfits: dict[str, float], model: str, axis: str
 ) -> tuple[Finding, ...]:
@@ -295,13 +261,9 @@ def _misfit_findings(
         return ()
     wider = ", ".join(f"{symbol} {factor:.3g}" for symbol, factor in misfits.items() if factor > 1)
     allow = f" Intervals are wider to allow for that: {wider} times." if wider else ""
-    return (
-        Finding(
-            level="warning",
-            code="model-misfit",
-            axis=axis,
-            text=f"{model} does not describe this axis: the squared residuals of its spectrum are "
-            f"{found.chi2_per_bin:.3g} on average where 1 is expected (score {found.statistic:.1f}).{allow}",
-            advice="Look at the spectrum for what is not noise of these kinds.",
-        ),
+    text = (
+        f"{model} does not describe this axis: the squared residuals of its spectrum are "
+        f"{found.chi2_per_bin:.3g} on average where 1 is expected (score {found.statistic:.1f}).{allow}"
     )
+    advice = "Look at the spectrum for what is not noise of these kinds."
+    return (Finding(level="warning", code="model-misfit", axis=axis, text=text, advice=advice),)

@@ -9,7 +9,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
-from imucal.findings import Finding
+from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.band import Band, corner_of, find_band
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, make_blocks
@@ -95,15 +95,9 @@ def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ..
         for line in lines[:_NAMED]
     )
     more = f" and {len(lines) - _NAMED} weaker ones" if len(lines) > _NAMED else ""
-    return (
-        Finding(
-            level="info",
-            code="line",
-            axis=series.name,
-            text=f"{'Line' if len(lines) == 1 else 'Lines'} at {named}{more}; left out of the fit.",
-            advice="Look for a motor, a fan or mains near the sensor; the Allan curve still holds the lines.",
-        ),
-    )
+    text = f"{'Line' if len(lines) == 1 else 'Lines'} at {named}{more}; left out of the fit."
+    advice = "Look for a motor, a fan or mains near the sensor; the Allan curve still holds the lines."
+    return (Finding(level="info", code="line", axis=series.name, text=text, advice=advice),)
 
 
 def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> tuple[Finding, ...]:
@@ -127,15 +121,10 @@ def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> t
     many = len(lines) > 1
     count = f"{len(lines)} tones" if many else "a tone"
     effect = f", which {'bend' if many else 'bends'} the Allan curve" if visible else ""
-    return (
-        Finding(
-            level="warning" if visible else "info",
-            code="tone",
-            text=f"{series.name} holds {count}{effect}: {'; '.join(named)}.",
-            advice="Remove the source and record again; the fit leaves lines out." if visible else "",
-            axis=series.name,
-        ),
-    )
+    level: Level = "warning" if visible else "info"
+    text = f"{series.name} holds {count}{effect}: {'; '.join(named)}."
+    advice = "Remove the source and record again; the fit leaves lines out." if visible else ""
+    return (Finding(level=level, code="tone", axis=series.name, text=text, advice=advice),)
 
 
 def _sure_lines(blocks: SeriesBlocks, series: AxisSeries) -> tuple[list[Line], float]:
@@ -170,7 +159,7 @@ def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
             f"The density of {series.name} falls to half near {corner * nyquist:.3g} Hz: a low-pass filter "
             f"shapes its output, sampled at {series.rate_hz:.4g} Hz."
         )
-    elif band.poles or band.fraction < 1:
+    elif not band.flat:
         text = (
             f"Near {band.fraction * nyquist:.3g} Hz and above an output filter, or a vibration, shapes the "
             f"density of {series.name}, sampled at {series.rate_hz:.4g} Hz."

@@ -195,8 +195,7 @@ def regressor_ordinates(
 
     `temperature`, shape (n,), is that at these samples. Constants are left out, as ordinate 0 is.
     """
-    kind, _, text = name.partition(":")
-    value = float(text) if text else 0.0
+    kind, value = _parsed(name)
     if kind == "temperature":
         if temperature is None:
             msg = f"regressor {name!r} needs the temperature of the samples, got none"
@@ -212,10 +211,14 @@ def regressor_ordinates(
     return closed[kind]()
 
 
+def _parsed(name: str) -> tuple[str, float]:
+    kind, _, text = name.partition(":")
+    return kind, float(text or 0.0)
+
+
 def regressor_samples(name: str, places: FloatArray, temperature: FloatArray | None = None) -> FloatArray:
     """Return the regressor at `places` from the first sample of the record, shape of `places`."""
-    kind, _, text = name.partition(":")
-    value = float(text) if text else 0.0
+    kind, value = _parsed(name)
     if kind == "temperature" and temperature is not None:
         return lagged(temperature, value)
     shapes: dict[str, Callable[[], FloatArray]] = {

@@ -31,14 +31,8 @@ class Maximum:
     ----------
     theta
         Parameters, shape (c, p).
-    objective
-        -log L, shape (c,).
-    information
-        Expected information, shape (c, p, p).
-    beta
-        Regressors' coefficients, shape (c, r).
-    beta_covariance
-        Their covariance given the spectrum, shape (c, r, r).
+    objective, information, beta, beta_covariance
+        As in `Evaluation`.
     converged
         Whether scoring came to rest, shape (c,).
     """
@@ -101,21 +95,10 @@ def maximize(
 ) -> Maximum:
     """Maximise the likelihood of each candidate from its row of `start`, shape (c, p).
 
-    Parameters
-    ----------
-    shortest
-        Shortest correlation time, in samples.
-    free
-        Parameters to move, shape (c, p); all that a candidate has by default.
-    ramp
-        Ramps to hold, see `evaluate`.
-    iterations
-        Most steps.
-    tolerance
-        A step that gains less log-likelihood than this ends the search.
-    handicap
-        Added to the objective of each, shape (c,), in a race of which only the best matter: those far behind
-        are given up on the way. None are by default.
+    Correlation times are `shortest` samples at least. Of the parameters that a candidate has, those `free`,
+    shape (c, p), are moved; `ramp` are ramps to hold, see `evaluate`. A step that gains less log-likelihood
+    than `tolerance` ends the search. A `handicap`, shape (c,), is added to the objectives in a race of which
+    only the best matter: those far behind are given up on the way.
     """
     low, high = bounds(ordinates, candidates, shortest=shortest)
     moving = candidates.free if free is None else free & candidates.free

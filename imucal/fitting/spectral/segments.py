@@ -25,6 +25,7 @@ from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
 from imucal.fitting.spectral.bounds import COLUMN
 from imucal.fitting.spectral.estimates import Fitted, Problem, quantile
 from imucal.fitting.spectral.likelihood import derivatives
+from imucal.fitting.spectral.lines import left_out, outside
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
 from imucal.fitting.spectral.scoring import bounds
 from imucal.fitting.spectral.structures import candidates_of
@@ -77,24 +78,11 @@ def segment_ordinates(
     wanted: int,
     fraction: float,
 ) -> SegmentOrdinates | None:
-    """Return the ordinates of each segment, or None where the record is too short for any.
+    """Return the ordinates of each segment of finite samples; None where they are too few for any.
 
-    A segment of which the gaps leave too little is left out.
-
-    Parameters
-    ----------
-    series
-        Finite samples.
-    blocks
-        Their blocks.
-    drift
-        Name of a regressor -> its coefficient in scaled units: what is taken out.
-    scale
-        U per scaled unit.
-    wanted
-        Most segments.
-    fraction
-        Upper end of the band, as a fraction of Nyquist.
+    A segment of which the gaps leave too little is left out. `drift`, the name of a regressor -> its
+    coefficient in scaled units, is taken out; `wanted` is the most segments, `fraction` the upper end of
+    the band over Nyquist.
     """
     count = number_of_segments(series.n, wanted)
     if not count:
@@ -124,13 +112,7 @@ def segment_ordinates(
 
 
 def _piece(
-    series: AxisSeries,
-    block: Block,
-    *,
-    drift: Mapping[str, float],
-    scale: float,
-    place: int,
-    size: int,
+    series: AxisSeries, block: Block, *, drift: Mapping[str, float], scale: float, place: int, size: int
 ) -> Block | None:
     """Return the part of a block from a place of the grid on; None where little of it was measured."""
     size = fast_length(max(size, 0))
@@ -185,16 +167,13 @@ def _kept(block: Block, size: int) -> BoolArray | None:
     """
     if block.kept is None:
         return None
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], block.kept, [True]]).astype(np.int8)))
+    first, stop = left_out(block.kept)
     shrink = size / block.bins.n
     # Ordinates count from 1.
-    middle = ((edges[::2] + edges[1::2]) / 2 + 0.5) * shrink
-    reach = np.maximum((edges[1::2] - edges[::2]) / 2 * np.sqrt(shrink), _REACH)
-    steps = np.zeros(size, dtype=np.int64)
-    np.add.at(steps, np.clip(np.floor(middle - reach).astype(np.int64) - 1, 0, size - 1), 1)
-    np.add.at(steps, np.clip(np.ceil(middle + reach).astype(np.int64), 0, size - 1), -1)
-    kept: BoolArray = np.cumsum(steps)[: size - 1] == 0
-    return kept
+    middle = ((first + stop) / 2 + 0.5) * shrink
+    reach = np.maximum((stop - first) / 2 * np.sqrt(shrink), _REACH)
+    low, high = np.floor(middle - reach).astype(np.int64) - 1, np.ceil(middle + reach).astype(np.int64)
+    return outside(low, high, size - 1)
 
 
 def _loss(block: Block, omega: FloatArray, missing: float) -> FloatArray:
@@ -339,24 +318,10 @@ def fit_segments(
     wanted: int,
     fraction: float,
 ) -> Segments | None:
-    """Return what the segments of a record say of its fit; None where it is too short for any.
+    """Return what the segments of finite samples say of their fit; None where they are too few for any.
 
-    Parameters
-    ----------
-    series
-        Finite samples.
-    blocks
-        Their blocks.
-    problem, fitted
-        What was fitted, and the model that is shown.
-    model
-        The same in SI.
-    curve
-        Of the series: its minimum is the averaging time of the floor.
-    wanted
-        Most segments.
-    fraction
-        Upper end of the band, as a fraction of Nyquist.
+    `fitted` is the model that is shown, and `model` the same in SI; the minimum of the series' `curve` is
+    the averaging time of the floor. `wanted` and `fraction` as in `segment_ordinates`.
     """
     names, beta = problem.ordinates.names, fitted.maximum.beta[0].tolist()
     found = segment_ordinates(
@@ -377,7 +342,7 @@ def fit_segments(
         white=white,
         floor=floor,
         floor_tau_s=tau,
-        terms=tests.terms(),
+        terms=tuple(tests.test(name) for name in tests.columns if not name.endswith(".T")),
     )
 
 
@@ -404,11 +369,6 @@ class _Tests:
             self.spectra[column] *= _SHARE / np.max(self.spectra[column] / self.whole)
         self.columns = dict(fitted.columns(fitted.missing))
         self.spans = np.stack([segments.start_s, segments.end_s], axis=1)
-
-    def terms(self) -> tuple[TermHomogeneity, ...]:
-        """Return the test of each term but the ramp, by rising slope."""
-        names = [name for name in self.columns if not name.endswith(".T")]
-        return tuple(self.test(name) for name in names)
 
     def test(self, name: str) -> TermHomogeneity:
         """Return the test of one term: Cochran's Q where each segment tells it, else the likelihood ratio."""
@@ -453,16 +413,12 @@ class _Tests:
         length = float(np.min(self.segments.end_s - self.segments.start_s))
         tau = min(curve.minimum[1], _PART * length)
         m = np.array([max(tau / series.tau0, 1.0)])
-        shares = {
-            symbol: float(
-                NoiseModel(terms=tuple(t for t in model.terms if t.symbol == symbol)).avar(
-                    m, rate_hz=series.rate_hz
-                )[0]
-            )
-            for symbol in {term.symbol for term in model.terms} - {"R"}
-        }
+        shares: dict[str, float] = {}
+        for term in model.terms:
+            own = float(term.avar(m, 1 / series.rate_hz)[0])
+            shares[term.symbol] = shares.get(term.symbol, 0.0) + own
         white = next((term for term in model.terms if term.symbol == "N"), None)
-        slow = sum(share for symbol, share in shares.items() if symbol not in {"Q", "N"})
+        slow = sum(share for symbol, share in shares.items() if symbol not in {"Q", "N", "R"})
         if white is None:
             return None, None, np.nan
         parts = self.parts(COLUMN["N"])
@@ -475,18 +431,12 @@ class _Tests:
             return n, None, np.nan
         fast, rest = shares["N"] * np.exp(free.tested), slow * np.exp(free.beside)
         total = fast + rest + shares.get("Q", 0.0)
-        error = np.sqrt(_variance(sure, fast / total, rest / total, surplus))
+        fast, rest = fast / total, rest / total
+        # The variance of the log of a sum of both parts that have these shares of it.
+        tested, both, beside = sure.matrix
+        variance = surplus * fast**2 * beside - 2 * fast * rest * both + rest**2 * tested
+        error = np.sqrt(variance / (tested * beside - both**2))
         return n, _trace(1.0, np.log(total), z * error), tau
-
-
-def _variance(sure: Scales, fast: FloatArray, slow: FloatArray, surplus: float) -> FloatArray:
-    """Return the variance of the log of a sum of both parts that have these shares of it, shape (s,)."""
-    tested, both, beside = sure.matrix
-    determinant = tested * beside - both**2
-    variance: FloatArray = (
-        surplus * fast**2 * beside - 2 * fast * slow * both + slow**2 * tested
-    ) / determinant
-    return variance
 
 
 def _trace(unit: float, logs: FloatArray, reach: FloatArray) -> Trace:

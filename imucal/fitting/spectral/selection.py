@@ -61,14 +61,8 @@ def choose(
 ) -> RankedModels:
     """Fit every structure and return them by rising criterion.
 
-    Parameters
-    ----------
-    shortest
-        Shortest correlation time of a term, in samples.
-    band
-        The output filter's response: its order, and coefficients to start from.
-    common
-        Regressors that every candidate has.
+    Correlation times are `shortest` samples at least, `band` has the order of the output filter's response
+    and coefficients to start from, and every candidate has the regressors `common`.
     """
     poles, zeros = (band.poles, band.zeros) if band else (0, 0)
     candidates = candidates_of(structures, ordinates.names, poles=poles, zeros=zeros, common=common)
@@ -178,26 +172,15 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
         text = (
             f"The record does not tell {near[0].structure} from {others}: {_difference(choice, len(near))}."
         )
-        findings.append(
-            Finding(
-                level="info",
-                code="model-choice",
-                axis=axis,
-                text=text,
-                advice="Record for longer, or give the model if it is known.",
-            )
-        )
+        advice = "Record for longer, or give the model if it is known."
+        findings.append(Finding(level="info", code="model-choice", axis=axis, text=text, advice=advice))
     if choice.modes[0] < _AS_GOOD / 2:
-        findings.append(
-            Finding(
-                level="warning",
-                code="two-maxima",
-                axis=axis,
-                text=f"{near[0].structure} explains the record in two ways about as well; "
-                "the better one is reported, and its intervals do not cover the other.",
-                advice="Record for longer, or give a simpler model.",
-            )
+        text = (
+            f"{near[0].structure} explains the record in two ways about as well; "
+            "the better one is reported, and its intervals do not cover the other."
         )
+        advice = "Record for longer, or give a simpler model."
+        findings.append(Finding(level="warning", code="two-maxima", axis=axis, text=text, advice=advice))
     return tuple(findings)
 
 

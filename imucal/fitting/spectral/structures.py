@@ -62,18 +62,11 @@ def candidates_of(
     room_shaped: int | None = None,
     room_poles: int | None = None,
 ) -> Candidates:
-    """Return one candidate for each structure.
+    """Return one candidate for each structure, with those of the ordinates' regressors `names` that it has.
 
-    Parameters
-    ----------
-    names
-        The ordinates' regressors.
-    poles, zeros
-        Order of the output filter's response, one for all or one for each.
-    common
-        Regressors that every candidate has.
-    room_shaped, room_poles
-        Columns kept for each; no more than needed by default.
+    Every candidate has the regressors `common`. The order of the output filter's response, `poles` and
+    `zeros`, is one for all or one for each. No more columns than needed are kept, or `room_shaped` for terms
+    of other shapes and `room_poles` for the response.
     """
     count = len(structures)
     shaped = [shaped_symbols(structure) for structure in structures]
