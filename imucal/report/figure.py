@@ -333,13 +333,8 @@ def draw_allan(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
     """Draw one axis's curve, model and terms in data-sheet units; return the entries of the legend."""
     curve, rate, factor = axis.fit.curve, axis.fit.rate_hz, units.level.factor
     shown, terms, m = shown_points(curve), drawn_terms(axis), _dense(curve)
-    style_axes(
-        axes,
-        x="averaging time τ (s)",
-        y=f"Allan deviation ({pretty(units.level.name)})",
-        x_limits=limits(curve.tau[shown], below=1.6, above=1.9),
-        y_limits=_y_limits(curve.adev[shown] * factor, [each.height * factor for each in terms]),
-    )
+    y_limits = _y_limits(curve.adev[shown] * factor, [each.height * factor for each in terms])
+    _style_allan(axes, units, curve.tau[shown], y_limits)
     entries = _points(axes, axis, shown, factor)
     total = np.sqrt(axis.fit.model.avar(m, rate_hz=rate)) * factor
     if axis.fit.model.terms:
@@ -375,13 +370,14 @@ def draw_allan_overview(axes: "Axes", reports: list[AxisReport], units: SheetUni
         axes.plot(m / axis.fit.rate_hz, total, **line)
         values.append(adev)
         times.append(tau)
-    style_axes(
-        axes,
-        x="averaging time τ (s)",
-        y=f"Allan deviation ({pretty(units.level.name)})",
-        x_limits=limits(np.concatenate(times), below=1.6, above=1.9),
-        y_limits=limits(np.concatenate(values), below=2.0, above=2.0),
-    )
+    y_limits = limits(np.concatenate(values), below=2.0, above=2.0)
+    _style_allan(axes, units, np.concatenate(times), y_limits)
+
+
+def _style_allan(axes: "Axes", units: SheetUnits, tau: FloatArray, y_limits: tuple[float, float]) -> None:
+    name = f"Allan deviation ({pretty(units.level.name)})"
+    x_limits = limits(tau, below=1.6, above=1.9)
+    style_axes(axes, x="averaging time τ (s)", y=name, x_limits=x_limits, y_limits=y_limits)
 
 
 def shown_points(curve: AllanCurve) -> IntArray:
@@ -478,13 +474,7 @@ def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
     """Draw one axis's spectrum, model and terms in data-sheet units; return the entries of the legend."""
     smooth, factor = smooth_spectrum(axis), units.density.factor
     frequency, root = smooth.frequency, smooth.root * factor
-    style_axes(
-        axes,
-        x="frequency (Hz)",
-        y=f"√PSD, two-sided ({pretty(units.density.name)})",
-        x_limits=limits(axis.spectrum.frequency, below=1.3, above=1.3),
-        y_limits=limits(root, below=2.0, above=2.2),
-    )
+    _style_psd(axes, units, axis.spectrum.frequency, root)
     if not frequency.size:
         axes.text(0.5, 0.5, "no samples, no spectrum", transform=axes.transAxes, ha="center", color=INK)
         return []
@@ -520,12 +510,16 @@ def draw_psd_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits
         axes.plot(grid, model, color=stroke.light, linewidth=1.6, **dashes(stroke))
         values.append(root)
         places.append(grid)
+    _style_psd(axes, units, np.concatenate(places), np.concatenate(values))
+
+
+def _style_psd(axes: "Axes", units: SheetUnits, frequency: FloatArray, root: FloatArray) -> None:
     style_axes(
         axes,
         x="frequency (Hz)",
         y=f"√PSD, two-sided ({pretty(units.density.name)})",
-        x_limits=limits(np.concatenate(places), below=1.3, above=1.3),
-        y_limits=limits(np.concatenate(values), below=2.0, above=2.2),
+        x_limits=limits(frequency, below=1.3, above=1.3),
+        y_limits=limits(root, below=2.0, above=2.2),
     )
 
 

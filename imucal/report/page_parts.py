@@ -17,7 +17,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, Segments, Trace
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports import TARGETS
@@ -93,13 +93,13 @@ def _term_rows(key: str, axes: list[AxisReport], units: SheetUnits) -> Iterator[
         ((numbers.si(e, sensor), units.estimate(e, sensor)), numbers.alternatives(e)) if e else None
         for e in found
     ]
-    if symbol != "GM":
-        yield _quantities(key, TERMS[symbol].name(sensor), cells)
-        return
-    yield _quantities(f"{key} σ", "Gauss-Markov, standard deviation", cells)
-    yield _quantities(f"{key} T", "its correlation time", [_time(e) for e in found])
-    states = [_state(axis, e) for axis, e in zip(axes, found, strict=True)]
-    yield {"key": f"{key} φ, q", "note": "x[t+1] = φ x[t] + q w[t], SI", "texts": states}
+    name, markov = TERMS[symbol].name(sensor), symbol == GaussMarkov.symbol
+    yield _quantities(*((f"{key} σ", f"{name}, standard deviation") if markov else (key, name)), cells)
+    if any(times := [_time(e) for e in found]):
+        yield _quantities(f"{key} T", "its correlation time", times)
+    if markov:
+        states = [_state(axis, e) for axis, e in zip(axes, found, strict=True)]
+        yield {"key": f"{key} φ, q", "note": "x[t+1] = φ x[t] + q w[t], SI", "texts": states}
 
 
 def _time(estimate: Estimate | None) -> _Cell:
