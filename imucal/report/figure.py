@@ -135,7 +135,6 @@ _SIZE = 9.0
 _MINOR = 0.006
 #: At most so many labelled ticks an axis.
 _MOST = 8
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def draw_ticks(axes: "Axes") -> None:
@@ -188,7 +187,7 @@ def tick_label(value: float) -> str:
     if -2 <= exponent <= 3:
         return f"{value:.6g}"
     factor = round(value / 10.0**exponent, 6)
-    power = f"10{str(exponent).translate(_SUPERSCRIPTS)}"
+    power = numbers.ten_to(exponent)
     return power if factor == 1 else f"{factor:g}×{power}"
 
 
@@ -696,22 +695,15 @@ def _recording_text(axis: AxisReport) -> str:
 
 def _rows(axes: list[AxisReport], units: SheetUnits) -> list[tuple[str, list[str]]]:
     """Return the rows under an overview: a name, and a text for each axis."""
-    estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
-    rows = []
-    for key in dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol):
-        found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
-        rows.append((key, _row(found, axes[0].sensor, units)))
+    sensor, rows = axes[0].sensor, []
+    for key, found in numbers.by_term(axes):
+        # One power of ten for all axes.
+        shared = numbers.engineering_exponent(units.estimate(e, sensor) for e in found if e)
+        texts = [estimate_text(e, sensor, units, exponent=shared) if e else "–" for e in found]
+        rows.append((key, [text.removeprefix(f"{key} ").replace("\n", ",  ") for text in texts]))
     lowest = [units.minimum(axis) for axis in axes]
     shared = numbers.engineering_exponent(lowest)
     return [*rows, ("minimum", [numbers.with_interval(each, exponent=shared) for each in lowest])]
-
-
-def _row(found: list[Estimate | None], sensor: Sensor, units: SheetUnits) -> list[str]:
-    """Return a term of each axis in one unit, with one power of ten."""
-    shared = numbers.engineering_exponent(units.estimate(e, sensor) for e in found if e)
-    texts = [estimate_text(e, sensor, units, exponent=shared) if e else "–" for e in found]
-    keys = [f"{e.key} " if e else "" for e in found]
-    return [text.removeprefix(key).replace("\n", ",  ") for text, key in zip(texts, keys, strict=True)]
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:
@@ -733,10 +725,6 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
         figure.text(0.02, y, key, **(style | {"fontweight": "bold"}))
         for text, x in zip(texts, columns, strict=False):
             figure.text(x, y, text, **style)
-
-
-#: Loaded once, by the process that the others are forked from.
-_LIBRARIES = ("matplotlib.figure", "matplotlib.backends.backend_agg")
 
 
 @dataclass(slots=True)
@@ -778,8 +766,9 @@ def draw(report: Report, formats: Sequence[str], *, small: bool, workers: int | 
     items = _items(report) if formats else tuple(report.axes) if small else ()
     count = threads() if workers is None else workers
     if count > 1 and items:
-        for name in _LIBRARIES:
-            import_module(name)
+        # Loaded once, by the process that the others are forked from.
+        import_module("matplotlib.figure")
+        import_module("matplotlib.backends.backend_agg")
     drawn = Drawings()
     work = partial(_draw_one, report, formats=tuple(formats), small=small)
     for one in side_by_side(work, items, workers=count):

@@ -75,9 +75,8 @@ def _summary_caption(axes: list[AxisReport]) -> str:
 
 
 def _summary_rows(axes: list[AxisReport], units: SheetUnits) -> Iterator[dict[str, object]]:
-    estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
-    for key in dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol):
-        yield from _term_rows(key, axes, units)
+    for key, found in numbers.by_term(axes):
+        yield from _term_rows(key, found, axes, units)
     lowest = [(numbers.minimum(axis)[0], units.minimum(axis)) for axis in axes]
     times = [f"at {numbers.seconds(axis.fit.curve.minimum[1])}" for axis in axes]
     yield _quantities("minimum", "of the curve", list(zip(lowest, times, strict=True)))
@@ -85,9 +84,10 @@ def _summary_rows(axes: list[AxisReport], units: SheetUnits) -> Iterator[dict[st
     yield {"key": "misfit score", "texts": [_score(axis.fit.goodness.statistic) for axis in axes]}
 
 
-def _term_rows(key: str, axes: list[AxisReport], units: SheetUnits) -> Iterator[dict[str, object]]:
+def _term_rows(
+    key: str, found: list[Estimate | None], axes: list[AxisReport], units: SheetUnits
+) -> Iterator[dict[str, object]]:
     sensor = axes[0].sensor
-    found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
     symbol = next(e.symbol for e in found if e)
     cells = [
         ((numbers.si(e, sensor), units.estimate(e, sensor)), numbers.alternatives(e)) if e else None
