@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from imucal.errors import DataError
+from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
@@ -146,7 +147,7 @@ def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0
         b=b.source.path,
         alpha=alpha,
         tolerance=tolerance,
-        differences=_holm(differences, alpha),
+        differences=tuple(_judged(differences, alpha)),
         notes=tuple(_notes(axes_a, axes_b)),
     )
 
@@ -253,16 +254,12 @@ def _quantile(level: float) -> float:
     return NormalDist().inv_cdf((1 + level) / 2)
 
 
-def _holm(differences: Sequence[Difference], alpha: float) -> tuple[Difference, ...]:
-    """Return the differences with adjusted p-values and outcomes.
-
-    Source: Holm (1979), Scandinavian Journal of Statistics 6, pp. 65-70.
-    """
-    tested = sorted((difference.p, i) for i, difference in enumerate(differences) if difference.p is not None)
-    adjusted = list(differences)
-    largest = 0.0
-    for rank, (p, i) in enumerate(tested):
-        largest = max(largest, min(1.0, (len(tested) - rank) * p))
-        outcome: Outcome = "differs" if largest < alpha else "same"
-        adjusted[i] = replace(differences[i], p_adjusted=largest, outcome=outcome)
-    return tuple(adjusted)
+def _judged(differences: Sequence[Difference], alpha: float) -> Iterator[Difference]:
+    """Yield the differences, those with a p-value with the adjusted one and its outcome."""
+    adjusted = iter(holm([difference.p for difference in differences if difference.p is not None]))
+    for difference in differences:
+        if difference.p is None:
+            yield difference
+        else:
+            p = next(adjusted)
+            yield replace(difference, p_adjusted=p, outcome="differs" if p < alpha else "same")

@@ -137,15 +137,14 @@ class Limits:
 TERM_QUANTITIES = tuple(TERMS)
 #: Quantities in the unit of the samples: the curve's lowest deviation, mean and spread of the samples.
 SAMPLE_QUANTITIES = ("minimum", "mean", "std")
-#: Quantities of a recording: rate, length, number of gaps, missing samples as a fraction.
-LOG_QUANTITIES = ("rate", "duration", "gaps", "missing")
-
 _LOG_UNITS: dict[str, dict[str, float]] = {
     "rate": {"Hz": 1.0, "kHz": 1e3},
     "duration": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
     "gaps": {"": 1.0},
     "missing": {"": 1.0, "%": 0.01, "ppm": 1e-6},
 }
+#: Quantities of a recording: rate, length, number of gaps, missing samples as a fraction.
+LOG_QUANTITIES = tuple(_LOG_UNITS)
 
 #: What people write -> the plain spelling; roots come first, since they hold letters.
 _SIGNS = {
@@ -191,7 +190,6 @@ _AXES: tuple[Axis, ...] = ("x", "y", "z")
 _AXIS_NAMES = {f"{sensor.short}_{axis}": sensor for sensor in Sensor for axis in _AXES}
 _SENSORS = tuple(sensor.value for sensor in Sensor)
 _SECTIONS = ("log", *_SENSORS, *_AXIS_NAMES)
-_TOP = (*_SECTIONS, "findings", "baseline", "undecided")
 
 
 def read_limits(path: Path) -> Limits:
@@ -236,7 +234,7 @@ class _File:
     folder: Path
 
     def limits(self, document: Mapping[str, object]) -> Limits:
-        self._known("", document, _TOP)
+        self._known("", document, (*_SECTIONS, "findings", "baseline", "undecided"))
         limits: list[Limit] = []
         required: dict[Sensor, tuple[Axis, ...]] = {}
         for section in _SECTIONS:

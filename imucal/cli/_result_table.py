@@ -49,7 +49,8 @@ def summary_table(
     for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:
         for key in _order(beside):
             sides = [sensor.get(key, []) for sensor in beside]
-            lines += [_side_by_side(row) for row in zip_longest(*sides, fillvalue="")]
+            rows = zip_longest(*sides, fillvalue="")
+            lines += [(" " * _SPACE).join(f"{text:{_COLUMN}}" for text in row).rstrip() for row in rows]
             lines.append("")
     levels = {axis.fit.level for axis in report.axes}
     shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
@@ -72,10 +73,6 @@ def _order(columns: Sequence[dict[str, _Block]]) -> list[str]:
         *(f"{symbol}{n}{part}" for symbol in TERMS for n in ("", *"123456789") for part in ("", " T")),
     ]
     return [key for key in first if key in keys] + ["minimum"]
-
-
-def _side_by_side(row: Sequence[str]) -> str:
-    return (" " * _SPACE).join(f"{text:{_COLUMN}}" for text in row).rstrip()
 
 
 def _blocks(axes: list[AxisReport], units: SheetUnits | None, *, plain: bool) -> Iterator[tuple[str, _Block]]:

@@ -87,12 +87,6 @@ class Number(click.FloatRange):
         return float(super().convert(repr(number), param, ctx))  # type: ignore[arg-type] # click's stub is narrow
 
 
-#: Hz: no IMU is slower or faster, and no product of these overflows.
-RATE = Number(1e-6, 1e9, unit="Hz")
-#: Beyond these levels an interval is a point or everything.
-LEVEL = Number(0.01, 0.999999, percent=True)
-
-
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 

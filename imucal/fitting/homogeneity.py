@@ -18,7 +18,7 @@ Statistics 12, 367 (the ratio of the mean square successive difference to the va
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -270,3 +270,13 @@ def _limits(estimate: Estimate, value: float, factor: float) -> tuple[float, flo
     if is_slow(estimate.symbol) and low < _NARROW * value:
         return value - factor * (value - low), value + factor * (high - value)
     return value * (low / value) ** factor, value * (high / value) ** factor
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values adjusted for their number. Source: Holm (1979), Scand. J. Statistics 6, 65."""
+    order = sorted(range(len(p_values)), key=p_values.__getitem__)
+    result, largest = [0.0] * len(p_values), 0.0
+    for rank, place in enumerate(order):
+        largest = max(largest, min(1.0, (len(order) - rank) * p_values[place]))
+        result[place] = largest
+    return result

@@ -13,7 +13,7 @@ from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.fleet_report.verdict import bound_name
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov
+from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Source
 from imucal.report.result import AxisReport, Overview, Report
 
@@ -169,7 +169,5 @@ def _correlation_time(fleet: Fleet, term: FleetTerm) -> Interval:
 
 
 def _noise_term(estimate: Estimate) -> NoiseTerm:
-    value = estimate.value or estimate.high
-    if estimate.correlation_time:
-        return GaussMarkov(sigma=value, T=estimate.correlation_time.value)
-    return TERMS[estimate.symbol].of(value)
+    times = [estimate.correlation_time.value] if estimate.correlation_time else []
+    return TERMS[estimate.symbol].of(estimate.value or estimate.high, *times)

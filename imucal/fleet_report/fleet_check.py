@@ -2,6 +2,7 @@
 
 from imucal.checking.verdict import Measured, Row, Verdict
 from imucal.errors import DataError
+from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fleet.pooling import log_values
 from imucal.fleet.population import FEWEST, membership
@@ -69,16 +70,6 @@ def check_fleet(
         _row(found, term, value, p=next(chances) if term.population.prediction else None, alpha=alpha)
         for term, value in common
     )
-
-
-def holm(p_values: list[float]) -> list[float]:
-    """Return p-values adjusted for their number. Source: Holm (1979), Scand. J. Statistics 6, 65."""
-    order = sorted(range(len(p_values)), key=p_values.__getitem__)
-    result, largest = [0.0] * len(p_values), 0.0
-    for rank, place in enumerate(order):
-        largest = max(largest, min(1.0, (len(order) - rank) * p_values[place]))
-        result[place] = largest
-    return result
 
 
 def _values(fit: NoiseFit, terms: list[FleetTerm]) -> dict[str, LogValue]:

@@ -416,10 +416,6 @@ def _strips(models: Sequence[SensorModel]) -> Iterator[tuple[str, Panel, list[tu
         yield f"{name} {key}", panel, [(Panel.short(model.title), term) for model, term in own]
 
 
-def _term_name(term: FleetTerm) -> str:
-    return TERMS[term.symbol].name(term.sensor)
-
-
 #: What the templates call, by name.
 _TEXTS: Mapping[str, Callable[..., object]] = {
     "alone": alone,
@@ -431,5 +427,5 @@ _TEXTS: Mapping[str, Callable[..., object]] = {
     "panel": _unit_panel,
     "percent": percent,
     "price_text": price_text,
-    "term_name": _term_name,
+    "term_name": lambda term: TERMS[term.symbol].name(term.sensor),
 }

@@ -14,13 +14,12 @@ from imucal.report import numbers
 from imucal.report.markup import Markup, both_units
 from imucal.report.numbers import Quantity
 from imucal.report.sheet_units import level_unit
-from imucal.units import DatasheetUnit, pretty
+from imucal.units import DatasheetUnit
 
 #: Width of a band of 95 %, in standard deviations.
 _BAND_SDS = 2 * 1.96
 #: Less is not told apart.
 _LEAST_P = 1e-4
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def sheet_unit(term: FleetTerm) -> DatasheetUnit:
@@ -68,13 +67,9 @@ def _kept(text: str) -> Markup:
 
 def _rounded_up(one: Quantity) -> str:
     """Return a bound with three digits and its unit, rounded up so that it stays one."""
-    value = one.value or one.high
-    power = numbers.power_of_ten(one)
-    scaled = value * 10.0**-power
-    places = 2 - math.floor(math.log10(scaled))
-    raised = math.ceil(scaled * 10.0**places * (1 - 1e-12)) / 10.0**places
-    body = f"{raised:.{max(places, 0)}f}"
-    return f"{body}{f' ×10{str(power).translate(_SUPERSCRIPTS)}' if power else ''} {pretty(one.unit)}"
+    exponent = numbers.power_of_ten(one)
+    scaled = (one.value or one.high) * 10.0**-exponent
+    return numbers.with_unit(numbers.rounded_up(scaled, 3), exponent, one.unit)
 
 
 def percent(value: float) -> str:

@@ -118,28 +118,20 @@ def run_plan(
     found = _here(take, work) if engine is None else outcomes(take, work, engine=engine, patience=patience)
     for batch, outcome in found:
         count.running -= len(batch)
-        if isinstance(outcome, Lost) and (len(batch) > 1 or batch[0].path not in lost):
-            _try_alone(batch, alone, lost)
+        if not isinstance(outcome, Lost):
+            count.add(batch, outcome)
+        elif len(batch) > 1 or batch[0].path not in lost:
+            # It may have been another log's fault: each is done by itself. One that was alone gets one more
+            # try: it may have been its worker's fault.
+            if len(batch) == 1:
+                lost.add(batch[0].path)
+            alone.extend([task] for task in batch)
             continue
-        count.add(batch, _given_up(batch, outcome, settings) if isinstance(outcome, Lost) else outcome)
+        else:
+            said = outcome.status, f"{batch[0].path}: {outcome.reason}"
+            count.add(batch, commit([failure(batch[0], settings, *said)], settings))
         tell(count)
     return count
-
-
-def _try_alone(batch: list[LogTask], alone: deque[list[LogTask]], lost: set[str]) -> None:
-    """Let the logs of a lost batch be done by themselves: it may have been another's fault.
-
-    One that was alone is noted as lost and gets one more try: it may have been its worker's fault.
-    """
-    if len(batch) == 1:
-        lost.add(batch[0].path)
-    alone.extend([task] for task in batch)
-
-
-def _given_up(batch: list[LogTask], lost: Lost, settings: FleetSettings) -> list[LogDone]:
-    """Commit that a batch could not be done."""
-    rows = [failure(task, settings, lost.status, f"{task.path}: {lost.reason}") for task in batch]
-    return commit(rows, settings)
 
 
 def _here(

@@ -135,7 +135,6 @@ _SIZE = 9.0
 _MINOR = 0.006
 #: At most so many labelled ticks an axis.
 _MOST = 8
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def draw_ticks(axes: "Axes") -> None:
@@ -188,7 +187,7 @@ def tick_label(value: float) -> str:
     if -2 <= exponent <= 3:
         return f"{value:.6g}"
     factor = round(value / 10.0**exponent, 6)
-    power = f"10{str(exponent).translate(_SUPERSCRIPTS)}"
+    power = numbers.ten_to(exponent)
     return power if factor == 1 else f"{factor:g}×{power}"
 
 
@@ -333,13 +332,8 @@ def draw_allan(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
     """Draw one axis's curve, model and terms in data-sheet units; return the entries of the legend."""
     curve, rate, factor = axis.fit.curve, axis.fit.rate_hz, units.level.factor
     shown, terms, m = shown_points(curve), drawn_terms(axis), _dense(curve)
-    style_axes(
-        axes,
-        x="averaging time τ (s)",
-        y=f"Allan deviation ({pretty(units.level.name)})",
-        x_limits=limits(curve.tau[shown], below=1.6, above=1.9),
-        y_limits=_y_limits(curve.adev[shown] * factor, [each.height * factor for each in terms]),
-    )
+    y_limits = _y_limits(curve.adev[shown] * factor, [each.height * factor for each in terms])
+    _style_allan(axes, units, curve.tau[shown], y_limits)
     entries = _points(axes, axis, shown, factor)
     total = np.sqrt(axis.fit.model.avar(m, rate_hz=rate)) * factor
     if axis.fit.model.terms:
@@ -375,13 +369,14 @@ def draw_allan_overview(axes: "Axes", reports: list[AxisReport], units: SheetUni
         axes.plot(m / axis.fit.rate_hz, total, **line)
         values.append(adev)
         times.append(tau)
-    style_axes(
-        axes,
-        x="averaging time τ (s)",
-        y=f"Allan deviation ({pretty(units.level.name)})",
-        x_limits=limits(np.concatenate(times), below=1.6, above=1.9),
-        y_limits=limits(np.concatenate(values), below=2.0, above=2.0),
-    )
+    y_limits = limits(np.concatenate(values), below=2.0, above=2.0)
+    _style_allan(axes, units, np.concatenate(times), y_limits)
+
+
+def _style_allan(axes: "Axes", units: SheetUnits, tau: FloatArray, y_limits: tuple[float, float]) -> None:
+    name = f"Allan deviation ({pretty(units.level.name)})"
+    x_limits = limits(tau, below=1.6, above=1.9)
+    style_axes(axes, x="averaging time τ (s)", y=name, x_limits=x_limits, y_limits=y_limits)
 
 
 def shown_points(curve: AllanCurve) -> IntArray:
@@ -478,13 +473,7 @@ def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
     """Draw one axis's spectrum, model and terms in data-sheet units; return the entries of the legend."""
     smooth, factor = smooth_spectrum(axis), units.density.factor
     frequency, root = smooth.frequency, smooth.root * factor
-    style_axes(
-        axes,
-        x="frequency (Hz)",
-        y=f"√PSD, two-sided ({pretty(units.density.name)})",
-        x_limits=limits(axis.spectrum.frequency, below=1.3, above=1.3),
-        y_limits=limits(root, below=2.0, above=2.2),
-    )
+    _style_psd(axes, units, axis.spectrum.frequency, root)
     if not frequency.size:
         axes.text(0.5, 0.5, "no samples, no spectrum", transform=axes.transAxes, ha="center", color=INK)
         return []
@@ -520,12 +509,16 @@ def draw_psd_overview(axes: "Axes", reports: list[AxisReport], units: SheetUnits
         axes.plot(grid, model, color=stroke.light, linewidth=1.6, **dashes(stroke))
         values.append(root)
         places.append(grid)
+    _style_psd(axes, units, np.concatenate(places), np.concatenate(values))
+
+
+def _style_psd(axes: "Axes", units: SheetUnits, frequency: FloatArray, root: FloatArray) -> None:
     style_axes(
         axes,
         x="frequency (Hz)",
         y=f"√PSD, two-sided ({pretty(units.density.name)})",
-        x_limits=limits(np.concatenate(places), below=1.3, above=1.3),
-        y_limits=limits(np.concatenate(values), below=2.0, above=2.2),
+        x_limits=limits(frequency, below=1.3, above=1.3),
+        y_limits=limits(root, below=2.0, above=2.2),
     )
 
 
@@ -702,22 +695,15 @@ def _recording_text(axis: AxisReport) -> str:
 
 def _rows(axes: list[AxisReport], units: SheetUnits) -> list[tuple[str, list[str]]]:
     """Return the rows under an overview: a name, and a text for each axis."""
-    estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
-    rows = []
-    for key in dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol):
-        found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
-        rows.append((key, _row(found, axes[0].sensor, units)))
+    sensor, rows = axes[0].sensor, []
+    for key, found in numbers.by_term(axes):
+        # One power of ten for all axes.
+        shared = numbers.engineering_exponent(units.estimate(e, sensor) for e in found if e)
+        texts = [estimate_text(e, sensor, units, exponent=shared) if e else "–" for e in found]
+        rows.append((key, [text.removeprefix(f"{key} ").replace("\n", ",  ") for text in texts]))
     lowest = [units.minimum(axis) for axis in axes]
     shared = numbers.engineering_exponent(lowest)
     return [*rows, ("minimum", [numbers.with_interval(each, exponent=shared) for each in lowest])]
-
-
-def _row(found: list[Estimate | None], sensor: Sensor, units: SheetUnits) -> list[str]:
-    """Return a term of each axis in one unit, with one power of ten."""
-    shared = numbers.engineering_exponent(units.estimate(e, sensor) for e in found if e)
-    texts = [estimate_text(e, sensor, units, exponent=shared) if e else "–" for e in found]
-    keys = [f"{e.key} " if e else "" for e in found]
-    return [text.removeprefix(key).replace("\n", ",  ") for text, key in zip(texts, keys, strict=True)]
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:
@@ -739,10 +725,6 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
         figure.text(0.02, y, key, **(style | {"fontweight": "bold"}))
         for text, x in zip(texts, columns, strict=False):
             figure.text(x, y, text, **style)
-
-
-#: Loaded once, by the process that the others are forked from.
-_LIBRARIES = ("matplotlib.figure", "matplotlib.backends.backend_agg")
 
 
 @dataclass(slots=True)
@@ -784,8 +766,9 @@ def draw(report: Report, formats: Sequence[str], *, small: bool, workers: int | 
     items = _items(report) if formats else tuple(report.axes) if small else ()
     count = threads() if workers is None else workers
     if count > 1 and items:
-        for name in _LIBRARIES:
-            import_module(name)
+        # Loaded once, by the process that the others are forked from.
+        import_module("matplotlib.figure")
+        import_module("matplotlib.backends.backend_agg")
     drawn = Drawings()
     work = partial(_draw_one, report, formats=tuple(formats), small=small)
     for one in side_by_side(work, items, workers=count):

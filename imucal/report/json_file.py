@@ -490,7 +490,6 @@ def _trace_entry(trace: Trace, unit: str) -> dict[str, object]:
     return {"value": trace.value, "low": trace.low, "high": trace.high, "unit": unit}
 
 
-_INDENT = "  "
 _AXES: dict[str, Axis] = {"x": "x", "y": "y", "z": "z"}
 
 
@@ -558,7 +557,7 @@ def _refuse_constant(name: str) -> NoReturn:
 
 
 def _text(value: object, indent: str) -> str:
-    inner = indent + _INDENT
+    inner = f"{indent}  "
     if isinstance(value, dict) and value:
         lines = [f"{inner}{json.dumps(k)}: {_text(v, inner)}" for k, v in value.items()]
         return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
@@ -575,13 +574,13 @@ def _source(node: Node) -> Source:
         topics=node["topics"].texts(),
         message_types=node["message_types"].texts(),
         decisions=tuple((d["choice"].text(), d["reason"].text()) for d in node["decisions"]),
-        files=node.get("files", lambda files: tuple(map(_file, files)), ()),
+        files=node.get("files", _files, ()),
         read=node.get("range", _maybe(_RANGE.read), None),
     )
 
 
-def _file(node: Node) -> LogFileInfo:
-    return _FILE.read(node, etag=node.get("etag", Node.text, None))
+def _files(node: Node) -> tuple[LogFileInfo, ...]:
+    return tuple(_FILE.read(file, etag=file.get("etag", Node.text, None)) for file in node)
 
 
 def _axis(node: Node) -> AxisReport:

@@ -5,7 +5,7 @@ keeps two digits, otherwise one. Source: PDG, Review of Particle Physics (2022),
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,6 +70,13 @@ def datasheet(estimate: Estimate, sensor: Sensor) -> Quantity:
 def correlation_time(interval: Interval) -> Quantity:
     """Return the correlation time of a Gauss-Markov term, in s."""
     return Quantity(value=interval.value, low=interval.low, high=interval.high, unit="s")
+
+
+def by_term(axes: Sequence[AxisReport]) -> Iterator[tuple[str, list[Estimate | None]]]:
+    """Yield the key of each term, by rising slope, and its estimate on each axis; None where it has none."""
+    symbols = {estimate.key: estimate.symbol for axis in axes for estimate in axis.fit.estimates}
+    for key in sorted(symbols, key=lambda key: list(TERMS).index(symbols[key])):
+        yield key, [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
 
 
 def minimum(axis: AxisReport) -> tuple[Quantity, Quantity]:
@@ -166,20 +173,25 @@ def with_uncertainty(quantity: Quantity, *, exponent: int | None = None) -> str:
     if interval and _symmetric(scaled):
         half = _fixed((scaled.high - scaled.low) / 2, decimals(scaled))
         body = f"{value} ± {half}"
-        return _finish(f"({body})" if exponent else body, exponent, quantity.unit)
-    return _finish(f"{value} {interval}".rstrip(), exponent, quantity.unit)
+        return with_unit(f"({body})" if exponent else body, exponent, quantity.unit)
+    return with_unit(f"{value} {interval}".rstrip(), exponent, quantity.unit)
 
 
 def with_interval(quantity: Quantity, *, exponent: int | None = None) -> str:
     """Return ``0.2013 [0.2010, 0.2016] deg/√h`` or ``< 0.12 deg/h/√h``; `exponent` as above."""
     exponent = power_of_ten(quantity) if exponent is None else exponent
     value, interval = compact(quantity, exponent=exponent)
-    return _finish(f"{value} {interval}".rstrip(), exponent, quantity.unit)
+    return with_unit(f"{value} {interval}".rstrip(), exponent, quantity.unit)
 
 
-def _finish(body: str, exponent: int, unit: str) -> str:
-    power = f" ×10{str(exponent).translate(_SUPERSCRIPTS)}" if exponent else ""
-    return f"{body}{power} {pretty(unit)}"
+def with_unit(body: str, exponent: int, unit: str) -> str:
+    """Return ``0.2013 ×10⁻⁵ deg/√h``, without the power of ten where `exponent` is 0."""
+    return f"{body}{f' ×{ten_to(exponent)}' if exponent else ''} {pretty(unit)}"
+
+
+def ten_to(exponent: int) -> str:
+    """Return ``10⁻⁵``."""
+    return f"10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
 def _symmetric(quantity: Quantity) -> bool:
@@ -201,15 +213,18 @@ def _places(size: float, digits: int) -> int:
 
 
 def _bound(high: float) -> str:
-    """Return ``< high`` with two digits, rounded up so that the bound stays true."""
+    """Return ``< high`` with two digits."""
     if not math.isfinite(high):
         return "unknown"
-    if high == 0:
-        return "0"
-    places = 1 - math.floor(math.log10(high))
+    return f"< {rounded_up(high, 2)}" if high else "0"
+
+
+def rounded_up(bound: float, digits: int) -> str:
+    """Return a bound with so many digits, rounded up so that it stays true."""
+    places = digits - 1 - math.floor(math.log10(bound))
     # The last bits of a binary fraction must not carry 0.12 to 0.13.
-    raised = math.ceil(high * 10.0**places * (1 - 1e-12)) / 10.0**places
-    return f"< {_fixed(raised, places)}"
+    raised = math.ceil(bound * 10.0**places * (1 - 1e-12)) / 10.0**places
+    return _fixed(raised, places)
 
 
 def _fixed(value: float, places: int) -> str:

@@ -17,7 +17,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, Segments, Trace
-from imucal.noise.terms import TERMS
+from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports import TARGETS
@@ -75,9 +75,8 @@ def _summary_caption(axes: list[AxisReport]) -> str:
 
 
 def _summary_rows(axes: list[AxisReport], units: SheetUnits) -> Iterator[dict[str, object]]:
-    estimates = [estimate for axis in axes for estimate in axis.fit.estimates]
-    for key in dict.fromkeys(e.key for symbol in TERMS for e in estimates if e.symbol == symbol):
-        yield from _term_rows(key, axes, units)
+    for key, found in numbers.by_term(axes):
+        yield from _term_rows(key, found, axes, units)
     lowest = [(numbers.minimum(axis)[0], units.minimum(axis)) for axis in axes]
     times = [f"at {numbers.seconds(axis.fit.curve.minimum[1])}" for axis in axes]
     yield _quantities("minimum", "of the curve", list(zip(lowest, times, strict=True)))
@@ -85,21 +84,22 @@ def _summary_rows(axes: list[AxisReport], units: SheetUnits) -> Iterator[dict[st
     yield {"key": "misfit score", "texts": [_score(axis.fit.goodness.statistic) for axis in axes]}
 
 
-def _term_rows(key: str, axes: list[AxisReport], units: SheetUnits) -> Iterator[dict[str, object]]:
+def _term_rows(
+    key: str, found: list[Estimate | None], axes: list[AxisReport], units: SheetUnits
+) -> Iterator[dict[str, object]]:
     sensor = axes[0].sensor
-    found = [next((e for e in axis.fit.estimates if e.key == key), None) for axis in axes]
     symbol = next(e.symbol for e in found if e)
     cells = [
         ((numbers.si(e, sensor), units.estimate(e, sensor)), numbers.alternatives(e)) if e else None
         for e in found
     ]
-    if symbol != "GM":
-        yield _quantities(key, TERMS[symbol].name(sensor), cells)
-        return
-    yield _quantities(f"{key} σ", "Gauss-Markov, standard deviation", cells)
-    yield _quantities(f"{key} T", "its correlation time", [_time(e) for e in found])
-    states = [_state(axis, e) for axis, e in zip(axes, found, strict=True)]
-    yield {"key": f"{key} φ, q", "note": "x[t+1] = φ x[t] + q w[t], SI", "texts": states}
+    name, markov = TERMS[symbol].name(sensor), symbol == GaussMarkov.symbol
+    yield _quantities(*((f"{key} σ", f"{name}, standard deviation") if markov else (key, name)), cells)
+    if any(times := [_time(e) for e in found]):
+        yield _quantities(f"{key} T", "its correlation time", times)
+    if markov:
+        states = [_state(axis, e) for axis, e in zip(axes, found, strict=True)]
+        yield {"key": f"{key} φ, q", "note": "x[t+1] = φ x[t] + q w[t], SI", "texts": states}
 
 
 def _time(estimate: Estimate | None) -> _Cell:

@@ -48,11 +48,8 @@ def _ros2(above: str) -> str:
     return f"ROS 2: put '/**:' and '  ros__parameters:' above {above}, and indent by four"
 
 
-_GLIM_KEYS = (Key("imu_acc_noise", ACCEL, "N"), Key("imu_gyro_noise", GYRO, "N"))
-
-
 def _glim(numbers: Numbers) -> Body:
-    found = entries(numbers, _GLIM_KEYS)
+    found = entries(numbers, (Key("imu_acc_noise", ACCEL, "N"), Key("imu_gyro_noise", GYRO, "N")))
     walks = [numbers.one(sensor, "K") for sensor in numbers.sensors]
     step = max(walk.value for walk in walks) * math.sqrt(_SCAN_S)
     members = [(entry.name, real(entry.value)) for entry in found]

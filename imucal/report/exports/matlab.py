@@ -35,7 +35,8 @@ def _body(numbers: Numbers) -> Body:
     for sensor in numbers.sensors:
         groups = {key: numbers.each(sensor, symbol) for key, symbol in _KEYS.items()}
         used += [number for group in groups.values() for number in group]
-        lines += _params(sensor.short, f"{sensor.short}params", groups)
+        pairs = [f"    '{key}', {vector(n.value for n in group)}" for key, group in groups.items()]
+        lines += [f"{sensor.short} = {sensor.short}params( ...", ", ...\n".join(pairs) + ");"]
         passed.append(f"'{str(sensor).capitalize()}', {sensor.short}")
     return used, [
         *comment((number.note for number in used), "%"),
@@ -62,11 +63,6 @@ def _factor_body(numbers: Numbers) -> Body:
 
 
 _layout = partial(below_comment, sign="%")
-
-
-def _params(name: str, function: str, groups: dict[str, tuple[Number, Number, Number]]) -> list[str]:
-    pairs = [f"    '{key}', {vector(number.value for number in group)}" for key, group in groups.items()]
-    return [f"{name} = {function}( ...", ", ...\n".join(pairs) + ");"]
 
 
 TARGETS = (
