@@ -239,8 +239,8 @@ def _row(path: Path, part: Recording) -> tuple[str, str, str, str]:
     span, series = span_ns(part), part.series[0]
     frame = dict(part.source.decisions).get("frame")
     topics = ", ".join(part.source.topics) if part.source.message_types else part.source.format
-    what = topics + (f", frame {frame}" if frame else "")
     amount = f"{series.duration_s:.4g} s at {series.rate_hz:.4g} Hz"
+    what = f"{topics}, frame {frame}" if frame else topics
     return path.name, _when(span[0]) if span else "no stamps", amount, what
 
 

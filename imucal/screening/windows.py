@@ -302,8 +302,7 @@ class Profile:
 
 def profile(series: AxisSeries) -> Profile:
     """Return the profile of an axis; one pass over the samples."""
-    whole = series
-    series = series.finite()
+    n, series = series.n, series.finite()
     windows = cut(series)
     lsb = resolution(series)
     marks = disturbed(windows, lsb)
@@ -313,7 +312,7 @@ def profile(series: AxisSeries) -> Profile:
     quiet = windows.step_variance[~marks & (windows.variance > 0)]
     return Profile(
         series=series,
-        left_out=whole.n - series.n,
+        left_out=n - series.n,
         windows=windows,
         disturbed=marks,
         lsb=lsb,

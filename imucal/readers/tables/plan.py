@@ -416,7 +416,10 @@ def propose_columns(
         return _joined(time or "".join(map(str, numeric[:-1])), [f"gz={numeric[-1]}{suffix}"])
     table = np.array([[float(cell) for cell in cells(index)] for index in numeric], dtype=np.float64).T
     time = time or _text_time(cells, width)
-    onward = None if time else _onward(table)
+    steps = np.diff(table, axis=0)
+    onwards = np.flatnonzero((steps >= 0).all(axis=0) & (steps > 0).any(axis=0)).tolist()
+    # The first column that only goes on.
+    onward = onwards[0] if onwards and not time else None
     time += "" if onward is None else str(numeric[onward])
     places = _places(table, numeric, onward).items()
     return _joined(
@@ -452,13 +455,6 @@ def _gravity(table: FloatArray, free: Sequence[int], starts: Sequence[int]) -> i
     sizes = {first: median_size(table[:, first : first + 3]) for first in free[::3] if first in starts}
     found = [first for first, size in sizes.items() if min(abs(size / G0 - 1), abs(size - 1)) < 0.05]
     return found[0] if len(found) == 1 else None
-
-
-def _onward(table: FloatArray) -> int | None:
-    """Return the first column that only goes on."""
-    steps = np.diff(table, axis=0)
-    onward = np.flatnonzero((steps >= 0).all(axis=0) & (steps > 0).any(axis=0))
-    return int(onward[0]) if onward.size else None
 
 
 def _text_time(cells: Cells, width: int) -> str:

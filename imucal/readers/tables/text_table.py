@@ -727,9 +727,7 @@ def _read_times(path: Path) -> ExternalTime:
         ns=TIME_UNITS_NS[unit] if unit else None,
         ns_source=f"from the header of {path.name}" if unit else "",
     )
-    return ExternalTime(
-        path=str(path), choice=choice, values=np.array([float(c) for c in cells if is_number(c)])
-    )
+    return ExternalTime(str(path), choice, np.array([float(cell) for cell in cells if is_number(cell)]))
 
 
 #: Texts up to this size, unpacked, are read to be described: they take less than half a second.
