@@ -169,16 +169,7 @@ def decompose(
     if not any(term.coefficient for term in model.terms):
         msg = f"{series.name}: the model has no terms, so there is nothing to tell apart; fit a longer record"
         raise DataError(msg)
-    good = series.finite()
-    if clean and good.n:
-        good = good.keeping(~find_spikes(good.samples)[0])
-    size = good.clock.grid_size if good.n else 0
-    if good.n > 1 and size > _SPARSE * good.n:
-        msg = (
-            f"{series.name}: {good.n} samples in {good.duration_s:.4g} s at {good.rate_hz:.6g} Hz "
-            "are mostly gaps; take a part of the record with fewer"
-        )
-        raise DataError(msg)
+    good = _good(series, clean=clean)
     samples, seen = on_grid(good, "a decomposition")
     states = StateSpace.of(model, rate_hz=series.rate_hz, n=samples.size)
     # The mean costs no digits; what holds the level holds it.
@@ -197,6 +188,20 @@ def decompose(
         components=tuple(part for part in parts if part.key != BIAS),
         bias=next(part for part in parts if part.key == BIAS),
     )
+
+
+def _good(series: AxisSeries, *, clean: bool) -> AxisSeries:
+    """Return the finite samples, without spikes where `clean`; refuse what is mostly gaps."""
+    good = series.finite()
+    if clean and good.n:
+        good = good.keeping(~find_spikes(good.samples)[0])
+    if good.n > 1 and good.clock.grid_size > _SPARSE * good.n:
+        msg = (
+            f"{series.name}: {good.n} samples in {good.duration_s:.4g} s at {good.rate_hz:.6g} Hz "
+            "are mostly gaps; take a part of the record with fewer"
+        )
+        raise DataError(msg)
+    return good
 
 
 def smooth(
