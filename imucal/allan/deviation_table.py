@@ -101,14 +101,12 @@ def read_curve(
     _require_times(path, tau)
     m, findings = _factors(tau, rate_hz)
     wanted = [i for i, name in enumerate(headings) if i != first and not _OTHER.fullmatch(_bare(name))]
-    given: list[str | None] = [*units] * (len(wanted) if len(units) == 1 else 1)
-    if given and len(given) != len(wanted):
-        msg = f"{path}: {len(given)} units for {len(wanted)} columns of deviations; give one, or one each"
-        raise ReadError(msg)
+    given = _units(path, units, len(wanted))
     if not wanted:
         msg = f"{path}: no column of deviations beside {headings[first]!r}; found {', '.join(headings)}"
         raise ReadError(msg)
     curves = []
+<<<<<<< HEAD
     for i, unit in zip(wanted, given or [None] * len(wanted), strict=True):
         sensor, factor = _meaning(path, headings[i], unit)
         good, avar = _variances(path, headings[i], rows[:, i], factor or 1.0)
@@ -131,6 +129,30 @@ def _variances(path: Path, heading: str, values: FloatArray, factor: float) -> t
         msg = f"{path}: column {heading!r} holds no positive number; expected Allan deviations"
         raise ReadError(msg)
     return good, values[good] ** (1 if _VARIANCE.search(heading) else 2) * factor**2
+=======
+    for i, unit in zip(wanted, given, strict=True):
+        values, heading = rows[:, i], headings[i]
+        good = np.isfinite(values) & (values > 0)
+        if not good.any():
+            msg = f"{path}: column {heading!r} holds no positive number; expected Allan deviations"
+            raise ReadError(msg)
+        sensor, factor = _meaning(path, heading, unit)
+        avar = values[good] ** (1 if _VARIANCE.search(heading) else 2) * (factor or 1.0) ** 2
+        curve = _curve(tau[good], m[good], avar, n=n, estimator=estimator)
+        known = sensor.unit if sensor and factor else ""
+        named = NamedCurve(name=_bare(heading), sensor=sensor, unit=known, curve=curve, findings=findings)
+        curves.append(named)
+    return tuple(curves)
+
+
+def _units(path: Path, units: Sequence[str], count: int) -> list[str | None]:
+    """Return the unit of each of so many columns, None where the caller gives none."""
+    given: list[str | None] = [*units] * (count if len(units) == 1 else 1)
+    if given and len(given) != count:
+        msg = f"{path}: {len(given)} units for {count} columns of deviations; give one, or one each"
+        raise ReadError(msg)
+    return given or [None] * count
+>>>>>>> room-fit
 
 
 def _curve(tau: FloatArray, m: IntArray, avar: FloatArray, *, n: int | None, estimator: str) -> AllanCurve:

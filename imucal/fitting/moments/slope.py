@@ -180,8 +180,7 @@ def fit_slope(
     points = avar_points(series, curve)
     logs = _log_curve(points)
     wanted = [s for s in SLOPES if structure is None or s in structure]
-    found = [read_term(logs, symbol, windows) for symbol in wanted]
-    readings = {reading.symbol: reading for reading in found if reading is not None}
+    readings = {symbol: found for symbol in wanted if (found := read_term(logs, symbol, windows))}
     estimates, shown = _estimates(logs, readings, structure, level)
     lines = np.array([reading.weights for reading in shown]).reshape(-1, points.size)
     values = np.array([points.coefficient(r.symbol, r.variance) for r in shown])
