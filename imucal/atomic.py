@@ -2,7 +2,8 @@
 
 import os
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import mkdtemp
@@ -11,6 +12,8 @@ from imucal.errors import WriteError
 
 #: How much of an existing file is searched for the words that make it ours, in bytes.
 _START = 4096
+#: A scratch folder older than this, in s, was left by a run that was killed.
+_ABANDONED_S = 3600.0
 
 
 @contextmanager
@@ -72,6 +75,14 @@ def _refuse_foreign(path: Path, ours: str | None) -> None:
     if ours.encode() not in start:
         msg = f"{path}: exists and was not written by imucal; move it away, or choose another place"
         raise WriteError(msg)
+
+
+def sweep(scratch: Iterable[Path]) -> None:
+    """Remove those of some scratch folders that killed runs have left."""
+    for folder in scratch:
+        with suppress(OSError):
+            if time.time() - folder.stat().st_mtime > _ABANDONED_S:
+                shutil.rmtree(folder)
 
 
 def sync_folder(folder: Path) -> None:

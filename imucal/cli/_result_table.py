@@ -7,7 +7,6 @@ from itertools import zip_longest
 
 from imucal.cli._printing import FULL, can_print
 from imucal.noise.terms import TERMS
-from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
@@ -40,10 +39,9 @@ def summary_table(
     """
     plain = not can_print("√²³µ", encoding)
     sensors: list[dict[str, _Block]] = []
-    for sensor in Sensor:
-        if axes := [axis for axis in report.axes if axis.sensor is sensor]:
-            units = sheet_units(report, sensor) if datasheet else None
-            sensors.append(dict(_blocks(axes, units, plain=plain)))
+    for sensor, axes in report.by_sensor.items():
+        units = sheet_units(report, sensor) if datasheet else None
+        sensors.append(dict(_blocks(axes, units, plain=plain)))
     sentence = report.verdict.sentence
     lines = [*_wrapped(sentence.replace("±", "+-") if plain else sentence, columns), ""]
     for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:

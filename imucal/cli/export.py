@@ -211,5 +211,5 @@ def _remarks(report: Report) -> Iterator[str]:
                 "stands there, with a comment (--unidentified refuse to refuse)"
             )
     for sensor in Sensor:
-        if not any(axis.sensor is sensor for axis in report.axes):
+        if sensor not in report.by_sensor:
             yield f"there is no {sensor} in this log; its numbers are left out, as the comment says"

@@ -11,7 +11,6 @@ import json
 import math
 import secrets
 import shutil
-import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
@@ -19,7 +18,7 @@ from pathlib import Path
 
 import polars as pl
 
-from imucal.atomic import replacing, sync_folder
+from imucal.atomic import replacing, sweep, sync_folder
 from imucal.errors import ReadError, WriteError
 
 #: How a log ended. The first three are of the log itself; the others may go otherwise another time.
@@ -59,8 +58,6 @@ _TABLES = {"bins": BINS, "results": RESULTS, "logs": LOGS}
 _MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"
 #: Begins and ends every parquet file. Source: Apache Parquet, file format.
 _MAGIC = b"PAR1"
-#: Scratch files older than this, in s, are those of a process that was killed.
-_ABANDONED_S = 3600.0
 
 Row = Mapping[str, object]
 
@@ -104,10 +101,7 @@ class FleetStore:
         with _translated(self.folder):
             for name in _TABLES:
                 (self.folder / name).mkdir(parents=True, exist_ok=True)
-                for path in (self.folder / name).glob(".part-*"):
-                    with suppress(OSError):
-                        if time.time() - path.stat().st_mtime > _ABANDONED_S:
-                            shutil.rmtree(path)
+                sweep((self.folder / name).glob(".part-*"))
 
     def clear(self) -> None:
         """Remove every part and the manifest: start anew. The settings stay, and tell whose folder it is.

@@ -623,7 +623,7 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     ValueError
         If the report has no axis of `sensor`.
     """
-    axes = [axis for axis in report.axes if axis.sensor is sensor]
+    axes = report.by_sensor.get(sensor)
     if not axes:
         msg = f"the report has no {sensor} axis"
         raise ValueError(msg)
@@ -780,8 +780,7 @@ def draw(report: Report, formats: Sequence[str], *, small: bool, workers: int | 
 
 def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
     """Return what has a picture: each axis, and each sensor."""
-    sensors = (sensor for sensor in Sensor if any(axis.sensor is sensor for axis in report.axes))
-    return (*report.axes, *sensors)
+    return (*report.axes, *report.by_sensor)
 
 
 def _stem(item: AxisReport | Sensor) -> str:

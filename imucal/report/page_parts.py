@@ -50,17 +50,14 @@ _NOTHING = "–"
 
 def summary_section(report: Report) -> Markup:
     """Return the tables of both sensors."""
-    tables = []
-    for sensor in Sensor:
-        axes = [axis for axis in report.axes if axis.sensor is sensor]
-        if axes:
-            tables.append(
-                {
-                    "caption": _summary_caption(axes),
-                    "axes": [axis.axis for axis in axes],
-                    "rows": list(_summary_rows(axes, sheet_units(report, sensor))),
-                }
-            )
+    tables = [
+        {
+            "caption": _summary_caption(axes),
+            "axes": [axis.axis for axis in axes],
+            "rows": list(_summary_rows(axes, sheet_units(report, sensor))),
+        }
+        for sensor, axes in report.by_sensor.items()
+    ]
     return render("summary.html", tables=tables)
 
 

@@ -129,6 +129,12 @@ class Report:
     findings: tuple[Finding, ...] = ()
 
     @property
+    def by_sensor(self) -> dict[Sensor, list[AxisReport]]:
+        """The axes of each sensor that has any, the gyroscope first."""
+        found = {sensor: [axis for axis in self.axes if axis.sensor is sensor] for sensor in Sensor}
+        return {sensor: axes for sensor, axes in found.items() if axes}
+
+    @property
     def all_findings(self) -> tuple[Finding, ...]:
         """The findings of the log and of every axis."""
         return self.findings + tuple(finding for axis in self.axes for finding in axis.findings)

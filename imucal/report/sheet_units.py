@@ -47,7 +47,7 @@ class SheetUnits:
 
 def sheet_units(report: Report, sensor: Sensor) -> SheetUnits:
     """Return the units of a sensor: deg/h and deg/√h, or mg (µg where all floors are small) and m/s/√h."""
-    floors = [axis.fit.curve.minimum[0] for axis in report.axes if axis.sensor is sensor]
+    floors = [axis.fit.curve.minimum[0] for axis in report.by_sensor.get(sensor, ())]
     density = TERMS["N"].datasheet_unit(sensor)
     return SheetUnits(level=level_unit(sensor, max(floors, default=math.inf)), density=density)
 

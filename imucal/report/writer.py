@@ -12,14 +12,13 @@ import os
 import re
 import secrets
 import shutil
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucal.atomic import sync_folder
+from imucal.atomic import sweep, sync_folder
 from imucal.errors import WriteError
 from imucal.findings import Finding
 from imucal.processes import try_side_work
@@ -34,8 +33,6 @@ _REPORT = "report.json"
 #: Files this module writes, in any version and with any settings.
 _OURS = re.compile(r"report\.(json|html)|(gyro|accel)(_[xyz])?\.(json|png|svg|pdf)")
 _SCRATCH = re.compile(r"\.imucal-.*\.tmp")
-#: A scratch folder older than this, in s, was left by a run that was killed.
-_ABANDONED_S = 3600.0
 #: Of a foreign folder's files, the message names so many.
 _NAMED = 3
 
@@ -204,7 +201,7 @@ def _scratch(out: Path) -> Iterator[Path]:
     """Yield a scratch folder on the file system of `out`; it is removed whatever happens."""
     home = out if out.is_dir() else out.parent
     home.mkdir(parents=True, exist_ok=True)
-    _sweep(home)
+    sweep(path for path in home.iterdir() if _SCRATCH.fullmatch(path.name))
     folder = home / f".imucal-{secrets.token_hex(8)}.tmp"
     # Unlike mkdtemp, mkdir gives the folder the rights that the user's umask allows.
     folder.mkdir()
@@ -213,14 +210,6 @@ def _scratch(out: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             shutil.rmtree(folder)
-
-
-def _sweep(home: Path) -> None:
-    """Remove scratch folders that killed runs have left."""
-    for path in home.iterdir():
-        with suppress(OSError):
-            if _SCRATCH.fullmatch(path.name) and time.time() - path.stat().st_mtime > _ABANDONED_S:
-                shutil.rmtree(path)
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -162,7 +162,7 @@ class Numbers:
     @property
     def sensors(self) -> tuple[Sensor, ...]:
         """The sensors of the log, the gyroscope first."""
-        return tuple(sensor for sensor in Sensor if any(axis.sensor is sensor for axis in self.report.axes))
+        return tuple(self.report.by_sensor)
 
     @property
     def stream_hz(self) -> float:
@@ -175,10 +175,9 @@ class Numbers:
 
     def axes(self, sensor: Sensor) -> tuple[AxisReport, ...]:
         """Return the axes of a sensor; at least one."""
-        axes = tuple(axis for axis in self.report.axes if axis.sensor is sensor)
-        if not axes:
+        if sensor not in self.report.by_sensor:
             raise self._missing(str(sensor))
-        return axes
+        return tuple(self.report.by_sensor[sensor])
 
     def axis(self, sensor: Sensor, axis: Axis) -> AxisReport:
         """Return one axis."""

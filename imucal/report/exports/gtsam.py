@@ -53,7 +53,7 @@ def _correlation_times(numbers: Numbers) -> list[str]:
     """Return the correlation times of Gauss-Markov biases, for versions and forks of GTSAM that have them."""
     said = []
     for key, sensor in (("tauAcc", Sensor.ACCELEROMETER), ("tauGyro", Sensor.GYROSCOPE)):
-        axes = [axis for axis in numbers.report.axes if axis.sensor is sensor]
+        axes = numbers.report.by_sensor.get(sensor, ())
         found = [(term[1], axis.name) for axis in axes if (term := numbers.gauss_markov(axis))]
         if found:
             time, name = max(found)
