@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
-from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
@@ -106,30 +106,6 @@ def read_curve(
         msg = f"{path}: no column of deviations beside {headings[first]!r}; found {', '.join(headings)}"
         raise ReadError(msg)
     curves = []
-<<<<<<< HEAD
-    for i, unit in zip(wanted, given or [None] * len(wanted), strict=True):
-        sensor, factor = _meaning(path, headings[i], unit)
-        good, avar = _variances(path, headings[i], rows[:, i], factor or 1.0)
-        curves.append(
-            NamedCurve(
-                name=_bare(headings[i]),
-                sensor=sensor,
-                unit=sensor.unit if sensor and factor else "",
-                curve=_curve(tau[good], m[good], avar, n=n, estimator=estimator),
-                findings=findings,
-            )
-        )
-    return tuple(curves)
-
-
-def _variances(path: Path, heading: str, values: FloatArray, factor: float) -> tuple[BoolArray, FloatArray]:
-    """Return which values of a column are positive numbers, and their Allan variances."""
-    good = np.isfinite(values) & (values > 0)
-    if not good.any():
-        msg = f"{path}: column {heading!r} holds no positive number; expected Allan deviations"
-        raise ReadError(msg)
-    return good, values[good] ** (1 if _VARIANCE.search(heading) else 2) * factor**2
-=======
     for i, unit in zip(wanted, given, strict=True):
         values, heading = rows[:, i], headings[i]
         good = np.isfinite(values) & (values > 0)
@@ -152,7 +128,6 @@ def _units(path: Path, units: Sequence[str], count: int) -> list[str | None]:
         msg = f"{path}: {len(given)} units for {count} columns of deviations; give one, or one each"
         raise ReadError(msg)
     return given or [None] * count
->>>>>>> room-fit
 
 
 def _curve(tau: FloatArray, m: IntArray, avar: FloatArray, *, n: int | None, estimator: str) -> AllanCurve:

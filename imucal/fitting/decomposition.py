@@ -169,11 +169,7 @@ def decompose(
     if not any(term.coefficient for term in model.terms):
         msg = f"{series.name}: the model has no terms, so there is nothing to tell apart; fit a longer record"
         raise DataError(msg)
-<<<<<<< HEAD
-    good = _good_samples(series, clean=clean)
-=======
     good = _good(series, clean=clean)
->>>>>>> room-fit
     samples, seen = on_grid(good, "a decomposition")
     states = StateSpace.of(model, rate_hz=series.rate_hz, n=samples.size)
     # The mean costs no digits; what holds the level holds it.
@@ -194,13 +190,8 @@ def decompose(
     )
 
 
-<<<<<<< HEAD
-def _good_samples(series: AxisSeries, *, clean: bool) -> AxisSeries:
-    """Return the finite samples, less spikes where asked; a DataError where they are mostly gaps."""
-=======
 def _good(series: AxisSeries, *, clean: bool) -> AxisSeries:
     """Return the finite samples, without spikes where `clean`; refuse what is mostly gaps."""
->>>>>>> room-fit
     good = series.finite()
     if clean and good.n:
         good = good.keeping(~find_spikes(good.samples)[0])
