@@ -10,22 +10,22 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 #: Lines, tokens and modules that each room may have. Numbers go down with the room; one goes up only
 #: with a comment behind it that says what the room has got for it.
 BUDGET = {
-    "readers": Size(14298, 100785, 53),
-    "fitting": Size(9762, 70088, 35),
-    "report": Size(5818, 39438, 24),
-    "top": Size(3617, 19505, 21),
-    "cli": Size(3580, 22525, 23),
-    "allan": Size(2363, 15476, 7),
-    "fleet": Size(2268, 15575, 7),
-    "fleet_report": Size(2051, 15017, 7),
-    "fleet_run": Size(1825, 10550, 6),
-    "noise": Size(1262, 7846, 6),
-    "screening": Size(1196, 8382, 4),
-    "remote": Size(1178, 6528, 4),
-    "checking": Size(888, 5572, 4),
+    "readers": Size(13858, 100212, 53),
+    "fitting": Size(9371, 69669, 35),
+    "report": Size(5798, 39338, 24),
+    "top": Size(3608, 19446, 21),
+    "cli": Size(3569, 22460, 23),
+    "allan": Size(2319, 15461, 7),
+    "fleet": Size(2262, 15542, 7),
+    "fleet_report": Size(2031, 14884, 7),
+    "fleet_run": Size(1817, 10480, 6),
+    "noise": Size(1229, 7844, 6),
+    "screening": Size(1137, 8338, 4),
+    "remote": Size(1129, 6492, 4),
+    "checking": Size(886, 5564, 4),
 }
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
-IN_ALL = Size(50_200, 338_000, 210)
+IN_ALL = Size(49_100, 336_000, 210)
 #: Modules of the package that one fit with its report may load.
 LOADED = 135
 
