@@ -1,6 +1,6 @@
 """characterize: Recording -> Report, axis by axis. No input, no output."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from itertools import chain
@@ -117,10 +117,7 @@ def characterize(
         try:
             return _characterize_axis(series, settings, recording.temperature, findings)
         except DataError as error:
-            # With the screening's advice about an axis without data.
-            advice = next((f.advice for f in findings if f.axis == series.name and f.code == "no-data"), "")
-            text = f"{error}."
-            return Finding(level="error", code="no-result", axis=series.name, text=text, advice=advice)
+            return _no_result(series, error, findings)
 
     def tell(done: int, following: AxisSeries | None) -> None:
         if progress:
@@ -133,16 +130,29 @@ def characterize(
         reasons = _reasons(failures) or "the log holds no samples"
         msg = f"{recording.source.path}: no axis can be analysed: {reasons}"
         raise DataError(msg)
-    fitted, failed = {axis.name for axis in axes}, {failure.axis for failure in failures}
-    # Those of no axis's result; a failure says what `no-data` says, and more.
-    others = (f for f in findings if f.axis not in fitted and (f.code != "no-data" or f.axis not in failed))
     return Report(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
         settings=settings.document(),
         version=__version__,
-        findings=(*others, *failures),
+        findings=(*_of_no_result(findings, axes, failures), *failures),
     )
+
+
+def _no_result(series: AxisSeries, error: DataError, findings: Sequence[Finding]) -> Finding:
+    """Return why an axis has no result, with the screening's advice about an axis without data."""
+    advice = next((f.advice for f in findings if f.axis == series.name and f.code == "no-data"), "")
+    return Finding(level="error", code="no-result", axis=series.name, text=f"{error}.", advice=advice)
+
+
+def _of_no_result(
+    findings: Sequence[Finding], axes: Sequence[AxisReport], failures: Sequence[Finding]
+) -> Iterator[Finding]:
+    """Yield the findings of no axis's result; a failure says what `no-data` says, and more."""
+    fitted, failed = {axis.name for axis in axes}, {failure.axis for failure in failures}
+    for finding in findings:
+        if finding.axis not in fitted and (finding.code != "no-data" or finding.axis not in failed):
+            yield finding
 
 
 def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:

@@ -109,10 +109,14 @@ def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> LineSplit |
     if not fitting:
         return None
     if width == 1:
-        # A name with blanks is one name: "gz (deg/s)".
-        rows = [[" ".join(row)] if row else [] for row in rows]
+        rows = list(map(_one_cell, rows))
     start = _start(fitting, len(lines))
     return LineSplit(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start), ended)
+
+
+def _one_cell(row: Sequence[str]) -> list[str]:
+    """Return a row of one cell: a name with blanks is one name, such as "gz (deg/s)"."""
+    return [" ".join(row)] if row else []
 
 
 def without_ends(block: bytes) -> bytes:

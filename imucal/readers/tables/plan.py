@@ -410,10 +410,7 @@ def propose_columns(
     """
     numeric = [index for index in range(width) if index not in taken and _is_numeric(cells(index))]
     if len(numeric) < 3:
-        # One axis, perhaps behind a time; of two beside a known time none is told.
-        if not numeric or (len(numeric) == 2 and time):
-            return ""
-        return _joined(time or "".join(map(str, numeric[:-1])), [f"gz={numeric[-1]}{suffix}"])
+        return _one_axis(numeric, time, suffix)
     table = np.array([[float(cell) for cell in cells(index)] for index in numeric], dtype=np.float64).T
     time = time or _text_time(cells, width)
     steps = np.diff(table, axis=0)
@@ -425,6 +422,13 @@ def propose_columns(
     return _joined(
         time, [f"{k}={numeric[at]}:{numeric[at] + 3}{suffix}" for k, at in places if at is not None]
     )
+
+
+def _one_axis(numeric: Sequence[int], time: str, suffix: str) -> str:
+    """Propose one axis, perhaps behind a time; of two columns beside a known time none is told."""
+    if not numeric or (len(numeric) == 2 and time):
+        return ""
+    return _joined(time or "".join(map(str, numeric[:-1])), [f"gz={numeric[-1]}{suffix}"])
 
 
 def _is_numeric(cells: Sequence[str]) -> bool:
