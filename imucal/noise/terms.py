@@ -281,7 +281,14 @@ class GaussMarkov(NoiseTerm):
 #: Symbol of a term -> its class, in the order of a rising slope.
 TERMS: dict[str, type[NoiseTerm]] = {
     term.symbol: term
-    for term in (Quantization, AngleRandomWalk, BiasInstability, GaussMarkov, RateRandomWalk, RateRamp)
+    for term in (
+        Quantization,
+        AngleRandomWalk,
+        BiasInstability,
+        GaussMarkov,
+        RateRandomWalk,
+        RateRamp,
+    )
 }
 
 #: Symbols that every fit reports, as a bound where the data don't show the term.

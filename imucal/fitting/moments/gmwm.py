@@ -17,7 +17,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
-from imucal.findings import Finding, Level
+from imucal.findings import Finding
 from imucal.fitting.moments.points import AvarPoints, avar_points, is_timed, spread_of
 from imucal.fitting.moments.search import (
     MISFIT,
@@ -127,22 +127,27 @@ def _findings(
     axis = series.name if series is not None else None
     first, last = fit.tau_s or (0.0, 0.0)
     findings: list[Finding] = []
-
-    def say(level: Level, code: str, said: str, advice: str = "") -> None:
-        findings.append(Finding(level=level, code=code, axis=axis, text=said, advice=advice))
-
     if not points.known_n:
-        said = f"How long the record was is not known; intervals take it to be {2 * last:.4g} s, "
-        said += "the least that gives the longest averaging time."
-        say("info", "record-length-unknown", said, "Give the number of samples for narrower intervals.")
+        said = (
+            f"How long the record was is not known; intervals take it to be {2 * last:.4g} s, "
+            "the least that gives the longest averaging time."
+        )
+        advice = "Give the number of samples for narrower intervals."
+        findings.append(
+            Finding(level="info", code="record-length-unknown", axis=axis, text=said, advice=advice)
+        )
     if dropped:
-        said = f"No model describes averaging times below {first:.4g} s, as behind an output filter; "
-        say("warning", "short-times", said + "the curve was fitted from there.")
+        said = (
+            f"No model describes averaging times below {first:.4g} s, as behind an output filter; "
+            "the curve was fitted from there."
+        )
+        findings.append(Finding(level="warning", code="short-times", axis=axis, text=said))
     if fit.statistic >= MISFIT:
-        said = f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f} "
-        said += "times what noise gives."
-        say("warning", "poor-fit", said, "Look at the curve and the spectrum before using the numbers.")
+        said = f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f} times "
+            "what noise gives."
+        advice = "Look at the curve and the spectrum before using the numbers."
+        findings.append(Finding(level="warning", code="poor-fit", axis=axis, text=said, advice=advice))
     if series is not None and series.clock.missing:
         said = "The intervals of a fit of the curve count missing samples, not where they are missing."
-        say("info", "gaps-in-curve", said)
+        findings.append(Finding(level="info", code="gaps-in-curve", axis=axis, text=said))
     return tuple(findings)
