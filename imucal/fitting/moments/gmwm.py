@@ -143,8 +143,10 @@ def _findings(
         )
         findings.append(Finding(level="warning", code="short-times", axis=axis, text=said))
     if fit.statistic >= MISFIT:
-        said = f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f} times "
+        said = (
+            f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f} times "
             "what noise gives."
+        )
         advice = "Look at the curve and the spectrum before using the numbers."
         findings.append(Finding(level="warning", code="poor-fit", axis=axis, text=said, advice=advice))
     if series is not None and series.clock.missing:
