@@ -1,5 +1,6 @@
 """What every container of messages offers: channels, and tasks that load batches of their messages."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -214,7 +215,7 @@ class Container(Protocol):
         """Close the file."""
 
 
-class MessageFile:
+class MessageFile(ABC):
     """A container that is read by the bytes of its one file: by default that at `path`."""
 
     format: str
@@ -235,9 +236,9 @@ class MessageFile:
             self.close()
             raise
 
+    @abstractmethod
     def _read_index(self) -> None:
         """Read all that the file says of itself."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Close the file."""
