@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from imucal.recording import AxisSeries, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
     from imucal.report.exports import export
+    from imucal.rests import at_rest
 
 __all__ = [
     "AllanCurve",
@@ -76,6 +77,7 @@ __all__ = [
     "WriteError",
     "__version__",
     "allan_curve",
+    "at_rest",
     "avar_from_acvf",
     "avar_from_psd",
     "characterize",
@@ -120,6 +122,7 @@ _HOMES = {
     "imucal.planning": ("plan",),
     "imucal.readers": ("read",),
     "imucal.recording": ("AxisSeries", "Recording", "Sensor"),
+    "imucal.rests": ("at_rest",),
     "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),
     "imucal.report.exports": ("export",),
 }

@@ -87,10 +87,13 @@ class NoiseVerdict:
         ``good``, ``look`` or ``not-noise``.
     sentence
         The same in one sentence, with its reasons.
+    axes
+        The axes of whose noise nothing was found that makes their numbers wrong.
     """
 
     grade: Grade
     sentence: str
+    axes: tuple[str, ...]
 
     @property
     def usable(self) -> bool:
@@ -130,7 +133,8 @@ def judge_findings(
     else:
         rest = f"look at {_listed(left, axes)} first" if left else "do not use these numbers"
         sentence = f"Not noise: {reasons}; {noise if sound else rest}"
-    return NoiseVerdict(grade=grade, sentence=sentence)
+    right = axes if grade != "not-noise" else left
+    return NoiseVerdict(grade=grade, sentence=sentence, axes=tuple(right))
 
 
 def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:

@@ -226,7 +226,7 @@ def _characterize_axis(
         if settings.second_opinion and settings.method == "mle":
             opinion = _second_opinion(finite, result, at_samples)
     found = result.findings + findings_or_why_not(
-        lambda: resolution_findings(result, finite.duration_s),
+        lambda: resolution_findings(result, finite.n * finite.tau0),
         what="How long a record would do is not known",
         code="record-length",
     )

@@ -36,6 +36,7 @@ BELOW |= {
     "log_files": BASE,
     "report": BASE | {"allan", "noise", "fitting"},
 }
+BELOW["rests"] = BASE | {"screening"}
 BELOW["planning"] = BASE | {"allan", "noise", "fitting", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]

@@ -21,7 +21,12 @@ _Block = list[str]
 
 
 def summary_table(
-    report: Report, *, datasheet: bool, encoding: str | None = None, columns: int = FULL
+    report: Report,
+    *,
+    datasheet: bool,
+    forced: bool = False,
+    encoding: str | None = None,
+    columns: int = FULL,
 ) -> str:
     """Return the table as text of at most 80 columns, or 40, without a newline at its end.
 
@@ -31,6 +36,9 @@ def summary_table(
         What to show; an axis that could not be analysed is missing.
     datasheet
         Data-sheet units, else SI.
+    forced
+        Whether to show axes too whose numbers are not those of noise at rest; of a log that was moved no
+        axis is left.
     encoding
         Of the place it is printed to; by default standard output's. Where it can't hold signs
         such as √ the units are written in ASCII.
@@ -39,11 +47,17 @@ def summary_table(
     """
     plain = not can_print("√²³µ", encoding)
     sensors: list[dict[str, _Block]] = []
-    for sensor, axes in report.by_sensor.items():
+    for sensor, every in report.by_sensor.items():
+        axes = [axis for axis in every if forced or axis.name in report.verdict.axes]
+        if not axes:
+            continue
         units = sheet_units(report, sensor) if datasheet else None
         sensors.append(dict(_blocks(axes, units, plain=plain)))
     sentence = report.verdict.sentence
-    lines = [*_wrapped(sentence.replace("±", "+-") if plain else sentence, columns), ""]
+    lines = _wrapped(sentence.replace("±", "+-") if plain else sentence, columns)
+    if not sensors:
+        return "\n".join(lines)
+    lines.append("")
     for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:
         for key in _order(beside):
             sides = [sensor.get(key, []) for sensor in beside]
