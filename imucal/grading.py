@@ -53,6 +53,7 @@ PHRASES: Mapping[str, str] = {
     "not-checked": "a check that could not judge",
     "not-finite": "samples that are no numbers",
     "poor-fit": "a model that doesn't describe the curve",
+    "predicts-badly": "halves that don't predict each other",
     "rate-differs": "a rate other than the log's own",
     "rate-given": "a rate other than the log's own",
     "second-opinion": "the second opinion",

@@ -170,17 +170,22 @@ _WORDS = {
 
 def _finding(stretches: Sequence[_Stretch], rests: Sequence[_Stretch], duration: float) -> Finding:
     """Return the note on which rests are used, and what is not and why."""
-    used = ", ".join(f"{one.start_s:.1f} s ({time(one.length_s)})" for one in rests)
     total = sum(one.length_s for one in rests)
+    begins = ", ".join(f"{one.start_s:.1f} s ({time(one.length_s)})" for one in rests)
     moving = duration - sum(one.length_s for one in stretches)
-    left = "; ".join(_left_out(stretches, moving))
     text = (
-        f"The fit is over {len(rests)} rest{'' if len(rests) == 1 else 's'}, {time(total)} of {time(duration)}; "
-        f"they begin at {used}. Each has its own level, and nothing spans two.{f' Left out: {left}.' if left else ''}"
+        f"The fit is over {_rests(len(rests))}, {time(total)} of {time(duration)}, which begin at {begins}. "
+        "Each has its own level, and nothing spans two."
     )
+    if left := "; ".join(_left_out(stretches, moving)):
+        text += f" Left out: {left}."
     if rests[0].start_s > 0:
         text += f" Other times count from {rests[0].start_s:.1f} s, where the first begins."
     return Finding(level="info", code="rests", text=text)
+
+
+def _rests(count: int) -> str:
+    return f"{count} rest{'' if count == 1 else 's'}"
 
 
 def _left_out(stretches: Sequence[_Stretch], moving: float) -> Iterator[str]:
@@ -189,4 +194,4 @@ def _left_out(stretches: Sequence[_Stretch], moving: float) -> Iterator[str]:
     for why, words in _WORDS.items():
         own = [one.length_s for one in stretches if one.why == why]
         if own:
-            yield f"{len(own)} rest{'' if len(own) == 1 else 's'} {words} ({time(sum(own))} in all)"
+            yield f"{_rests(len(own))} {words} ({time(sum(own))} in all)"

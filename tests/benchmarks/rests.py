@@ -4,12 +4,12 @@ Simulated drives: rests of different lengths, between them motion as of a car, w
 rest and springs that ring after it; each rest has its own pose and its own bias, the noise goes on through
 all of it, and in some rests the engine idles. The fit of all rests is held against that of the longest.
 
-    python tests/benchmarks/rests.py [DRIVES] [FIRST SEED]
+    python tests/benchmarks/rests.py [DRIVES] [FIRST SEED] [KIND...]
 """
 
 import sys
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,14 +41,16 @@ class Drive:
 #: Kinds of drives, by their names.
 DRIVES = {
     "six rests": Drive(6, (120.0, 600.0), (20.0, 120.0)),
+    "six equal rests": Drive(6, (300.0, 301.0), (20.0, 120.0)),
     "engine idles in some": Drive(8, (120.0, 600.0), (20.0, 120.0), shaken=0.4),
     "stop and go": Drive(60, (25.0, 60.0), (10.0, 60.0)),
+    "two hundred": Drive(200, (15.0, 40.0), (10.0, 30.0)),
     "one rest": Drive(1, (900.0, 901.0), (60.0, 120.0)),
 }
 
 
 def motion(seconds: float, rng: np.random.Generator) -> FloatArray:
-    """Return what moving adds to the six axes, shape (6, k): turns, throttle, road, springs, soft at its ends."""
+    """Return what moving adds to the six axes, shape (6, k): turns, throttle, road; soft at its ends."""
     k = int(seconds * RATE)
     t = np.arange(k) / RATE
     # It starts and stops smoothly within 1.5 s.
@@ -75,7 +77,7 @@ def simulate(drive: Drive, seed: int) -> Recording:
         k = int(rng.uniform(*drive.rest_s) * RATE) if number < drive.rests else 0
         t = np.arange(k) / RATE
         rest = np.zeros((6, k))
-        # The springs ring at 1.5 Hz for some seconds; half a percent of the gravity turns with the pose.
+        # The springs ring at 1.5 Hz for some seconds.
         ring = np.exp(-t / 0.8) * np.sin(2 * np.pi * 1.5 * t)
         rest[:3] += 0.01 * ring
         rest[3:] += 0.3 * ring
@@ -97,8 +99,6 @@ def simulate(drive: Drive, seed: int) -> Recording:
         samples = values[row] + noise
         series.append(AxisSeries.from_samples(samples, rate_hz=RATE, sensor=sensor, axis=AXES[row % 3]))
     clock = series[0].clock
-    from dataclasses import replace
-
     return Recording(
         source=Source(path="drive", format="made"), series=tuple(replace(one, clock=clock) for one in series)
     )
@@ -109,6 +109,8 @@ def main() -> None:
     drives = int(sys.argv[1]) if len(sys.argv) > 1 else 40
     first = int(sys.argv[2]) if len(sys.argv) > 2 else 0
     for name, drive in DRIVES.items():
+        if len(sys.argv) > 3 and name not in sys.argv[3:]:
+            continue
         held, found, gain = (defaultdict(list) for _ in range(3))
         refused = 0
         for seed in range(first, first + drives):
