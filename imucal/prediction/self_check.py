@@ -125,8 +125,8 @@ def self_check(
     names = ("first", "second")
     one, other = names[worst.half - 1], names[2 - worst.half]
     text = (
-        f"The {other} half of the record predicts the {one} badly: its Allan deviation at {worst.time_s:g} s is "
-        f"{worst.observed:.3g} {series.unit}, and {worst.predicted:.3g} {series.unit} is predicted "
+        f"The {other} half of the record predicts the {one} badly: at {worst.time_s:g} s its Allan deviation "
+        f"is {worst.observed:.3g} {series.unit}, where {worst.predicted:.3g} {series.unit} is predicted "
         f"(score {worst.score:+.1f})."
     )
     advice = (

@@ -1,9 +1,9 @@
-"""How often one half of a record is said to predict the other badly: where the model is right, and on real logs.
+"""How often one half of a record is said to predict the other badly, where it doesn't and on real logs.
 
     python tests/benchmarks/self_check.py [RECORDS OF EACH] [SEED]
 
-The truths and lengths are eight models of 10 Hz and halves of 1000, 2000 and 5000 s. Where ``IMUCAL_REAL_DATA``
-names a folder of real logs, whole runs and quarters of an ADIS16405 follow.
+Truths are eight models at 10 Hz, with halves of 1000, 2000 and 5000 s. Where ``IMUCAL_REAL_DATA`` names a
+folder of real logs, whole runs and quarters of an ADIS16405 follow.
 """
 
 import os
