@@ -45,15 +45,15 @@ def summary_table(
     columns
         Of the terminal; with less than 80 the sensors stand one after the other, 39 columns wide.
     """
-    plain = not can_print("√²³µ", encoding)
+    plain, verdict = not can_print("√²³µ", encoding), report.verdict
     sensors: list[dict[str, _Block]] = []
     for sensor, every in report.by_sensor.items():
-        axes = [axis for axis in every if forced or axis.name in report.verdict.axes]
+        axes = [axis for axis in every if forced or axis.name in verdict.axes]
         if not axes:
             continue
         units = sheet_units(report, sensor) if datasheet else None
         sensors.append(dict(_blocks(axes, units, plain=plain)))
-    sentence = report.verdict.sentence
+    sentence = verdict.sentence
     lines = _wrapped(sentence.replace("±", "+-") if plain else sentence, columns)
     if not sensors:
         return "\n".join(lines)

@@ -38,6 +38,8 @@ _LONGER = 12.0
 _HIGHEST = 3.0
 #: Blocks are so many a period of that; and the corner of an output filter is so far above what counts.
 _FINE, _BELOW = 4.0, 4.0
+#: Where samples are missing a block has so many places or more, of which one in so many is filled.
+_SPARSE = 4
 #: A score that is reported.
 _FAR = 3.0
 #: A prediction is at least this share of the fitted model's: least squares may make it negative.
@@ -87,6 +89,8 @@ def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...
     highest = min(_HIGHEST, series.rate_hz / 2, (fit.goodness.band_hz or (0.0, math.inf))[1])
     if fit.response is not None:
         highest = min(highest, fit.response.cutoff_hz / _BELOW)
+    if series.clock.missing:
+        highest = min(highest, series.rate_hz / (_FINE * _SPARSE))
     blocks = _blocks(series, max(1, int(series.rate_hz / (_FINE * highest))))
     middle = blocks.duration_s / 2
     halves = [blocks.between(0.0, middle), blocks.between(middle, math.inf)]
@@ -141,14 +145,14 @@ def _reach(series: AxisSeries) -> float:
 
 
 def _blocks(series: AxisSeries, size: int) -> AxisSeries:
-    """Return the means of blocks of so many places, those half empty left out."""
+    """Return the means of blocks of so many places, those nearly empty left out."""
     clock = series.clock
     if size == 1:
         return series
     edges = np.arange(clock.grid_size // size + 1) * size
     starts = np.searchsorted(clock.grid(), edges) if clock.missing else edges
     count = np.diff(starts)
-    keep = 2 * count >= size
+    keep = _SPARSE * count >= size
     sums = np.add.reduceat(series.samples[: starts[-1]], starts[:-1][count > 0])
     means = np.zeros(count.size)
     means[count > 0] = sums / count[count > 0]

@@ -41,16 +41,17 @@ def test_noise_of_the_fitted_kind_is_predicted() -> None:
 
 
 def test_what_is_observed_is_the_allan_variance_of_the_half() -> None:
-    """To a few percent, at times of many cycles; predicted by itself it is the fit's."""
+    """To a few percent; and what is predicted at 10 s is near the fit's."""
     series = series_of(noise(TRUTH, 21))
     fit = imucal.fit(series, model="N + B + K")
     for one in half_predictions(series, fit):
         half = series.samples[: N // 2] if one.half == 1 else series.samples[N // 2 :]
         curve = imucal.allan_curve(series_of(half), taus=[one.time_s])
-        # One is the sum over the whole spectrum of the half, the other over its start points.
-        assert one.observed == pytest.approx(float(curve.adev[0]), rel=0.03 if one.time_s < 100 else 0.3)
+        # One is a sum over the spectrum of the half, the other over its start points.
+        assert one.observed == pytest.approx(float(curve.adev[0]), rel=0.05)
         model = np.sqrt(fit.model.avar(np.array([one.time_s * RATE]), rate_hz=RATE))
-        assert one.predicted == pytest.approx(float(model[0]), rel=0.3)
+        if one.time_s == 10:
+            assert one.predicted == pytest.approx(float(model[0]), rel=0.05)
 
 
 def test_a_half_of_other_noise_is_named() -> None:
@@ -104,7 +105,7 @@ def test_lost_samples_and_a_ramp_are_no_change() -> None:
     series = series_of(samples).keeping(keep)
     fit = imucal.fit(series, model="N + B + R")
     found = half_predictions(series, fit)
-    assert {one.time_s for one in found} >= {10.0, 30.0}
+    assert {one.time_s for one in found} == {10.0, 30.0}
     assert max(abs(one.score) for one in found) < 3
 
 
