@@ -308,18 +308,18 @@ class Profile:
         return not self.windows.size or bool(self.windows.low.min() == self.windows.high.max())
 
 
-def profile(series: AxisSeries, quiet: Callable[[Windows], Windows] | None = None) -> Profile:
+def profile(series: AxisSeries, resting: Callable[[Windows], Windows] | None = None) -> Profile:
     """Return the profile of an axis; one pass over the samples.
 
-    Of a log that is mostly in motion, `quiet` returns those of its windows that are at rest.
+    Of a log that is mostly in motion, `resting` returns those of its windows that are at rest.
     """
     n, series = series.n, series.finite()
     windows = cut(series)
     lsb = resolution(series)
-    marks = disturbed(windows, lsb, quiet and quiet(windows))
+    marks = disturbed(windows, lsb, resting and resting(windows))
     if marks.any():
         windows = without_spikes(series, windows, marks)
-        marks = disturbed(windows, lsb, quiet and quiet(windows))
+        marks = disturbed(windows, lsb, resting and resting(windows))
     quiet = windows.step_variance[~marks & (windows.variance > 0)]
     return Profile(
         series=series,
