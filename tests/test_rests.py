@@ -65,6 +65,7 @@ def test_rests_are_found_clear_of_the_motion() -> None:
     recording, starts = drive(lengths)
     rests = imucal.at_rest(recording)
     segments = rests.series[0].clock.segments
+    assert rests.source.read is not None
     begin = rests.source.read.from_s + np.array([s.offset - segments[0].offset for s in segments]) / RATE
     end = begin + np.array([s.size for s in segments]) / RATE
     kept = np.array([True, False, True, True])
