@@ -194,8 +194,8 @@ def _quantities(axes: Sequence[_Axis], vertical: str, integrated: _Integrated) -
     """Yield what the worst of the axes make, and what both sensors make together."""
     gyros = [axis for axis in axes if axis.fit.sensor is Sensor.GYROSCOPE]
     accels = [axis for axis in axes if axis.fit.sensor is Sensor.ACCELEROMETER]
-    upright = [axis for axis in gyros if axis.axis == vertical]
-    tilting = [axis for axis in gyros if axis.axis != vertical]
+    upright = [axis for axis in gyros if vertical and axis.axis == vertical]
+    tilting = [axis for axis in gyros if axis not in upright]
     for name, own in (("heading", upright), ("tilt" if vertical else "angle", tilting)):
         if own:
             yield DriftOf(name=name, unit="rad", points=_worst(integrated(axis, ANGLE) for axis in own))

@@ -39,18 +39,14 @@ TRUTHS = {
 LENGTHS_S = {"20 min": 1200.0, "2 h": 7200.0}
 #: Coasts of one drawn record.
 PARTS = 50
-#: Name -> how many integrals it is, and of what factor.
-QUANTITIES = {
-    "angle": (ANGLE, 1.0),
-    "velocity through tilt": (POSITION, G0),
-    "position through tilt": (TILT, G0),
-}
+#: What the command calls the first integral of a gyroscope, the second and the third.
+QUANTITIES = ("angle", "velocity through tilt", "position through tilt")
 
 
 def drawn_rms(
     model: NoiseModel, times_s: Sequence[float], *, coasts: int, rng: np.random.Generator
 ) -> dict[str, FloatArray]:
-    """Return the rms of drawn errors by the quantity, shape (t,): samples less the mean of their rest, summed up.
+    """Return the rms of drawn errors, by the quantity, shape (t,): samples less their rest's mean, summed up.
 
     A sample is a rate that stands until the next one: its first integral runs straight, and so on.
     """
