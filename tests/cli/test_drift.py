@@ -117,8 +117,8 @@ def test_refuses_with_what_to_do(tmp_path: Path) -> None:
     moved = rng.standard_normal((4000, 3)) * 1e-3 + np.sin(np.arange(4000) / 300)[:, None]
     table = np.column_stack([np.arange(4000) / 100, moved])
     np.savetxt(tmp_path / "moved.csv", table, delimiter=",", header="t,gx,gy,gz", comments="")
-    arguments = ("drift", "moved.csv", "--gyro-unit", "rad/s", "--times", "1s", "--rest", "1s", "-q")
-    done = run(*arguments, cwd=tmp_path)
+    moving = ("drift", "moved.csv", "--gyro-unit", "rad/s", "--times", "1s", "--rest", "1s", "-q")
+    done = run(*moving, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (4, "")
     assert "nothing was predicted; record again at rest, or --force" in done.stderr
-    assert run(*arguments, "--force", cwd=tmp_path).stdout.startswith("Drift without aiding")
+    assert run(*moving, "--force", cwd=tmp_path).stdout.startswith("Drift without aiding")

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def points(found: Drift, name: str) -> tuple[DriftPoint, ...]:
     return next(one.points for one in found.quantities if one.name == name)
 
 
-def values(found: Drift, name: str, what: str = "value") -> list[float]:
+def values(found: Drift, name: str, what: str = "value") -> list[Any]:
     """Return one attribute of a quantity's points."""
     return [getattr(point, what) for point in points(found, name)]
 
