@@ -84,7 +84,7 @@ def _draw(axes: "Axes", quantities: Sequence[DriftOf], asked: set[float]) -> Non
         stroke = MODEL if name == main.name else next(s for end, s in _PARTS.items() if name.endswith(end))
         label = re.sub(f"^{kind},? (from the |through )?", "", name)
         axes.plot(time, value, color=stroke.light, linewidth=1.6, label=label, zorder=4, **dashes(stroke))
-    band = {"color": MODEL.light, "alpha": 0.18, "linewidth": 0}
+    band: dict[str, Any] = {"color": MODEL.light, "alpha": 0.18, "linewidth": 0}
     axes.fill_between(time, np.maximum(factor * low, bottom), factor * high, where=np.isfinite(high), **band)
     axes.legend(loc="upper left", **LEGEND_STYLE)
     _mark(axes, main, dict(zip(time, values[main.name], strict=True)), asked)

@@ -72,9 +72,8 @@ def test_json_is_the_drift(tmp_path: Path) -> None:
         for point, same in zip(told["points"], known.points, strict=True):
             assert set(point) == set(same.__slots__)
             assert (point["time_s"], point["axis"], point["seen"]) == (same.time_s, same.axis, False)
-            npt.assert_allclose(
-                [point["value"], point["low"], point["high"]], [same.value, same.low, same.high]
-            )
+            for key in ("value", "low", "high", "share"):
+                npt.assert_allclose(point[key], float(getattr(same, key)))
 
 
 def test_numbers_are_those_of_drawn_coasts() -> None:

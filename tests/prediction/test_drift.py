@@ -108,9 +108,7 @@ def test_gravity_tells_heading_from_tilt() -> None:
 
 def test_the_worst_axis_may_change_with_time() -> None:
     """At each time the one with the largest value; each by itself where that is asked."""
-    axes = tuple(
-        axis_report(GYRO, letter, text) for letter, text in (("x", "N=2e-3"), ("y", "N=1e-3 + K=1e-4"))
-    )
+    axes = axis_report(GYRO, "x", "N=2e-3"), axis_report(GYRO, "y", "N=1e-3 + K=1e-4")
     report = replace(small_report(), axes=axes)
     assert values(imucal.drift(report), "angle", "axis") == ["gyro_x", "gyro_x", "gyro_y", "gyro_y"]
     each = [one for one in imucal.drift(report, each_axis=True).quantities if one.name == "angle"]

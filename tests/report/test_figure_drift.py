@@ -15,7 +15,7 @@ def test_each_kind_of_quantity_has_its_plot() -> None:
     """Angle, velocity and position; each with the parts and what they make together."""
     figure = drift_figure(consumer_report(), imucal.drift(consumer_report()))
     assert [axes.get_ylabel() for axes in figure.axes] == ["angle (deg)", "velocity (m/s)", "position (m)"]
-    legends = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in figure.axes]
+    legends = [axes.get_legend_handles_labels()[1] for axes in figure.axes]
     assert legends == [["heading", "tilt"], *[["accelerometer", "tilt", "both"]] * 2]
     alone = drift_figure(shortest_report(4), imucal.drift(shortest_report(4)))
     assert [axes.get_ylabel() for axes in alone.axes] == ["velocity (m/s)", "position (m)"]
@@ -33,7 +33,7 @@ def test_it_draws_what_was_found() -> None:
     ):
         points = next(one.points for one in found.quantities if one.name == name)
         expected = [factor * (point.value or np.nan) for point in points]
-        marks = np.array([line.get_xydata()[0] for line in axes.lines if line.get_marker() == "o"])
+        marks = np.concatenate([line.get_xydata() for line in axes.lines if line.get_marker() == "o"])
         npt.assert_allclose(marks, np.transpose([[2.0, 30.0], expected]))
         assert [text.get_text().split("\n")[1] for text in axes.texts] == [p.term for p in points]
         (main,) = (
