@@ -8,10 +8,10 @@ through tilt swings with a period of 84 minutes: it is less by 0.7 % at 300 s, b
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from functools import partial
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from imucal.noise.terms import TERMS
 from imucal.prediction.propagation import (
     ANGLE,
     POSITION,
-    Quantity,
+    TILT,
     coasting_variance,
     lower_limit,
     modelled,
@@ -110,10 +110,6 @@ class _Axis(NamedTuple):
     fit: NoiseFit
 
 
-#: What returns the drift of an axis at all times, of so many integrals.
-_Integrated: TypeAlias = Callable[[_Axis, int], list[DriftPoint]]
-
-
 def drift(
     source: Characterised | NoiseFit,
     times_s: Sequence[float] = TIMES_S,
@@ -141,12 +137,8 @@ def drift(
     DataError
         If there is no axis whose sensor is known.
     """
-    known = (
-        [("", 0.0, source)]
-        if isinstance(source, NoiseFit)
-        else [(a.axis, a.mean, a.fit) for a in source.axes]
-    )
-    axes = [axis for axis in map(_Axis._make, known) if axis.fit.sensor is not None]
+    given = [_Axis("", 0.0, source)] if isinstance(source, NoiseFit) else source.axes
+    axes = [_Axis(axis.axis, axis.mean, axis.fit) for axis in given if axis.fit.sensor is not None]
     if not axes:
         msg = "no axis whose sensor is known, expected a gyroscope's or an accelerometer's"
         raise DataError(msg)
@@ -158,26 +150,10 @@ def drift(
             ratio = f"at most {_MOST_UNLIKE:.0f} times the other"
             msg = f"{found}, expected each a sample ({sample_s:.3g} s) at least and {ratio}"
             raise ValueError(msg)
-
-    @cache
-    def of_one(symbol: str, shape: tuple[float, ...], rate_hz: float, integrals: int) -> FloatArray:
-        """Return the variance of a term whose coefficient is 1: all axes with such a term share it."""
-        term, times = TERMS[symbol].of(1.0, *shape), np.array(times_s)
-        return coasting_variance(term, times, rest_s=rest_s, rate_hz=rate_hz, integrals=integrals)
-
-    def integrated(axis: _Axis, integrals: int) -> list[DriftPoint]:
-        scale = G0 if axis.fit.sensor is Sensor.GYROSCOPE and integrals > ANGLE else 1.0
-
-        def variance(term: NoiseTerm) -> FloatArray:
-            unit = of_one(term.symbol, term.values[1:], axis.fit.rate_hz, integrals)
-            return (scale * term.coefficient) ** 2 * unit
-
-        return _points(axis, variance, times_s, rest_s)
-
-    vertical = _vertical(axes)
+    vertical, whole = _vertical(axes), _Coasts(times_s=tuple(times_s), rest_s=rest_s, units={})
     groups = [[axis] for axis in axes] if each_axis else [axes]
-    quantities = [found for group in groups for found in _quantities(group, vertical, integrated)]
-    return Drift(rest_s=rest_s, level=axes[0].fit.level, vertical=vertical, quantities=tuple(quantities))
+    quantities = tuple(found for group in groups for found in _quantities(group, vertical, whole))
+    return Drift(rest_s=rest_s, level=axes[0].fit.level, vertical=vertical, quantities=quantities)
 
 
 def _vertical(axes: Sequence[_Axis]) -> str:
@@ -190,80 +166,101 @@ def _vertical(axes: Sequence[_Axis]) -> str:
     return upright if means[upright] > _UPRIGHT * total else ""
 
 
-def _quantities(axes: Sequence[_Axis], vertical: str, integrated: _Integrated) -> Iterator[DriftOf]:
+def _quantities(axes: Sequence[_Axis], vertical: str, coasts: "_Coasts") -> Iterator[DriftOf]:
     """Yield what the worst of the axes make, and what both sensors make together."""
-    gyros = [axis for axis in axes if axis.fit.sensor is Sensor.GYROSCOPE]
     accels = [axis for axis in axes if axis.fit.sensor is Sensor.ACCELEROMETER]
-    upright = [axis for axis in gyros if vertical and axis.axis == vertical]
-    tilting = [axis for axis in gyros if axis not in upright]
-    for name, own in (("heading", upright), ("tilt" if vertical else "angle", tilting)):
+    upright = [axis for axis in axes if axis not in accels and axis.axis == (vertical or None)]
+    tilting = [axis for axis in axes if axis not in accels + upright]
+    together: dict[str, DriftOf] = {}
+    for name, unit, own, integrals in (
+        ("heading", "rad", upright, ANGLE),
+        ("tilt" if vertical else "angle", "rad", tilting, ANGLE),
+        ("velocity from the accelerometer", "m/s", accels, ANGLE),
+        ("velocity through tilt", "m/s", tilting, POSITION),
+        ("position from the accelerometer", "m", accels, POSITION),
+        ("position through tilt", "m", tilting, TILT),
+    ):
         if own:
-            yield DriftOf(name=name, unit="rad", points=_worst(integrated(axis, ANGLE) for axis in own))
-    for name, unit, integrals in (("velocity", "m/s", ANGLE), ("position", "m", POSITION)):
-        # Gravity makes an acceleration of an angle: one integral more.
-        makers = (("from the accelerometer", accels, integrals), ("through tilt", tilting, integrals + 1))
-        parts = [
-            DriftOf(name=f"{name} {how}", unit=unit, points=_worst(integrated(axis, order) for axis in own))
-            for how, own, order in makers
-            if own
-        ]
-        yield from parts
-        if len(parts) == 2:
-            both = tuple(map(_both, *(part.points for part in parts)))
-            yield DriftOf(name=f"{name}, both", unit=unit, points=both)
+            part = DriftOf(name=name, unit=unit, points=coasts.worst(own, integrals))
+            yield part
+            if unit != "rad" and unit in together:
+                both = tuple(map(_both, together[unit].points, part.points))
+                yield DriftOf(name=f"{name.split()[0]}, both", unit=unit, points=both)
+            together[unit] = part
 
 
-def _points(axis: _Axis, variance: Quantity, times_s: Sequence[float], rest_s: float) -> list[DriftPoint]:
-    """Return the drift of one axis at all times."""
-    fit, sensor = axis.fit, axis.fit.sensor
-    value = modelled(fit, variance)
-    by_term = {e.key: modelled(replace(fit, estimates=(e,)), variance) for e in fit.estimates if e.value}
-    terms = [max(by_term, key=lambda key: by_term[key][i]) if value[i] > 0 else "" for i in range(value.size)]
-    low, high = 0 * value, value + math.inf
-    times = [e.correlation_time.high for e in fit.estimates if e.correlation_time]
-    if np.isfinite([*times, *(e.high for e in fit.estimates)]).all():
-        low, high = lower_limit(fit, variance), upper_limit(fit, variance)
-    # A curve without degrees of freedom is a model's, and no record's.
-    record_s = fit.curve.n / fit.rate_hz if np.isfinite(fit.curve.edf).any() else 0.0
-    return [
-        DriftPoint(
-            time_s=time_s,
-            axis="_".join(filter(None, (sensor.short if sensor else "", axis.axis))),
-            value=math.sqrt(value[i]) if terms[i] else None,
-            low=math.sqrt(low[i]),
-            high=math.sqrt(high[i]),
-            term=terms[i],
-            share=float(by_term[terms[i]][i] / value[i]) if terms[i] else 0.0,
-            seen=record_s >= STRETCHES * (time_s + rest_s) if record_s else None,
-        )
-        for i, time_s in enumerate(times_s)
-    ]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Coasts:
+    """Rest and coasts; and the variances of terms whose coefficient is 1, which all axes share."""
+
+    times_s: tuple[float, ...]
+    rest_s: float
+    units: dict[tuple[object, ...], FloatArray]
+
+    def variance(self, axis: _Axis, integrals: int, term: NoiseTerm) -> FloatArray:
+        """Return the variance of a term at all times, shape (t,), through a tilt in m/s or m."""
+        scale = G0 if axis.fit.sensor is Sensor.GYROSCOPE and integrals > ANGLE else 1.0
+        rate_hz, shape = axis.fit.rate_hz, term.values[1:]
+        key = (term.symbol, shape, rate_hz, integrals)
+        if key not in self.units:
+            self.units[key] = coasting_variance(
+                TERMS[term.symbol].of(1.0, *shape),
+                np.array(self.times_s),
+                rest_s=self.rest_s,
+                rate_hz=rate_hz,
+                integrals=integrals,
+            )
+        return (scale * term.coefficient) ** 2 * self.units[key]
+
+    def worst(self, axes: Sequence[_Axis], integrals: int) -> tuple[DriftPoint, ...]:
+        """Return at each time the drift that has the largest value, or, without one, the largest bound."""
+        at_times = zip(*(self.points(axis, integrals) for axis in axes), strict=True)
+        return tuple(max(points, key=lambda point: (point.value or 0.0, point.high)) for points in at_times)
+
+    def points(self, axis: _Axis, integrals: int) -> list[DriftPoint]:
+        """Return the drift of one axis at all times."""
+        fit, variance = axis.fit, partial(self.variance, axis, integrals)
+        value = modelled(fit, variance)
+        made = {e.key: modelled(replace(fit, estimates=(e,)), variance) for e in fit.estimates if e.value}
+        times = [e.correlation_time.high for e in fit.estimates if e.correlation_time]
+        low, high = 0 * value, value + math.inf
+        if np.isfinite([*times, *(e.high for e in fit.estimates)]).all():
+            low, high = lower_limit(fit, variance), upper_limit(fit, variance)
+        # A curve without degrees of freedom is a model's, and no record's.
+        record_s = fit.curve.n / fit.rate_hz if np.isfinite(fit.curve.edf).any() else 0.0
+        name = "_".join(filter(None, (fit.sensor.short if fit.sensor else "", axis.axis)))
+        points = []
+        for i, time_s in enumerate(self.times_s):
+            share, term = max(((own[i] / value[i], key) for key, own in made.items()), default=(0.0, ""))
+            points.append(
+                DriftPoint(
+                    time_s=time_s,
+                    axis=name,
+                    value=math.sqrt(value[i]) or None,
+                    low=math.sqrt(low[i]),
+                    high=math.sqrt(high[i]),
+                    term=term,
+                    share=float(share),
+                    seen=record_s >= STRETCHES * (time_s + self.rest_s) if record_s else None,
+                )
+            )
+        return points
 
 
-def _worst(of_axes: Iterable[list[DriftPoint]]) -> tuple[DriftPoint, ...]:
-    """Return at each time that of the axis with the largest value, or, without one, the largest bound."""
-    beside = zip(*of_axes, strict=True)
-    return tuple(max(points, key=lambda point: (point.value or 0.0, point.high)) for points in beside)
-
-
-def _both(*parts: DriftPoint) -> DriftPoint:
+def _both(one: DriftPoint, other: DriftPoint) -> DriftPoint:
     """Return the drift of parts that know nothing of each other: squares add up, and limits as of any sum."""
-    squares = [(part.value or 0.0) ** 2 for part in parts]
-    value = sum(squares)
-    below, above = (
-        math.hypot(*(getattr(part, end) ** 2 - own for part, own in zip(parts, squares, strict=True)))
-        for end in ("low", "high")
-    )
-    share, most = max(
-        ((part.share * own, part) for part, own in zip(parts, squares, strict=True)), key=lambda each: each[0]
-    )
+    ends = [[getattr(part, end) or 0.0 for part in (one, other)] for end in ("value", "low", "high")]
+    value, low, high = np.square(ends)
+    total = float(value.sum())
+    shares = value * [one.share, other.share] / (total or 1.0)
+    most = (one, other)[int(np.argmax(shares))]
     return DriftPoint(
-        time_s=most.time_s,
-        axis=" ".join(part.axis for part in parts),
-        value=math.sqrt(value) if value else None,
-        low=math.sqrt(max(value - below, 0.0)),
-        high=math.sqrt(value + above),
-        term=f"{most.axis} {most.term}" if value else "",
-        share=share / value if value else 0.0,
-        seen=all(part.seen for part in parts) if None not in {part.seen for part in parts} else None,
+        time_s=one.time_s,
+        axis=f"{one.axis} {other.axis}",
+        value=math.sqrt(total) or None,
+        low=math.sqrt(max(total - float(np.linalg.norm(value - low)), 0.0)),
+        high=math.sqrt(total + float(np.linalg.norm(high - value))),
+        term=f"{most.axis} {most.term}" if most.term else "",
+        share=float(shares.max()),
+        seen=one.seen and other.seen,
     )

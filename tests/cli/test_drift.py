@@ -33,7 +33,7 @@ def test_a_report_gives_a_table(tmp_path: Path) -> None:
         "  1 min   3.5 [3.5, 20.3] m/s             gyro_x    N 100 %  extrapolated",
         "",
         "position through tilt",
-        "  10 s    0.73 [0.73, 1.70] m             gyro_x    N 100 %  extrapolated",
+        "  10 s    0.72 [0.72, 1.68] m             gyro_x    N 100 %  extrapolated",
         "  1 min   76 [76, 385] m                  gyro_x    N 100 %  extrapolated",
         "",
         "extrapolated: the log is not 5 times as long as rest and time together; its",
