@@ -72,7 +72,7 @@ def command(
     form = out.suffix.lstrip(".") if out else FORMATS[0]
     if form not in FORMATS:
         msg = f"{out} is no picture's name; end it with one of .{', .'.join(FORMATS)}"
-        raise click.BadParameter(msg, param_hint="'-o'")
+        raise click.BadParameter(msg, param_hint="'-o' / '--out'")
     report = load_report(request)
     refuse(report.verdict, request.logs[0], "nothing was predicted", force=force)
     try:
