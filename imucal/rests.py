@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.arrays import BoolArray
+from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -117,16 +117,11 @@ def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[
     long = [one for one in stretches if not one.why]
     if not long:
         return list(stretches)
-    loudest = np.ones(len(long))
-    turned = np.zeros(len(long))
+    loudest, turned = np.ones(len(long)), np.zeros(len(long))
     for p in profiles:
-        inside = [_inside(p.windows, one) for one in long]
-        # Of a coarse axis the variance depends on where between two steps its level lies.
-        power = np.array([np.median(p.windows.variance[own]) if own.any() else np.nan for own in inside])
-        power += (p.lsb or 0.0) ** 2
+        power, mean = _power_and_mean(p, long)
         loudest = np.fmax(loudest, power / np.nanmin(power))
         if p.series.sensor is Sensor.GYROSCOPE:
-            mean = np.array([p.windows.mean[own].mean() if own.any() else np.nan for own in inside])
             turned = np.fmax(turned, np.abs(mean - np.nanmedian(mean)))
     why = np.where(turned > _TURNED, "turned", np.where(loudest > _SHAKEN, "shaken", ""))
     used = sorted((i for i, word in enumerate(why.tolist()) if not word), key=lambda i: -long[i].length_s)
@@ -135,9 +130,17 @@ def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[
     return [judged.get(one, one) for one in stretches]
 
 
-def _inside(windows: Windows, stretch: _Stretch) -> BoolArray:
-    inside: BoolArray = (windows.time_s >= stretch.start_s) & (windows.end_s <= stretch.end_s)
-    return inside
+def _power_and_mean(p: Profile, stretches: Sequence[_Stretch]) -> tuple[FloatArray, FloatArray]:
+    """Return the usual variance of an axis in each stretch, and its mean; NaN where it has no window there.
+
+    Of a coarse axis the variance depends on where between two steps its level lies: a step's square is added.
+    """
+    found = np.full((2, len(stretches)), np.nan)
+    for column, one in zip(found.T, stretches, strict=True):
+        inside = (p.windows.time_s >= one.start_s) & (p.windows.end_s <= one.end_s)
+        if inside.any():
+            column[:] = np.median(p.windows.variance[inside]), p.windows.mean[inside].mean()
+    return found[0] + (p.lsb or 0.0) ** 2, found[1]
 
 
 def _cut(series: AxisSeries, spans: Sequence[tuple[float, float]], clocks: dict[int, Clock]) -> AxisSeries:

@@ -3,6 +3,7 @@
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 
 from imucal.cli._printing import FULL, can_print
@@ -46,13 +47,8 @@ def summary_table(
         Of the terminal; with less than 80 the sensors stand one after the other, 39 columns wide.
     """
     plain, verdict = not can_print("√²³µ", encoding), report.verdict
-    sensors: list[dict[str, _Block]] = []
-    for sensor, every in report.by_sensor.items():
-        axes = [axis for axis in every if forced or axis.name in verdict.axes]
-        if not axes:
-            continue
-        units = sheet_units(report, sensor) if datasheet else None
-        sensors.append(dict(_blocks(axes, units, plain=plain)))
+    usable = [axis for axis in report.axes if forced or axis.name in verdict.axes]
+    sensors = list(_sensors(replace(report, axes=tuple(usable)), datasheet=datasheet, plain=plain))
     sentence = verdict.sentence
     lines = _wrapped(sentence.replace("±", "+-") if plain else sentence, columns)
     if not sensors:
@@ -69,6 +65,13 @@ def summary_table(
     legend = f"[low, high]: {shown} interval; < high: not shown by the data, upper bound"
     lines += _wrapped(legend, columns)
     return "\n".join(lines)
+
+
+def _sensors(report: Report, *, datasheet: bool, plain: bool) -> Iterator[dict[str, _Block]]:
+    """Yield the blocks of each sensor that has axes."""
+    for sensor, axes in report.by_sensor.items():
+        units = sheet_units(report, sensor) if datasheet else None
+        yield dict(_blocks(axes, units, plain=plain))
 
 
 def _wrapped(text: str, columns: int) -> list[str]:

@@ -161,9 +161,7 @@ def command(
             say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
     written = "nothing was written" if no_report else f"{folder} says so"
     forbidden = (*report.all_findings, *missing) if request.strict else ()
-    remedy = "record again at rest"
-    if not rests and any(_rested(finding) for finding in report.findings):
-        remedy += ", --rests to fit what is at rest"
+    remedy = _remedy(() if rests else report.findings)
     refuse(report.verdict, report.source.path, written, force=force, forbidden=forbidden, remedy=remedy)
 
 
@@ -177,10 +175,11 @@ def _told(report: "Report", request: LogRequest, *, force: bool) -> Sequence["Fi
     )
 
 
-def _rested(finding: "Finding") -> bool:
-    """Return whether a finding is of motion, with a rest that is long enough beside it."""
-    start, end = finding.keep_s or (0.0, 0.0)
-    return finding.code in {"motion", "touch"} and end - start >= _REST_S
+def _remedy(findings: Sequence["Finding"]) -> str:
+    """Return what else to do with a log that is refused: fit its rests, where one is long enough."""
+    keeps = [f.keep_s for f in findings if f.code in {"motion", "touch"} and f.keep_s]
+    long = any(end - start >= _REST_S for start, end in keeps)
+    return "record again at rest" + (", --rests to fit what is at rest" if long else "")
 
 
 def report_folder(log: str, what: str = "imucal") -> Path:

@@ -4,7 +4,17 @@ Fits come in; variances of angle, velocity and position with their limits come o
 that a filter can be held to; and whether one half of a record predicts the other.
 """
 
+from imucal.prediction.drift import Drift, DriftOf, DriftPoint, drift
 from imucal.prediction.filter_numbers import FilterNumbers, filter_numbers
-from imucal.prediction.self_check import Prediction, half_predictions, self_check
+from imucal.prediction.self_check import half_predictions, self_check
 
-__all__ = ["FilterNumbers", "Prediction", "filter_numbers", "half_predictions", "self_check"]
+__all__ = [
+    "Drift",
+    "DriftOf",
+    "DriftPoint",
+    "FilterNumbers",
+    "drift",
+    "filter_numbers",
+    "half_predictions",
+    "self_check",
+]
