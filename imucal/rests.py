@@ -120,7 +120,10 @@ def _judged(profiles: Sequence[Profile], stretches: Sequence[_Stretch]) -> list[
     loudest, turned = np.ones(len(long)), np.zeros(len(long))
     for p in profiles:
         power, mean = _power_and_mean(p, long)
-        loudest = np.fmax(loudest, power / np.nanmin(power))
+        told = power[power > 0]
+        if not told.size:
+            continue
+        loudest = np.fmax(loudest, power / told.min())
         if p.series.sensor is Sensor.GYROSCOPE:
             turned = np.fmax(turned, np.abs(mean - np.nanmedian(mean)))
     why = np.where(turned > _TURNED, "turned", np.where(loudest > _SHAKEN, "shaken", ""))

@@ -144,6 +144,18 @@ def test_a_log_at_rest_is_one_rest() -> None:
     assert imucal.fit(rests.series[0])["N"] == imucal.fit(still.series[0])["N"]
 
 
+def test_an_axis_that_is_dead_hides_no_rest() -> None:
+    """Nor does one that lost samples: their rests are those of the others."""
+    recording, _ = drive((40.0, 50.0), seed=9)
+    values = np.stack([series.samples for series in recording.series], axis=1)
+    values[:, 1] = 0.0
+    values[::97, 4] = np.nan
+    rests = imucal.at_rest(recording_of(values))
+    assert said(rests).startswith("The fit is over 2 rests, ")
+    assert [series.n for series in rests.series[:4]] == [rests.series[0].n] * 4
+    assert 0 < rests.series[4].n < rests.series[0].n
+
+
 def test_a_log_without_a_rest_is_refused() -> None:
     """In a sentence that says how long it held still at most."""
     with pytest.raises(
