@@ -158,7 +158,9 @@ def plan(
 
     if isinstance(source, Report):
         axes = tuple(
-            replace(_fit_plan(axis.fit, ask(axis.rate_hz, axis.duration_s if axis.samples else None)), axis=name)
+            replace(
+                _fit_plan(axis.fit, ask(axis.rate_hz, axis.duration_s if axis.samples else None)), axis=name
+            )
             for name, axis in _once_each(source)
         )
     elif isinstance(source, NoiseFit):

@@ -1,4 +1,4 @@
-"""The config file of a filter read back: is each noise parameter what the sensor's report asks for?
+"""The config file of a filter read back: whether each noise parameter is what the sensor's report asks for.
 
 The formats, and the formula of each key, are those that `imucal.report.exports` writes; a file is of the
 format most of whose keys it has. A number is right from the least that the values of the fit ask for;
@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -19,11 +20,13 @@ from imucal.checking.verdict import Measured, Row, Verdict
 from imucal.errors import LimitsError
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.prediction.propagation import modelled
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS, AxisPolicy
 from imucal.report.exports.config_numbers import Choices, Numbers
 from imucal.report.exports.target import Key, Target, entries, real
 from imucal.report.result import AxisReport, Report
+from imucal.units import G0, SAMPLE_UNITS
 
 #: A filter whose deviation is this share of the least is right by NEES of 1.2.
 _ENOUGH = 1 / math.sqrt(1.2)
@@ -34,6 +37,8 @@ _ABSURD = 1e-3
 #: How far from a slip's number a number is taken for it, as a factor on the coefficient: numbers of
 #: other records differ; but up to the last factor people make them larger on purpose.
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
+#: Factors that differ by less, in natural logarithm, are one.
+_EQUAL = 1e-6
 #: Rates that differ by more are not one.
 _SAME_RATE = 0.01
 
@@ -46,22 +51,30 @@ _NUMBER = re.compile(r"[^\s,\[\]\"']+")
 
 
 class Setting(NamedTuple):
-    """A key of a config file: its line, from 1, its name, its numbers (none for a text), and the line's text."""
+    """A key of a config file: its line, from 1, its name, its numbers as written, and the line's text."""
 
     line: int
     name: str
-    numbers: tuple[float, ...]
+    written: tuple[str, ...]
     text: str
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Its numbers; none where it holds anything else."""
+        found = tuple(map(_number, self.written))
+        return found if all(map(math.isfinite, found)) else ()
 
     def is_called(self, name: str) -> bool:
         """Return whether this is the key of a name, in whatever section."""
         return self.name == name or self.name.endswith((f"/{name}", f".{name}"))
 
     def with_number(self, value: str) -> str:
-        """Return the line with another number in place of its own; of a list in place of each but zeros."""
-        start = self.text.find(self.name) + len(self.name)
-        other = _NUMBER.sub(lambda found: found[0] if _number(found[0]) in (None, 0) else value, self.text[start:])
-        return f"{self.text[:start]}{other}".strip()
+        """Return the line with another number in place of its own; of a matrix in place of all but zeros."""
+        at = self.text.find(self.name) + len(self.name)
+        old = [text for text in self.written if len(self.written) == 1 or _number(text)]
+        spelled = "|".join(map(re.escape, dict.fromkeys(old)))
+        line = re.sub(rf"(?<![\w.+-])({spelled})(?![\w.])", value, self.text[at:]) if old else f": {value}"
+        return f"{self.text[:at]}{line}".strip()
 
 
 def read_settings(text: str) -> list[Setting]:
@@ -76,25 +89,24 @@ def read_settings(text: str) -> list[Setting]:
         if match is None:
             continue
         name, value = match["name"], match["value"]
-        while "[" in value and "]" not in value and (more := next(lines, None)):
-            value += f" {more[1].strip()}"
-            line += f" {more[1].strip()}"
+        more = []
+        while "[" in value and "]" not in "".join([value, *more]) and (following := next(lines, None)):
+            more.append(following[1].strip())
+        value = " ".join([value, *more])
         if not value or value.startswith("!!"):
             section = name
-        texts = _NUMBER.findall(value)[: 1 if match["vehicle"] else None]
-        numbers = [_number(each) for each in texts]
-        known = tuple(each for each in numbers if each is not None)
+        written = _NUMBER.findall(value)[: 1 if match["vehicle"] else None]
         # OpenCV's matrices keep their numbers under a key of their own.
         name = section if name == "data" and section else name
-        found.append(Setting(number, name, known if len(known) == len(numbers) else (), line))
+        found.append(Setting(number, name, tuple(written), " ".join([line, *more])))
     return found
 
 
-def _number(text: str) -> float | None:
+def _number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        return None
+        return math.nan
 
 
 def check_config(path: Path, report: Report) -> tuple[Row, ...]:
@@ -122,7 +134,13 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
         raise LimitsError(msg) from error
     settings, choices = read_settings(text), _choices(text)
     target = _format(path, settings, report, choices)
-    return (*_noise(path, settings, report, target, choices), *_rates(path, settings, report, target, choices))
+    file = _File(
+        path=path,
+        settings=settings,
+        numbers=target.numbers(report, choices),
+        own=read_settings(target.render(report, choices)),
+    )
+    return (*file.noise(target.keys), *file.rates())
 
 
 def _choices(text: str) -> Choices:
@@ -165,154 +183,235 @@ def _format(path: Path, settings: Sequence[Setting], report: Report, choices: Ch
     return max((target for target in TARGETS.values() if counts[target.name] == most), key=alike)
 
 
-def _rates(
-    path: Path, settings: Sequence[Setting], report: Report, target: Target, choices: Choices
-) -> Iterator[Row]:
-    """Judge the keys that hold the rate of the stream: those that the format's own file has it in."""
-    rate_hz = target.numbers(report, choices).stream_hz
-    for own in read_settings(target.render(report, choices)):
-        for setting in settings if own.numbers == (rate_hz,) else ():
-            if setting.name != own.name or len(setting.numbers) != 1:
-                continue
-            same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
-            instead = "" if same else setting.with_number(real(rate_hz))
-            text = f"log: {path.name}:{setting.line}: {setting.name} is {setting.numbers[0]:g} Hz, "
-            text += f"and {rate_hz:g} Hz the rate of the log"
-            if not same:
-                text += f"; unless the IMU runs at another rate than in the log, write '{instead}'"
-            yield Row(
-                where="log",
-                subject=setting.name,
-                verdict="pass" if same else "undecided",
-                text=text,
-                instead=instead,
-            )
-
-
-def _noise(
-    path: Path, settings: Sequence[Setting], report: Report, target: Target, choices: Choices
-) -> Iterator[Row]:
-    """Judge the keys that hold a number of the noise."""
-    numbers = target.numbers(report, choices)
-    for key in target.keys:
-        found = [(name, each) for name in _names(key) for each in settings if each.is_called(name)]
-        if key.sensor not in numbers.sensors:
-            for name, _ in found:
-                text = f"{key.sensor.short}: {name}: the report has no {key.sensor}; check against one that has"
-                yield Row(where=key.sensor.short, subject=name, verdict="undecided", text=text)
-            continue
-        right = {entry.name: entry for entry in entries(numbers, (key,))} if found else {}
-        for name, setting in found:
-            axes = numbers.chosen(key.sensor) if len(right) == 1 else (numbers.axis(key.sensor, "xyz"[_names(key).index(name)]),)
-            wanted = _Wanted.of(key, right[name].value, axes, numbers)
-            yield _row(path, setting, wanted)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Wanted:
-    """What a key should hold.
+class _File:
+    """A config file and what its format's own file for the report would be.
 
     Attributes
     ----------
-    key
-        The key.
-    right, least
-        What the exporter writes; and what covers the values of the fit alone, their limits left out.
-    rate_hz
-        Of the file's stream.
-    fitted
-        Symbol -> largest coefficient that the fits of the axes show.
+    path, settings
+        The file and its keys.
+    numbers
+        What the report gives the format.
+    own
+        The keys of the format's own file.
     """
 
-    key: Key
-    right: float
-    least: float
-    rate_hz: float
-    fitted: Mapping[str, float]
+    path: Path
+    settings: Sequence[Setting]
+    numbers: Numbers
+    own: Sequence[Setting]
 
-    @classmethod
-    def of(cls, key: Key, right: float, axes: Sequence[AxisReport], numbers: Numbers) -> "_Wanted":
-        """Return what the axes ask for."""
-        pair = numbers.pair([_at_values(axis) for axis in axes])
-        least = {"N": pair.white, "K": pair.walk}[key.symbol] * numbers.choices.factor(key.symbol)
-        fitted: dict[str, float] = {}
-        for estimate in (estimate for axis in axes for estimate in axis.fit.estimates):
-            if estimate.value:
-                fitted[estimate.symbol] = max(estimate.value, fitted.get(estimate.symbol, 0.0))
-        rate_hz = numbers.stream_hz
-        return cls(
-            key=key, right=right, least=min(key.formula.of(least, rate_hz), right), rate_hz=rate_hz, fitted=fitted
+    def place(self, sensor: str, setting: Setting) -> str:
+        """Return where a key stands, for the start of a sentence."""
+        return f"{sensor}: {self.path.name}:{setting.line}: {setting.name}"
+
+    def rates(self) -> Iterator[Row]:
+        """Judge the keys that hold the rate of the stream: those that the format's own file has it in."""
+        rate_hz = self.numbers.stream_hz
+        for name in {own.name: None for own in self.own if own.numbers == (rate_hz,)}:
+            for setting in self.settings:
+                if setting.name != name or len(setting.numbers) != 1:
+                    continue
+                same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
+                instead = "" if same else setting.with_number(real(rate_hz))
+                text = (
+                    f"{self.place('log', setting)} is {setting.numbers[0]:g} Hz, and the log's {rate_hz:g} Hz"
+                )
+                if instead:
+                    text += f"; unless the IMU runs at another rate than in the log, write '{instead}'"
+                verdict: Verdict = "undecided" if instead else "pass"
+                yield Row(where="log", subject=name, verdict=verdict, text=text, instead=instead)
+
+    def noise(self, keys: Sequence[Key]) -> Iterator[Row]:
+        """Judge the keys that hold a number of the noise."""
+        there = [
+            (key, i, each)
+            for key in keys
+            for i, name in enumerate(_names(key))
+            for each in self.settings
+            if each.is_called(name)
+        ]
+        judges: dict[tuple[Sensor, int], _Judge] = {}
+        for key, i, setting in there:
+            short = key.sensor.short
+            if key.sensor not in self.numbers.sensors:
+                text = f"{short}: {setting.name}: the report has no {key.sensor}; check against one that has"
+                yield Row(where=short, subject=setting.name, verdict="undecided", text=text)
+                continue
+            if (key.sensor, i) not in judges:
+                group = (
+                    (self.numbers.triad(key.sensor)[i],)
+                    if "{" in key.name
+                    else self.numbers.chosen(key.sensor)
+                )
+                mates = [(k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i)]
+                judges[key.sensor, i] = _Judge.of(self.numbers, group, mates)
+            yield self._row(key, i, setting, judges[key.sensor, i])
+
+    def _row(self, key: Key, i: int, setting: Setting, judge: "_Judge") -> Row:
+        """Return the verdict on a key; on a matrix that of the worst on its diagonal."""
+        name = _names(key)[i]
+        right = next(entry.value for entry in entries(self.numbers, (key,)) if entry.name == name)
+        judged = [(*judge.judge(key, number, right), number) for number in _diagonal(setting)]
+        verdict, said, number = min(judged, key=lambda each: _WORST_FIRST.index(each[0]))
+        spelled = next((own.written[0] for own in reversed(self.own) if own.name == name), real(right))
+        instead = setting.with_number(spelled) if said else ""
+        shown = " ".join(setting.written) if math.isnan(number) else f"{number:.4g} {key.unit}"
+        text = f"{self.place(key.sensor.short, setting)} is {shown}"
+        return Row(
+            where=key.sensor.short,
+            subject=setting.name,
+            side="min",
+            limit=right,
+            unit=key.unit,
+            measured=Measured.exactly(number),
+            verdict=verdict,
+            text=f"{text}; {said}; write '{instead}'" if said else f"{text}, enough for this sensor",
+            instead=instead,
         )
 
-    def ratio(self, number: float, to: float) -> float:
-        """Return the ratio of the coefficients behind two numbers."""
-        return float((number / to) ** (1 / self.key.formula.power))
 
-    def slips(self) -> Iterator[tuple[float, str]]:
-        """Yield numbers that people write in its place, each with what it is."""
-        symbol, rate_hz, of = self.key.symbol, self.rate_hz, self.key.formula.of
-        root = math.sqrt(rate_hz)
-        for c in dict.fromkeys([self.fitted.get(symbol, 0.0), self.ratio(self.right, of(1.0, rate_hz))]):
-            if not c:
-                continue
-            yield c * root, f"{symbol}*sqrt(f), the deviation of one sample"
-            yield c / root, f"{symbol}/sqrt(f), a step from sample to sample"
-            yield c * c * rate_hz, f"{symbol}^2*f, the variance of one sample"
-            yield c, f"{symbol} itself, a continuous density"
-            yield c * c, f"{symbol}^2, the square of a continuous density"
-            yield of(c * root, rate_hz), f"a factor sqrt(f), f = {rate_hz:g} Hz, too much"
-            yield of(c / root, rate_hz), f"a factor sqrt(f), f = {rate_hz:g} Hz, is missing"
-            yield of(c * rate_hz, rate_hz), f"a factor f = {rate_hz:g} Hz too much"
-            yield of(c / rate_hz, rate_hz), f"a factor f = {rate_hz:g} Hz is missing"
-            units = TERMS[symbol].coefficient_units(self.key.sensor)
-            wanted = next(iter(units))
-            for unit, factor in units.items():
-                if factor != 1:
-                    yield of(c / factor, rate_hz), f"it is in {unit}, and {wanted} is wanted"
-                    yield of(c * factor, rate_hz), f"it was turned from {unit} into {wanted} twice"
-        names = {"N": "white noise", "B": "bias instability", "K": "random walk"}
-        for other, name in names.items():
-            if other != symbol and (c := self.fitted.get(other)):
-                said = f"{other}, the {name}, in place of {symbol}, the {names[symbol]}"
-                yield of(c, rate_hz), said
-                yield c, said
-        if own := self.fitted.get(symbol):
-            yield of(own, rate_hz), f"{symbol} of the fit alone, which leaves out its other terms"
+def _diagonal(setting: Setting) -> tuple[float, ...]:
+    """Return a setting's number, or those on the diagonal of a square matrix; NaN where it has none."""
+    numbers = setting.numbers
+    size = math.isqrt(len(numbers))
+    square = size > 1 and size * size == len(numbers)
+    return (numbers[:: size + 1] if square else numbers) or (math.nan,)
 
-    def slip(self, number: float) -> str:
-        """Return what a number is that is not the right one, by its nearest slip; empty where none is near."""
-        nearest = min(self.slips(), key=lambda each: abs(math.log(self.ratio(number, each[0]))))
-        larger = self.ratio(nearest[0], self.right)
-        near = _NEAR_ON_PURPOSE if 1 < larger < _ON_PURPOSE else _NEAR
-        return nearest[1] if 1 / near < self.ratio(number, nearest[0]) < near else ""
 
-    def judge(self, number: float) -> tuple[Verdict, str]:
-        """Return the verdict on a number, and what is to be said of it."""
+_WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Judge:
+    """What is right for the axes that two numbers, white noise and walk, are for.
+
+    Attributes
+    ----------
+    least
+        Symbol -> the coefficient that covers the values of the fits alone, their limits left out.
+    fitted
+        Symbol -> the largest coefficient that the fits show.
+    rate_hz
+        Of the file's stream.
+    together
+        Whether the file's two numbers cover those values together, however they are shared out.
+    """
+
+    least: Mapping[str, float]
+    fitted: Mapping[str, float]
+    rate_hz: float
+    together: bool
+
+    @classmethod
+    def of(
+        cls, numbers: Numbers, axes: Sequence[AxisReport], keys: Sequence[tuple[Key, Setting]]
+    ) -> "_Judge":
+        """Return what the axes ask for, and whether the keys of their sensor give it together."""
+        pair = numbers.pair([_at_values(axis) for axis in axes])
+        least = {s: c * numbers.choices.factor(s) for s, c in (("N", pair.white), ("K", pair.walk))}
+        fitted: dict[str, float] = {}
+        for estimate in (estimate for axis in axes for estimate in axis.fit.estimates):
+            fitted[estimate.symbol] = max(estimate.value or 0.0, fitted.get(estimate.symbol, 0.0))
+        given = {
+            key.symbol: key.formula.inverse(min(_diagonal(setting)), numbers.stream_hz)
+            / numbers.choices.factor(key.symbol)
+            for key, setting in keys
+            if min(_diagonal(setting)) > 0
+        }
+        together = len(given) == 2 and _covers(given["N"], given["K"], axes, numbers)
+        return cls(least=least, fitted=fitted, rate_hz=numbers.stream_hz, together=together)
+
+    def judge(self, key: Key, number: float, right: float) -> tuple[Verdict, str]:
+        """Return the verdict on a number, and what is to be said of it, if anything."""
         if not 0 < number < math.inf:
-            return "fail", "no filter takes it; expected a positive number"
-        over, above_least, slip = self.ratio(number, self.right), self.ratio(number, self.least), self.slip(number)
-        times = self._times(number)
-        if above_least < _ENOUGH:
-            if not slip and above_least < _ABSURD:
-                slip = "absurd, no such sensor is known; a slope was read where the curve has none"
-            return "fail", f"{times}: {slip or 'below what covers the fitted spectrum'}"
-        if over < _ENOUGH:
-            return "undecided", f"{times}, unless terms that the record only bounds are smaller; record for longer"
+            return "fail", "expected a positive number: no filter takes another"
+        of, power = partial(key.formula.of, f=self.rate_hz), key.formula.power
+        over = (number / right) ** (1 / power)
+        least = min(of(self.least[key.symbol]), right)
+        above_least = (number / least) ** (1 / power)
+        times = (
+            f"{number / right:.3g} times too large" if over > 1 else f"{right / number:.3g} times too small"
+        )
+        slip = self._slip(key, number, right)
+        if above_least < _ABSURD:
+            return "fail", f"{times}, absurd{f': {slip}' if slip else ', no sensor is so good'}"
+        if above_least < _ENOUGH and (slip or not self.together):
+            return "fail", f"{times}: {slip or self._below(key, number)}"
+        if over < _ENOUGH and not self.together:
+            return (
+                "undecided",
+                f"{times}, unless a term is smaller that the record only bounds; record for longer",
+            )
         if over > _SUSPECT and slip:
             return "fail", f"{times}: {slip}"
-        if over > _CAUTIOUS:
-            return "pass", f"{times}: too cautious, unless the vehicle shakes"
-        return "pass", ""
+        return "pass", f"{times}: too cautious for a sensor at rest" if over > _CAUTIOUS else ""
 
-    def _times(self, number: float) -> str:
-        """Return how far a number is off, by which factor where it is a known one."""
-        ratio = number / self.right
-        off, word = (ratio, "large") if ratio > 1 else (1 / ratio, "small")
-        known = {"sqrt(f)": math.sqrt(self.rate_hz), "f": self.rate_hz, "57.3": 180 / math.pi, "9.81": 9.80665}
-        power = self.key.formula.power
-        by = next((name for name, factor in known.items() if abs(math.log(off) / power - math.log(factor)) < 0.05), "")
-        squared = " squared" if by and power == 2 else ""
-        return f"{off:.3g} times too {word}{f', by {by}{squared}' if by else ''}"
+    def _below(self, key: Key, number: float) -> str:
+        own = self.fitted.get(key.symbol, 0.0)
+        alone = own and abs(math.log(key.formula.inverse(number, self.rate_hz) / own)) < math.log(
+            _NEAR_ON_PURPOSE
+        )
+        below = "below the pair that covers the fitted spectrum"
+        return f"{key.symbol} of the fit alone is {below}" if alone else below
+
+    def _slip(self, key: Key, number: float, right: float) -> str:
+        """Return what a number that is not the right one is, by its nearest slip; empty without one."""
+        power = key.formula.power
+
+        def off(other: float) -> float:
+            return abs(math.log(number / other)) / power
+
+        slips = [each for each in self._slips(key, right) if off(each[0]) < math.log(_NEAR)]
+        if not slips:
+            return ""
+        other, said = min(slips, key=lambda each: off(each[0]))
+        larger = (other / right) ** (1 / power)
+        on_purpose = 1 < larger < _ON_PURPOSE and off(other) > math.log(_NEAR_ON_PURPOSE)
+        return "" if on_purpose else said
+
+    def _slips(self, key: Key, right: float) -> Iterator[tuple[float, str]]:
+        """Yield the numbers that people write in place of the right one, each with what it is."""
+        f, symbol, formula = self.rate_hz, key.symbol, key.formula
+        root, units = math.sqrt(f), TERMS[symbol].coefficient_units(key.sensor)
+        wanted, sample = next(iter(units)), SAMPLE_UNITS[key.sensor]
+        factors = {"sqrt(f)": root, "f": f, "57.3": 180 / math.pi, "9.81": G0}
+        for c in {formula.inverse(right, f), self.fitted.get(symbol, 0.0)} - {0.0}:
+            slips = {
+                f"{symbol}*sqrt(f), the deviation of one sample": c * root,
+                f"{symbol}/sqrt(f), the step of one sample": c / root,
+                f"{symbol}^2*f, the variance of one sample": c * c * f,
+                f"{symbol}, the continuous density": c,
+                f"{symbol}^2, the square of the continuous density": c * c,
+                "a factor of the rate too much": formula.of(c * root, f),
+                "a factor of the rate is missing": formula.of(c / root, f),
+                "the rate itself as a factor too much": formula.of(c * f, f),
+                "the rate itself as a factor is missing": formula.of(c / f, f),
+                **{f"it is in {unit}, not in {wanted}": formula.of(c / of, f) for unit, of in units.items()},
+            }
+            turned = "g" if key.sensor is Sensor.ACCELEROMETER else "deg/s"
+            slips[f"it was turned from {turned} into SI twice"] = formula.of(c * sample[turned], f)
+            for said, other in slips.items():
+                by = formula.inverse(other, f) / c
+                name = next(
+                    (n for n, x in factors.items() if abs(abs(math.log(by)) - math.log(x)) < _EQUAL), ""
+                )
+                if abs(math.log(by)) > _EQUAL:
+                    yield other, f"by {name}: {said}" if name else said
+        for other_symbol in {"N": "K", "K": "BN"}[symbol]:
+            if c := self.fitted.get(other_symbol):
+                names = (f"{s}, the {TERMS[s].name(key.sensor)}" for s in (other_symbol, symbol))
+                yield formula.of(c, f), " in place of ".join(names)
+
+
+def _covers(white: float, walk: float, axes: Sequence[AxisReport], numbers: Numbers) -> bool:
+    """Return whether two numbers cover what the fits of some axes show, as near as a filter needs."""
+    step_s = numbers.choices.step_s
+    f = np.geomspace(0.01 / numbers.horizon_s, 0.5 / step_s, 90)
+    given = white**2 + TERMS["K"].of(walk).psd(f, step_s)
+    shown = [modelled(axis.fit, lambda term: term.psd(f, step_s)) for axis in axes]
+    return bool(np.all(given >= _ENOUGH**2 * np.max(shown, axis=0)))
 
 
 def _at_values(axis: AxisReport) -> AxisReport:
@@ -332,30 +431,3 @@ def _at_values(axis: AxisReport) -> AxisReport:
     estimates = tuple(map(exactly, axis.fit.estimates))
     fit = replace(axis.fit, estimates=estimates, parameters=(), covariance=np.zeros((0, 0)))
     return replace(axis, fit=fit)
-
-
-_GRAVITY_OF: Mapping[Verdict, int] = {"fail": 0, "undecided": 1, "pass": 2}
-
-
-def _row(path: Path, setting: Setting, wanted: _Wanted) -> Row:
-    """Return the verdict on a key; on a matrix that of the worst on its diagonal."""
-    key, size = wanted.key, math.isqrt(len(setting.numbers))
-    several = size > 1 and size * size == len(setting.numbers)
-    numbers = setting.numbers[:: size + 1] if several else setting.numbers
-    place = f"{key.sensor.short}: {path.name}:{setting.line}: {setting.name}"
-    judged = [(*wanted.judge(number), number) for number in numbers] or [("fail", "no number", math.nan)]
-    verdict, said, number = min(judged, key=lambda each: _GRAVITY_OF[each[0]])
-    instead = setting.with_number(real(wanted.right)) if said else ""
-    text = f"{place} is {number:.4g} {key.unit}"
-    text += f"; {said}; write '{instead}'" if said else f", the least is {wanted.least:.4g}"
-    return Row(
-        where=key.sensor.short,
-        subject=setting.name,
-        side="min",
-        limit=wanted.right,
-        unit=key.unit,
-        measured=Measured.exactly(number),
-        verdict=verdict,
-        text=text,
-        instead=instead,
-    )

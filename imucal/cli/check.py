@@ -105,9 +105,9 @@ def command(
     With --fleet each term must lie where the next unit of that sensor model would: with p adjusted for
     the number of terms (Holm), a unit of the fleet fails with a probability of 5 %.
 
-    With --config the noise parameters of a filter's file are held to the numbers that 'imucal export' would
-    write: too small fails, and so does too large where it is a slip, such as a factor of the rate, degrees, g,
-    a square, or another term's number. Each is said with the line to write instead.
+    With --config the noise parameters of a filter's file are held to the numbers that 'imucal export'
+    writes: too small fails, and so does too large where it is a slip, such as a factor of the rate,
+    degrees, g, a square, or another term's number. Each is said with the line to write instead.
     """
     from imucal.checking import check, check_config
     from imucal.checking.verdict import github_annotations, junit_xml, to_document
@@ -145,7 +145,12 @@ def command(
 
 
 def _limits(
-    limits_file: Path | None, baseline: str | None, fleet: Path | None, model: str | None, *, config: Path | None
+    limits_file: Path | None,
+    baseline: str | None,
+    fleet: Path | None,
+    model: str | None,
+    *,
+    config: Path | None,
 ) -> Limits:
     """Return the limits to check against: none where a fleet or a config is all there is."""
     from imucal.checking import read_limits
@@ -158,7 +163,9 @@ def _limits(
         msg = f"{fleet}: found no manifest.parquet, {expected}"
         raise ReadError(msg)
     if fleet is None and limits_file is None and baseline is None and config is None:
-        msg = "nothing to check against; give --limits FILE, --baseline REPORT, --fleet FLEET or --config FILE"
+        msg = (
+            "nothing to check against; give --limits FILE, --baseline REPORT, --fleet FLEET or --config FILE"
+        )
         raise click.UsageError(msg)
     limits = Limits() if limits_file is None else read_limits(limits_file)
     if baseline is not None:

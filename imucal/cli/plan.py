@@ -87,9 +87,9 @@ def command(
     """Say how long to record for a wanted precision of each noise term.
 
     MODEL_OR_REPORT is a model of the gyroscope, such as "N=0.3deg/sqrt(h) + B=5deg/h" (numbers without
-    a unit are SI), or a report.json or its folder. Times are from the least error that any method can have (the Cramér-Rao bound), and long
-    enough that about four of five records tell the term from zero; a term that a report only bounds is
-    taken at its bound.
+    a unit are SI), or a report.json or its folder. Times are from the least error that any method can
+    have (the Cramér-Rao bound), and long enough that about four of five records tell the term from
+    zero; a term that a report only bounds is taken at its bound.
     """
     known = source is not None and not models and not is_model(source)
     result = plan(

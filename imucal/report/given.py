@@ -46,9 +46,7 @@ def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
     for sensor in Sensor:
         if sensor in models:
             estimates = _estimates(NoiseModel.parse(models[sensor], sensor))
-            one = given_axis(
-                sensor, "x", estimates, rate_hz=rate_hz, duration_s=_RECORD_S, method=GIVEN
-            )
+            one = given_axis(sensor, "x", estimates, rate_hz=rate_hz, duration_s=_RECORD_S, method=GIVEN)
             # Nothing was recorded, and what the axes share is one.
             axes += [replace(one, axis=letter, samples=0) for letter in get_args(Axis)]
     said = "; ".join(f"{models[sensor]} ({sensor})" for sensor in Sensor if sensor in models)
