@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -20,6 +19,7 @@ from imucal.checking.verdict import Measured, Row, Verdict
 from imucal.errors import LimitsError
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.prediction.filter_numbers import STEP_S
 from imucal.prediction.propagation import modelled
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS, AxisPolicy
@@ -89,7 +89,7 @@ def read_settings(text: str) -> list[Setting]:
         if match is None:
             continue
         name, value = match["name"], match["value"]
-        more = []
+        more: list[str] = []
         while "[" in value and "]" not in "".join([value, *more]) and (following := next(lines, None)):
             more.append(following[1].strip())
         value = " ".join([value, *more])
@@ -153,7 +153,8 @@ def _choices(text: str) -> Choices:
     return Choices(
         inflate={name: float(factor) for name, factor in factors},
         axis_policy=policies.get(axes[1] if axes else "", "worst"),
-        **({"step_s": float(times[1]), "horizon_s": float(times[2])} if times else {}),
+        step_s=float(times[1]) if times else STEP_S,
+        horizon_s=float(times[2]) if times else None,
     )
 
 
@@ -327,9 +328,9 @@ class _Judge:
         """Return the verdict on a number, and what is to be said of it, if anything."""
         if not 0 < number < math.inf:
             return "fail", "expected a positive number: no filter takes another"
-        of, power = partial(key.formula.of, f=self.rate_hz), key.formula.power
+        power = key.formula.power
         over = (number / right) ** (1 / power)
-        least = min(of(self.least[key.symbol]), right)
+        least = min(key.formula.of(self.least[key.symbol], self.rate_hz), right)
         above_least = (number / least) ** (1 / power)
         times = (
             f"{number / right:.3g} times too large" if over > 1 else f"{right / number:.3g} times too small"
@@ -376,7 +377,7 @@ class _Judge:
         f, symbol, formula = self.rate_hz, key.symbol, key.formula
         root, units = math.sqrt(f), TERMS[symbol].coefficient_units(key.sensor)
         wanted, sample = next(iter(units)), SAMPLE_UNITS[key.sensor]
-        factors = {"sqrt(f)": root, "f": f, "57.3": 180 / math.pi, "9.81": G0}
+        factors = {f"sqrt(f) at {f:g} Hz": root, f"f = {f:g} Hz": f, "57.3": 180 / math.pi, "9.81": G0}
         for c in {formula.inverse(right, f), self.fitted.get(symbol, 0.0)} - {0.0}:
             slips = {
                 f"{symbol}*sqrt(f), the deviation of one sample": c * root,
@@ -384,10 +385,10 @@ class _Judge:
                 f"{symbol}^2*f, the variance of one sample": c * c * f,
                 f"{symbol}, the continuous density": c,
                 f"{symbol}^2, the square of the continuous density": c * c,
-                "a factor of the rate too much": formula.of(c * root, f),
-                "a factor of the rate is missing": formula.of(c / root, f),
-                "the rate itself as a factor too much": formula.of(c * f, f),
-                "the rate itself as a factor is missing": formula.of(c / f, f),
+                "one such factor too many": formula.of(c * root, f),
+                "one such factor is missing": formula.of(c / root, f),
+                "one factor of the rate too many": formula.of(c * f, f),
+                "one factor of the rate is missing": formula.of(c / f, f),
                 **{f"it is in {unit}, not in {wanted}": formula.of(c / of, f) for unit, of in units.items()},
             }
             turned = "g" if key.sensor is Sensor.ACCELEROMETER else "deg/s"
@@ -400,9 +401,9 @@ class _Judge:
                 if abs(math.log(by)) > _EQUAL:
                     yield other, f"by {name}: {said}" if name else said
         for other_symbol in {"N": "K", "K": "BN"}[symbol]:
-            if c := self.fitted.get(other_symbol):
-                names = (f"{s}, the {TERMS[s].name(key.sensor)}" for s in (other_symbol, symbol))
-                yield formula.of(c, f), " in place of ".join(names)
+            if other_c := self.fitted.get(other_symbol):
+                names = (f"{s}, the {TERMS[s].name(key.sensor)}," for s in (other_symbol, symbol))
+                yield formula.of(other_c, f), " in place of ".join(names).removesuffix(",")
 
 
 def _covers(white: float, walk: float, axes: Sequence[AxisReport], numbers: Numbers) -> bool:

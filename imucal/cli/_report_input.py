@@ -86,8 +86,8 @@ def is_model(text: str) -> bool:
     return "=" in text and not is_url(text) and not os.path.exists(text)  # noqa: PTH110 - never raises
 
 
-def with_model(source: str | None, models: Mapping[Sensor, str]) -> dict[Sensor, str]:
-    """Return the models of the options, and that of an argument, which is the gyroscope's.
+def with_model(source: str | None, models: Mapping[Sensor, str], name: str = "REPORT") -> dict[Sensor, str]:
+    """Return the models of the options, and that of the argument of a name, which is the gyroscope's.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def with_model(source: str | None, models: Mapping[Sensor, str]) -> dict[Sensor,
 
     if source is None:
         if not models:
-            raise click.MissingParameter(param_hint="'REPORT'", param_type="argument")
+            raise click.MissingParameter(param_hint=f"'{name}'", param_type="argument")
         return dict(models)
     if not is_model(source):
         msg = f"{shown(source)} is a path, but --gyro and --accel hold models; give the one or the other"
@@ -122,6 +122,13 @@ def given_report(models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
         msg = "a model has no sampling rate of its own; give one, such as --rate 200"
         raise click.UsageError(msg)
     return model_as_report(models, rate_hz=rate_hz)
+
+
+def report_or_model(source: str | None, models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
+    """Load a report by its file, folder or URL, or make one of models."""
+    if source is None or models or is_model(source):
+        return given_report(with_model(source, models), rate_hz)
+    return read_report(source)
 
 
 def load_report(request: LogRequest) -> Report:

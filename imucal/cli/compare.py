@@ -119,7 +119,7 @@ def _with_models(a: str, b: str | None, models: dict[Sensor, str]) -> tuple[Repo
     """Return two reports of which at least one is a model: at the other's rate, since it has none."""
     read = [None if text is None or is_model(text) else read_report(text) for text in (a, b)]
     rate_hz = next((axis.rate_hz for report in read if report for axis in report.axes), 1.0)
-    second = read[1] or given_report(with_model(b, models), rate_hz)
+    second = read[1] or given_report(with_model(b, models, "B"), rate_hz)
     return read[0] or given_report(with_model(a, {}), rate_hz), second
 
 

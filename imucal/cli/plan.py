@@ -5,7 +5,7 @@ import math
 import click
 
 from imucal.cli._printing import FULL, can_print, echo, fitted, picked, print_json, say, width
-from imucal.cli._report_input import given_report, is_model, model_options, read_report, with_model
+from imucal.cli._report_input import model_options, report_or_model
 from imucal.cli.parameters import (
     DURATION,
     LEVEL,
@@ -91,9 +91,8 @@ def command(
     have (the Cramér-Rao bound), and long enough that about four of five records tell the term from
     zero; a term that a report only bounds is taken at its bound.
     """
-    known = source is not None and not models and not is_model(source)
     result = plan(
-        read_report(source) if known else given_report(with_model(source, models), rate),
+        report_or_model(source, models, rate),
         rate_hz=rate,
         precision=precision,
         level=level or ONE_DEVIATION,

@@ -281,9 +281,10 @@ def itself(axes: Sequence[AxisReport]) -> str:
         found = [e for axis in axes for e in axis.fit.estimates if e.key == key]
         worst = max(found, key=lambda e: (e.value is not None, e.value or e.high))
         if worst.value is None:
-            said.append(f"{key} < {worst.high:.3g}")
+            said += [f"{key} < {worst.high:.3g}"] if worst.high else []
         else:
-            said.append(f"{key} {worst.value:.3g} ({worst.low:.3g} to {worst.high:.3g})")
+            limits = f" ({worst.low:.3g} to {worst.high:.3g})" if worst.low < worst.high else ""
+            said.append(f"{key} {worst.value:.3g}{limits}")
     return f"the fit's own: {', '.join(said)}"
 
 
