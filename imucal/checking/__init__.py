@@ -3,7 +3,7 @@
 from imucal.checking.config_files import check_config
 from imucal.checking.gate import check
 from imucal.checking.limits import Baseline, FindingRules, Limits, parse_limits, read_limits
-from imucal.checking.verdict import CheckResult, Measured
+from imucal.checking.verdict import CheckResult, Measured, Row
 
 __all__ = [
     "Baseline",
@@ -11,6 +11,7 @@ __all__ = [
     "FindingRules",
     "Limits",
     "Measured",
+    "Row",
     "check",
     "check_config",
     "parse_limits",

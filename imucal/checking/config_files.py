@@ -19,8 +19,8 @@ from imucal.checking.verdict import Measured, Row, Verdict
 from imucal.errors import LimitsError
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
-from imucal.prediction.filter_numbers import STEP_S
-from imucal.prediction.propagation import modelled
+from imucal.prediction.filter_numbers import LEVEL, STEP_S
+from imucal.prediction.propagation import MEAN, Caution, upper_limit
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS, AxisPolicy
 from imucal.report.exports.config_numbers import Choices, Numbers
@@ -32,6 +32,8 @@ from imucal.units import G0, SAMPLE_UNITS
 _ENOUGH = 1 / math.sqrt(1.2)
 #: Beyond so many times the wanted coefficient a number is remarkable, and a slip is looked for.
 _CAUTIOUS, _SUSPECT = 10.0, 2.0
+#: The values of the fits, their limits left out.
+_VALUES = Caution(0.0, 0.0)
 #: A coefficient so many times below the least describes no sensor.
 _ABSURD = 1e-3
 #: How far from a slip's number a number is taken for it, as a factor on the coefficient: numbers of
@@ -133,13 +135,13 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
         msg = f"{path}: can't be read ({reason}), expected the config file of a filter"
         raise LimitsError(msg) from error
     settings, choices = read_settings(text), _choices(text)
-    target = _format(path, settings, report, choices)
-    file = _File(
-        path=path,
-        settings=settings,
-        numbers=target.numbers(report, choices),
-        own=read_settings(target.render(report, choices)),
+    there = {setting.name for setting in settings}
+    # Of formats with the same keys, that whose other lines are in the file, too.
+    own, target = max(
+        ((read_settings(each.render(report, choices)), each) for each in _formats(path, settings)),
+        key=lambda each: len(there & {setting.name for setting in each[0]}),
     )
+    file = _File(path=path, settings=settings, numbers=target.numbers(report, choices), own=own)
     return (*file.noise(target.keys), *file.rates())
 
 
@@ -163,8 +165,8 @@ def _names(key: Key) -> tuple[str, ...]:
     return tuple(dict.fromkeys(key.name.format(i=i, axis=axis) for i, axis in enumerate("xyz")))
 
 
-def _format(path: Path, settings: Sequence[Setting], report: Report, choices: Choices) -> Target:
-    """Return the format with most of its keys in a file; of several, that whose other lines are there too."""
+def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
+    """Return the formats with most of their keys in a file: one, or several of the same keys."""
     counts = {
         target.name: sum(
             setting.is_called(name) for setting in settings for key in target.keys for name in _names(key)
@@ -176,12 +178,7 @@ def _format(path: Path, settings: Sequence[Setting], report: Report, choices: Ch
         known = ", ".join(target.name for target in TARGETS.values() if target.keys)
         msg = f"{path}: found no key of a noise parameter, expected the file of one of {known}"
         raise LimitsError(msg)
-    there = {setting.name for setting in settings}
-
-    def alike(target: Target) -> int:
-        return len(there & {setting.name for setting in read_settings(target.render(report, choices))})
-
-    return max((target for target in TARGETS.values() if counts[target.name] == most), key=alike)
+    return [target for target in TARGETS.values() if counts[target.name] == most]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -257,18 +254,20 @@ class _File:
         judged = [(*judge.judge(key, number, right), number) for number in _diagonal(setting)]
         verdict, said, number = min(judged, key=lambda each: _WORST_FIRST.index(each[0]))
         spelled = next((own.written[0] for own in reversed(self.own) if own.name == name), real(right))
-        instead = setting.with_number(spelled) if said else ""
+        # What passes below the number that is right alone has no limit of its own.
+        alone = verdict != "pass" or number >= right
+        instead = setting.with_number(spelled) if said and alone else ""
         shown = " ".join(setting.written) if math.isnan(number) else f"{number:.4g} {key.unit}"
-        text = f"{self.place(key.sensor.short, setting)} is {shown}"
+        text = f"{self.place(key.sensor.short, setting)} is {shown}; {said or 'enough for this sensor'}"
         return Row(
             where=key.sensor.short,
             subject=setting.name,
-            side="min",
-            limit=right,
+            side="min" if alone else None,
+            limit=right if alone else None,
             unit=key.unit,
             measured=Measured.exactly(number),
             verdict=verdict,
-            text=f"{text}; {said}; write '{instead}'" if said else f"{text}, enough for this sensor",
+            text=f"{text}; write '{instead}'" if instead else text,
             instead=instead,
         )
 
@@ -297,13 +296,14 @@ class _Judge:
     rate_hz
         Of the file's stream.
     together
-        Whether the file's two numbers cover those values together, however they are shared out.
+        Whether the file's two numbers are enough together, however they are shared out: ``pass`` where they
+        cover the limits of the fits, ``undecided`` where they cover the values alone.
     """
 
     least: Mapping[str, float]
     fitted: Mapping[str, float]
     rate_hz: float
-    together: bool
+    together: Verdict
 
     @classmethod
     def of(
@@ -321,7 +321,13 @@ class _Judge:
             for key, setting in keys
             if min(_diagonal(setting)) > 0
         }
-        together = len(given) == 2 and _covers(given["N"], given["K"], axes, numbers)
+        together: Verdict = "fail"
+        if len(given) == 2:
+            limits = Caution.at(LEVEL, axes[0].fit.level) if len(axes) == 1 else MEAN
+            covered = [
+                _covers(given["N"], given["K"], axes, numbers, caution) for caution in (limits, _VALUES)
+            ]
+            together = "pass" if all(covered) else "undecided" if any(covered) else "fail"
         return cls(least=least, fitted=fitted, rate_hz=numbers.stream_hz, together=together)
 
     def judge(self, key: Key, number: float, right: float) -> tuple[Verdict, str]:
@@ -335,27 +341,28 @@ class _Judge:
         times = (
             f"{number / right:.3g} times too large" if over > 1 else f"{right / number:.3g} times too small"
         )
-        slip = self._slip(key, number, right)
-        if above_least < _ABSURD:
-            return "fail", f"{times}, absurd{f': {slip}' if slip else ', no sensor is so good'}"
-        if above_least < _ENOUGH and (slip or not self.together):
-            return "fail", f"{times}: {slip or self._below(key, number)}"
-        if over < _ENOUGH and not self.together:
+        slip = "" if self._is_fitted(key, number) else self._slip(key, number, right)
+        if above_least < _ABSURD or (above_least < _ENOUGH and (slip or self.together == "fail")):
+            alone = f"{key.symbol} of the fit alone is " if self._is_fitted(key, number) else ""
+            below = f"{alone}below the pair that covers the fitted spectrum"
+            if above_least < _ABSURD:
+                times, below = f"{times}, absurd", "no sensor is so good"
+            return "fail", f"{times}: {slip or below}"
+        if over < _ENOUGH and self.together != "pass":
             return (
                 "undecided",
                 f"{times}, unless a term is smaller that the record only bounds; record for longer",
             )
         if over > _SUSPECT and slip:
             return "fail", f"{times}: {slip}"
+        if over < _ENOUGH:
+            return "pass", "less than is needed alone, but with the sensor's other number it is enough"
         return "pass", f"{times}: too cautious for a sensor at rest" if over > _CAUTIOUS else ""
 
-    def _below(self, key: Key, number: float) -> str:
-        own = self.fitted.get(key.symbol, 0.0)
-        alone = own and abs(math.log(key.formula.inverse(number, self.rate_hz) / own)) < math.log(
-            _NEAR_ON_PURPOSE
-        )
-        below = "below the pair that covers the fitted spectrum"
-        return f"{key.symbol} of the fit alone is {below}" if alone else below
+    def _is_fitted(self, key: Key, number: float) -> bool:
+        """Return whether a number is the fit's own."""
+        own, c = self.fitted.get(key.symbol), key.formula.inverse(number, self.rate_hz)
+        return bool(own) and 1 / _NEAR_ON_PURPOSE < c / (own or 1.0) < _NEAR_ON_PURPOSE
 
     def _slip(self, key: Key, number: float, right: float) -> str:
         """Return what a number that is not the right one is, by its nearest slip; empty without one."""
@@ -406,13 +413,15 @@ class _Judge:
                 yield formula.of(other_c, f), " in place of ".join(names).removesuffix(",")
 
 
-def _covers(white: float, walk: float, axes: Sequence[AxisReport], numbers: Numbers) -> bool:
-    """Return whether two numbers cover what the fits of some axes show, as near as a filter needs."""
+def _covers(
+    white: float, walk: float, axes: Sequence[AxisReport], numbers: Numbers, caution: Caution
+) -> bool:
+    """Return whether two numbers cover the spectra of some axes, as near as a filter needs."""
     step_s = numbers.choices.step_s
     f = np.geomspace(0.01 / numbers.horizon_s, 0.5 / step_s, 90)
     given = white**2 + TERMS["K"].of(walk).psd(f, step_s)
-    shown = [modelled(axis.fit, lambda term: term.psd(f, step_s)) for axis in axes]
-    return bool(np.all(given >= _ENOUGH**2 * np.max(shown, axis=0)))
+    wanted = [upper_limit(axis.fit, lambda term: term.psd(f, step_s), caution) for axis in axes]
+    return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
 
 
 def _at_values(axis: AxisReport) -> AxisReport:

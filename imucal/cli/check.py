@@ -203,5 +203,7 @@ def _lines(row: Row, where: int, rule: int) -> list[str]:
         place, *more = textwrap.wrap(f"{row.where:<{where}} {row.rule}", width() - 10)
         return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, measured.text()))]
     text = printable(row.text).partition(": ")[2]  # without the place, which has its column
-    first, *rest = textwrap.wrap(text, width() - start) or [""]
+    # What is to be copied stays on one line.
+    text = text.removesuffix(f" '{row.instead}'") if row.instead else text
+    first, *rest = [*textwrap.wrap(text, width() - start), *([row.instead] if row.instead else [])] or [""]
     return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]

@@ -413,7 +413,7 @@ class Numbers:
             return value
         msg = (
             f"{self.report.source.path}: {name}: {symbol} is {value}, "
-            f"but {self.target} needs a positive number; choose another axis, fit again, or add it to the model"
+            f"but {self.target} needs a positive number; choose another axis, or a model that has it"
         )
         raise DataError(msg)
 
