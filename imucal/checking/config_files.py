@@ -39,6 +39,8 @@ _ABSURD = 1e-3
 #: How far from a slip's number a number is taken for it, as a factor on the coefficient: numbers of
 #: other records differ; but up to the last factor people make them larger on purpose.
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
+#: What else a number may be that is 9.81 times too large: people multiply by ten.
+_ON_HABIT = ", or made ten times as large on purpose"
 #: Factors that differ by less, in natural logarithm, are one.
 _EQUAL = 1e-6
 #: Rates that differ by more are not one.
@@ -213,9 +215,8 @@ class _File:
                     continue
                 same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
                 instead = "" if same else setting.with_number(real(rate_hz))
-                text = (
-                    f"{self.place('log', setting)} is {setting.numbers[0]:g} Hz, and the log's {rate_hz:g} Hz"
-                )
+                found = f"{setting.numbers[0]:g} Hz"
+                text = f"{self.place('log', setting)} is {found}, and the log's {rate_hz:g} Hz"
                 if instead:
                     text += f"; unless the IMU runs at another rate than in the log, write '{instead}'"
                 verdict: Verdict = "undecided" if instead else "pass"
@@ -238,11 +239,8 @@ class _File:
                 yield Row(where=short, subject=setting.name, verdict="undecided", text=text)
                 continue
             if (key.sensor, i) not in judges:
-                group = (
-                    (self.numbers.triad(key.sensor)[i],)
-                    if "{" in key.name
-                    else self.numbers.chosen(key.sensor)
-                )
+                one_each, of = "{" in key.name, self.numbers
+                group = (of.triad(key.sensor)[i],) if one_each else of.chosen(key.sensor)
                 mates = [(k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i)]
                 judges[key.sensor, i] = _Judge.of(self.numbers, group, mates)
             yield self._row(key, i, setting, judges[key.sensor, i])
@@ -338,9 +336,8 @@ class _Judge:
         over = (number / right) ** (1 / power)
         least = min(key.formula.of(self.least[key.symbol], self.rate_hz), right)
         above_least = (number / least) ** (1 / power)
-        times = (
-            f"{number / right:.3g} times too large" if over > 1 else f"{right / number:.3g} times too small"
-        )
+        off, word = (number / right, "large") if over > 1 else (right / number, "small")
+        times = f"{off:.3g} times too {word}"
         slip = "" if self._is_fitted(key, number) else self._slip(key, number, right)
         if above_least < _ABSURD or (above_least < _ENOUGH and (slip or self.together == "fail")):
             alone = f"{key.symbol} of the fit alone is " if self._is_fitted(key, number) else ""
@@ -349,12 +346,10 @@ class _Judge:
                 times, below = f"{times}, absurd", "no sensor is so good"
             return "fail", f"{times}: {slip or below}"
         if over < _ENOUGH and self.together != "pass":
-            return (
-                "undecided",
-                f"{times}, unless a term is smaller that the record only bounds; record for longer",
-            )
+            said = "unless a term is smaller that the record only bounds; record for longer"
+            return "undecided", f"{times}, {said}"
         if over > _SUSPECT and slip:
-            return "fail", f"{times}: {slip}"
+            return "undecided" if slip.endswith(_ON_HABIT) else "fail", f"{times}: {slip}"
         if over < _ENOUGH:
             return "pass", "less than is needed alone, but with the sensor's other number it is enough"
         return "pass", f"{times}: too cautious for a sensor at rest" if over > _CAUTIOUS else ""
@@ -398,14 +393,15 @@ class _Judge:
                 "one factor of the rate is missing": formula.of(c / f, f),
                 **{f"it is in {unit}, not in {wanted}": formula.of(c / of, f) for unit, of in units.items()},
             }
-            turned = "g" if key.sensor is Sensor.ACCELEROMETER else "deg/s"
-            slips[f"it was turned from {turned} into SI twice"] = formula.of(c * sample[turned], f)
+            turned = (
+                f"g into SI twice{_ON_HABIT}" if key.sensor is Sensor.ACCELEROMETER else "deg/s into SI twice"
+            )
+            slips[f"it was turned from {turned}"] = formula.of(c * sample[turned.split()[0]], f)
             for said, other in slips.items():
                 by = formula.inverse(other, f) / c
-                name = next(
-                    (n for n, x in factors.items() if abs(abs(math.log(by)) - math.log(x)) < _EQUAL), ""
-                )
-                if abs(math.log(by)) > _EQUAL:
+                size = abs(math.log(by))
+                name = next((n for n, x in factors.items() if abs(size - math.log(x)) < _EQUAL), "")
+                if size > _EQUAL:
                     yield other, f"by {name}: {said}" if name else said
         for other_symbol in {"N": "K", "K": "BN"}[symbol]:
             if other_c := self.fitted.get(other_symbol):

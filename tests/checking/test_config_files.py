@@ -105,7 +105,8 @@ def test_each_slip_is_named_and_mended(slip: str, sensor: Sensor, symbol: str, t
     wrong = make(numbers[key] or math.nan)
     text = "".join(f"{name}: {wrong if name == key else value!r}\n" for name, value in numbers.items())
     rows = read_back(tmp_path, text)
-    assert rows[key].verdict == "fail"
+    # Ten times as large is what people make numbers on purpose.
+    assert rows[key].verdict == ("undecided" if slip == "g twice" else "fail")
     assert re.search(said, rows[key].text), rows[key].text
     assert rows[key].text.startswith(f"{sensor.short}: imu.cfg:{list(numbers).index(key) + 1}: {key} is ")
     mended = "".join(f"{rows[name].instead or f'{name}: {value!r}'}\n" for name, value in numbers.items())
