@@ -211,11 +211,7 @@ class Target:
             f"inflation: {_inflation(numbers)}",
             *(_coverage(numbers, per_axis=self.per_axis) if self.covers else ()),
         ]
-        bounds = dict.fromkeys(f"{number.symbol} of {name}" for number in used for name in number.bounded)
-        if bounds:
-            level = report.axes[0].fit.level
-            written = "is covered in part" if numbers.covers else "is written"
-            lines.append(f"not identified, so the {level:.0%} upper bound {written}: {', '.join(bounds)}")
+        lines += _bounds(numbers, used)
         rates = [numbers.rate_hz(sensor) for sensor in numbers.sensors]
         if max(rates) > 1.001 * min(rates):
             lines.append(
@@ -241,6 +237,15 @@ def _inflation(numbers: Numbers) -> str:
         return "none; the numbers are those of the sensor at rest"
     parts = (f"{name} ({'/'.join(INFLATABLE[name])}) x {factor:g}" for name, factor in asked.items())
     return f"{', '.join(parts)}; ALREADY in the numbers below"
+
+
+def _bounds(numbers: Numbers, used: Iterable[Number]) -> list[str]:
+    bounds = dict.fromkeys(f"{number.symbol} of {name}" for number in used for name in number.bounded)
+    if not bounds:
+        return []
+    written = "is covered in part" if numbers.covers else "is written"
+    level = f"{numbers.report.axes[0].fit.level:.0%}"
+    return [f"not identified, so the {level} upper bound {written}: {', '.join(bounds)}"]
 
 
 def _coverage(numbers: Numbers, *, per_axis: bool) -> list[str]:
