@@ -396,7 +396,7 @@ class _Judge:
             turned = (
                 f"g into SI twice{_ON_HABIT}" if key.sensor is Sensor.ACCELEROMETER else "deg/s into SI twice"
             )
-            slips[f"it was turned from {turned}"] = formula.of(c * sample[turned.split()[0]], f)
+            slips[f"it was turned from {turned}"] = formula.of(c * sample[turned.split(maxsplit=1)[0]], f)
             for said, other in slips.items():
                 by = formula.inverse(other, f) / c
                 size = abs(math.log(by))
