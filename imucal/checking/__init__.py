@@ -3,15 +3,13 @@
 from imucal.checking.config_files import check_config
 from imucal.checking.gate import check
 from imucal.checking.limits import Baseline, FindingRules, Limits, parse_limits, read_limits
-from imucal.checking.verdict import CheckResult, Measured, Row
+from imucal.checking.verdict import CheckResult
 
 __all__ = [
     "Baseline",
     "CheckResult",
     "FindingRules",
     "Limits",
-    "Measured",
-    "Row",
     "check",
     "check_config",
     "parse_limits",

@@ -9,7 +9,7 @@ looked up among the slips that people make: a factor of the rate, degrees, g, a 
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -17,14 +17,13 @@ import numpy as np
 
 from imucal.checking.verdict import Measured, Row, Verdict
 from imucal.errors import LimitsError
-from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import LEVEL, STEP_S
 from imucal.prediction.propagation import MEAN, Caution, upper_limit
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS, AxisPolicy
 from imucal.report.exports.config_numbers import Choices, Numbers
-from imucal.report.exports.target import Key, Target, entries, real
+from imucal.report.exports.target import Key, Target, real
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0, SAMPLE_UNITS
 
@@ -34,8 +33,8 @@ _ENOUGH = 1 / math.sqrt(1.2)
 _CAUTIOUS, _SUSPECT = 10.0, 2.0
 #: The values of the fits, their limits left out.
 _VALUES = Caution(0.0, 0.0)
-#: A coefficient so many times below the least describes no sensor.
-_ABSURD = 1e-3
+#: A coefficient so many times below the right one describes no sensor; a bound is never so far above.
+_ABSURD, _FAR_BELOW_A_BOUND = 1e-3, 1e-5
 #: How far from a slip's number a number is taken for it, as a factor on the coefficient: numbers of
 #: other records differ; but up to the last factor people make them larger on purpose.
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
@@ -231,26 +230,24 @@ class _File:
             for each in self.settings
             if each.is_called(name)
         ]
-        judges: dict[tuple[Sensor, int], _Judge] = {}
         for key, i, setting in there:
             short = key.sensor.short
             if key.sensor not in self.numbers.sensors:
                 text = f"{short}: {setting.name}: the report has no {key.sensor}; check against one that has"
                 yield Row(where=short, subject=setting.name, verdict="undecided", text=text)
                 continue
-            if (key.sensor, i) not in judges:
-                one_each, of = "{" in key.name, self.numbers
-                group = (of.triad(key.sensor)[i],) if one_each else of.chosen(key.sensor)
-                mates = [(k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i)]
-                judges[key.sensor, i] = _Judge.of(self.numbers, group, mates)
-            yield self._row(key, i, setting, judges[key.sensor, i])
+            mates = [
+                (k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i) and k.symbol != key.symbol
+            ]
+            one_each, of = "{" in key.name, self.numbers
+            axes = (of.triad(key.sensor)[i],) if one_each else of.chosen(key.sensor)
+            yield self._row(setting, _names(key)[i], _Wanted.of(key, mates, axes, of))
 
-    def _row(self, key: Key, i: int, setting: Setting, judge: "_Judge") -> Row:
+    def _row(self, setting: Setting, name: str, wanted: "_Wanted") -> Row:
         """Return the verdict on a key; on a matrix that of the worst on its diagonal."""
-        name = _names(key)[i]
-        right = next(entry.value for entry in entries(self.numbers, (key,)) if entry.name == name)
-        judged = [(*judge.judge(key, number, right), number) for number in _diagonal(setting)]
+        judged = [(*wanted.judge(number), number) for number in _diagonal(setting)]
         verdict, said, number = min(judged, key=lambda each: _WORST_FIRST.index(each[0]))
+        key, right = wanted.key, wanted.right
         spelled = next((own.written[0] for own in reversed(self.own) if own.name == name), real(right))
         # What passes below the number that is right alone has no limit of its own.
         alone = verdict != "pass" or number >= right
@@ -282,105 +279,107 @@ _WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Judge:
-    """What is right for the axes that two numbers, white noise and walk, are for.
+class _Wanted:
+    """What a key should hold: one of the two numbers, white noise and walk, that some axes have.
 
     Attributes
     ----------
-    least
-        Symbol -> the coefficient that covers the values of the fits alone, their limits left out.
+    key, axes, numbers
+        The key, the axes that it is for, and what the report gives the format.
+    right
+        The number that the exporter writes.
+    other
+        Coefficient of the sensor's other number: the file's, or the right one where that is larger.
     fitted
-        Symbol -> the largest coefficient that the fits show.
-    rate_hz
-        Of the file's stream.
-    together
-        Whether the file's two numbers are enough together, however they are shared out: ``pass`` where they
-        cover the limits of the fits, ``undecided`` where they cover the values alone.
+        Symbol -> the largest coefficient that the fits of the axes show.
     """
 
-    least: Mapping[str, float]
+    key: Key
+    axes: Sequence[AxisReport]
+    numbers: Numbers
+    right: float
+    other: float
     fitted: Mapping[str, float]
-    rate_hz: float
-    together: Verdict
 
     @classmethod
     def of(
-        cls, numbers: Numbers, axes: Sequence[AxisReport], keys: Sequence[tuple[Key, Setting]]
-    ) -> "_Judge":
-        """Return what the axes ask for, and whether the keys of their sensor give it together."""
-        pair = numbers.pair([_at_values(axis) for axis in axes])
-        least = {s: c * numbers.choices.factor(s) for s, c in (("N", pair.white), ("K", pair.walk))}
+        cls, key: Key, mates: Sequence[tuple[Key, Setting]], axes: Sequence[AxisReport], numbers: Numbers
+    ) -> "_Wanted":
+        """Return what a key should hold beside the keys of the sensor's other number."""
+        rate_hz, factor, pair = numbers.stream_hz, numbers.choices.factor, numbers.pair(axes)
+        right = {"N": pair.white * factor("N"), "K": pair.walk * factor("K")}
+        other = right["K" if key.symbol == "N" else "N"]
+        for mate, setting in mates:
+            if (least := min(_diagonal(setting))) > 0:
+                other = max(other, mate.formula.inverse(least, rate_hz))
         fitted: dict[str, float] = {}
         for estimate in (estimate for axis in axes for estimate in axis.fit.estimates):
             fitted[estimate.symbol] = max(estimate.value or 0.0, fitted.get(estimate.symbol, 0.0))
-        given = {
-            key.symbol: key.formula.inverse(min(_diagonal(setting)), numbers.stream_hz)
-            / numbers.choices.factor(key.symbol)
-            for key, setting in keys
-            if min(_diagonal(setting)) > 0
-        }
-        together: Verdict = "fail"
-        if len(given) == 2:
-            limits = Caution.at(LEVEL, axes[0].fit.level) if len(axes) == 1 else MEAN
-            covered = [
-                _covers(given["N"], given["K"], axes, numbers, caution) for caution in (limits, _VALUES)
-            ]
-            together = "pass" if all(covered) else "undecided" if any(covered) else "fail"
-        return cls(least=least, fitted=fitted, rate_hz=numbers.stream_hz, together=together)
+        number = key.formula.of(right[key.symbol], rate_hz)
+        return cls(key=key, axes=axes, numbers=numbers, right=number, other=other, fitted=fitted)
 
-    def judge(self, key: Key, number: float, right: float) -> tuple[Verdict, str]:
+    def judge(self, number: float) -> tuple[Verdict, str]:
         """Return the verdict on a number, and what is to be said of it, if anything."""
         if not 0 < number < math.inf:
             return "fail", "expected a positive number: no filter takes another"
-        power = key.formula.power
-        over = (number / right) ** (1 / power)
-        least = min(key.formula.of(self.least[key.symbol], self.rate_hz), right)
-        above_least = (number / least) ** (1 / power)
-        off, word = (number / right, "large") if over > 1 else (right / number, "small")
-        times = f"{off:.3g} times too {word}"
-        slip = "" if self._is_fitted(key, number) else self._slip(key, number, right)
-        if above_least < _ABSURD or (above_least < _ENOUGH and (slip or self.together == "fail")):
-            alone = f"{key.symbol} of the fit alone is " if self._is_fitted(key, number) else ""
-            below = f"{alone}below the pair that covers the fitted spectrum"
-            if above_least < _ABSURD:
-                times, below = f"{times}, absurd", "no sensor is so good"
-            return "fail", f"{times}: {slip or below}"
-        if over < _ENOUGH and self.together != "pass":
-            said = "unless a term is smaller that the record only bounds; record for longer"
-            return "undecided", f"{times}, {said}"
+        over = (number / self.right) ** (1 / self.key.formula.power)
+        slip = self._slip(number)
+        if over < _ENOUGH:
+            return self._too_small(number, slip, over)
+        times = f"{number / self.right:.3g} times too large"
         if over > _SUSPECT and slip:
             return "undecided" if slip.endswith(_ON_HABIT) else "fail", f"{times}: {slip}"
-        if over < _ENOUGH:
-            return "pass", "less than is needed alone, but with the sensor's other number it is enough"
         return "pass", f"{times}: too cautious for a sensor at rest" if over > _CAUTIOUS else ""
 
-    def _is_fitted(self, key: Key, number: float) -> bool:
-        """Return whether a number is the fit's own."""
-        own, c = self.fitted.get(key.symbol), key.formula.inverse(number, self.rate_hz)
-        return bool(own) and 1 / _NEAR_ON_PURPOSE < c / (own or 1.0) < _NEAR_ON_PURPOSE
+    def _too_small(self, number: float, slip: str, over: float) -> tuple[Verdict, str]:
+        symbol, c = self.key.symbol, self.key.formula.inverse(number, self.numbers.stream_hz)
+        times = f"{self.right / number:.3g} times too small"
+        limits = Caution.at(LEVEL, self.axes[0].fit.level) if len(self.axes) == 1 else MEAN
+        if self._covers(c, limits):
+            return "pass", "less than is needed alone, but with the sensor's other number it is enough"
+        if over > _FAR_BELOW_A_BOUND and self._covers(c, _VALUES):
+            said = "unless a term is smaller that the record only bounds; record for longer"
+            return "undecided", f"{times}, {said}"
+        own = self.fitted.get(symbol, 0.0)
+        below = "below the pair that covers the fitted spectrum"
+        if own and 1 / _NEAR_ON_PURPOSE < c / own < _NEAR_ON_PURPOSE:
+            return "fail", f"{times}: {symbol} of the fit alone is {below}"
+        if over < _ABSURD:
+            return "fail", f"{times}, absurd: {slip or 'no sensor is so good'}"
+        return "fail", f"{times}: {slip or below}"
 
-    def _slip(self, key: Key, number: float, right: float) -> str:
+    def _covers(self, c: float, caution: Caution) -> bool:
+        """Return whether a coefficient and the other number cover the spectra, as near as a filter needs."""
+        choices = self.numbers.choices
+        white, walk = (c, self.other) if self.key.symbol == "N" else (self.other, c)
+        f = np.geomspace(0.01 / self.numbers.horizon_s, 0.5 / choices.step_s, 90)
+        walks = TERMS["K"].of(walk / choices.factor("K")).psd(f, choices.step_s)
+        wanted = [
+            upper_limit(axis.fit, lambda term: term.psd(f, choices.step_s), caution) for axis in self.axes
+        ]
+        given = (white / choices.factor("N")) ** 2 + walks
+        return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
+
+    def _slip(self, number: float) -> str:
         """Return what a number that is not the right one is, by its nearest slip; empty without one."""
-        power = key.formula.power
+        power = self.key.formula.power
 
         def off(other: float) -> float:
             return abs(math.log(number / other)) / power
 
-        slips = [each for each in self._slips(key, right) if off(each[0]) < math.log(_NEAR)]
-        if not slips:
-            return ""
-        other, said = min(slips, key=lambda each: off(each[0]))
-        larger = (other / right) ** (1 / power)
-        on_purpose = 1 < larger < _ON_PURPOSE and off(other) > math.log(_NEAR_ON_PURPOSE)
-        return "" if on_purpose else said
+        other, said = min(self._slips(), key=lambda each: off(each[0]))
+        larger = (other / self.right) ** (1 / power)
+        near = _NEAR_ON_PURPOSE if 1 < larger < _ON_PURPOSE else _NEAR
+        return said if off(other) < math.log(near) else ""
 
-    def _slips(self, key: Key, right: float) -> Iterator[tuple[float, str]]:
+    def _slips(self) -> Iterator[tuple[float, str]]:
         """Yield the numbers that people write in place of the right one, each with what it is."""
-        f, symbol, formula = self.rate_hz, key.symbol, key.formula
+        key, f, formula = self.key, self.numbers.stream_hz, self.key.formula
+        symbol = key.symbol
         root, units = math.sqrt(f), TERMS[symbol].coefficient_units(key.sensor)
         wanted, sample = next(iter(units)), SAMPLE_UNITS[key.sensor]
         factors = {f"sqrt(f) at {f:g} Hz": root, f"f = {f:g} Hz": f, "57.3": 180 / math.pi, "9.81": G0}
-        for c in {formula.inverse(right, f), self.fitted.get(symbol, 0.0)} - {0.0}:
+        for c in {formula.inverse(self.right, f), self.fitted.get(symbol, 0.0)} - {0.0}:
             slips = {
                 f"{symbol}*sqrt(f), the deviation of one sample": c * root,
                 f"{symbol}/sqrt(f), the step of one sample": c / root,
@@ -407,33 +406,3 @@ class _Judge:
             if other_c := self.fitted.get(other_symbol):
                 names = (f"{s}, the {TERMS[s].name(key.sensor)}," for s in (other_symbol, symbol))
                 yield formula.of(other_c, f), " in place of ".join(names).removesuffix(",")
-
-
-def _covers(
-    white: float, walk: float, axes: Sequence[AxisReport], numbers: Numbers, caution: Caution
-) -> bool:
-    """Return whether two numbers cover the spectra of some axes, as near as a filter needs."""
-    step_s = numbers.choices.step_s
-    f = np.geomspace(0.01 / numbers.horizon_s, 0.5 / step_s, 90)
-    given = white**2 + TERMS["K"].of(walk).psd(f, step_s)
-    wanted = [upper_limit(axis.fit, lambda term: term.psd(f, step_s), caution) for axis in axes]
-    return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
-
-
-def _at_values(axis: AxisReport) -> AxisReport:
-    """Return an axis whose fit knows its terms exactly, and knows that there are no others."""
-
-    def exactly(estimate: Estimate) -> Estimate:
-        if estimate.value is None:
-            return replace(estimate, high=0.0)
-        time = estimate.correlation_time
-        return replace(
-            estimate,
-            low=estimate.value,
-            high=estimate.value,
-            correlation_time=time and replace(time, low=time.value, high=time.value),
-        )
-
-    estimates = tuple(map(exactly, axis.fit.estimates))
-    fit = replace(axis.fit, estimates=estimates, parameters=(), covariance=np.zeros((0, 0)))
-    return replace(axis, fit=fit)

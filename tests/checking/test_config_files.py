@@ -10,7 +10,8 @@ from typing import get_args
 
 import pytest
 
-from imucal.checking import Row, check_config
+from imucal.checking import check_config
+from imucal.checking.verdict import Row
 from imucal.errors import LimitsError
 from imucal.recording import Axis, Sensor
 from imucal.report.exports import TARGETS, render

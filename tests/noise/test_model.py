@@ -202,7 +202,7 @@ def test_units_stand_in_sums_and_times() -> None:
 @pytest.mark.parametrize(
     ("sensor", "text", "said"),
     [
-        ("gyroscope", "N=5deg/h", "'deg/h' is no unit of N, the angle random walk of the gyroscope; expected"),
+        ("gyroscope", "N=5deg/h", "'deg/h' is no unit of N, the angle random walk of the gyroscope; "),
         ("gyroscope", "N=60ug/sqrt(Hz)", "'ug/sqrt(Hz)' is no unit of N"),
         ("gyroscope", "B=5deg/sqrt(h)", "of B, the bias instability of the gyroscope; expected one of rad/s"),
         ("accelerometer", "N=0.3deg/sqrt(h)", "expected one of m/s^2/sqrt(Hz), g/sqrt(Hz), mg"),
