@@ -264,7 +264,10 @@ def _coverage(numbers: Numbers, *, per_axis: bool) -> list[str]:
     said = f"numbers: the least white noise and walk that cover the {what}{level}; filter aided every "
     return [
         f"{said}{numbers.choices.step_s:g} s or slower, horizon {numbers.horizon_s:g} s",
-        *(f"{_named(axes)}: {price(pair)}; {itself(axes)}" for axes, pair in zip(groups, pairs, strict=True)),
+        *(
+            f"{_named(axes)}: {price(pair)}; the fit's own: {itself(axes)}"
+            for axes, pair in zip(groups, pairs, strict=True)
+        ),
     ]
 
 
@@ -290,7 +293,7 @@ def itself(axes: Sequence[AxisReport]) -> str:
         else:
             limits = f" ({worst.low:.3g} to {worst.high:.3g})" if worst.low < worst.high else ""
             said.append(f"{key} {worst.value:.3g}{limits}")
-    return f"the fit's own: {', '.join(said)}"
+    return ", ".join(said)
 
 
 def _uncovered(numbers: Numbers) -> list[str]:
