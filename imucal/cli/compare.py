@@ -94,13 +94,13 @@ def command(
 
 def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -> tuple[Report, Report]:
     """Return two reports: of logs, of models, or the median units of two fleets."""
+    fleets = [path is not None and is_fleet(path) for path in (a, b)]
+    if fleet is not None and not any(fleets):
+        msg = f"{shown_address(a)} is no fleet, but --fleet-model is about one"
+        raise click.UsageError(msg)
     if b is None or models or is_model(a) or is_model(b):
         return _with_models(a, b, models)
-    fleets = [is_fleet(path) for path in (a, b)]
     if not any(fleets):
-        if fleet is not None:
-            msg = f"{shown_address(a)} is no fleet, but --fleet-model is about one"
-            raise click.UsageError(msg)
         return read_report(a), read_report(b)
     if not all(fleets):
         folder, other = (a, b) if fleets[0] else (b, a)
