@@ -252,7 +252,7 @@ class ObjectStore:
         if info.get("size") is None:
             msg = f"{shown(url)}: its store does not say how large it is; expected an object of known size"
             raise ReadError(msg)
-        return RemoteFile(url=url, etag=_object_store_tag(info), size=int(info["size"]))
+        return RemoteFile(url=url, etag=_entity_tag(info), size=int(info["size"]))
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
         return self._asked(file.url, lambda: self._part(file, start, stop))
@@ -305,7 +305,7 @@ def _ours(error: Exception, url: str) -> Exception:
     return error if isinstance(error, ImucalError | PassingError | ChangedError) else explained(error, url)
 
 
-def _object_store_tag(info: dict[str, Any]) -> str:
+def _entity_tag(info: dict[str, Any]) -> str:
     """Return the ETag in quotes, as S3 writes it; Google and Azure leave them out at times."""
     tag = info.get("ETag") or info.get("etag")
     if tag:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
 from imucal.findings import Finding
+from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
@@ -44,7 +45,6 @@ from imucal.readers.tables.layout import (
 )
 from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
-from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
@@ -391,15 +391,15 @@ def read_table(
     if not sensors:
         msg = f"{source.name}: the table has no rows of its sensors; expected a row per sample"
         raise DataError(msg)
-    work = Work(
+    work = RecordingBuilder(
         path=source.name,
+        format="csv",
         options=options,
-        dialect=plan.dialect,
         rate_hz=layout.rate_hz,
         decisions=[*plan.decisions],
         findings=[*source.findings, *findings, *plan.findings],
     )
-    return assemble(work, sensors, "csv", plan.topics)
+    return assemble(work, sensors, plan.topics)
 
 
 def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:
