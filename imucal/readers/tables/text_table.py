@@ -368,7 +368,10 @@ def read_table(
     keep_freed_memory()
     layout, plan = plan_of_head(source, options, name)
     groups = _by_rows(plan, stamps)
-    readers = [_reader(source, layout, group, plan.temperature, options) for group in groups]
+    expected = 0 if head else source.expected_rows
+    readers = [
+        _reader(source, layout, group, plan.temperature, options, expected=expected) for group in groups
+    ]
     blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
     cut = _read_blocks(blocks, layout, readers)
     if options.strict and source.findings:
@@ -435,6 +438,8 @@ def _reader(
     sensors: Sequence[SensorPlan],
     temperature: int | None,
     options: ReadOptions,
+    *,
+    expected: int,
 ) -> BlockReader:
     rows = sensors[0].triad.rows or layout.tag
     layout = _of_rows(source.head, layout, rows)
@@ -457,7 +462,7 @@ def _reader(
         needed=needed,
         rows=rows,
         limit=limit,
-        expected=source.expected_rows,
+        expected=expected,
         by_day=any(time.by_day for time in times),
     )
 
