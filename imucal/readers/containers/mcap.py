@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,6 @@ from imucal.readers.containers.container import (
     Batch,
     Bytes,
     Channel,
-    Container,
     Loss,
     MessageFile,
     Task,
@@ -32,7 +30,6 @@ from imucal.readers.containers.container import (
 )
 from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChannelRecord, ChunkIndex, Schema, each_record
 from imucal.readers.files import DamagedError, LogFile, Scratch
-from imucal.readers.read_options import Progress
 
 #: Opcode, length, channel and so on of a Message record: its payload starts here.
 _MESSAGE = 31
@@ -50,12 +47,6 @@ _MAX_DEFINITION = 1 << 24
 _WINDOW = 1 << 20
 #: Bytes in which the head of a chunk is looked for: names of compressions are short.
 _HEAD_BLOCK = 128
-
-
-def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open an MCAP file, and name its format; raises ReadError if it can't be read."""
-    del progress
-    return [McapFile(path)], McapFile.format
 
 
 class ChunkTask:
@@ -507,3 +498,6 @@ class McapFile(MessageFile):
             for key, batch in loose.load(Scratch()):
                 times.setdefault(key, []).extend([int(batch.log_ns.min()), int(batch.log_ns.max())])
         return {key: (min(values), max(values)) for key, values in times.items() if values}
+
+
+open_files = McapFile.open_files

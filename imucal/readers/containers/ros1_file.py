@@ -11,7 +11,7 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS
 from imucal.readers.containers import ros1_records as records
-from imucal.readers.containers.container import Bytes, Channel, Container, MessageFile, Task, scan_finding
+from imucal.readers.containers.container import Bytes, Channel, MessageFile, Task, scan_finding
 from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack
 from imucal.readers.containers.ros1_records import (
     MAGIC,
@@ -25,18 +25,11 @@ from imucal.readers.containers.ros1_records import (
     walk,
 )
 from imucal.readers.files import DamagedError
-from imucal.readers.read_options import Progress
 
 #: The index section has a few bytes for each chunk and connection; a larger one is damage.
 _MAX_INDEX = 1 << 31
 #: Bytes in which the head of the bag, and that of a chunk, is looked for.
 _HEAD_BLOCK = 1 << 12
-
-
-def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open a bag, and name its format; raises ReadError if it can't be read."""
-    del progress
-    return [BagFile(path)], BagFile.format
 
 
 class BagFile(MessageFile):
@@ -231,3 +224,6 @@ def _refuse(path: Path, magic: bytes) -> None:
         raise ReadError(msg)
     msg = f"{path}: not a ROS 1 bag (first bytes {magic[:13]!r}); expected {MAGIC!r}"
     raise ReadError(msg)
+
+
+open_files = BagFile.open_files

@@ -97,10 +97,11 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
     plan, sensor = columns.plan, columns.plan.triad.sensor
     if plan.time is None or (plan.time.kind == "counter" and work.options.time_unit is None):
         return _counted_clock(work, columns)
-    if not _tells_time(work, plan.time, columns):
-        return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
+    _refuse_unit(work, plan.time, sensor)
     source = f"column {plan.time.name}"
     stamps = _stamps(work, plan.time, columns.time, sensor)
+    if stamps is None:
+        return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
     log = columns.log_time
     log_ns = _stamps(work, plan.log_time, log, sensor) if plan.log_time and log else None
     # A device's clock may start at zero, which is a stamp like any other.
@@ -158,8 +159,10 @@ def _compare_rates(work: RecordingBuilder, measured: float) -> None:
             work.findings.append(finding)
 
 
-def _stamps(work: RecordingBuilder, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor) -> IntArray:
-    """Return the stamps of a time in ns."""
+def _stamps(
+    work: RecordingBuilder, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor
+) -> IntArray | None:
+    """Return the stamps of a time in ns; None of a count that has the given rate in no unit."""
     room = work.room
     if time.kind == "text":
         return text_stamps(cast("Sequence[IntArray]", columns), room)
@@ -167,9 +170,10 @@ def _stamps(work: RecordingBuilder, time: TimeChoice, columns: Sequence[Numbers]
         return pair_stamps(columns[0], columns[1], room)
     if time.kind == "date":
         return date_stamps(columns, room)
+    values = columns[-1]
     if time.kind == "week":
-        return week_stamps(columns[0], columns[1], _ns_per_count(work, time, columns[1], sensor), room)
-    values = columns[0]
+        ns = _ns_per_count(work, time, values, sensor)
+        return week_stamps(columns[0], values, ns, room) if ns else None
     if values.dtype.kind == "i":
         values, wraps = unwrapped(cast("IntArray", values), room)
         if wraps:
@@ -178,14 +182,12 @@ def _stamps(work: RecordingBuilder, time: TimeChoice, columns: Sequence[Numbers]
                 "it was put in order."
             )
             work.findings.append(Finding(level="info", code="wrapped", text=text))
-    return to_ns(values, _ns_per_count(work, time, values, sensor), room)
+    ns = _ns_per_count(work, time, values, sensor)
+    return to_ns(values, ns, room) if ns else None
 
 
-def _tells_time(work: RecordingBuilder, time: TimeChoice, columns: SensorColumns) -> bool:
-    """Return whether a time gives stamps: a count that has the given rate in no unit doesn't.
-
-    A given unit makes stamps of any count; a ChoiceError where the time can have none.
-    """
+def _refuse_unit(work: RecordingBuilder, time: TimeChoice, sensor: Sensor) -> None:
+    """Refuse a given unit of the time that is none, or of a time that has none, with a ChoiceError."""
     given = work.options.time_unit
     if given is not None and given not in TIME_UNITS_NS:
         known = ", ".join(TIME_UNITS_NS)
@@ -193,22 +195,10 @@ def _tells_time(work: RecordingBuilder, time: TimeChoice, columns: SensorColumns
         raise ChoiceError(msg)
     if given is not None and time.kind not in {"stamp", "week", "counter"}:
         msg = (
-            f"{work.path}: the time unit {given} is given, but the {columns.plan.triad.sensor} has the time "
+            f"{work.path}: the time unit {given} is given, but the {sensor} has the time "
             f"{time.name}, {_time_words(time)}; expected no unit, or another time column"
         )
         raise ChoiceError(msg)
-    rate = work.options.rate_hz
-    if given is not None or time.kind != "stamp" or time.ns is not None or rate is None:
-        return True
-    values = columns.time[0]
-    if infer_time_unit(values)[0] or _unit_of_rate(values, rate) or _counts_samples(values):
-        return True
-    text = (
-        f"Column {time.name} goes on by {typical_step(values):g} a row, which is {rate:g} Hz in no unit; "
-        "it was left out, so that gaps are not seen."
-    )
-    work.findings.append(Finding(level="warning", code="time-unused", text=text))
-    return False
 
 
 def _unit_of_rate(values: Numbers, rate_hz: float) -> str | None:
@@ -216,12 +206,11 @@ def _unit_of_rate(values: Numbers, rate_hz: float) -> str | None:
     return next((unit for unit, rate in rates.items() if abs(rate / rate_hz - 1) <= _AS_GIVEN), None)
 
 
-def _counts_samples(values: Numbers) -> bool:
-    return values.dtype.kind == "i" and typical_step(values) == 1
+def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
+    """Return ns per count: as given, as the log says, as the given rate has it, or as steps show.
 
-
-def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int:
-    """Return ns per count: as given, as the log says, as the given rate has it, or as steps show."""
+    None where the counts have the given rate in no unit; a ChoiceError where their unit is open.
+    """
     rate = work.options.rate_hz
     unit, how = work.options.time_unit, "as given"
     if unit is None and time.ns is not None:
@@ -237,9 +226,16 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
     if unit is not None:
         work.decide("time unit", f"{unit} for {time.name}, {how}")
         return TIME_UNITS_NS[unit]
-    if rate is not None and _counts_samples(values):
+    if rate is not None and values.dtype.kind == "i" and typical_step(values) == 1:
         work.decide("time unit", f"{time.name} counts samples at the given rate")
         return max(1, round(_SECOND / rate))
+    if rate is not None:
+        text = (
+            f"Column {time.name} goes on by {typical_step(values):g} a row, which is {rate:g} Hz in no unit; "
+            "it was left out, so that gaps are not seen."
+        )
+        work.findings.append(Finding(level="warning", code="time-unused", text=text))
+        return None
     raise _open_unit(work.path, time, values, fits, sensor)
 
 

@@ -162,8 +162,8 @@ def test_long_logs_are_looked_at_in_places(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(placing, "_RUN", 4)
     monkeypatch.setattr(placing, "_RUNS", 3)
     place = np.arange(13)
-    assert [block.tolist() for block in placing._blocks(place[:12])] == [[*range(12)]]
-    assert [block.tolist() for block in placing._blocks(place)] == [
+    assert [block.tolist() for block in placing._runs(place[:12])] == [[*range(12)]]
+    assert [block.tolist() for block in placing._runs(place)] == [
         [0, 1, 2, 3],
         [4, 5, 6, 7],
         [9, 10, 11, 12],
