@@ -1,7 +1,7 @@
 """Logs of messages -> Recording: choose topics, decode them in order, and give each sensor its clock."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -61,7 +61,9 @@ class MessageReader:
             If the log can't be read; `ChoiceError` if several topics fit or none does.
         """
         containers, form = self.open_files(path, options.progress)
-        with _closing(containers):
+        with ExitStack() as closed:
+            for container in containers:
+                closed.callback(container.close)
             return _read(containers, path, options, form)
 
     def describe(self, path: Path, options: ReadOptions) -> LogContents:
@@ -82,21 +84,13 @@ def _naming(path: Path) -> Iterator[None]:
         raise type(error)(msg) from error
 
 
-@contextmanager
-def _closing(containers: Sequence[Container]) -> Iterator[None]:
-    """Close containers at the end."""
-    try:
-        yield
-    finally:
-        for container in containers:
-            container.close()
-
-
 def describe_logs(
     containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str
 ) -> LogContents:
     """Return the topics of the files of one log, which the user named `path`, and close them."""
-    with _closing(containers):
+    with ExitStack() as closed:
+        for container in containers:
+            closed.callback(container.close)
         with _naming(path):
             topics = find_topics(containers, options)
         contents = [_contents(containers, topic, options) for topic in topics]
@@ -162,7 +156,9 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         if not decoding.columns.n:
             raise _no_message(path, choice.topic, decoding.losses, work.findings)
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
-    beside = read_temperature(containers, topics, choices[0].topic.name) if work.temperature is None else None
+    beside = None
+    if work.temperature is None:
+        beside = read_temperature(containers, topics, choices[0].topic.name, options)
     if beside is not None:
         work.temperature, name = beside
         work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))

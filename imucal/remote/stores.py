@@ -96,22 +96,19 @@ class HttpStore:
         """Return bytes `start` to `stop` of an object; raises ChangedError where it is another by now."""
 
         def part() -> bytes:
-            with _open(file.url, f"bytes={start}-{stop - 1}") as (status, headers, body):
-                if status != 206 or _tag(headers) != file.etag:
-                    raise ChangedError
-                data = body.read(stop - start)
-                if len(data) != stop - start:
-                    msg = "the connection ended early"
-                    raise PassingError(msg)
-                return data
+            data = b"".join(self.blocks(file, start, stop))
+            if len(data) != stop - start:
+                msg = "the connection ended early"
+                raise PassingError(msg)
+            return data
 
         return retried(file.url, part)
 
-    def blocks(self, file: RemoteFile, start: int) -> Iterator[bytes]:
-        """Yield an object from byte `start` on; raises PassingError, or ChangedError."""
-        part = f"bytes={start}-" if start else None
+    def blocks(self, file: RemoteFile, start: int, stop: int | None = None) -> Iterator[bytes]:
+        """Yield bytes `start` to `stop` of an object, or all behind; raises PassingError, or ChangedError."""
+        part = f"bytes={start}-{'' if stop is None else stop - 1}" if start or stop else None
         with _open(file.url, part) as (status, headers, body):
-            if (start and status != 206) or _tag(headers) != file.etag:
+            if (part and status != 206) or _tag(headers) != file.etag:
                 raise ChangedError
             while block := body.read(_BLOCK):
                 yield block

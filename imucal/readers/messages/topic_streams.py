@@ -33,7 +33,10 @@ _LOOKS, _ENOUGH = (2, 32), 100
 
 _TEMPERATURE = "sensor_msgs/Temperature"
 _TEMPERATURE_FIELDS = ImuFields(
-    stamp=Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec"), vectors=(), temperature="temperature"
+    stamp=Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec"),
+    vectors=(),
+    temperature="temperature",
+    asked=True,
 )
 
 
@@ -146,7 +149,7 @@ def live_sensors(containers: Sequence[Container], topic: Topic, options: ReadOpt
 
 
 def read_temperature(
-    containers: Sequence[Container], topics: Sequence[Topic], imu: str
+    containers: Sequence[Container], topics: Sequence[Topic], imu: str, options: ReadOptions
 ) -> tuple[Temperature, str] | None:
     """Return the temperature that stands beside an IMU topic, and the name of its topic.
 
@@ -161,24 +164,13 @@ def read_temperature(
     ]
     if len(beside) != 1 or not space:
         return None
-    topic = beside[0]
-    columns = decode(containers, [_temperature_stream(topic)])[0].columns
-    if columns.temperature is None or columns.n < 2:
-        return None
+    topic = replace(beside[0], imu=_TEMPERATURE_FIELDS)
     try:
+        columns = decode(containers, [stream_of(topic, (), options)])[0].columns
+        if columns.temperature is None or columns.n < 2:
+            return None
         reading = clock_from_stamps(columns.stamps, source="header stamp", log_ns=columns.log)
-    except DataError:
+    except (DataError, ReadError):
         return None
     samples = columns.temperature if reading.order is None else columns.temperature[reading.order]
     return Temperature(samples=samples, clock=reading.clock), topic.name
-
-
-def _temperature_stream(topic: Topic) -> Stream:
-    """Return how to decode a topic by the standard definition of its type."""
-    decoders: dict[tuple[int, int], Decoder] = {}
-    for number, channel in topic.channels:
-        ros1 = channel.encoding == "ros1"
-        text = built_in(_TEMPERATURE, ros1=ros1) or ""
-        shape = Shape(flatten(_TEMPERATURE, text, ros1=ros1), _TEMPERATURE_FIELDS)
-        decoders[number, channel.key] = BinaryDecoder([shape], ros1=ros1, exact=True)
-    return Stream(imu=_TEMPERATURE_FIELDS, decoders=decoders)

@@ -137,11 +137,11 @@ def test_the_one_temperature_beside_an_imu_is_read(
     """In its own namespace; others may be those of other things, and an empty one says nothing."""
     seen: list[str] = []
 
-    def stream(topic: Topic) -> None:
+    def stream(topic: Topic, *_: object) -> None:
         seen.append(topic.name)
 
     none = SimpleNamespace(columns=SimpleNamespace(temperature=None, n=0))
-    monkeypatch.setattr(topic_streams, "_temperature_stream", stream)
+    monkeypatch.setattr(topic_streams, "stream_of", stream)
     monkeypatch.setattr(topic_streams, "decode", lambda *_: [none])
     found = [
         Topic(
@@ -151,5 +151,5 @@ def test_the_one_temperature_beside_an_imu_is_read(
         )
         for name in names
     ]
-    assert read_temperature([], found, imu) is None
+    assert read_temperature([], found, imu, ReadOptions()) is None
     assert seen == read
