@@ -293,8 +293,8 @@ class _Scan:
         return memoryview(self._data)[at - self._start : at - self._start + size]
 
     def visit_records(self) -> int:
-        """Visit the records of the file; return where the last whole one ends."""
-        at, size = len(MAGIC), self._file.size
+        """Visit the records of the file; return where the last whole one of its data ends."""
+        at, size, ended = len(MAGIC), self._file.size, False
         with suppress(DamagedError):
             while at + 9 <= size:
                 opcode, length = HEAD.unpack_from(self._take(at, HEAD.size))
@@ -304,13 +304,12 @@ class _Scan:
                 if not opcode or after > size:
                     if opcode == records.CHUNK:
                         self._salvage(at)
-                    return at
-                if opcode == records.DATA_END:
-                    self._define_from_summary(after)
-                    return size
+                    break
+                # The summary behind the data repeats definitions, though its checksum may be wrong.
+                ended |= opcode == records.DATA_END
                 self._visit(opcode, at, length)
                 at = after
-        return at
+        return size if ended else at
 
     def _visit(self, opcode: int, at: int, length: int) -> None:
         chunks = self.book.chunks
@@ -346,16 +345,6 @@ class _Scan:
             self.book.define_all(raw)
             if starts := walk_records(raw):
                 self.book.loose.append(LooseTask(self._file, at, size, starts, bytes(raw)))
-
-    def _define_from_summary(self, at: int) -> None:
-        """Take definitions that the summary repeats, though its checksum is wrong."""
-        with suppress(DamagedError):
-            while at + 9 <= self._file.size:
-                opcode, length = HEAD.unpack_from(self._take(at, HEAD.size))
-                if at + 9 + length > self._file.size or opcode not in records.DEFINITIONS:
-                    return
-                self.book.define(opcode, self._take(at + 9, length))
-                at += 9 + length
 
     def define_from_chunks(self) -> None:
         """Read definitions from chunks until every indexed channel is known.

@@ -171,12 +171,12 @@ def test_a_damaged_chunk_does_not_hide_the_channels_of_the_next(held: Held) -> N
 
 
 def test_definitions_behind_the_data_are_taken(held: Held) -> None:
-    """The summary repeats them; it ends at the first record of another kind, or at a damaged one."""
+    """The summary repeats them, among records of other kinds; it ends at a damaged one."""
     more = channel(11, b"/late")
     for end, known in (
         (more, {7, 8, 11}),
         (more[:-1], {7, 8}),
-        (schema(2) + more + record(8, bytes(9)) + channel(12), {7, 8, 11}),
+        (schema(2) + more + record(8, bytes(9)) + channel(12), {7, 8, 11, 12}),
         (more + record(4, b"?") + channel(12), {7, 8, 11}),
         (more + bytes(9), {7, 8, 11}),
     ):
