@@ -93,7 +93,7 @@ def describe_logs(
             closed.callback(container.close)
         with _naming(path):
             topics = find_topics(containers, options)
-        contents = [_contents(containers, topic, options) for topic in topics]
+        contents = [_contents(containers, topic) for topic in topics]
     if not any(entry.sensors for entry in contents):
         contents = [_with_proposal(entry, topic) for entry, topic in zip(contents, topics, strict=True)]
     starts = [c.start_ns for c in containers if c.start_ns is not None]
@@ -116,12 +116,12 @@ def _with_proposal(entry: TopicContents, topic: Topic) -> TopicContents:
     return replace(entry, note=f"may be read by a fields text such as {text!r}") if text else entry
 
 
-def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
+def _contents(containers: Sequence[Container], topic: Topic) -> TopicContents:
     sensors: tuple[Sensor, ...] = ()
     note = topic.reason
     if topic.imu is not None and topic.count != 0:
         try:
-            alive = live_sensors(containers, topic, options)
+            alive = live_sensors(containers, topic)
         except ReadError as error:
             alive, note = frozenset(), str(error)
         sensors = tuple(sensor for sensor in topic.imu.sensors if sensor in alive)
@@ -144,8 +144,8 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     _refuse_options(path, options)
     with _naming(path):
         topics = find_topics(containers, options)
-        choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
-        streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
+        choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic))
+        streams = [stream_of(choice.topic, choice.sensors) for choice in choices]
     decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
     work = RecordingBuilder(path=str(path), format=form, options=options)
     work.findings += [finding for container in containers for finding in container.findings]
@@ -158,7 +158,7 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
     beside = None
     if work.temperature is None:
-        beside = read_temperature(containers, topics, choices[0].topic.name, options)
+        beside = read_temperature(containers, topics, choices[0].topic.name)
     if beside is not None:
         work.temperature, name = beside
         work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))

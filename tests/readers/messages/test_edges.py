@@ -63,8 +63,8 @@ def test_two_samples_tell_whether_a_sensor_has_data(n: int, alive: set[Sensor], 
     containers, _ = open_files(CONTAINERS["mcap-none"](tmp_path, truth))
     with closing(containers[0]):
         (topic,) = (topic for topic in find_topics(containers, options) if topic.imu is not None)
-        assert live_sensors(containers, topic, options) == alive
-        assert live_sensors(containers, replace(topic, imu=None), options) == frozenset()
+        assert live_sensors(containers, topic) == alive
+        assert live_sensors(containers, replace(topic, imu=None)) == frozenset()
 
 
 def channel(
@@ -151,5 +151,5 @@ def test_the_one_temperature_beside_an_imu_is_read(
         )
         for name in names
     ]
-    assert read_temperature([], found, imu, ReadOptions()) is None
+    assert read_temperature([], found, imu) is None
     assert seen == read
