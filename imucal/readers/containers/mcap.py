@@ -28,7 +28,7 @@ from imucal.readers.containers.container import (
     gather,
     scan_finding,
 )
-from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChannelRecord, ChunkIndex, Schema, each_record
+from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChunkIndex, Schema, each_record
 from imucal.readers.files import DamagedError, LogFile, Scratch
 
 #: Opcode, length, channel and so on of a Message record: its payload starts here.
@@ -235,7 +235,8 @@ class Bookkeeping:
     """What an MCAP file says about itself."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, ChannelRecord] = field(default_factory=dict)
+    #: Channel -> the number of its schema, and what its record says.
+    channels: dict[int, tuple[int, Channel]] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
     loose: list[LooseTask] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
@@ -249,8 +250,8 @@ class Bookkeeping:
             schema = records.schema(body)
             self.schemas.setdefault(schema.id, schema)
         else:
-            channel = records.channel(body)
-            self.channels.setdefault(channel.id, channel)
+            number, channel = records.channel(body)
+            self.channels.setdefault(channel.key, (number, channel))
 
     def define_all(self, raw: memoryview) -> None:
         """Take all definitions among the records of a chunk, up to the first that is damaged."""
@@ -454,18 +455,16 @@ class McapFile(MessageFile):
     def _channels(self) -> list[Channel]:
         book, spans = self._book, self._spans()
         channels = []
-        for key, record in sorted(book.channels.items()):
-            described = book.schemas.get(record.schema, Schema(0, "", "", ""))
+        for key, (number, channel) in sorted(book.channels.items()):
+            schema = book.schemas.get(number, Schema(0, "", "", ""))
             first, last = spans.get(key, (None, None))
             channels.append(
-                Channel(
-                    key=key,
-                    topic=record.topic,
-                    type=described.name,
-                    encoding=record.encoding,
-                    definition=described.text,
-                    definition_kind=described.encoding,
-                    schema=described.raw,
+                replace(
+                    channel,
+                    type=schema.name,
+                    definition=schema.text,
+                    definition_kind=schema.encoding,
+                    schema=schema.raw,
                     count=book.counts[key],
                     first_ns=first,
                     last_ns=last,
