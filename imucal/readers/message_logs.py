@@ -61,9 +61,7 @@ class MessageReader:
             If the log can't be read; `ChoiceError` if several topics fit or none does.
         """
         containers, form = self.open_files(path, options.progress)
-        with ExitStack() as closed:
-            for container in containers:
-                closed.callback(container.close)
+        with _closing(containers):
             return _read(containers, path, options, form)
 
     def describe(self, path: Path, options: ReadOptions) -> LogContents:
@@ -84,13 +82,19 @@ def _naming(path: Path) -> Iterator[None]:
         raise type(error)(msg) from error
 
 
+def _closing(containers: Sequence[Container]) -> ExitStack:
+    """Return what closes containers at the end of its block."""
+    closed = ExitStack()
+    for container in containers:
+        closed.callback(container.close)
+    return closed
+
+
 def describe_logs(
     containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str
 ) -> LogContents:
     """Return the topics of the files of one log, which the user named `path`, and close them."""
-    with ExitStack() as closed:
-        for container in containers:
-            closed.callback(container.close)
+    with _closing(containers):
         with _naming(path):
             topics = find_topics(containers, options)
         contents = [_contents(containers, topic) for topic in topics]

@@ -153,10 +153,7 @@ def _layout(lines: Sequence[str], delimiter: str, *, narrow: bool) -> TextLayout
     """
     if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
         return None
-    # A semicolon that parts no cells may end each line, as in matrices of MATLAB.
-    ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
-    bare = [line.rstrip("; \t") for line in lines] if ended else lines
-    rows = [split_line(line, delimiter) if line.strip() else [] for line in bare]
+    rows, ended = _cells(lines, delimiter)
     # Where commas part the cells, one within a cell stood in quotes.
     decimal = _decimal(rows)
     width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
@@ -176,9 +173,21 @@ def _layout(lines: Sequence[str], delimiter: str, *, narrow: bool) -> TextLayout
         quoted=any('"' in lines[i] for i in chosen),
         prepare=_without_ends if ended else None,
     )
-    line, headers, units = _find_header(table, rows[:start])
+    return _with_header(table, lines, rows[:start])
+
+
+def _cells(lines: Sequence[str], delimiter: str) -> tuple[list[list[str]], bool]:
+    """Return the cells of lines, and whether a semicolon that parts none ends them, as MATLAB's matrices."""
+    ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
+    bare = [line.rstrip("; \t") for line in lines] if ended else lines
+    return [split_line(line, delimiter) if line.strip() else [] for line in bare], ended
+
+
+def _with_header(table: TextLayout, lines: Sequence[str], above: Sequence[list[str]]) -> TextLayout:
+    """Return a layout with what stands before its rows, in `lines`, which are the rows `above` when cut."""
+    line, headers, units = _find_header(table, above)
     headers, mismatch = _fitted_names(headers, table)
-    preamble = tuple(text for text in lines[: start if line is None else line] if text.strip())
+    preamble = tuple(text for text in lines[: table.start if line is None else line] if text.strip())
     return replace(table, headers=tuple(headers), units=tuple(units), preamble=preamble, mismatch=mismatch)
 
 
