@@ -1,25 +1,22 @@
 """Whether a filter that is given our numbers is right about its own error: the proof of `filter_numbers`.
 
-    python -m tests.benchmarks.consistency records FITS.pkl [--count 24] [--seed 2026] [--jobs 2]
-    python -m tests.benchmarks.consistency axes FITS.pkl
-    python -m tests.benchmarks.consistency known
-    python -m tests.benchmarks.consistency real
-    python -m tests.benchmarks.consistency graph [--records 6] [--runs 200]
+    nice python -m tests.benchmarks.consistency [--file FITS.pkl] [--count 24] [--seed 2026] [--jobs 2]
+    nice python -m tests.benchmarks.consistency --axes | --known | --real | --graph [--records 6] [--runs 200]
 
-`records`: 10 truths x 4 lengths x 24 records are fitted as a user does (0.4 CPU s each; the file FITS.pkl
-keeps them, a second run goes on with it). For each, and each rule for two numbers, the exact NEES of a
-filter of angle and bias that is aided at 1 Hz, and then coasts 1 to 1000 s. Three tables: the share of
-records with NEES > 1.2; predicted over true deviation; the filter's true error over that of the best rule.
+Without an option, 10 truths x 4 lengths x 24 records are fitted as a user does: 0.2 CPU s each; the file
+keeps them, and a second run goes on with it. For each, and each rule for two numbers, the exact NEES of a
+filter of angle and bias that is aided at 1 Hz and then coasts 1 to 1000 s. Tables: the share of records with
+NEES > 1.2; predicted over true deviation; the filter's true error over that of the best rule.
 
-`axes`: the same of one pair for three axes, from the same fits.
+`--axes`: the same of one pair for three axes, from the same fits.
 
-`known`: the truth itself is covered, no record; the worst NEES over filters of many kinds, and the price.
+`--known`: the truth itself is covered, no record; the worst NEES over filters of many kinds, and the price.
 
-`real`: both runs of the ADIS16405 (the folder that IMUCAL_REAL_DATA names): one part is fitted, another
-one checked, by the filter's error on its samples and by its Allan variance.
+`--real`: both runs of the ADIS16405 (in the folder that IMUCAL_REAL_DATA names): one part is fitted,
+another one checked, by the filter's error on its samples and by its Allan variance.
 
-`graph`: a factor graph of GTSAM, where that is installed, aided in attitude at 1 Hz for 5 minutes, 60 s of
-coasting: drawn, as nothing of it is linear by construction.
+`--graph`: a factor graph of GTSAM, where that is installed, aided in attitude at 1 Hz for 5 minutes, then
+coasting for 60 s; its errors are drawn.
 
 The tables are those of docs/consistency.md, in Markdown.
 """
@@ -27,7 +24,7 @@ The tables are those of docs/consistency.md, in Markdown.
 import argparse
 import importlib.util
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
@@ -139,11 +136,11 @@ def ratios(logs: FloatArray) -> list[str]:
     return [f"{value:.2f}" for value in np.exp(logs.mean(axis=0))]
 
 
-def records(file: Path, count: int, seed: int, jobs: int) -> None:
+def records(every: Mapping[Record, NoiseFit], count: int, seed: int) -> None:
     """Print the tables of single axes."""
-    every = fits(file, count=count, seed=seed, jobs=jobs)
     cells = list(itertools.product(TRUTHS, LENGTHS))
-    predicted, true = np.empty((2, len(RULES), len(cells), count, len(COASTS_S)))
+    shape = (len(RULES), len(cells), count, len(COASTS_S))
+    predicted, true = np.empty(shape), np.empty(shape)
     for i, (truth, length) in enumerate(cells):
         own = [(record, fit) for record, fit in every.items() if record[:2] == (truth, length)]
         pairs = np.array([rule(fit) for rule in RULES.values() for _, fit in own])
@@ -168,7 +165,7 @@ def records(file: Path, count: int, seed: int, jobs: int) -> None:
     print("\nThe covered pair by truth and by length: predicted over true deviation (NEES > 1.2, %)\n")
     head("records")
     place = list(RULES).index("covered pair")
-    for axis, names in enumerate((TRUTHS, LENGTHS)):
+    for axis, names in enumerate((list(TRUTHS), list(LENGTHS))):
         for name in names:
             chosen = [i for i, cell in enumerate(cells) if cell[axis] == name]
             shares = percents(over[place, chosen].mean(axis=(0, 1)))
@@ -176,9 +173,8 @@ def records(file: Path, count: int, seed: int, jobs: int) -> None:
             row(name, [f"{mean} ({share})" for mean, share in zip(means, shares, strict=True)])
 
 
-def triads(file: Path, count: int, seed: int, jobs: int) -> None:
+def triads(every: Mapping[Record, NoiseFit], count: int, seed: int) -> None:
     """Print the tables of one pair for three axes: of one truth, and of three that differ."""
-    every = fits(file, count=count, seed=seed, jobs=jobs)
     rng = np.random.default_rng(seed)
     same = [
         [Record(truth, length, 3 * i + axis, seed) for axis in range(3)]
@@ -251,15 +247,10 @@ def known() -> None:
 
 
 def real() -> None:
-    """Print of how many parts of real records the numbers of another part are too sure."""
-    head(
-        "fitted, checked",
-        [
-            "sensor",
-            "pairs",
-            *(f"{name}: {way}" for name in ("N and K", "covered") for way in ("filter", "curve")),
-        ],
-    )
+    """Print for how many parts of real records the numbers of another part are too sure."""
+    print(f"\nObserved over predicted variance at 60 s: > {TOO_SURE_REAL}, % (median, largest)\n")
+    ways = [f"{name}, {way}" for name in ("N and K", "covered") for way in ("filter", "curve")]
+    head("fitted, checked", ["sensor", "pairs", *ways])
     runs: dict[tuple[str, int], AxisSeries] = {(name, run): series for name, run, series in real_axes()}
     for label, choose in _CHOICES.items():
         found: dict[str, list[list[float]]] = {}
@@ -268,21 +259,11 @@ def real() -> None:
             ratio = [each for rule in (as_fitted, covered) for each in observed(rule(fit), checked)]
             found.setdefault(str(fitted.sensor), []).append(ratio)
         for sensor, table in found.items():
-            values = np.array(table)
-            over = percents((values > TOO_SURE_REAL).mean(axis=0))
-            row(
-                label,
-                [
-                    sensor,
-                    len(values),
-                    *(
-                        f"{share} % (median {middle:.2f}, largest {top:.2f})"
-                        for share, middle, top in zip(
-                            over, np.median(values, axis=0), values.max(axis=0), strict=True
-                        )
-                    ),
-                ],
-            )
+            cells = [
+                f"{100 * np.mean(values > TOO_SURE_REAL):.0f} ({np.median(values):.2f}, {values.max():.2f})"
+                for values in np.array(table).T
+            ]
+            row(label, [sensor, len(table), *cells])
 
 
 def _halves(runs: dict[tuple[str, int], AxisSeries]) -> Iterator[tuple[AxisSeries, AxisSeries]]:
@@ -344,20 +325,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["records", "axes", "known", "real", "graph"])
-    parser.add_argument("file", nargs="?", type=Path, default=Path("consistency-fits.pkl"))
-    parser.add_argument("--count", type=int, default=24, help="records a cell")
+    what = parser.add_mutually_exclusive_group()
+    for name in ("axes", "known", "real", "graph"):
+        what.add_argument(f"--{name}", action="store_const", const=name, dest="what")
+    parser.add_argument("--file", type=Path, default=Path("consistency-fits.pkl"), help="keeps the fits")
+    parser.add_argument("--count", type=int, default=24, help="records of a truth and length")
     parser.add_argument("--seed", type=int, default=2026)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--records", type=int, default=6, help="of `graph`")
-    parser.add_argument("--runs", type=int, default=200, help="of `graph`, a record")
+    parser.add_argument("--records", type=int, default=6, help="fits of --graph")
+    parser.add_argument("--runs", type=int, default=200, help="coasts of --graph a fit")
     asked = parser.parse_args()
-    if asked.what in {"records", "axes"}:
-        {"records": records, "axes": triads}[asked.what](asked.file, asked.count, asked.seed, asked.jobs)
+    if asked.what == "known":
+        known()
+    elif asked.what == "real":
+        real()
     elif asked.what == "graph":
         graph(asked.records, asked.runs, asked.seed)
     else:
-        {"known": known, "real": real}[asked.what]()
+        every = fits(asked.file, count=asked.count, seed=asked.seed, jobs=asked.jobs)
+        (triads if asked.what == "axes" else records)(every, asked.count, asked.seed)
 
 
 if __name__ == "__main__":
