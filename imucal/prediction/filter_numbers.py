@@ -34,6 +34,8 @@ Join: TypeAlias = Callable[..., FloatArray]
 LEVEL = 0.8
 #: Horizon and step where nobody says: how long a filter may coast, and how often it is aided, in s.
 HORIZON_S, STEP_S = 300.0, 1.0
+#: Cameras and lidars are seldom blind for longer than this, in s; satellites may be gone for minutes.
+CAMERA_HORIZON_S = 60.0
 #: A time of coasting at which the price of a pair is said, in s.
 PRICED_S = (1.0, 10.0, 60.0, 300.0, 1000.0)
 #: Lowest frequency that is covered, over the horizon: a filter remembers its bias for longer than it
@@ -169,6 +171,14 @@ def filter_numbers(
         price=math.exp(prices[best] / 2),
         basis=goal.basis,
     )
+
+
+def usual_pairs(fits: Sequence[NoiseFit]) -> tuple[FilterNumbers, ...]:
+    """Return the pairs for filters with cameras or lidars, and for others; none where nothing is known."""
+    try:
+        return tuple(filter_numbers(fits, horizon_s=horizon) for horizon in (CAMERA_HORIZON_S, HORIZON_S))
+    except DataError:
+        return ()
 
 
 def correlation_times(fits: Sequence[NoiseFit], *, horizon_s: float = HORIZON_S) -> tuple[float, ...]:
