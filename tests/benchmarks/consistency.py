@@ -69,6 +69,12 @@ def covered(fit: NoiseFit) -> tuple[float, float]:
     return pair.white, pair.walk
 
 
+def covered_to_a_minute(fit: NoiseFit) -> tuple[float, float]:
+    """Return the pair for a horizon of 60 s, as exports for cameras and lidars have it."""
+    pair = filter_numbers([fit], horizon_s=60.0)
+    return pair.white, pair.walk
+
+
 def by_habit(fit: NoiseFit) -> tuple[float, float]:
     """Return ten times N and K."""
     N, K = as_fitted(fit)
@@ -107,6 +113,7 @@ def reading(fit: NoiseFit) -> tuple[float, float]:
 RULES: dict[str, Rule] = {
     "N and K of the fit": as_fitted,
     "covered pair": covered,
+    "covered pair, horizon 60 s": covered_to_a_minute,
     "covered curve, no model": curve_covered,
     "lines of allan_variance_ros": allan_variance_ros,
     "read off the curve (AllanTools)": reading,
@@ -249,14 +256,15 @@ def known() -> None:
 def real() -> None:
     """Print for how many parts of real records the numbers of another part are too sure."""
     print(f"\nObserved over predicted variance at 60 s: > {TOO_SURE_REAL}, % (median, largest)\n")
-    ways = [f"{name}, {way}" for name in ("N and K", "covered") for way in ("filter", "curve")]
+    rules = {"N and K": as_fitted, "pair": covered, "curve": curve_covered}
+    ways = [f"{name}, {way}" for name in rules for way in ("its filter", "Allan variance")]
     head("fitted, checked", ["sensor", "pairs", *ways])
     runs: dict[tuple[str, int], AxisSeries] = {(name, run): series for name, run, series in real_axes()}
     for label, choose in _CHOICES.items():
         found: dict[str, list[list[float]]] = {}
         for fitted, checked in choose(runs):
             fit = imucal.fit(fitted)
-            ratio = [each for rule in (as_fitted, covered) for each in observed(rule(fit), checked)]
+            ratio = [each for rule in rules.values() for each in observed(rule(fit), checked)]
             found.setdefault(str(fitted.sensor), []).append(ratio)
         for sensor, table in found.items():
             cells = [

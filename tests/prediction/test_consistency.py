@@ -1,12 +1,17 @@
 """The filter of the consistency benchmark: its error is what a filter that runs step by step makes."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from imucal import NoiseModel
 from imucal.arrays import FloatArray
 from tests.benchmarks.aided_filter import Aiding, nees
-from tests.benchmarks.consistency import covered, known_fit, observed
+from tests.benchmarks.consistency import RULES, covered, known_fit, observed
+
+PAGE = Path(__file__).parents[2] / "docs" / "consistency.md"
 
 
 def run_filter(
@@ -82,3 +87,11 @@ def test_records_are_checked_as_filters_run() -> None:
     series = imucal.AxisSeries.from_samples(samples, rate_hz=4.0, sensor="gyroscope", axis="x")
     # 830 independent minutes in pairs: 5 % standard error.
     assert observed((1e-3, 2e-5), series) == pytest.approx((1.0, 1.0), abs=0.15)
+
+
+def test_the_page_has_a_row_for_every_rule() -> None:
+    """In the three tables of single axes, and the command that prints them."""
+    page = PAGE.read_text(encoding="utf-8").replace("**", "")
+    for rule in RULES:
+        assert len(re.findall(rf"^\| {re.escape(rule)} \|", page, re.MULTILINE)) == 3
+    assert "python -m tests.benchmarks.consistency" in page
