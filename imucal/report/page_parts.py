@@ -392,7 +392,13 @@ _USES = (
         *("N", HALVED_TWICE, "{u}"),
     ),
     ("K √f", "discrete, as VINS integrates it", "K", SAMPLE, "{u}"),
-    ("N² f", "discrete: the variance of one sample", "N", SAMPLE_SQUARED, "({u})^2"),
+    (
+        "N² f",
+        "discrete: the variance of one sample, as FAST-LIO takes it; a ROS covariance has N as fitted",
+        "N",
+        SAMPLE_SQUARED,
+        "({u})^2",
+    ),
     ("K² f", "discrete, as FAST-LIO integrates it", "K", SAMPLE_SQUARED, "({u})^2"),
     (
         "N / √0.01 s",
@@ -440,7 +446,10 @@ def _pairs(report: Report) -> Iterator[tuple[str, list[str]]]:
                 Markup("{:.4g} <small>{}</small>").format(value, pretty(TERMS[symbol].unit(sensor)))
                 for symbol, value in zip(COVERING, (pair.white, pair.walk), strict=True)
             ]
-            yield f"{str(sensor).capitalize()}, {pair.horizon_s:g} s", [*values, price(pair), itself(axes)]
+            yield (
+                f"{str(sensor).capitalize()}, {pair.horizon_s:g} s",
+                [*values, price(pair).replace(" x ", " × "), itself(axes)],
+            )
 
 
 def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: Formula, unit: str) -> str:

@@ -130,7 +130,7 @@ class Number:
     def note(self) -> str:
         """Where the number comes from and how well it is known, for a comment beside it."""
         if self.covers:
-            return f"covers {', '.join(self.axes)}"
+            return f"covers {', '.join(self.axes)}{self.origin and f', {self.origin}'}"
         text = f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}"
         if not self.alternatives:
             return text

@@ -206,11 +206,7 @@ class Target:
             f"inflation: {_inflation(numbers)}",
             *(_coverage(numbers, per_axis=self.per_axis) if self.covers else ()),
         ]
-        bounds = dict.fromkeys(f"{number.symbol} of {name}" for number in used for name in number.bounded)
-        if bounds:
-            level = report.axes[0].fit.level
-            written = "is covered in part" if numbers.covers else "is written"
-            lines.append(f"not identified, so the {level:.0%} upper bound {written}: {', '.join(bounds)}")
+        lines += _bounds(numbers, used)
         rates = [numbers.rate_hz(sensor) for sensor in numbers.sensors]
         if max(rates) > 1.001 * min(rates):
             lines.append(
@@ -237,6 +233,15 @@ def _inflation(numbers: Numbers) -> str:
     return f"{', '.join(parts)}; ALREADY in the numbers below"
 
 
+def _bounds(numbers: Numbers, used: Iterable[Number]) -> list[str]:
+    bounds = dict.fromkeys(f"{number.symbol} of {name}" for number in used for name in number.bounded)
+    if not bounds:
+        return []
+    written = "is covered in part" if numbers.covers else "is written"
+    level = f"{numbers.report.axes[0].fit.level:.0%}"
+    return [f"not identified, so the {level} upper bound {written}: {', '.join(bounds)}"]
+
+
 def _coverage(numbers: Numbers, *, per_axis: bool) -> list[str]:
     """Say what the pairs cover, what that costs, and what the fit's own numbers are."""
     if not numbers.covers:
@@ -253,7 +258,10 @@ def _coverage(numbers: Numbers, *, per_axis: bool) -> list[str]:
     said = f"numbers: the least white noise and walk that cover the {what}{level}; filter aided every "
     return [
         f"{said}{numbers.choices.step_s:g} s or slower, horizon {numbers.horizon_s:g} s",
-        *(f"{_named(axes)}: {price(pair)}; {itself(axes)}" for axes, pair in zip(groups, pairs, strict=True)),
+        *(
+            f"{_named(axes)}: {price(pair)}; the fit's own: {itself(axes)}"
+            for axes, pair in zip(groups, pairs, strict=True)
+        ),
     ]
 
 
@@ -278,7 +286,7 @@ def itself(axes: Sequence[AxisReport]) -> str:
             said.append(f"{key} < {worst.high:.3g}")
         else:
             said.append(f"{key} {worst.value:.3g} ({worst.low:.3g} to {worst.high:.3g})")
-    return f"the fit's own: {', '.join(said)}"
+    return ", ".join(said)
 
 
 def _uncovered(numbers: Numbers) -> list[str]:
