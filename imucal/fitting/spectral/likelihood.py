@@ -144,7 +144,7 @@ def evaluate(
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         spectrum, slopes = _spectrum(ordinates, candidates, theta)
-        beta, covariance, rest = _regress(ordinates, candidates, spectrum, ramp)
+        beta, covariance, rest = regress(ordinates, candidates.regressors, spectrum, ramp)
         ratio = rest / spectrum
         # einsum, not @: these products are too small for the threads of a linear algebra library.
         objective = 0.5 * (np.einsum("cb,b->c", np.log(spectrum), ordinates.size) + ratio.sum(axis=1))
@@ -222,11 +222,13 @@ def _filter(
     slopes[rows, first:] = np.where(use[:, :, None], -powers / denominator[:, None, :], 0.0)
 
 
-def _regress(
-    ordinates: Ordinates, candidates: Candidates, spectrum: FloatArray, ramp: FloatArray | None
+def regress(
+    ordinates: Ordinates, has: BoolArray, spectrum: FloatArray, ramp: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return beta (c, r), its covariance (c, r, r) and the squares it leaves in each bin (c, b)."""
-    has = candidates.regressors
+    """Return beta (c, r), its covariance (c, r, r) and the squares it leaves in each bin (c, b).
+
+    Given the spectra, shape (c, b), by the regressors that each candidate `has`, shape (c, r).
+    """
     if has.size and has.all():
         return _solved(ordinates, has, spectrum, ramp)
     beta = np.zeros(has.shape)
@@ -251,7 +253,7 @@ def _regress(
 def _solved(
     ordinates: Ordinates, use: BoolArray, spectrum: FloatArray, ramp: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what `_regress` does where each regressor is some candidate's; `use`, (c, r), says whose."""
+    """Return what `regress` does where each regressor is some candidate's; `use`, (c, r), says whose."""
     grams, crosses = ordinates.gram, ordinates.cross
     number = use.shape[1]
     unit = np.eye(number)
