@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray, read_only
+from imucal.arrays import FloatArray, IntArray, hold_read_only
 from imucal.errors import DataError
 
 #: Number of the layout of `Bins`; one that an old reader would misunderstand raises it.
@@ -83,8 +83,7 @@ class Bins:
         if wrong or not self.n.size:
             msg = f"bins: {', '.join(wrong) or 'n'} do not fit {bins} bins of {regressors} names"
             raise ValueError(msg)
-        for name in ("n", "first", *shapes):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        hold_read_only(self)
 
 
 #: Number of this form, its first byte.

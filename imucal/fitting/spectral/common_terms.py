@@ -141,7 +141,7 @@ class Scales:
         added = diagonal * 1e-9 + damping[..., None] * (diagonal + 1e-3) + _TINY
         matrix = self.matrix + added[..., None] * np.eye(diagonal.shape[2])
         across, right = matrix[..., 0, 1:], np.stack([self.gradient[..., 1:], matrix[..., 1:, 0]], axis=-1)
-        moves = np.linalg.solve(matrix[..., 1:, 1:], right)
+        moves: FloatArray = np.linalg.solve(matrix[..., 1:, 1:], right).astype(np.float64, copy=False)
         reduced = np.einsum("tgq,tgqk->ktg", across, moves)
         return self.gradient[..., 0] - reduced[0], np.maximum(matrix[..., 0, 0] - reduced[1], _TINY), moves
 

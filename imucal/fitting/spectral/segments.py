@@ -265,7 +265,7 @@ class _Tests:
         self.spans = np.stack([segments.start_s, segments.end_s], axis=1)
 
     def homogeneity(self) -> tuple[TermHomogeneity, ...]:
-        """Return the terms' tests: Cochran's Q where each segment tells the term, else the likelihood ratio."""
+        """Return each term's test: Cochran's Q where each segment tells it, else the likelihood ratio."""
         common = self.parts.fit(common=True)
         tests = []
         for row, name in enumerate(self.names):
