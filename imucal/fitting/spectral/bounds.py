@@ -17,11 +17,10 @@ import numpy as np
 
 from imucal.fitting.noise_fit import Estimate
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, quantile
-from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.likelihood import Candidates, Structure, candidates_of, shaped_symbols
 from imucal.fitting.spectral.ordinates import LAWS, SHAPED
 from imucal.fitting.spectral.scoring import bounds, maximize
 from imucal.fitting.spectral.selection import RankedModels
-from imucal.fitting.spectral.structures import Structure, candidates_of, shaped_symbols
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 
 #: Symbol of a power-law term -> its column in a row of parameters.

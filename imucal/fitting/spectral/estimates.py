@@ -16,10 +16,9 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.homogeneity import symbol_of
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval
-from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.likelihood import Candidates, Structure, parameter_columns
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximize, misfit_factors
-from imucal.fitting.spectral.structures import Structure, parameter_columns
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 

@@ -29,11 +29,10 @@ from imucal.fitting.spectral.blocks import joined, ordinates_of
 from imucal.fitting.spectral.bounds import completed, estimate_or_bound, fitted_model, numbered, with_absent
 from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.estimates import Fitted, Problem, misfits_of, model_of
-from imucal.fitting.spectral.likelihood import derivatives
+from imucal.fitting.spectral.likelihood import SHORTEST, SHORTEST_GIVEN, Structure, derivatives, richest
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import bounds, misfit
 from imucal.fitting.spectral.selection import choose
-from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, richest
 from imucal.noise.model import NoiseModel
 
 

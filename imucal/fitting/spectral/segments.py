@@ -21,11 +21,10 @@ from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
 from imucal.fitting.spectral.bounds import COLUMN
 from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.estimates import Fitted, Problem, quantile
-from imucal.fitting.spectral.likelihood import derivatives
+from imucal.fitting.spectral.likelihood import candidates_of, derivatives
 from imucal.fitting.spectral.lines import left_out, outside
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
 from imucal.fitting.spectral.scoring import bounds
-from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries

@@ -6,10 +6,9 @@ from scipy import optimize
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.given_model import BinFit, fit_bins, record_tests
-from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.likelihood import evaluate, parameter_columns
 from imucal.fitting.spectral.ordinates import SHAPED
 from imucal.fitting.spectral.scoring import bounds
-from imucal.fitting.spectral.structures import parameter_columns
 from tests.fleet.records import bins_from, simulated
 
 
