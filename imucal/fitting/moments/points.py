@@ -19,7 +19,7 @@ for one averaging time; the same argument holds for two.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -308,11 +308,10 @@ def is_timed(symbol: str) -> bool:
     return len(TERMS[symbol].parameters()) > 1
 
 
-def unit_terms(symbols: Sequence[str], times: FloatArray | None = None) -> tuple[NoiseTerm, ...]:
-    """Return terms of unit variance per sample; `times` in samples, one for each, of those that have one."""
-    if times is None:
-        return tuple(TERMS[symbol].of(1.0) for symbol in symbols)
-    return tuple(TERMS[symbol].of(1.0, time) for symbol, time in zip(symbols, times.tolist(), strict=True))
+def unit_terms(symbols: Sequence[str], times: Iterable[float] = ()) -> tuple[NoiseTerm, ...]:
+    """Return terms of unit variance per sample; `times` in samples, one for each of those that have one."""
+    given = iter(times)
+    return tuple(TERMS[s].of(1.0, float(next(given))) if is_timed(s) else TERMS[s].of(1.0) for s in symbols)
 
 
 def columns(m: IntArray, terms: Sequence[NoiseTerm]) -> FloatArray:

@@ -272,7 +272,7 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     reference = _reference(slopes[places], ordinates.size, peak)
     spectrum = reference @ slopes[places]
     weight = 0.5 * ordinates.size / spectrum**2
-    variance = _solve(slopes[places], weight, weight * power / ordinates.size)
+    variance = _inverse(slopes[places], weight) @ (slopes[places] @ (weight * power / ordinates.size))
     beside = _nuisance(slopes, fitted, dict(zip(places, reference.tolist(), strict=True)), spectrum)
     laws = _laws(np.concatenate([slopes[places], beside]), ordinates.size, spectrum, variance)
     result = {}
@@ -299,7 +299,7 @@ def _search(shapes: FloatArray, size: FloatArray, power: FloatArray, variance: F
     now = objective(spectrum)
     for _ in range(_STEPS):
         weight = 0.5 * size / spectrum**2
-        step = _solve(shapes, weight, (0.5 * (power - size * spectrum) / spectrum**2))
+        step = _inverse(shapes, weight) @ (shapes @ (0.5 * (power - size * spectrum) / spectrum**2))
         stride = 1.0
         while stride > 1e-6 and not (then := objective((variance + stride * step) @ shapes)) < now:
             stride /= 2
@@ -322,14 +322,6 @@ def _reference(shapes: FloatArray, size: FloatArray, peak: FloatArray) -> FloatA
             break
         reference = np.sqrt(reference * wanted)
     return reference
-
-
-def _solve(shapes: FloatArray, weight: FloatArray, residual: FloatArray) -> FloatArray:
-    information = np.einsum("ib,b,jb->ij", shapes, weight, shapes)
-    root = np.sqrt(np.diag(information))
-    score = shapes @ residual / root
-    step: FloatArray = np.linalg.lstsq(information / np.outer(root, root), score, rcond=1e-12)[0] / root
-    return step
 
 
 def _nuisance(

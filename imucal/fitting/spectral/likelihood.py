@@ -125,14 +125,14 @@ def shaped_symbols(structure: Iterable[str]) -> list[str]:
     return [symbol for symbol in structure if symbol in TERMS and symbol not in (*_SYMBOLS, "R")]
 
 
-def all_structures(max_gm: int, *, quantization: bool = True) -> list[Structure]:
-    """Return every sum of the terms that `mle` fits which has noise in it, each term once or not at all.
+def all_structures(max_gm: int, *, method: str = "mle", quantization: bool = True) -> list[Structure]:
+    """Return every sum of the terms that a method fits which has noise in it, each term once or not at all.
 
     Up to `max_gm` times those that may stand more than once.
     """
     choices = [
         [(symbol,) * count for count in (range(max_gm + 1) if TERMS[symbol].repeatable else (1, 0))]
-        for symbol in _fitted()
+        for symbol in _fitted(method)
         if quantization or symbol != "Q"
     ]
     every = (tuple(symbol for part in parts for symbol in part) for parts in product(*choices))
@@ -142,13 +142,13 @@ def all_structures(max_gm: int, *, quantization: bool = True) -> list[Structure]
 def richest(structure: Structure | None, max_gm: int) -> Structure:
     """Return a structure that holds every candidate; beside a given one, a term of any slow shape."""
     if structure is None:
-        counts = {symbol: max(max_gm, 1) if TERMS[symbol].repeatable else 1 for symbol in _fitted()}
+        counts = {symbol: max(max_gm, 1) if TERMS[symbol].repeatable else 1 for symbol in _fitted("mle")}
         return tuple(symbol for symbol, count in counts.items() for _ in range(count))
     return in_order((*structure, *{*ALWAYS, GaussMarkov.symbol}.difference(structure)))
 
 
-def _fitted() -> list[str]:
-    return [symbol for symbol, term in TERMS.items() if "mle" in term.fitted_by]
+def _fitted(method: str) -> list[str]:
+    return [symbol for symbol, term in TERMS.items() if method in term.fitted_by]
 
 
 def candidates_of(
