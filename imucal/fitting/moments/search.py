@@ -453,6 +453,14 @@ class _Reader:
         self.inside = np.array([symbol not in absent for symbol in solution.symbols])
         self.timed = np.array([is_timed(symbol) for symbol in solution.symbols])
         self.free = self.inside & (solution.variances > 0)
+        # By the logarithms of the times, 0 for terms without one.
+        ends = [
+            columns(points.m, unit_terms(solution.symbols, solution.times * np.exp(step)))
+            for step in (_STEP, -_STEP)
+        ]
+        self.slopes = weight @ (ends[0] - ends[1]) / (2 * _STEP) * solution.variances
+        influence = self._influence(self.free)
+        self.scatter = influence @ self.spread.at(solution.variances) @ influence.T
 
     def estimate(self, place: int, key: str) -> Estimate:
         """Return the estimate of one term, in SI."""
@@ -473,53 +481,37 @@ class _Reader:
 
     def covariance(self, estimates: Sequence[Estimate]) -> tuple[tuple[str, ...], FloatArray]:
         """Return names and covariance of the parameters in SI of the terms that are estimated."""
-        raw = self._scatter()
         names: list[str] = []
         rows: list[int] = []
         slopes: list[float] = []
         for place, estimate in enumerate(estimates):
             if estimate.value is None:
                 continue
-            own = TERMS[estimate.symbol].parameter_names(estimate.key)
-            names += own
-            rows += self._rows(place, self.free)[: len(own)]
+            names += TERMS[estimate.symbol].parameter_names(estimate.key)
+            rows.append(place)
             slopes.append(estimate.value / (2 * float(self.solution.variances[place])))
             if estimate.correlation_time is not None:
+                rows.append(self.inside.size + place)
                 slopes.append(estimate.correlation_time.value)
-        covariance = raw[np.ix_(rows, rows)] * np.outer(slopes, slopes)
+        covariance = self.scatter[np.ix_(rows, rows)] * np.outer(slopes, slopes)
         return tuple(names), np.asarray(covariance, dtype=np.float64)
 
-    def _rows(self, place: int, free: BoolArray) -> list[int]:
-        """Return where a term's variance and the logarithm of its time stand among what is free."""
-        return [int(free[:place].sum()), int(free.sum() + (free & self.timed)[:place].sum())]
-
-    def _scatter(self) -> FloatArray:
-        """Return the covariance of the free variances, then log times."""
-        rows = self._influence(self.free)
-        return np.asarray(rows @ self.spread.at(self.solution.variances) @ rows.T)
-
     def _influence(self, free: BoolArray) -> FloatArray:
-        """Return what each Allan variance adds to the free variances, then log times, shape (p, k)."""
-        design = np.hstack([self.design[:, free], self.weight @ self._slopes(free & self.timed)])
+        """Return what each Allan variance adds to the p variances, then the logs of the times; (2p, k).
+
+        That is nothing for those that are not `free`, shape (p,).
+        """
+        design = np.hstack([self.design, self.slopes]) * np.concatenate([free, free & self.timed])
         length = np.sqrt(np.einsum("ij,ij->j", design, design))
         length[length == 0] = 1.0
         # Of minimal norm, so that terms the curve can't tell apart give a wide answer, not an error.
         solve = np.linalg.pinv(design / length, rcond=1e-12) @ self.weight
         return np.asarray(solve / length[:, np.newaxis])
 
-    def _slopes(self, timed: BoolArray) -> FloatArray:
-        """Return the derivatives of the model by the log times of some terms, shape (k, t)."""
-        own = [(self.solution.terms[place], place) for place in np.flatnonzero(timed).tolist()]
-        symbols, times = [t.symbol for t, _ in own], np.array([t.values[1] for t, _ in own])
-        later, sooner = (
-            columns(self.points.m, unit_terms(symbols, times * np.exp(step))) for step in (_STEP, -_STEP)
-        )
-        return np.asarray((later - sooner) / (2 * _STEP) * self.solution.variances[timed])
-
     def _time(self, place: int) -> Interval:
         """Return a term's time in s; its logarithm is closer to normal than itself."""
-        row = self._rows(place, self.free)[1]
-        deviation = np.sqrt(self.quantile * self._scatter()[row, row])
+        row = self.inside.size + place
+        deviation = np.sqrt(self.quantile * self.scatter[row, row])
         value = float(self.solution.terms[place].values[1]) * self.points.tau0
         factor = float(np.exp(min(deviation, 50.0)))
         return Interval(value=value, low=value / factor, high=value * factor)
@@ -535,7 +527,7 @@ class _Reader:
             used = self.inside.copy()
             used[place] = True
             value = float(non_negative(self.design[:, used], self.target)[0][used[:place].sum()])
-        own = self._influence(free)[self._rows(place, free)[0]]
+        own = self._influence(free)[place]
 
         def spread_at(trial: float) -> float:
             return float(np.sqrt(own @ self.spread.at(self._others(place, trial)) @ own))
