@@ -19,11 +19,7 @@ IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 #: Annotation of a field -> what its array holds.
-_HELD_AS: dict[object, type[np.generic]] = {
-    FloatArray: np.float64,
-    IntArray: np.int64,
-    BoolArray: np.bool_,
-}
+_HELD_AS: dict[object, Any] = {FloatArray: np.float64, IntArray: np.int64, BoolArray: np.bool_}
 #: Bytes of a line of the cache.
 _LINE = 64
 
@@ -38,23 +34,16 @@ def read_only(array: NDArray[T]) -> NDArray[T]:
 
 
 class ReadOnlyArrays:
-    """A frozen dataclass whose arrays can't be written through, and hold what their annotations say.
-
-    One with checks of its own calls `hold_read_only` before them.
-    """
+    """A frozen dataclass whose arrays can't be written through, and hold what their annotations say."""
 
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        hold_read_only(self)
-
-
-def hold_read_only(value: Any) -> None:  # noqa: ANN401 - any dataclass
-    """Make the arrays of a frozen dataclass read-only views, of the types of its annotations."""
-    for field in fields(value):
-        if field.type in _HELD_AS:
-            array = np.asarray(getattr(value, field.name), dtype=_HELD_AS[field.type])
-            object.__setattr__(value, field.name, read_only(array))
+        value: Any = self
+        for field in fields(value):
+            if field.type in _HELD_AS:
+                array = np.asarray(getattr(self, field.name), dtype=_HELD_AS[field.type])
+                object.__setattr__(self, field.name, read_only(array))
 
 
 def aligned(n: int) -> FloatArray:

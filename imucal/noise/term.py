@@ -270,9 +270,6 @@ class PowerLawTerm(NoiseTerm):
         """Return the variance parameter per sample, in U²."""
         return (self.value * self.per_sample(tau0)) ** 2
 
-    def avar(self, m: FloatArray, tau0: float) -> FloatArray:
-        return self.variance(tau0) * self.law.avar(m)
-
     def structure(self, k: FloatArray, tau0: float) -> FloatArray:
         return self.variance(tau0) * self.law.structure(k)
 
