@@ -160,18 +160,32 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
     """Return the test of each term of a joint fit but the ramp; none for a single record."""
     if len(fit.records) < 2:
         return ()
-    problem, fitted = fit.problem, fit.whole
+    from scipy.special import chdtrc
+
+    fitted, dof = fit.whole, len(fit.records) - 1
     terms = [(name, column) for name, column in fitted.columns() if column < fitted.candidate.variances]
     parts, logs = _parts(fit, [column for _, column in terms])
     free, common = (parts.fit(common=held) for held in (False, True))
-    drops = np.sum(common.objective - free.objective, axis=1)
     tests = []
     for row, (name, column) in enumerate(terms):
         key = name.partition(".")[0]
-        told = free.information[row] > _NONE
-        half = (logs[column] + free.logs[row, :, 0]) / 2
-        error = 0.5 / np.sqrt(np.where(told, free.information[row], 0.0) + 1e-300)
-        tests.append(_test(problem, key, float(drops[row]), np.where(told, np.exp(half), 0.0), error))
+        symbol, information = symbol_of(key), free.information[row]
+        surplus = fit.problem.widening.get(symbol, 1.0) ** 2
+        statistic = max(2 * float(np.sum(common.objective[row] - free.objective[row])) / surplus, 0.0)
+        deviations = np.where(information > _NONE, np.exp((logs[column] + free.logs[row, :, 0]) / 2), 0.0)
+        with np.errstate(divide="ignore"):
+            errors = 0.5 * np.sqrt(surplus / np.where(information > _NONE, information, 0.0))
+        tests.append(
+            RecordTest(
+                key=key,
+                symbol=symbol,
+                statistic=statistic,
+                dof=dof,
+                p_value=float(chdtrc(dof, statistic)),
+                values=fit.problem.deviation(symbol) * deviations,
+                log_deviations=errors,
+            )
+        )
     return tuple(tests)
 
 
@@ -203,23 +217,6 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
         held=np.zeros((len(columns), owner.size)),
     )
     return parts, theta[0, : candidate.variances] + np.log(factor)
-
-
-def _test(problem: Problem, key: str, drop: float, peaks: FloatArray, errors: FloatArray) -> RecordTest:
-    from scipy.special import chdtrc
-
-    symbol = symbol_of(key)
-    surplus = problem.widening.get(symbol, 1.0) ** 2
-    statistic = max(2 * drop / surplus, 0.0)
-    return RecordTest(
-        key=key,
-        symbol=symbol,
-        statistic=statistic,
-        dof=peaks.size - 1,
-        p_value=float(chdtrc(peaks.size - 1, statistic)),
-        values=problem.deviation(symbol) * peaks,
-        log_deviations=np.sqrt(surplus) * errors,
-    )
 
 
 #: Most steps of a search for squared coefficients.

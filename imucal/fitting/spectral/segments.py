@@ -18,10 +18,10 @@ from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.homogeneity import bartlett_correction, cochran_q, homogeneity
 from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
-from imucal.fitting.spectral.bounds import COLUMN
+from imucal.fitting.spectral.bounds import COLUMN, behind_filter
 from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.estimates import Fitted, Problem, quantile
-from imucal.fitting.spectral.likelihood import candidates_of, derivatives
+from imucal.fitting.spectral.likelihood import derivatives
 from imucal.fitting.spectral.lines import left_out, outside
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
 from imucal.fitting.spectral.scoring import bounds
@@ -231,14 +231,8 @@ class _Tests:
     def __init__(self, problem: Problem, fitted: Fitted, segments: SegmentOrdinates) -> None:
         self.problem, self.segments = problem, segments
         absent = [COLUMN[symbol] for symbol in fitted.missing]
-        old = fitted.candidate
-        candidate = candidates_of(
-            [in_order((*fitted.structure, *fitted.missing))],
-            (),
-            poles=int(old.poles[0]),
-            zeros=int(old.zeros[0]),
-            room_shaped=old.room,
-        )
+        structure = in_order((*fitted.structure, *fitted.missing))
+        candidate = behind_filter(problem, fitted, structure, fitted.candidate.room)
         theta = fitted.maximum.theta.copy()
         low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
         theta[:, absent] = low[absent]
