@@ -109,8 +109,7 @@ def non_negative(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, fl
 
     Notes
     -----
-    Most often no variable of the ordinary solution is negative, and it is the answer. Of more variables
-    than rows, those that add next to nothing stay at zero.
+    Mostly the ordinary solution has none below zero. Of more variables than rows, few rise above it.
 
     Source: Lawson & Hanson (1974), "Solving least squares problems", ch. 23.
     """

@@ -11,6 +11,7 @@ from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.noise.model import NoiseModel
+from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 
@@ -175,6 +176,11 @@ class Estimate:
     def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":
         """Return the estimate of a term that the data do not show: below `high`."""
         return cls(key=key, symbol=symbol, status="bounded", value=None, low=0.0, high=high)
+
+    def term(self, coefficient: float) -> NoiseTerm:
+        """Return the term with this coefficient, in SI, and the estimate's correlation time."""
+        time = self.correlation_time
+        return TERMS[self.symbol].of(coefficient, *([time.value] if time else []))
 
     def __post_init__(self) -> None:
         if (self.value is None) != (self.status == "bounded"):

@@ -365,10 +365,7 @@ def model_of(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) 
     ramp = float(fitted.maximum.beta[0, 0]) * problem.deviation("R")
     return NoiseModel(
         terms=tuple(
-            TERMS[found.symbol].of(
-                ramp if found.symbol == "R" else found.value,
-                *([found.correlation_time.value] if found.correlation_time else []),
-            )
+            found.term(ramp if found.symbol == "R" else found.value)
             for found in estimates
             if found.value is not None
         )
