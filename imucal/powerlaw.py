@@ -76,7 +76,6 @@ class PowerLaw(Enum):
 
     def avar(self, m: FloatArray) -> FloatArray:
         """Return the exact Allan variance at averaging factors `m`, shape (k,)."""
-        m = np.asarray(m, dtype=np.float64)
         return (4 * self.sum_variance(m) - self.sum_variance(2 * m)) / (2 * m * m)
 
     def psd(self, omega: FloatArray) -> FloatArray:
