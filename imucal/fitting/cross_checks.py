@@ -223,7 +223,7 @@ _LOWEST = 8
 _CONTRADICTED = 5.0
 #: Bins this many standard deviations, and this factor, from the model are what the curve hid; fewer than
 #: so many are a line, which the screening names.
-_FAR, _NOTABLE, _LEAST_BINS = 3.0, 1.3, 3
+_HIDDEN, _NOTABLE, _LEAST_BINS = 3.0, 1.3, 3
 #: Of the logarithm of the density: what the estimates' own errors may make.
 _TOLERANCE = 0.05
 
@@ -258,7 +258,7 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     frequency, count = spectrum.frequency[used], spectrum.count[used]
     ratio = spectrum.psd[used] / density[used]
     score = _score(ratio, count)
-    far = (np.abs(score) > _FAR) & (np.abs(np.log(ratio)) > math.log(_NOTABLE))
+    far = (np.abs(score) > _HIDDEN) & (np.abs(np.log(ratio)) > math.log(_NOTABLE))
     together = float(np.sum(score**2 - 1)) / math.sqrt(2 * max(score.size, 1))
     if together < _CONTRADICTED or far.sum() < _LEAST_BINS:
         return ()
