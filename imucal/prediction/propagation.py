@@ -11,21 +11,24 @@ approach", Statistics in Medicine 27, 1693.
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from statistics import NormalDist
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.noise.terms import TERMS, GaussMarkov, term_keys
 
 #: What is asked of a term: a value, or one for each time or frequency, linear in its coefficient's square.
 Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
 
 #: A coast, and the rest before it, are made of so many blocks at least; both together of at most so many.
 _BLOCKS, _MOST_BLOCKS = 120, 1 << 18
+#: Most sizes of a block that are tried: among so many, one leaves less than 1e-3 over.
+_TRIED = 50
 #: A correlation time's lower limit counts down to this share of it: below, the term is white noise.
 _SHORTEST_TIME = 1 / 30
 #: Integrals of a rate that an error is: the sensor once, twice, three times.
@@ -71,8 +74,8 @@ class _Excursion(NamedTuple):
 
 
 def modelled(fit: NoiseFit, of: Quantity) -> FloatArray:
-    """Return a quantity of the fitted model, shape as `of` gives it: bounded terms count as 0."""
-    shown = [of(_term(e, e.value)) for e in fit.estimates if e.value is not None]
+    """Return a quantity of the fitted model, shape as `of` gives it; a term that is not in it counts as 0."""
+    shown = [of(_term(e, e.value)) for e in _held(fit) if e.value is not None]
     return np.sum(shown, axis=0) if shown else 0.0 * of(TERMS["N"].of(0.0))
 
 
@@ -135,12 +138,12 @@ def coasting_variance(
 
 
 def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, integrals: int) -> float:
-    size = max(
-        1,
-        round(min(coast_s, rest_s) * rate_hz / _BLOCKS),
-        math.ceil((coast_s + rest_s) * rate_hz / _MOST_BLOCKS),
-    )
-    resting, coasting = (max(1, round(t * rate_hz / size)) for t in (rest_s, coast_s))
+    coast, rest = (max(1, round(t * rate_hz)) for t in (coast_s, rest_s))
+    largest = max(1, round(min(coast, rest) / _BLOCKS), math.ceil((coast + rest) / _MOST_BLOCKS))
+    # Of the sizes down to half of it, the one of which both are whole blocks most nearly.
+    sizes = range(largest, largest // 2, -1)[:_TRIED]
+    size = min(sizes, key=lambda size: sum(abs(round(n / size) * size - n) / n for n in (coast, rest)))
+    resting, coasting = (max(1, round(n / size)) for n in (rest, coast))
     blocks = resting + coasting
     # The sums of blocks have these covariances, up to a constant that weights of sum zero do not see.
     V = term.sum_variance(np.arange(blocks + 1.0) * size, 1 / rate_hz) / rate_hz**2
@@ -153,6 +156,29 @@ def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, in
     circulant = np.concatenate([covariance, np.zeros(length - 2 * blocks + 1), covariance[:0:-1]])
     power = np.abs(np.fft.rfft(weights, length)) ** 2 * np.fft.rfft(circulant).real
     return max(float(power[0] + 2 * power[1:-1].sum() + power[-1]) / length, 0.0)
+
+
+def _held(fit: NoiseFit) -> Iterator[Estimate]:
+    """Yield the estimates, a bounded one that the model holds with the model's value.
+
+    Its interval reaches zero, so a table prints a bound; but the model without it would be less likely.
+    """
+    held = dict(zip(term_keys(term.symbol for term in fit.model.terms), fit.model.terms, strict=True))
+    for estimate in fit.estimates:
+        term = held.get(estimate.key)
+        if estimate.value is not None or term is None or not math.isfinite(estimate.high):
+            yield estimate
+            continue
+        time = estimate.correlation_time or next(
+            (Interval(value=t, low=t, high=t) for t in term.values[1:]), None
+        )
+        yield replace(
+            estimate,
+            status="estimated",
+            value=term.coefficient,
+            high=max(estimate.high, term.coefficient),
+            correlation_time=time,
+        )
 
 
 def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> NoiseTerm:
@@ -169,7 +195,7 @@ def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> 
 
 def _raised(fit: NoiseFit, of: Quantity, caution: Caution) -> Iterator[_Excursion]:
     """Yield how far each term moves a quantity up."""
-    for estimate in fit.estimates:
+    for estimate in _held(fit):
         if estimate.value is None:
             if caution.bounded and 0 < estimate.high < math.inf:
                 yield _Excursion(None, caution.bounded * of(_term(estimate, estimate.high)))
@@ -185,7 +211,7 @@ def _raised(fit: NoiseFit, of: Quantity, caution: Caution) -> Iterator[_Excursio
 
 def _lowered(fit: NoiseFit, of: Quantity) -> Iterator[_Excursion]:
     """Yield how far each term moves a quantity down."""
-    for estimate in fit.estimates:
+    for estimate in _held(fit):
         if estimate.value is None:
             continue
         value = of(_term(estimate, estimate.value))
