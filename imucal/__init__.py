@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from imucal.recording import AxisSeries, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
     from imucal.report.exports import export
+    from imucal.report.given import model_as_report
     from imucal.rests import at_rest
 
 __all__ = [
@@ -95,6 +96,7 @@ __all__ = [
     "load_fleet",
     "load_report",
     "log_values",
+    "model_as_report",
     "plan",
     "pool",
     "population",
@@ -131,6 +133,7 @@ _HOMES = {
     "imucal.rests": ("at_rest",),
     "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),
     "imucal.report.exports": ("export",),
+    "imucal.report.given": ("model_as_report",),
 }
 
 # Now, as the libraries beneath ask only once how many threads they may start.

@@ -9,16 +9,17 @@ itself whether N, B and K are there.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import named_terms, relative_deviations
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
-from imucal.report.result import Report
+from imucal.report.result import AxisReport, Report
 from imucal.solvers import root, root_near
 
 #: The level of an interval of one standard deviation to each side.
@@ -157,8 +158,10 @@ def plan(
 
     if isinstance(source, Report):
         axes = tuple(
-            replace(_fit_plan(axis.fit, ask(axis.rate_hz, axis.duration_s)), axis=axis.name)
-            for axis in source.axes
+            replace(
+                _fit_plan(axis.fit, ask(axis.rate_hz, axis.duration_s if axis.samples else None)), axis=name
+            )
+            for name, axis in _once_each(source)
         )
     elif isinstance(source, NoiseFit):
         axes = (_fit_plan(source, ask(source.rate_hz, None)),)
@@ -168,6 +171,15 @@ def plan(
     else:
         axes = (_axis_plan(source, [(term, False) for term in source.terms], ask(rate_hz, None)),)
     return Plan(precision=precision, level=level, axes=axes)
+
+
+def _once_each(report: Report) -> Iterator[tuple[str, AxisReport]]:
+    """Yield a report's axes by name; those of a sensor that share one model as one, by the sensor's."""
+    for sensor, axes in report.by_sensor.items():
+        if len(axes) > 1 and all(axis.fit is axes[0].fit for axis in axes):
+            yield sensor.short, axes[0]
+        else:
+            yield from ((axis.name, axis) for axis in axes)
 
 
 def resolution_findings(fit: NoiseFit, duration_s: float, *, precision: float = 0.1) -> tuple[Finding, ...]:
@@ -208,19 +220,14 @@ def _two_digits(value: float) -> str:
 
 def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
     """Return the needs of the terms that a fit estimated, and of those it bounded, at their bounds."""
-    seen = [(_term(e, e.value), False) for e in fit.estimates if e.value]
+    seen = [(e.term(e.value), False) for e in fit.estimates if e.value]
     unseen = [
-        (_term(e, e.high), True)
+        (e.term(e.high), True)
         for e in fit.estimates
         if e.value is None and not TERMS[e.symbol].repeatable and 0 < e.high < math.inf
     ]
     model = NoiseModel(terms=tuple(term for term, _ in seen))
     return replace(_axis_plan(model, seen + unseen, ask), sensor=fit.sensor)
-
-
-def _term(estimate: Estimate, value: float) -> NoiseTerm:
-    time = estimate.correlation_time
-    return TERMS[estimate.symbol].of(value, *([time.value] if time else []))
 
 
 def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:

@@ -20,7 +20,6 @@ from imucal.noise.term import (
     Stroke,
     Words,
     draw_flicker,
-    gauss_markov_avar,
     gauss_markov_dct,
     gauss_markov_sum,
     require_non_negative,
@@ -123,8 +122,6 @@ class RateRandomWalk(PowerLawTerm):
     units = ("rad/s/sqrt(s)", "m/s^2/sqrt(s)")
     datasheet = ("deg/h/sqrt(h)", "m/s^2/sqrt(h)")
     divisors: ClassVar[dict[str, float]] = {"/sqrt(s)": 1.0, "/sqrt(h)": 1 / 60}
-    # As Kalibr and OpenVINS spell it.
-    spellings = ("rad/s^2/sqrt(Hz)", "m/s^3/sqrt(Hz)")
     slope = 0.5
     always = True
     stroke = Stroke("#a63c78", "#ee8fc4", (10, 3))
@@ -229,9 +226,6 @@ class GaussMarkov(NoiseTerm):
     def q(self, tau0: float) -> float:
         """Return the standard deviation of the driving noise per sample, in U."""
         return float(self.sigma * np.sqrt(-np.expm1(-2 * tau0 / self.T)))
-
-    def avar(self, m: FloatArray, tau0: float) -> FloatArray:
-        return self.sigma**2 * gauss_markov_avar(np.asarray(m, np.float64), tau0 / self.T)
 
     def structure(self, k: FloatArray, tau0: float) -> FloatArray:
         lags = np.abs(np.asarray(k, dtype=np.float64))
