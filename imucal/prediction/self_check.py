@@ -19,6 +19,7 @@ Source: Rutman & Walls (1991), Proc. IEEE 79, 952 (the Allan variance as an inte
 
 import math
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -40,8 +41,8 @@ _HIGHEST = 3.0
 _FINE, _BELOW = 4.0, 4.0
 #: Where samples are missing a block has so many places or more, of which one in so many is filled.
 _SPARSE = 4
-#: A score that is reported.
-_FAR = 3.0
+#: Share of records of the fitted kind in which chance may make any of the scores one that is reported.
+_CHANCE = 0.01
 #: A prediction is at least this share of the fitted model's: least squares may make it negative.
 _LEAST = 0.05
 #: So many bins about a line, which the fit leaves out, are left out.
@@ -101,7 +102,7 @@ def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...
         halves = [_without_ramp(half) for half in halves]
     seen = [_Half(spectrum(half), fit, np.array(times), half.tau0, highest) for half in halves]
     return tuple(
-        Prediction(half=number, time_s=t, predicted=math.sqrt(p), observed=math.sqrt(o), score=z)
+        Prediction(half=number, time_s=t, predicted=math.sqrt(p), observed=math.sqrt(o), score=float(z))
         for number, (one, other) in enumerate((seen[::-1], seen), 1)
         for t, p, o, z in zip(times, *_held(one, other), strict=True)
     )
@@ -123,8 +124,10 @@ def self_check(
     """
     if fit.taken_out:
         series = without_disturbances(series, fit, temperature)
-    worst = max(half_predictions(series, fit), key=lambda one: abs(one.score), default=None)
-    if worst is None or abs(worst.score) <= _FAR:
+    found = half_predictions(series, fit)
+    worst = max(found, key=lambda one: abs(one.score), default=None)
+    # Bonferroni's bound: the scores of neighbouring times are alike.
+    if worst is None or abs(worst.score) <= -NormalDist().inv_cdf(_CHANCE / 2 / len(found)):
         return ()
     names = ("first", "second")
     one, other = names[worst.half - 1], names[2 - worst.half]
