@@ -1,13 +1,14 @@
 """A fleet run by a call: what `imucal fleet run` does, without its lines."""
 
 import math
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from imucal.fleet.store import FleetStore
 from imucal.fleet_report import Fleet, load_fleet
 from imucal.fleet_run.logs import LabelPattern
-from imucal.fleet_run.on_dask import Engine
+from imucal.fleet_run.on_dask import unprotected
 from imucal.fleet_run.plan import (
     LEAST_MEMORY,
     LEVEL,
@@ -73,11 +74,12 @@ def run_fleet(
         Terms, and confidence level of every interval: by default those that the folder has, else
         ``N + B + K`` and 0.95.
     jobs
-        Workers of a cluster on this machine, by Dask; by default one a processor.
+        How many logs are done at a time, each in a process of its own; by default one a processor.
     scheduler
-        Address of a Dask scheduler, whose workers are taken instead.
+        Address of a Dask scheduler, whose workers are taken instead; a warning says where others may
+        reach it.
     shard
-        ``(i, n)``: do part i of n, from 1, log by log and without Dask; ``(1, 1)`` is all of it.
+        ``(i, n)``: do part i of n, from 1, log by log; ``(1, 1)`` is all of it.
     memory
         Bytes that a log may take, or a text such as ``2GB``; by default 80 % of the machine's, shared by
         the workers.
@@ -106,7 +108,7 @@ def run_fleet(
     ManifestError
         If the manifest, or a label in a path, is wrong.
     EngineError
-        If Dask is missing, or its workers can't be reached or are gone; what is done is kept.
+        If the workers of a `scheduler` can't be reached or are gone; what is done is kept.
     WriteError
         If the folder can't be written.
     DataError
@@ -141,9 +143,16 @@ def run_fleet(
     plan = plan_fleet(asked, settings, None if fresh else store, reading=as_json(reading or {}))
     plan = plan.shard(*shard) if shard else plan
     prepare(store, plan, settings, fresh=fresh)
-    engine = None if shard else Engine(address=scheduler, jobs=workers, memory=settings.memory)
+    if scheduler and (said := unprotected(scheduler)):
+        warnings.warn(said, stacklevel=2)
     tell = progress or (lambda _, __: None)
-    run_plan(plan, settings, engine=engine, tell=lambda count: tell(count.done, count.logs))
+    run_plan(
+        plan,
+        settings,
+        workers=workers,
+        scheduler=scheduler,
+        tell=lambda count: tell(count.done, count.logs),
+    )
     return load_fleet(folder)
 
 

@@ -134,10 +134,14 @@ def children_of(pid: int) -> list[psutil.Process]:
     return found
 
 
-def workers_of(pid: int) -> list[psutil.Process]:
-    """Return the workers of a run: the parents of the processes that do logs."""
-    parents = [child.parent() for child in children_of(pid)]
-    return [parent for parent in parents if parent is not None and parent.pid != pid]
+def workers_of(folder: Path) -> list[psutil.Process]:
+    """Return the workers of a cluster that do logs of a folder: parents of those that read them."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            if CHILD in " ".join(process.cmdline()) and process.cwd() == str(folder):
+                found.append(process.parent())
+    return [worker for worker in found if worker is not None]
 
 
 def left_over(folder: Path) -> list[int]:

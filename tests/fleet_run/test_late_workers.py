@@ -35,12 +35,12 @@ class Played:
             self.restarted.append(worker)
 
 
-def run_of(client: Played) -> DaskRun:
+def run_of(client: Played) -> DaskRun[list[LogTask], list[object]]:
     """Return a run whose batches may take ten seconds."""
     return DaskRun(cast("Any", client), "here", lambda _: [], lambda _: 10.0)
 
 
-def late_run(client: Played, *, begun_at: str) -> DaskRun:
+def late_run(client: Played, *, begun_at: str) -> DaskRun[list[LogTask], list[object]]:
     """Return a run with one batch in hand, which a worker began long ago."""
     run = run_of(client)
     run.submit(BATCH)
