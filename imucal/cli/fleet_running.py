@@ -151,7 +151,7 @@ def command(
     from imucal.fleet_run.fleet_call import fleet_settings, prepare
     from imucal.fleet_run.on_dask import unprotected
     from imucal.fleet_run.plan import as_json
-    from imucal.fleet_run.running import run_plan
+    from imucal.fleet_run.running import asking, run_plan
 
     if shard and scheduler:
         msg = "--shard works without a cluster; give --shard or --scheduler, not both"
@@ -173,6 +173,10 @@ def command(
     except ValueError as error:
         msg = f"{error}; choose another folder with -o, or start anew with --fresh"
         raise click.UsageError(msg) from error
+    if dry_run:
+        store.refuse_damage()
+    for part in () if fresh or dry_run else store.mend():
+        say(f"{part}: is damaged; what it held is done again", quiet=quiet)
     entries = _entries(store, logs, manifest, labels, quiet=quiet)
     options = {**reading, "topic": topic, "skip_s": skip_s, "take_s": take_s, "strict": strict}
     plan = plan_fleet(entries, settings, None if fresh else store, reading=as_json(options))
@@ -181,14 +185,14 @@ def command(
         print_plan(plan, workers)
         return
     prepare(store, plan, settings, fresh=fresh)
-    for part in store.damaged():
-        say(f"{part}: was cut off; its logs are done again", quiet=quiet)
     say_plan(plan, store, quiet=quiet)
     if scheduler and (warned := unprotected(scheduler)):
         say(f"warning: {warned}")
-    with _saying_how_to_go_on(ctx, out), fleet_progress(quiet=quiet or not plan.tasks) as progress:
-        run_plan(plan, settings, workers=workers, scheduler=scheduler, tell=progress or (lambda _: None))
-    conclude(ctx, store, plan, out, max_failed=max_failed, quiet=quiet)
+    ask = asking(settings, workers=workers, scheduler=scheduler)
+    with _saying_how_to_go_on(ctx, out):
+        with fleet_progress(quiet=quiet or not plan.tasks) as progress:
+            run_plan(plan, settings, workers=workers, scheduler=scheduler, tell=progress or (lambda _: None))
+        conclude(ctx, store, plan, out, ask=ask, max_failed=max_failed, quiet=quiet)
 
 
 @contextlib.contextmanager

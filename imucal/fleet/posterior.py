@@ -45,6 +45,9 @@ _NOTHING = 16.0
 _TINY, _LARGEST = math.exp(-690), 600.0
 #: Units whose terms are added at a time.
 _CHUNK = 2048
+#: Points of the law of the next unit, and of the next log; points of the posterior that are less probable
+#: than this, against the most probable, say nothing of the latter.
+_GRID, _UNLIKELY = 801, 1e-7
 #: Points of the predictive law that a weak unit is judged by.
 _DRAWS = 4000
 #: Its multiples fill the unit interval evenly, in an order that has nothing to do with theirs.
@@ -141,6 +144,38 @@ def _blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
     return result
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NextLog:
+    """Where a log of a unit that was not seen lies, its own error aside.
+
+    Attributes
+    ----------
+    low, high
+        Ends of an even grid of logarithms of the coefficient.
+    below
+        The chance of less, at each point of the grid.
+    """
+
+    low: float
+    high: float
+    below: tuple[float, ...]
+
+    def p_value(self, new: LogValues) -> float:
+        """Return the two-sided chance of one log like this."""
+        from scipy.special import ndtr
+
+        ends, step = np.linspace(self.low, self.high, len(self.below), retstep=True)
+        at, weight = ends[1:] - step / 2, np.diff(self.below)
+        if new.narrow.all():
+            # Between two points of the grid what is there lies evenly.
+            error = np.hypot(new.deviation[0], step / math.sqrt(12))
+            less = ndtr((new.centre[0] - at) / error)
+        else:
+            less = new.squares.below(np.exp(2 * np.minimum(at, _LARGEST / 2)))[0]
+        chance = float(less @ weight) / float(weight.sum())
+        return 2 * min(chance, 1 - chance)
+
+
 @dataclass(frozen=True, slots=True)
 class Posterior:
     """Weights on a grid of omega, tau and mu, broadcast against each other; they add up to one."""
@@ -167,9 +202,23 @@ class Posterior:
         keep = weight > math.exp(-_NOTHING) * weight.max()
         mu, tau = (np.broadcast_to(x, self.weight.shape)[0][keep] for x in (self.mu, self.tau))
         reach = 6 * float(tau.max())
-        grid = np.linspace(float(mu.min()) - reach, float(mu.max()) + reach, 801)
+        grid = np.linspace(float(mu.min()) - reach, float(mu.max()) + reach, _GRID)
         below = ndtr((grid[:, None] - mu) / tau) @ weight[keep] / weight[keep].sum()
         return np.interp(at, below, grid)
+
+    def next_log(self) -> NextLog:
+        """Return where a log of a unit that was not seen lies."""
+        from scipy.special import ndtr
+
+        keep = self.weight > _UNLIKELY * self.weight.max()
+        mu = np.broadcast_to(self.mu, self.weight.shape)[keep]
+        wide = np.broadcast_to(np.hypot(self.tau, self.omega), self.weight.shape)[keep]
+        weight = self.weight[keep] / self.weight[keep].sum()
+        reach = 6 * float(wide.max())
+        low, high = float(mu.min()) - reach, float(mu.max()) + reach
+        # A point at a time: all of them would take more memory than the posterior itself.
+        below = [float(ndtr((point - mu) / wide) @ weight) for point in np.linspace(low, high, _GRID)]
+        return NextLog(low=low, high=high, below=tuple(below))
 
     def p_value(self, centre: FloatArray, variance: FloatArray) -> float:
         """Return the two-sided chance of a new unit's logarithm `centre`, known with a normal error.

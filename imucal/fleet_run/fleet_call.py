@@ -22,7 +22,7 @@ from imucal.fleet_run.plan import (
     plan_fleet,
     stored_logs,
 )
-from imucal.fleet_run.running import run_plan
+from imucal.fleet_run.running import asking, run_plan
 from imucal.noise import parse_structure, structure_text
 from imucal.resources import memory_there_is, parse_size, threads
 
@@ -104,7 +104,9 @@ def run_fleet(
     ValueError
         If an argument can't be meant, or the folder holds fits of another model or level.
     ReadError
-        If no log has such a name, or the folder is damaged.
+        If no log has such a name.
+    StoreError
+        If what the folder has to be done, its manifest or its settings, is damaged.
     ManifestError
         If the manifest, or a label in a path, is wrong.
     EngineError
@@ -139,6 +141,8 @@ def run_fleet(
         reports=reports,
         shard=shard,
     )
+    if not fresh:
+        store.mend()
     asked = _asked(store, logs, manifest, labels)
     plan = plan_fleet(asked, settings, None if fresh else store, reading=as_json(reading or {}))
     plan = plan.shard(*shard) if shard else plan
@@ -153,7 +157,7 @@ def run_fleet(
         scheduler=scheduler,
         tell=lambda count: tell(count.done, count.logs),
     )
-    return load_fleet(folder)
+    return load_fleet(folder, ask=asking(settings, workers=workers, scheduler=scheduler))
 
 
 def _refuse_slips(reports: str, **given: float | None) -> None:
@@ -217,7 +221,7 @@ def fleet_settings(
     ValueError
         If the fleet that is there has another model or level: it has one structure for all of its logs.
     """
-    kept = store.settings() if store.exists and not fresh else {}
+    kept = {} if fresh else store.settings()
     asked = {"model": model, "level": level}
     given = {name: value for name, value in asked.items() if value is not None}
     for name, value in given.items():
@@ -245,8 +249,11 @@ def prepare(store: FleetStore, plan: FleetPlan, settings: FleetSettings, *, fres
     WriteError
         If it can't be written.
     """
+    kept: dict[str, object] = {"model": settings.model, "level": settings.level}
     if fresh and store.exists:
+        # They tell whose folder it is, once it has no manifest.
+        store.keep_settings(kept)
         store.clear()
     store.create()
-    store.keep_settings({"model": settings.model, "level": settings.level})
+    store.keep_settings(kept)
     store.add_to_manifest(plan.manifest())

@@ -21,9 +21,18 @@ from typing import Any, TypeVar, cast
 from imucal._version import __version__
 from imucal.errors import DataError, ImucalError
 from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
+from imucal.fleet_report.answers import Ask, Question, answer_texts
 from imucal.fleet_run.logs import at_hand, content_at, edge_at
 from imucal.fleet_run.on_dask import Lost, outcomes
-from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask, batches, has_failed
+from imucal.fleet_run.plan import (
+    PATIENCE,
+    FleetPlan,
+    FleetSettings,
+    LogDone,
+    LogTask,
+    batches,
+    has_failed,
+)
 from imucal.processes import Answer, ChildProcess
 from imucal.readers.remote_logs import LocalLogs
 from imucal.recording import Recording
@@ -33,6 +42,8 @@ from imucal.resources import MEMORY, POOLS, THREADS
 BATCH_S, OWN_BATCH_S = 30.0, 10.0
 #: Seconds after the time of its logs in which a worker must have committed a batch.
 _MARGIN_S = 60.0
+#: Questions that are handed out at a time.
+_QUESTIONS = 4
 #: How often a log is tried whose process ends: another one may have ended it.
 _ATTEMPTS = 2
 #: What Rust and C++ write where an allocation fails, before they end the process.
@@ -145,6 +156,39 @@ def _outcomes(
         work = partial(_on_worker, settings=settings)
         return outcomes(take, work, address=scheduler, patience=patience)
     return here(take, lambda batch, child: work_on_batch(batch, settings, child), settings, workers)
+
+
+def asking(settings: FleetSettings, *, workers: int = 1, scheduler: str | None = None) -> Ask:
+    """Return what has a fleet's questions answered by those who did its logs.
+
+    What they do not answer, as where a process ends, is left to who asked.
+    """
+
+    def ask(questions: Sequence[Question]) -> list[str | None]:
+        waiting = iter(range(0, len(questions), _QUESTIONS))
+        found: list[str | None] = [None] * len(questions)
+
+        def take() -> list[Question] | None:
+            first = next(waiting, None)
+            return None if first is None else list(questions[first : first + _QUESTIONS])
+
+        def in_child(batch: list[Question], child: ChildProcess) -> list[str] | Lost:
+            seconds = PATIENCE * len(batch)
+            answer = child.ask(answer_texts, batch, seconds=seconds, memory=settings.memory)
+            return cast("list[str]", answer.value) if answer.outcome == "done" else Lost(status="", reason="")
+
+        done: Iterator[tuple[list[Question], list[str] | Lost]] = (
+            outcomes(take, answer_texts, address=scheduler, patience=lambda batch: PATIENCE * len(batch))
+            if scheduler
+            else here(take, in_child, settings, workers)
+        )
+        places = {id(question): place for place, question in enumerate(questions)}
+        for batch, texts in done:
+            for question, text in () if isinstance(texts, Lost) else zip(batch, texts, strict=True):
+                found[places[id(question)]] = text
+        return found
+
+    return ask
 
 
 def here(

@@ -65,10 +65,16 @@ class Bench:
         """Run to the end."""
         return ended(self.start(name, *arguments, logs=logs, limit=limit))
 
+    def read(self, command: str, name: str) -> Ended:
+        """Run ``imucal fleet report`` or another command that reads a fleet."""
+        return self._type("imucal", "fleet", command, name)
+
     def type_again(self, said: str) -> Ended:
         """Type the command that a run printed to go on with."""
         line = next(line for line in said.splitlines() if "to go on: " in line)
-        words = shlex.split(line.partition("to go on: ")[2])
+        return self._type(*shlex.split(line.partition("to go on: ")[2]))
+
+    def _type(self, *words: str) -> Ended:
         assert words[0] == "imucal"
         done = subprocess.run(  # noqa: S603 - our own command
             [sys.executable, "-m", *words],
