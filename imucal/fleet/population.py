@@ -258,7 +258,7 @@ def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
     told = units.normal.copy()
     theta = units.theta
     for unit, curve in zip(np.flatnonzero(~units.normal).tolist(), units.weak, strict=True):
-        inside = theta[curve > curve.max() - _TWO_SIDED**2 / 2]
+        inside = theta[curve > math.exp(-(_TWO_SIDED**2) / 2)]
         middle[unit], low[unit], high[unit] = theta[curve.argmax()], inside[0], inside[-1]
         told[unit] = inside[0] > theta[0]
     columns = (told, *np.exp([low, middle, high]), np.bincount(values.unit))

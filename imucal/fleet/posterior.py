@@ -43,8 +43,6 @@ _LITTLE = 1e-4
 _NOTHING = 16.0
 #: They keep finite the logarithm of a probability that underflows, and the exponential of what is larger.
 _TINY, _LARGEST = math.exp(-690), 600.0
-#: Units whose terms are added at a time.
-_CHUNK = 2048
 #: Points of the law of the next unit, and of the next log; points of the posterior that are less probable
 #: than this, against the most probable, say nothing of the latter.
 _GRID, _UNLIKELY = 801, 1e-7
@@ -74,9 +72,9 @@ class UnitLikelihoods:
     """Likelihoods of the units' coefficients, where logs of one unit scatter by `omega`.
 
     Units that are `normal` have a `centre` and a `deviation`, shape (units,); `constant` is the logarithm of
-    what that leaves out: the scatter of logs about their units. Of the others these are for weights only, and
-    hold `about` a logarithm; their log-likelihoods are `weak`, shape (weak units, points), at the logarithms
-    `theta`, shape (points,).
+    what all of this leaves out: the scatter of logs about their units, and the peaks of the others. Of those
+    `centre` and `deviation` are for weights only, and hold `about` a logarithm; their likelihoods against
+    their peaks are `weak`, shape (weak units, points), at the logarithms `theta`, shape (points,).
     """
 
     omega: float
@@ -103,15 +101,17 @@ def unit_likelihoods(logs: LogValues, omega: float, place: Place) -> UnitLikelih
     )
     reach = min(9 * place.scale, _DEEPEST)
     theta = np.linspace(place.centre - _DEEPEST - reach, place.centre + reach + 3 * place.scale, _POINTS)
+    weak = _on_grid(logs, ~normal, theta, omega)
+    peaks = weak.max(axis=1, keepdims=True)
     return UnitLikelihoods(
         omega=omega,
         about=place.centre,
         normal=normal,
         centre=centre,
         deviation=1 / np.sqrt(np.maximum(total, 1e-300)),
-        constant=constant,
+        constant=constant + float(peaks.sum()),
         theta=theta,
-        weak=_on_grid(logs, ~normal, theta, omega),
+        weak=np.exp(weak - peaks),
     )
 
 
@@ -325,19 +325,9 @@ def _log_posterior(
     squares = np.sum(y * y / v, axis=1)[:, None] - 2 * offset * first + offset**2 * second
     result = units.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
     if blurs:
-        result += [_weak_part(units, matrix) for matrix in blurs]
+        result += [np.log(matrix @ units.weak.T + _TINY).sum(axis=1) for matrix in blurs]
     posterior: FloatArray = result + _prior(units, tau)[:, None] + _prior_of_median(units, mu)
     return posterior
-
-
-def _weak_part(units: UnitLikelihoods, matrix: FloatArray) -> FloatArray:
-    """Return what the units on the grid say of mu, at one tau."""
-    total = np.zeros(matrix.shape[0])
-    for start in range(0, len(units.weak), _CHUNK):
-        some = units.weak[start : start + _CHUNK]
-        top = some.max(axis=1, keepdims=True)
-        total += np.log(matrix @ np.exp(some - top).T + _TINY).sum(axis=1) + top.sum()
-    return total
 
 
 def _prior(units: UnitLikelihoods, tau: FloatArray) -> FloatArray:

@@ -1,7 +1,9 @@
 """Batches of a fleet on a Dask cluster that is there already; what this machine does needs no Dask.
 
 The scheduler only hands out work: what is done is in the store. So a lost scheduler costs what was in hand,
-and nothing waits for ever: connections, workers and batches have times after which they are given up.
+and nothing waits for ever: connections and workers have times after which they are given up, logs have theirs
+in the child processes of the workers, and a worker that froze is given up by the scheduler (Dask's own
+``distributed.scheduler.worker-ttl``).
 """
 
 import ipaddress
@@ -11,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 from urllib.parse import urlsplit
 
 from imucal._version import __version__
@@ -28,8 +30,6 @@ SILENCE_S = 30.0
 WINDOW = 3
 #: Seconds between looks at time limits and at the connection.
 _LOOK_S = 1.0
-#: A topic of events by which workers say what they begin.
-_TOPIC = "imucal-fleet"
 #: Who logs while workers come and go.
 _NOISY = ("distributed", "tornado", "asyncio")
 #: What Dask's client waits for at most.
@@ -44,17 +44,8 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lost:
-    """Why a batch has no result: its worker ended again and again, or took far too long.
+    """Why a batch has no result, in words: its worker ended again and again, or failed."""
 
-    Attributes
-    ----------
-    status
-        ``crash`` or ``timeout``, as in the store.
-    reason
-        In words.
-    """
-
-    status: str
     reason: str
 
 
@@ -78,7 +69,7 @@ def unprotected(address: str) -> str:
 
 
 def outcomes(
-    take: Callable[[], T | None], work: Callable[[T], R], *, address: str, patience: Callable[[T], float]
+    take: Callable[[], T | None], work: Callable[[T], R], *, address: str
 ) -> Iterator[tuple[T, R | Lost]]:
     """Yield each batch with its result, in the order in which they are done.
 
@@ -87,11 +78,10 @@ def outcomes(
     take
         Returns the next batch, or None where there is none now; more may come of those that were lost.
     work
-        What a worker does with a batch; a function of a module, which may be a `functools.partial`.
+        What a worker does with a batch, in a time that it holds itself; a function of a module, which may be
+        a `functools.partial`.
     address
         Of the scheduler of those who do it.
-    patience
-        Seconds after which the worker of a batch is taken for dead: more than the work itself allows.
 
     Raises
     ------
@@ -99,34 +89,22 @@ def outcomes(
         If dask is missing, or the scheduler or all workers can't be reached or are gone.
     """
     with dask_client(address) as client:
-        yield from DaskRun(client, address, work, patience).outcomes(take)
-
-
-@dataclass(slots=True)
-class Hand(Generic[T]):
-    """A batch in hand, and where and when it was begun."""
-
-    batch: T
-    future: "Future"
-    worker: str = ""
-    begun: float = 0.0
+        yield from DaskRun(client, address, work).outcomes(take)
 
 
 class DaskRun(Generic[T, R]):
     """One run on a cluster: the batches in hand, and who is there to do them."""
 
-    def __init__(
-        self, client: "Client", where: str, work: Callable[[T], R], patience: Callable[[T], float]
-    ) -> None:
-        self._client, self._where, self._work, self._patience = client, where, work, patience
-        self.hands: dict[int, Hand[T]] = {}
-        self._submitted = 0
-        self._workers: dict[str, int] = {}
+    def __init__(self, client: "Client", where: str, work: Callable[[T], R]) -> None:
+        self._client, self._where, self._work = client, where, work
+        self.hands: dict[Future, T] = {}
+        self._workers = 0
         self._asked, self._heard = -math.inf, time.monotonic()
 
     def outcomes(self, take: Callable[[], T | None]) -> Iterator[tuple[T, R | Lost]]:
         """Do batches as long as there are any, as the function of that name."""
-        self._client.subscribe_topic(_TOPIC, self.begun)
+        from distributed import CancelledError, wait
+
         try:
             while True:
                 window = WINDOW * max(self.threads(), 1)
@@ -134,102 +112,57 @@ class DaskRun(Generic[T, R]):
                     self.submit(batch)
                 if not self.hands:
                     return
-                yield from self._finished()
-                yield from self.late()
+                # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
+                with suppress(TimeoutError, CancelledError, ValueError):
+                    wait(list(self.hands), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
+                for future in [future for future in self.hands if future.done()]:
+                    batch = self.hands.pop(future)
+                    outcome = self.outcome(future, batch)
+                    future.release()
+                    if outcome is not None:
+                        yield batch, outcome
         finally:
             # What was not begun is not begun any more.
             with suppress(Exception):
-                self._client.cancel([hand.future for hand in self.hands.values()], force=True)
+                self._client.cancel(list(self.hands), force=True)
 
     def submit(self, batch: T) -> None:
         """Hand out a batch."""
-        self._submitted += 1
-        future = self._client.submit(_in_worker, self._work, batch, self._submitted, pure=False)
-        self.hands[self._submitted] = Hand(batch, future)
-
-    def begun(self, event: tuple[float, Any]) -> None:
-        """Note where and when a batch was begun; called in the client's thread."""
-        number, worker = event[1]
-        if hand := self.hands.get(number):
-            hand.worker, hand.begun = worker, time.monotonic()
+        self.hands[self._client.submit(self._work, batch, pure=False)] = batch
 
     def threads(self) -> int:
         """Return how many threads of workers there are; give up where nobody is heard of."""
         if time.monotonic() - self._asked >= _LOOK_S:
-            self._asked = time.monotonic()
-            try:
-                self._workers = dict(self._client.nthreads()) if self._client.status == "running" else {}
-            except (OSError, TimeoutError):
-                self._workers = {}
-            if any(self._workers.values()):
+            self._asked, self._workers = time.monotonic(), 0
+            if self._client.status == "running":
+                with suppress(OSError, TimeoutError):
+                    self._workers = sum(self._client.nthreads().values())
+            if self._workers:
                 self._heard = time.monotonic()
             elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
                 said = "scheduler or workers are gone; what was done is kept; start them, and run again"
                 msg = f"{self._where}: {said}"
                 raise EngineError(msg)
-        return sum(self._workers.values())
+        return self._workers
 
-    def _finished(self) -> Iterator[tuple[T, R | Lost]]:
-        from distributed import CancelledError, wait
-
-        # Cancelled are the futures of a scheduler that was lost, and a client that is closed is none.
-        with suppress(TimeoutError, CancelledError, ValueError):
-            futures = [hand.future for hand in self.hands.values()]
-            wait(futures, timeout=_LOOK_S, return_when="FIRST_COMPLETED")
-        for number, hand in list(self.hands.items()):
-            if not hand.future.done():
-                continue
-            del self.hands[number]
-            outcome = self.outcome(hand)
-            hand.future.release()
-            if outcome is not None:
-                yield hand.batch, outcome
-
-    def outcome(self, hand: Hand[T]) -> R | Lost | None:
+    def outcome(self, future: "Future", batch: T) -> R | Lost | None:
         """Return the result of a batch whose future is done; None where it is handed out again."""
         from distributed import KilledWorker
 
         # Cancelled: the scheduler was lost; whether it comes back is seen at the next look.
-        if hand.future.status != "cancelled":
+        if future.status != "cancelled":
             try:
-                result: R = hand.future.result(timeout=CONNECT_S)
+                result: R = future.result(timeout=CONNECT_S)
             except KilledWorker:
-                return Lost(status="crash", reason="the workers that did it ended")
+                return Lost(reason="the workers that did it ended")
             except (TimeoutError, OSError) as error:
-                if hand.future.status == "error":
+                if future.status == "error":
                     # The work's own: another try would end the same, again and again.
-                    return Lost(status="crash", reason=f"its worker failed ({type(error).__name__}: {error})")
+                    return Lost(reason=f"its worker failed ({type(error).__name__}: {error})")
             else:
                 return result
-        self.submit(hand.batch)
+        self.submit(batch)
         return None
-
-    def late(self) -> Iterator[tuple[T, Lost]]:
-        """Restart workers that are far over the time of their batch: what they do can't be cancelled.
-
-        What workers have begun that are gone is not late: the scheduler gives it to others.
-        """
-        now = time.monotonic()
-        for number, hand in list(self.hands.items()):
-            if self._workers and hand.worker not in self._workers:
-                hand.begun = 0.0
-            if not hand.begun or now - hand.begun <= self._patience(hand.batch):
-                continue
-            del self.hands[number]
-            # A KeyError: the scheduler has restarted it in this moment.
-            with suppress(OSError, TimeoutError, ValueError, KeyError):
-                hand.future.cancel()
-                self._client.restart_workers([hand.worker], timeout=CLOSE_S, raise_for_error=False)
-            yield hand.batch, Lost(status="timeout", reason="its worker did not answer any more")
-
-
-def _in_worker(work: Callable[[T], R], batch: T, number: int) -> R:
-    """Say where a batch is begun, and do it."""
-    from distributed import get_worker
-
-    worker = get_worker()
-    worker.log_event(_TOPIC, (number, worker.address))
-    return work(batch)
 
 
 @contextmanager

@@ -40,8 +40,6 @@ from imucal.resources import MEMORY, POOLS, THREADS
 
 #: Seconds of work that a batch of a cluster has, so that handing it out costs little; and one done here.
 BATCH_S, OWN_BATCH_S = 30.0, 10.0
-#: Seconds after the time of its logs in which a worker must have committed a batch.
-_MARGIN_S = 60.0
 #: Questions that are handed out at a time.
 _QUESTIONS = 4
 #: How often a log is tried whose process ends: another one may have ended it.
@@ -140,8 +138,8 @@ def run_plan(
             alone.extend([task] for task in batch)
             continue
         else:
-            said = outcome.status, f"{batch[0].path}: {outcome.reason}"
-            count.add(batch, commit([failure(batch[0], settings, *said)], settings))
+            reason = f"{batch[0].path}: {outcome.reason}"
+            count.add(batch, commit([failure(batch[0], settings, "crash", reason)], settings))
         tell(count)
     return count
 
@@ -149,13 +147,9 @@ def run_plan(
 def _outcomes(
     take: Callable[[], list[LogTask] | None], settings: FleetSettings, workers: int, scheduler: str | None
 ) -> Iterator[tuple[list[LogTask], list[LogDone] | Lost]]:
-    def patience(batch: list[LogTask]) -> float:
-        return _MARGIN_S + _ATTEMPTS * sum(settings.patience(task) for task in batch)
-
     if scheduler is not None:
-        work = partial(_on_worker, settings=settings)
-        return outcomes(take, work, address=scheduler, patience=patience)
-    return here(take, lambda batch, child: work_on_batch(batch, settings, child), settings, workers)
+        return outcomes(take, partial(_on_worker, settings=settings), address=scheduler)
+    return here(take, partial(work_on_batch, settings), settings, workers)
 
 
 def asking(settings: FleetSettings, *, workers: int = 1, scheduler: str | None = None) -> Ask:
@@ -175,10 +169,12 @@ def asking(settings: FleetSettings, *, workers: int = 1, scheduler: str | None =
         def in_child(batch: list[Question], child: ChildProcess) -> list[str] | Lost:
             seconds = PATIENCE * len(batch)
             answer = child.ask(answer_texts, batch, seconds=seconds, memory=settings.memory)
-            return cast("list[str]", answer.value) if answer.outcome == "done" else Lost(status="", reason="")
+            return (
+                cast("list[str]", answer.value) if answer.outcome == "done" else Lost(reason=answer.outcome)
+            )
 
         done: Iterator[tuple[list[Question], list[str] | Lost]] = (
-            outcomes(take, answer_texts, address=scheduler, patience=lambda batch: PATIENCE * len(batch))
+            outcomes(take, answer_texts, address=scheduler)
             if scheduler
             else here(take, in_child, settings, workers)
         )
@@ -239,7 +235,7 @@ class LogRows:
     bins: list[dict[str, object]] = field(default_factory=list)
 
 
-def work_on_batch(tasks: Sequence[LogTask], settings: FleetSettings, child: ChildProcess) -> list[LogDone]:
+def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> list[LogDone]:
     """Do some logs in a child process and commit them, all or none.
 
     Raises
@@ -254,7 +250,7 @@ def _on_worker(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDon
     """Do some logs as a worker of a cluster."""
     child = child_process(settings)
     try:
-        return work_on_batch(tasks, settings, child)
+        return work_on_batch(settings, tasks, child)
     finally:
         child.end()
 

@@ -41,7 +41,7 @@ def test_a_process_that_cannot_start_is_the_failure_of_its_log(
     monkeypatch.setattr(ChildProcess, "ask", full)
     FleetStore(tmp_path / "store").create()
     settings = FleetSettings(store=str(tmp_path / "store"), folder=str(tmp_path), memory=4 << 30)
-    (done,) = work_on_batch([LogTask(place="a.mcap")], settings, child_process(settings))
+    (done,) = work_on_batch(settings, [LogTask(place="a.mcap")], child_process(settings))
     assert done.status == "crash"
     assert done.reason == (
         "a.mcap: its process can't be started (Resource temporarily unavailable), as when a machine is full; "
@@ -56,7 +56,7 @@ def test_a_run_says_what_it_has_in_hand(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(
         running,
         "work_on_batch",
-        lambda tasks, *_: [LogDone(path=task.path, status="ok") for task in tasks],
+        lambda _, tasks, __: [LogDone(path=task.path, status="ok") for task in tasks],
     )
     tasks = tuple(LogTask(place=f"{i}.mcap", size=1) for i in range(3))
     plan = FleetPlan(entries=(), tasks=tasks, done=(), again=(), copies={}, own=())
