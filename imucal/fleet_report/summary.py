@@ -303,7 +303,9 @@ def load_fleet(
 
 def model_names(folder: str | Path) -> list[str]:
     """Return the names of a fleet's sensor models, and not what their units are like."""
-    logs = map(_log, FleetStore(folder).logs().iter_rows(named=True))
+    store = FleetStore(folder)
+    store.refuse_damage()
+    logs = map(_log, store.logs().iter_rows(named=True))
     return sorted({log.model for log in logs if log.counts})
 
 

@@ -39,7 +39,7 @@ def run_of(client: Played) -> DaskRun[str, str]:
     ],
 )
 def test_what_the_work_raises_is_not_tried_for_ever(status: str, outcome: Lost | None, in_hand: int) -> None:
-    """An error of the way is: the same one where the result could not be brought, or the scheduler was lost."""
+    """One of the way is: the same where the result could not be brought, or the scheduler was lost."""
 
     def result(**_: object) -> None:
         raise OSError(28, "no room")
