@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from imucal.noise.integrals import avar_from_acvf, avar_from_psd
     from imucal.pipeline import Settings, characterize, screen
     from imucal.planning import plan
+    from imucal.prediction import FilterNumbers, filter_numbers
     from imucal.readers import read
     from imucal.recording import AxisSeries, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
@@ -56,6 +57,7 @@ __all__ = [
     "Clock",
     "DataError",
     "Decomposition",
+    "FilterNumbers",
     "Finding",
     "Fleet",
     "FleetTerm",
@@ -83,6 +85,7 @@ __all__ = [
     "compare",
     "decompose",
     "export",
+    "filter_numbers",
     "fit",
     "fleet_as_report",
     "load_fleet",
@@ -118,6 +121,7 @@ _HOMES = {
     "imucal.noise.integrals": ("avar_from_acvf", "avar_from_psd"),
     "imucal.pipeline": ("Settings", "characterize", "screen"),
     "imucal.planning": ("plan",),
+    "imucal.prediction": ("FilterNumbers", "filter_numbers"),
     "imucal.readers": ("read",),
     "imucal.recording": ("AxisSeries", "Recording", "Sensor"),
     "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),

@@ -34,13 +34,14 @@ BELOW |= {
     "fitting": BASE | {"allan", "noise", "screening"},
     "simulation": BASE | {"noise", "readers"},
     "log_files": BASE,
-    "report": BASE | {"allan", "noise", "fitting"},
+    "prediction": BASE | {"allan", "noise", "fitting"},
+    "report": BASE | {"allan", "noise", "fitting", "prediction"},
 }
-BELOW["planning"] = BASE | {"allan", "noise", "fitting", "report"}
+BELOW["planning"] = BASE | {"allan", "noise", "fitting", "prediction", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]
-BELOW["fleet"] = BASE | {"allan", "noise", "fitting", "report"}
-BELOW["pipeline"] = BASE | {"allan", "noise", "fitting", "screening", "report", "planning"}
+BELOW["fleet"] = BELOW["planning"]
+BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning"}
 BELOW["fleet_report"] = BELOW["fleet"] | {"fleet", "checking"}
 BELOW["fleet_run"] = (
     BELOW["pipeline"] | BELOW["fleet_report"] | {"fleet_report", "pipeline", "readers", "remote"}

@@ -11,11 +11,20 @@ from click.shell_completion import CompletionItem
 from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
 from imucal.cli._printing import echo, force_option, refuse, say
 from imucal.cli._report_input import load_report, report_or_log
-from imucal.cli.parameters import LogRequest, Text, shown
+from imucal.cli.parameters import DURATION, LogRequest, Text, shown
 from imucal.errors import WriteError
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
-from imucal.report.exports import INFLATABLE, TARGETS, AxisPolicy, Unidentified, export, find_target, render
+from imucal.report.exports import (
+    INFLATABLE,
+    TARGETS,
+    AxisPolicy,
+    Basis,
+    Unidentified,
+    export,
+    find_target,
+    render,
+)
 from imucal.report.result import Report
 
 if TYPE_CHECKING:
@@ -75,6 +84,7 @@ Examples:
   imucal export still-imucal/report.json --to all -o configs
   imucal export still.mcap --to vins --axis-policy rms -o -
   imucal export still-imucal --to openvins --inflate white=5,walk=10
+  imucal export still-imucal --to px4 --horizon 10min --step 0.2s
   imucal export fleet --value tolerance --to kalibr
 
 \b
@@ -120,6 +130,21 @@ file can't be written."""
     default="bound",
     help="A term that the data don't show: write its upper bound, or refuse.",
 )
+@shown(
+    "--numbers",
+    type=click.Choice(get_args(Basis)),
+    default="covered",
+    help="For formats with white noise and a walk: the least that cover the fitted spectrum, flicker "
+    "and bounds included, or N and K of the fit.",
+)
+@click.option(
+    "--horizon",
+    "horizon_s",
+    type=DURATION,
+    metavar="TIME",
+    help="How long the filter may coast. [default: 60s with cameras and lidars, else 300s]",
+)
+@shown("--step", "step_s", type=DURATION, default="1s", metavar="TIME", help="How often the filter is aided.")
 @click.option(
     "--value",
     type=click.Choice(["tolerance", "median"]),
@@ -147,6 +172,9 @@ def command(
     Every file says in a comment which number is continuous or discrete, by which formula, and from which
     axis.
     """
+    if options["horizon_s"] is not None and options["horizon_s"] <= options["step_s"]:
+        msg = f"{options['horizon_s']:g} s is not longer than the --step of {options['step_s']:g} s"
+        raise click.BadParameter(msg, param_hint="'--horizon'")
     report = _report(request, value, fleet_model)
     refuse(report.verdict, request.logs[0], "nothing was exported", force=force)
     options["topic"] = rostopic
@@ -162,7 +190,7 @@ def command(
         place = _folder(out or _FOLDER) if several else out or Path()
         for name in names:
             echo(str(export(report, name, place, **options)[0]))
-    for text in _remarks(report):
+    for text in _remarks(report, options["numbers"]):
         say(text, quiet=request.quiet)
 
 
@@ -202,9 +230,14 @@ def _folder(path: Path) -> Path:
     return path
 
 
-def _remarks(report: Report) -> Iterator[str]:
-    """Yield which numbers may be bounds, and which half of the numbers the files lack."""
-    for symbol in ("N", "K"):
+def _remarks(report: Report, numbers: Basis) -> Iterator[str]:
+    """Yield what the numbers are, which may be bounds, and which half of them the files lack."""
+    if numbers == "covered":
+        yield (
+            "White noise and walk of a filter cover the fitted spectrum, so they are larger than N and K; "
+            "the files say by how much (--numbers as-fitted for N and K)"
+        )
+    for symbol in ("N", "K") if numbers == "as-fitted" else ():
         if axes := [axis.name for axis in report.axes if axis.fit[symbol].value is None]:
             yield (
                 f"{symbol} was not identified on {', '.join(axes)}; where a file needs it, its upper bound "

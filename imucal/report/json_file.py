@@ -36,6 +36,7 @@ from imucal.fitting.noise_fit import (
 )
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS
+from imucal.prediction.filter_numbers import usual_pairs
 from imucal.recording import Axis, LogFileInfo, ReadRange, Sensor, Source
 from imucal.report import numbers
 from imucal.report.result import AxisReport, Overview, Report
@@ -313,13 +314,16 @@ def _bins(node: Node) -> Bins:
 
 def to_document(report: Report) -> dict[str, object]:
     """Return the whole report as JSON values, keys in a stable order."""
+    report = replace(report, axes=tuple(map(_as_held, report.axes)))
     axes = [_axis_entry(axis, bins=_with_bins(report)) for axis in report.axes]
-    return _object({**_header(report), "axes": axes, "findings": _FINDING.write_all(report.findings)})
+    pairs = list(_pair_entries(report)) if report.verdict.usable else []
+    findings = _FINDING.write_all(report.findings)
+    return _object({**_header(report), "filter_numbers": pairs, "axes": axes, "findings": findings})
 
 
 def axis_document(report: Report, axis: AxisReport) -> dict[str, object]:
     """Return the document of one axis: the header of the report and the axis's own entry."""
-    return _object({**_header(report), **_axis_entry(axis, bins=_with_bins(report))})
+    return _object({**_header(report), **_axis_entry(_as_held(axis), bins=_with_bins(report))})
 
 
 def _with_bins(report: Report) -> bool:
@@ -377,12 +381,36 @@ def _header(report: Report) -> dict[str, object]:
     }
 
 
-def _axis_entry(axis: AxisReport, *, bins: bool) -> dict[str, object]:
-    # The file holds deviations. Squaring them first makes reading and writing again change nothing,
-    # because the square root of a squared float is that float, while the converse does not hold.
+def _as_held(axis: AxisReport) -> AxisReport:
+    """Return an axis as it will be read back, so that reading and writing again changes nothing.
+
+    The file holds deviations. Squaring them first does it, because the square root of a squared float is
+    that float, while the converse does not hold.
+    """
     curve = replace(axis.fit.curve, avar=axis.fit.curve.adev**2)
-    fit = replace(axis.fit, curve=curve)
-    axis = replace(axis, fit=fit)
+    return replace(axis, fit=replace(axis.fit, curve=curve))
+
+
+def _pair_entries(report: Report) -> Iterator[dict[str, object]]:
+    """Yield what covers each sensor's spectrum, for filters that coast for a minute and for five."""
+    for sensor, axes in report.by_sensor.items():
+        for pair in usual_pairs([axis.fit for axis in axes]):
+            yield {
+                "sensor": str(sensor),
+                "axes": [axis.name for axis in axes],
+                "horizon_s": pair.horizon_s,
+                "step_s": pair.step_s,
+                "white": pair.white,
+                "white_unit": TERMS["N"].unit(sensor),
+                "walk": pair.walk,
+                "walk_unit": TERMS["K"].unit(sensor),
+                "basis": pair.basis,
+                "ratios": [{"time_s": time, "ratio": ratio} for time, ratio in pair.ratios],
+            }
+
+
+def _axis_entry(axis: AxisReport, *, bins: bool) -> dict[str, object]:
+    fit, curve = axis.fit, axis.fit.curve
     floor, sheet = numbers.minimum(axis)
     low, high = curve.confidence_interval(fit.level)
     return {

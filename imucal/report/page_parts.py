@@ -18,10 +18,11 @@ from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, Segments, Trace
 from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.prediction.filter_numbers import usual_pairs
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports import TARGETS
-from imucal.report.exports.config_numbers import Choices, Numbers
+from imucal.report.exports.config_numbers import COVERING, Choices, Numbers
 from imucal.report.exports.target import (
     DENSITY,
     DENSITY_SQUARED,
@@ -30,6 +31,8 @@ from imucal.report.exports.target import (
     SAMPLE_SQUARED,
     Formula,
     at_period,
+    itself,
+    price,
 )
 from imucal.report.figure import axis_title, shown_points
 from imucal.report.markup import both_units, render
@@ -389,7 +392,13 @@ _USES = (
         *("N", HALVED_TWICE, "{u}"),
     ),
     ("K √f", "discrete, as VINS integrates it", "K", SAMPLE, "{u}"),
-    ("N² f", "discrete: the variance of one sample", "N", SAMPLE_SQUARED, "({u})^2"),
+    (
+        "N² f",
+        "discrete: the variance of one sample, as FAST-LIO takes it; a ROS covariance has N as fitted",
+        "N",
+        SAMPLE_SQUARED,
+        "({u})^2",
+    ),
     ("K² f", "discrete, as FAST-LIO integrates it", "K", SAMPLE_SQUARED, "({u})^2"),
     (
         "N / √0.01 s",
@@ -407,7 +416,7 @@ def downstream_section(report: Report) -> Markup:
     if not report.verdict.usable:
         said = f"{report.verdict.sentence}. No filter should be given its numbers."
         return Markup("<p>{}</p>").format(said)
-    chosen = Numbers(report=report, choices=Choices(), target="the page")
+    chosen = Numbers(report=report, choices=Choices(), target="the page", covers=True)
     sensors = chosen.sensors
     uses = [
         (words, [kind, *(_use(chosen, sensor, symbol, formula, unit) for sensor in sensors)])
@@ -418,6 +427,7 @@ def downstream_section(report: Report) -> Markup:
     return render(
         "downstream.html",
         rates=", ".join(f"f = {chosen.rate_hz(s):.6g} Hz ({s})" for s in sensors),
+        pairs=list(_pairs(report)),
         titles=["Formula", "Kind", *(str(s).capitalize() for s in sensors)],
         uses=uses,
         programs=[
@@ -428,14 +438,28 @@ def downstream_section(report: Report) -> Markup:
     )
 
 
+def _pairs(report: Report) -> Iterator[tuple[str, list[str]]]:
+    """Yield what each sensor's pair is, for a filter that coasts for a minute and for five."""
+    for sensor, axes in report.by_sensor.items():
+        for pair in usual_pairs([axis.fit for axis in axes]):
+            values = [
+                Markup("{:.4g} <small>{}</small>").format(value, pretty(TERMS[symbol].unit(sensor)))
+                for symbol, value in zip(COVERING, (pair.white, pair.walk), strict=True)
+            ]
+            yield (
+                f"{str(sensor).capitalize()}, {pair.horizon_s:g} s",
+                [*values, price(pair).replace(" x ", " × "), itself(axes)],
+            )
+
+
 def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: Formula, unit: str) -> str:
     try:
         number = chosen.one(sensor, symbol)
     except DataError:
         return _NOTHING
-    bound = "≤ " if number.bounded else ""
+    bound = "≤ " if number.bounded and not number.covers else ""
     value = formula.of(number.value, chosen.rate_hz(sensor))
-    where = ", ".join(name.split("_")[1] for name in number.axes)
+    where = " ".join(name.split("_")[1] for name in number.axes)
     shown = pretty(unit.format(u=sensor.unit)).replace("(rad/s)²", "rad²/s²").replace("(m/s²)²", "m²/s⁴")
     return Markup("{}{:.4g} <small>{}, {}</small>").format(bound, value, shown, where)
 

@@ -21,13 +21,14 @@ def test_a_file_is_written_under_its_own_name(still: str, tmp_path: Path) -> Non
     """Its path stands on standard output, what to know on standard error."""
     done = run("export", still, "--to", "kalibr", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (0, "kalibr_imu.yaml\n")
-    assert "K was not identified on gyro_y, accel_y" in done.stderr
+    assert "cover the fitted spectrum, so they are larger than N and K" in done.stderr
     assert yaml.safe_load((tmp_path / "kalibr_imu.yaml").read_text())["update_rate"] == 200.0
 
 
 def test_standard_output_takes_one_format(still: str, tmp_path: Path) -> None:
     """Nothing but the file is on it; report.json itself will do for a report."""
-    done = run("export", f"{still}/report.json", "--to", "lio_sam", "-o", "-", "-q", cwd=tmp_path)
+    fitted = ("--numbers", "as-fitted")
+    done = run("export", f"{still}/report.json", "--to", "lio_sam", "-o", "-", "-q", *fitted, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert yaml.safe_load(done.stdout)["lio_sam"]["imuGyrNoise"] == 1.3e-4
     done = run("export", still, "--to", "all", "-o", "-", cwd=tmp_path)
@@ -52,7 +53,8 @@ def test_several_formats_go_to_a_folder(
 
 def test_policy_inflation_and_topic_reach_the_file(still: str, tmp_path: Path) -> None:
     """Each changes its number, and is said."""
-    options = ("--axis-policy", "x", "--inflate", "white=2, walk=10", "--rostopic", "/my/imu")
+    options = ["--axis-policy", "x", "--inflate", "white=2, walk=10", "--rostopic", "/my/imu"]
+    options += ["--numbers", "as-fitted"]
     done = run("export", still, "--to", "kalibr", "-o", "-", "-q", *options, cwd=tmp_path)
     data = yaml.safe_load(done.stdout)
     assert data["gyroscope_noise_density"] == 2.4e-4
@@ -62,9 +64,29 @@ def test_policy_inflation_and_topic_reach_the_file(still: str, tmp_path: Path) -
     assert "white (N) x 2, walk (K) x 10; ALREADY in the numbers" in done.stdout
 
 
+def test_n_and_k_of_the_fit_say_what_they_leave_out(still: str, tmp_path: Path) -> None:
+    """On standard error which are bounds, in the file that a filter with them is too sure."""
+    done = run("export", still, "--to", "kalibr", "-o", "-", "--numbers", "as-fitted", cwd=tmp_path)
+    assert "K was not identified on gyro_y, accel_y" in done.stderr
+    assert "flicker and Gauss-Markov terms are left out" in done.stdout
+
+
+def test_horizon_and_step_reach_the_file(still: str, tmp_path: Path) -> None:
+    """As durations; a longer horizon wants less walk."""
+    walks = []
+    for horizon in ("30s", "10min"):
+        options = ("--horizon", horizon, "--step", "0.5s")
+        done = run("export", still, "--to", "kalibr", "-o", "-", "-q", *options, cwd=tmp_path)
+        walks.append(yaml.safe_load(done.stdout)["accelerometer_random_walk"])
+    assert "filter aided every 0.5 s or slower, horizon 600 s" in done.stdout
+    assert walks[1] < walks[0]
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
+        (("--to", "kalibr", "--horizon", "1"), 2, "1 s is not longer than the --step of 1 s"),
+        (("--to", "kalibr", "--horizon", "soon"), 2, "'soon' is not a duration"),
         (("--to", "kalbir"), 2, "no downstream format 'kalbir'; did you mean kalibr?"),
         (("--to", "kalibr", "--inflate", "pink=2"), 2, "'pink=2' is not one of white, walk, flicker with a"),
         (

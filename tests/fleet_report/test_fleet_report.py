@@ -13,6 +13,7 @@ import jsonschema
 import numpy as np
 import polars as pl
 import pytest
+import yaml
 from lxml import html
 from scipy import stats
 
@@ -258,10 +259,13 @@ def test_a_tolerance_bound_is_the_number_of_the_exports(fleet: Fleet) -> None:
     from imucal.report.exports import TARGETS, render
 
     report = imucal.fleet_as_report(fleet)
-    text = render(report, "kalibr")
+    text = render(report, "kalibr", numbers="as-fitted")
     worst = max(fleet.model()[f"gyro_{a}", "N"].population.tolerance or 0.0 for a in "xyz")
     assert f"gyroscope_noise_density: {worst!r}" in text
     assert "95/95 tolerance bound of 24 units" in text
+    covered = yaml.safe_load(render(report, "kalibr"))["gyroscope_noise_density"]
+    assert worst < covered < 2 * worst
+    assert "covers gyro_x, gyro_y, gyro_z, 95/95 tolerance bound of 24 units" in render(report, "kalibr")
     assert "fleet of 24 units of ACME-6; every number is the 95/95 tolerance bound" in text
     for target in TARGETS:
         assert "written by imucal" in render(report, target)
@@ -285,8 +289,9 @@ def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_pat
     states = render(report, "gm")
     assert f"{found.value!r}" in states or f"{found.value:.3g}" in states
     assert "100" in states
-    assert "without a place in this format: B (" in render(report, "kalibr")
-    assert "GM (gyro_x)" in render(report, "kalibr")
+    fitted = render(report, "kalibr", numbers="as-fitted")
+    assert "without a place in this format: B (" in fitted
+    assert "GM (gyro_x)" in fitted
 
 
 def test_a_model_is_chosen_by_name(fleet: Fleet) -> None:

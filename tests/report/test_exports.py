@@ -5,7 +5,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from imucal.errors import DataError, WriteError
 from imucal.findings import Finding
 from imucal.noise.model import NoiseModel
-from imucal.noise.terms import AngleRandomWalk, BiasInstability, GaussMarkov
+from imucal.noise.terms import TERMS, BiasInstability, GaussMarkov
+from imucal.prediction import filter_numbers
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
 from imucal.report.exports.config_numbers import Choices, Numbers
-from imucal.report.exports.kf_gins import cover
 from imucal.report.exports.own_program import flicker_bank
 from imucal.report.exports.target import comment, decimal, real
 from imucal.report.json_file import dumps, from_document, to_document
@@ -34,6 +34,9 @@ GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
 #: Reports don't change, so that one of each will do.
 consumer_report = cache(make_consumer_report)
+#: N and K of the fit, in place of what covers it.
+render_fitted = partial(render, numbers="as-fitted")
+export_fitted = partial(export, numbers="as-fitted")
 
 
 @cache
@@ -73,7 +76,7 @@ def test_a_consumer_reads_the_fits_own_numbers(
 ) -> None:
     """What the consumer's parser recovers is the fit's N and K, to rounding."""
     report = make()
-    (path,) = export(report, target, tmp_path)
+    (path,) = export_fitted(report, target, tmp_path)
     assert path == tmp_path / TARGETS[target].file_name
     recovered = READERS[target](path)
     _agree(report, recovered)
@@ -105,7 +108,7 @@ def test_every_file_says_how_its_numbers_came_about(target: str) -> None:
 def test_inflation_multiplies_deviations(target: str, tmp_path: Path) -> None:
     """``white=2, walk=10`` doubles N and multiplies K by ten, in every format."""
     report = _plain_report()
-    (path,) = export(report, target, tmp_path, inflate={"white": 2.0, "walk": 10.0})
+    (path,) = export_fitted(report, target, tmp_path, inflate={"white": 2.0, "walk": 10.0})
     for (key, symbol), value in READERS[target](path).items():
         factor = {"N": 2.0, "K": 10.0}.get(symbol)
         if factor:
@@ -115,14 +118,14 @@ def test_inflation_multiplies_deviations(target: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("policy", "scale"), [("worst", 3.0), ("rms", math.sqrt(14 / 3)), ("y", 2.0)])
 def test_the_axis_policy_chooses_or_averages(policy: AxisPolicy, scale: float) -> None:
     """``rms`` averages variances: (1 + 4 + 9)/3; averaging deviations would give 2."""
-    data = yaml.safe_load(render(_plain_report(), "kalibr", axis_policy=policy))
+    data = yaml.safe_load(render_fitted(_plain_report(), "kalibr", axis_policy=policy))
     assert data["gyroscope_noise_density"] == pytest.approx(scale * 1e-5)
     assert data["accelerometer_random_walk"] == pytest.approx(scale * 1e-5)
 
 
 def test_a_bound_is_written_and_said() -> None:
     """A term that the data don't show is written as its upper bound, with words beside it."""
-    text = render(consumer_report(), "kalibr", axis_policy="y")
+    text = render_fitted(consumer_report(), "kalibr", axis_policy="y")
     assert yaml.safe_load(text)["gyroscope_random_walk"] == 4.1e-7
     assert "K of gyro_y, UPPER BOUND (95%): the data do not show this term" in text
     assert "not identified, so the 95% upper bound is written: K of accel_y, K of gyro_y" in text
@@ -150,10 +153,10 @@ def test_a_number_comes_with_its_interval_and_with_what_may_stand_in_its_place()
     )
     axes = (*report.axes[:2], replace(axis, fit=replace(axis.fit, estimates=estimates)), *report.axes[3:])
     doubtful = replace(report, axes=axes)
-    assert "N of gyro_z, 95% 5e-05 to 7e-05" in render(doubtful, "kalibr", inflate={"white": 2.0})
-    assert "B of gyro_z, 95% " in render(doubtful, "matlab")
-    assert "B or GM: this record can't tell which" in render(doubtful, "matlab")
-    assert "or: [GM]" in render(doubtful, "yaml")
+    assert "N of gyro_z, 95% 5e-05 to 7e-05" in render_fitted(doubtful, "kalibr", inflate={"white": 2.0})
+    assert "B of gyro_z, 95% " in render_fitted(doubtful, "matlab")
+    assert "B or GM: this record can't tell which" in render_fitted(doubtful, "matlab")
+    assert "or: [GM]" in render_fitted(doubtful, "yaml")
 
 
 def test_a_bound_is_refused_on_request() -> None:
@@ -175,7 +178,7 @@ def test_the_half_of_a_log_of_one_sensor_is_written_and_said(
     """The consumer's parser reads that sensor's numbers and no other's; the comment names what is missing."""
     whole = _plain_report()
     report = replace(whole, axes=tuple(axis for axis in whole.axes if axis.sensor is sensor))
-    (path,) = export(report, target, tmp_path)
+    (path,) = export_fitted(report, target, tmp_path)
     recovered = READERS[target](path)
     _agree(report, recovered)
     nothing = target == "dlio" and sensor is ACCEL
@@ -199,7 +202,7 @@ def test_a_number_that_is_not_positive_is_refused() -> None:
     axis = axis_report(GYRO, "x", "N=0.0 + B=1e-5 + K=1e-7")
     report = replace(consumer_report(), axes=(axis, *consumer_report().axes[3:]))
     with pytest.raises(DataError, match=r"gyro_x: N is 0\.0, but kalibr needs a positive number"):
-        render(report, "kalibr", axis_policy="x")
+        render_fitted(report, "kalibr", axis_policy="x")
 
 
 def test_all_writes_every_format(tmp_path: Path) -> None:
@@ -296,6 +299,9 @@ def test_a_name_that_means_several_is_answered() -> None:
     [
         ({"axis_policy": "best"}, "axis policy 'best' is not one of worst, rms, x, y, z"),
         ({"inflate": {"pink": 2}}, "inflation 'pink' is not one of white, walk, flicker"),
+        ({"numbers": "both"}, "choice of numbers 'both' is not one of covered, as-fitted"),
+        ({"horizon_s": 1.0}, "the horizon must be longer than the step, got 1 s and 1 s"),
+        ({"step_s": 0.0}, "the horizon must be longer than the step"),
         ({"inflate": {"walk": 0}}, "inflation of walk must be a positive number, got 0"),
         (
             {"unidentified": "zero"},
@@ -363,7 +369,7 @@ def _two_rates() -> Report:
 def test_every_number_is_for_the_rate_that_the_file_says(target: str, tmp_path: Path) -> None:
     """A reader knows one rate, that of the file, and finds N and K of both sensors with it."""
     report = _two_rates()
-    (path,) = export(report, target, tmp_path)
+    (path,) = export_fitted(report, target, tmp_path)
     _agree(report, READERS[target](path))
     own = "the rates differ: f is each sensor's own" in path.read_text()
     one = "the rates differ: every number is for one stream at f = 200 Hz" in path.read_text()
@@ -377,7 +383,7 @@ def test_sensors_of_two_rates_in_the_formats_that_know_two() -> None:
     assert ros["angular_velocity_covariance"][0] == pytest.approx(1e-5**2 * 200)
     assert ros["linear_acceleration_covariance"][8] == pytest.approx(3e-3**2 * 100)
     assert yaml.safe_load(render(_two_rates(), "gm"))["axes"]["accel_x"]["rate_hz"] == 100
-    fast = yaml.safe_load(render(_two_rates(), "fast-lio"))["mapping"]
+    fast = yaml.safe_load(render_fitted(_two_rates(), "fast-lio"))["mapping"]
     assert fast["acc_cov"] == pytest.approx(3e-3**2 * 200)
 
 
@@ -431,17 +437,17 @@ def test_gazebo_takes_a_gauss_markov_term_where_no_walk_was_found(tmp_path: Path
     sigma, time = 4e-5, 90.0
     slow = axis_report(GYRO, "x", f"N=1e-4 + GM(sigma={sigma}, T={time})", bounds={"B": 1e-6, "K": 1e-7})
     report = replace(_plain_report(), axes=(slow, *_plain_report().axes[1:]))
-    (path,) = export(report, "gazebo", tmp_path)
+    (path,) = export_fitted(report, "gazebo", tmp_path)
     recovered = READERS["gazebo"](path)
     assert recovered["gyro_x", "T"] == time
     assert recovered["gyro_x", "K"] * math.sqrt(time / 2) == pytest.approx(sigma)
     assert recovered["gyro_y", "T"] == 3600
-    (path,) = export(report, "gazebo", tmp_path, inflate={"flicker": 3.0, "white": 2.0})
+    (path,) = export_fitted(report, "gazebo", tmp_path, inflate={"flicker": 3.0, "white": 2.0})
     recovered = READERS["gazebo"](path)
     assert recovered["gyro_x", "K"] * math.sqrt(time / 2) == pytest.approx(3 * sigma)
 
     assert "K of gyro_z, 95% 2.593e-07 to 3.47e-07; T is nominal; a Gauss-Markov term (T 1500 s) is left" in (
-        render(consumer_report(), "gazebo")
+        render_fitted(consumer_report(), "gazebo")
     )
 
 
@@ -461,7 +467,7 @@ def _slow_report(gyro: str, accel: str) -> Report:
 def test_kf_gins_takes_the_steady_state_of_gauss_markov_terms() -> None:
     """A term's sigma stands in gbstd (deg/h) and abstd (mGal), its T in corrtime (h)."""
     report = _slow_report("N=1e-4 + GM(sigma=4e-5, T=7200.0)", "N=1e-4 + GM(sigma=5e-4, T=7200.0)")
-    data = yaml.safe_load(render(report, "kf-gins"))["imunoise"]
+    data = yaml.safe_load(render_fitted(report, "kf-gins"))["imunoise"]
     assert data["corrtime"] == 2
     assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3)
     assert data["abstd"] == pytest.approx([50.0] * 3)
@@ -470,45 +476,98 @@ def test_kf_gins_takes_the_steady_state_of_gauss_markov_terms() -> None:
 def test_a_short_term_of_one_sensor_does_not_shorten_the_others_walk() -> None:
     """With T of a gyroscope's walk at that of the accelerometer's term, its bias was 19 times too small."""
     report = _slow_report("N=1e-4 + K=1e-6", "N=1e-3 + GM(sigma=3e-4, T=10.0)")
-    data = yaml.safe_load(render(report, "kf-gins"))["imunoise"]
+    data = yaml.safe_load(render_fitted(report, "kf-gins"))["imunoise"]
     assert data["corrtime"] == 1
     assert data["gbstd"] == pytest.approx([1e-6 * math.sqrt(1800) * 180 / math.pi * 3600] * 3)
 
 
-@pytest.mark.parametrize(
-    ("model", "time", "said"),
-    [
-        ("N=1e-3 + GM(sigma=3e-4, T=10.0)", 3600.0, "white noise at this corrtime"),
-        ("N=1e-3 + GM(sigma=3e-4, T=1500.0)", 3600.0, "never too small, but up to 2.4 x too large"),
-        ("N=1e-3 + GM(sigma=3e-4, T=3600.0)", 3600.0, "Gauss-Markov term of gyro_x: sigma 0.0003, T 3600 s"),
-        ("N=1e-3 + K=1e-6", 7200.0, "never too small, but up to 2 x too large"),
-    ],
-)
-def test_the_cover_at_a_common_time_is_nowhere_below_what_was_measured(
-    model: str, time: float, said: str
+def _least_cover(report: Report, key: str, recovered: Recovered, horizon: float) -> float:
+    """Return the least of what a file's numbers say over the models' psds, over a filter's frequencies."""
+    white, walk, time = recovered[key, "N"], recovered[key, "K"], recovered.get((key, "T"))
+    f = np.geomspace((0.01 if time is None else 0.5) / horizon, 0.5, 200)
+    bias = TERMS["K"].of(walk) if time is None else GaussMarkov(sigma=walk * math.sqrt(time / 2), T=time)
+    said = white**2 + bias.psd(f, 1.0)
+    axes = [axis for axis in report.axes if axis.name.startswith(key)]
+    return min(float(np.min(said / axis.fit.model.psd(f, rate_hz=1.0))) for axis in axes)
+
+
+@pytest.mark.parametrize("make", [_plain_report, consumer_report])
+@pytest.mark.parametrize("target", [name for name in READERS if TARGETS[name].covers])
+def test_what_a_filter_reads_covers_the_fitted_spectrum(
+    target: str, make: Callable[[], Report], tmp_path: Path
 ) -> None:
-    """Its psd over that of N and the slow process: at least 1, and where the times are one, 1."""
-    report = _slow_report(model, model)
-    numbers = Numbers(report=report, choices=Choices(), target="kf-gins")
-    axis = report.axes[0]
-    slow = numbers.slow(axis)
-    found = cover(numbers, axis, slow, time)
-    f = np.geomspace(1e-6, 90.0, 300)
+    """White noise and walk, as the consumer's parser recovers them, are nowhere below any axis's model."""
+    report = make()
+    (path,) = export(report, target, tmp_path)
+    recovered = READERS[target](path)
+    horizon = TARGETS[target].horizon_s
+    sensors = {key for key, symbol in recovered if (key, "N") in recovered and (key, "K") in recovered}
+    assert sensors
+    for key in sensors:
+        assert _least_cover(report, key, recovered, horizon) > 0.97, key
+    text = path.read_text()
+    assert f"every 1 s or slower, horizon {horizon:g} s" in text
+    assert "x the model's error at 1, 10, 60" in text
 
-    def psd(white: float, sigma: float, correlation_time: float) -> np.ndarray:
-        terms = (AngleRandomWalk(value=white), GaussMarkov(sigma=sigma, T=correlation_time))
-        return np.asarray(NoiseModel(terms=terms).psd(f, rate_hz=200.0))
 
-    ratio = psd(found.white, found.sigma, time) / psd(1e-3, slow.sigma, slow.correlation_time)
-    assert ratio.min() > 1 - 1e-6
-    assert said in " ".join(found.notes)
-    if time == slow.correlation_time:
-        assert ratio.max() == pytest.approx(1)
+@pytest.mark.parametrize(("policy", "count"), [("worst", 3), ("rms", 3), ("y", 1)])
+def test_the_pair_is_that_of_the_axes_asked_for(policy: AxisPolicy, count: int) -> None:
+    """Horizon, step and policy reach the rule; one axis is covered at a level, several in the mean."""
+    report = _plain_report()
+    text = render(report, "kalibr", axis_policy=policy, horizon_s=600.0, step_s=0.2)
+    fits = [axis.fit for axis in report.axes[:3]] if count == 3 else [report.axes[1].fit]
+    pair = filter_numbers(fits, horizon_s=600.0, step_s=0.2, joined="rms" if policy == "rms" else "worst")
+    data = yaml.safe_load(text)
+    assert data["gyroscope_noise_density"] == pair.white
+    assert data["gyroscope_random_walk"] == pair.walk
+    assert "every 0.2 s or slower, horizon 600 s" in text
+    assert ("fitted spectrum (80%)" in text) == (count == 1)
+
+
+def test_inflation_of_a_pair_is_what_it_says() -> None:
+    """White noise and walk by their factors; flicker before it is covered, which raises both."""
+    plain = yaml.safe_load(render(_plain_report(), "kalibr"))
+    text = render(_plain_report(), "kalibr", inflate={"white": 2.0, "walk": 10.0})
+    raised = yaml.safe_load(render(_plain_report(), "kalibr", inflate={"flicker": 10.0}))
+    for key, factor in (("gyroscope_noise_density", 2), ("accelerometer_random_walk", 10)):
+        assert yaml.safe_load(text)[key] == pytest.approx(factor * plain[key])
+        assert raised[key] > 1.1 * plain[key]
+
+
+def test_the_comment_says_what_two_numbers_do_not_cover() -> None:
+    """Rounding adds a step to an angle, a tone swings it by 2A/omega; the fit's own numbers stand there."""
+    text = render(consumer_report(), "px4")
+    assert "accel_x: quantization adds at most sqrt(2) Q = 2.83e-06" in text
+    assert f"the tone of 12.5 Hz is not covered, it adds {1.2e-5 / (math.pi * 12.5):.3g}" in text
+    assert "the fit's own: N 0.00013 (" in text
+    assert "not identified, so the 95% upper bound is covered in part: K of accel_y, K of gyro_y" in text
+
+
+def test_kf_gins_and_okvis2_take_the_time_that_was_measured() -> None:
+    """A bias that forgets after 20 s is no walk: its T costs less than a long one, and is written."""
+    models = ((GYRO, "N=1e-4 + GM(sigma=4e-5, T=20.0)"), (ACCEL, "N=1e-3 + GM(sigma=5e-4, T=20.0)"))
+    bounds = {"B": 1e-8, "K": 1e-10}
+    axes = [axis_report(sensor, axis, text, bounds=bounds) for sensor, text in models for axis in _AXES]
+    report = replace(_plain_report(), axes=tuple(axes))
+    data = yaml.safe_load(render(report, "kf-gins"))["imunoise"]
+    assert data["corrtime"] == pytest.approx(20 / 3600)
+    assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3, rel=0.1)
+    text = render(report, "okvis2").removeprefix("%YAML:1.0")
+    assert yaml.safe_load(text)["imu_parameters"]["tau"] == 20
+    assert "as fitted" in render_fitted(report, "okvis2")
+
+
+def test_a_walk_gets_a_time_long_against_horizon_and_record() -> None:
+    """So that it stays one: ten horizons, or the record."""
+    report = _slow_report("N=1e-4 + K=1e-6", "N=1e-3 + K=1e-5")
+    assert yaml.safe_load(render(report, "kf-gins"))["imunoise"]["corrtime"] == 3
+    data = yaml.safe_load(render(report, "kf-gins", horizon_s=3600.0))["imunoise"]
+    assert data["corrtime"] == 10
 
 
 def test_px4_numbers_outside_its_range_are_said() -> None:
     """A good accelerometer at rest is below it; a ground station would warn without saying why."""
-    assert "EKF2_ACC_NOISE: 0.003 is outside the range PX4 documents, 0.01 to 1" in render(
+    assert "EKF2_ACC_NOISE: 0.003 is outside the range PX4 documents, 0.01 to 1" in render_fitted(
         replace(
             _plain_report(),
             axes=tuple(

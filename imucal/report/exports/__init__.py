@@ -2,16 +2,18 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 from imucal.atomic import replacing
 from imucal.errors import WriteError
-from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Choices, Numbers, Unidentified
+from imucal.prediction.filter_numbers import CAMERA_HORIZON_S, HORIZON_S, STEP_S
+from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis, Choices, Unidentified
 from imucal.report.exports.target import Target, name_key
 from imucal.report.result import Report
 
-__all__ = ["INFLATABLE", "TARGETS", "AxisPolicy", "Unidentified", "export", "find_target", "render"]
+__all__ = ["INFLATABLE", "TARGETS", "AxisPolicy", "Basis", "Unidentified", "export", "find_target", "render"]
 
 #: The modules of this folder that hold formats, in the order of the list that users see.
 _MODULES = (
@@ -25,8 +27,11 @@ _MODULES = (
     "matlab",
     "own_program",
 )
+_HORIZON_S = {"visual": CAMERA_HORIZON_S, "lidar": CAMERA_HORIZON_S}
 _FOUND: list[Target] = [
-    target for module in _MODULES for target in import_module(f"{__name__}.{module}").TARGETS
+    replace(target, horizon_s=_HORIZON_S.get(module, HORIZON_S))
+    for module in _MODULES
+    for target in import_module(f"{__name__}.{module}").TARGETS
 ]
 
 #: Name of a downstream format -> how its file is written.
@@ -74,6 +79,9 @@ def render(
     inflate: Mapping[str, float] | None = None,
     unidentified: Unidentified = "bound",
     topic: str | None = None,
+    numbers: Basis = "covered",
+    horizon_s: float | None = None,
+    step_s: float = STEP_S,
 ) -> str:
     """Return the text of a downstream file; the options are those of `export`.
 
@@ -86,10 +94,15 @@ def render(
         If the format or an option is unknown.
     """
     choices = Choices(
-        axis_policy=axis_policy, inflate=dict(inflate or {}), unidentified=unidentified, topic=topic
+        axis_policy=axis_policy,
+        inflate=dict(inflate or {}),
+        unidentified=unidentified,
+        topic=topic,
+        numbers=numbers,
+        horizon_s=horizon_s,
+        step_s=step_s,
     )
-    found = find_target(target)
-    return found.render(Numbers(report=report, choices=choices, target=found.name))
+    return find_target(target).render(report, choices)
 
 
 def export(
@@ -101,6 +114,9 @@ def export(
     inflate: Mapping[str, float] | None = None,
     unidentified: Unidentified = "bound",
     topic: str | None = None,
+    numbers: Basis = "covered",
+    horizon_s: float | None = None,
+    step_s: float = STEP_S,
 ) -> tuple[Path, ...]:
     """Write the config file of a downstream consumer, with every conversion said in a comment.
 
@@ -122,6 +138,13 @@ def export(
         Write the upper ``bound`` of a term that the data do not show, or ``refuse``.
     topic
         Topic to name in the file, where the format names one; None for the log's.
+    numbers
+        For formats with white noise and a walk alone: the least that have ``covered`` the fitted
+        spectrum (see `imucal.prediction.filter_numbers`), or N and K ``as-fitted``.
+    horizon_s
+        How long the filter may coast; None for 60 s with cameras and lidars, else 300 s.
+    step_s
+        How often it is aided.
 
     Returns
     -------
@@ -140,9 +163,15 @@ def export(
     path = Path(path)
     targets = tuple(TARGETS.values()) if target == "all" else (find_target(target),)
     choices = Choices(
-        axis_policy=axis_policy, inflate=dict(inflate or {}), unidentified=unidentified, topic=topic
+        axis_policy=axis_policy,
+        inflate=dict(inflate or {}),
+        unidentified=unidentified,
+        topic=topic,
+        numbers=numbers,
+        horizon_s=horizon_s,
+        step_s=step_s,
     )
-    texts = {each: each.render(Numbers(report=report, choices=choices, target=each.name)) for each in targets}
+    texts = {each: each.render(report, choices) for each in targets}
     if target == "all":
         _make_folder(path)
     files = []

@@ -1,23 +1,37 @@
-"""The numbers that go into a file: chosen among the axes, bounded where unknown, inflated on request."""
+"""The numbers that go into a file: what covers the fitted spectrum, or the fit's own; inflated on request.
+
+A filter that takes two numbers a sensor gets the pair of `imucal.prediction.filter_numbers`: N and K of the
+fit alone leave out its flicker, and a filter with them trusts itself too much.
+"""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
 from imucal.errors import DataError
-from imucal.fitting.noise_fit import Estimate
+from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.prediction.filter_numbers import (
+    HORIZON_S,
+    STEP_S,
+    FilterNumbers,
+    correlation_times,
+    filter_numbers,
+)
 from imucal.recording import Axis, Sensor
 from imucal.report.result import AxisReport, Report
 
 AxisPolicy: TypeAlias = Literal["worst", "rms", "x", "y", "z"]
 Unidentified: TypeAlias = Literal["bound", "refuse"]
+Basis: TypeAlias = Literal["covered", "as-fitted"]
 
 #: What can be inflated -> the symbols of the terms it multiplies.
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
+#: The two numbers of a filter.
+COVERING = ("N", "K")
 #: Correlation time where none was measured, in s: long against the record, so that a walk stays one.
 NOMINAL_TIME_S = 3600.0
 
@@ -37,16 +51,30 @@ class Choices:
         For a term that the data do not show: write its upper ``bound``, or ``refuse``.
     topic
         Topic to write, for formats that name one; None for the log's own.
+    numbers
+        White noise and walk that have ``covered`` the fitted spectrum, or N and K ``as-fitted``.
+    horizon_s
+        How long the filter may coast; None for what is usual with the format.
+    step_s
+        How often it is aided.
     """
 
     axis_policy: AxisPolicy = "worst"
     inflate: Mapping[str, float] = field(default_factory=dict)
     unidentified: Unidentified = "bound"
     topic: str | None = None
+    numbers: Basis = "covered"
+    horizon_s: float | None = None
+    step_s: float = STEP_S
 
     def __post_init__(self) -> None:
         _require(self.axis_policy, get_args(AxisPolicy), "axis policy")
         _require(self.unidentified, get_args(Unidentified), "choice for unidentified terms")
+        _require(self.numbers, get_args(Basis), "choice of numbers")
+        longest = math.inf if self.horizon_s is None else self.horizon_s
+        if not 0 < self.step_s < longest:
+            msg = f"the horizon must be longer than the step, got {longest:g} s and {self.step_s:g} s"
+            raise ValueError(msg)
         for name, factor in self.inflate.items():
             _require(name, tuple(INFLATABLE), "inflation")
             if not (math.isfinite(factor) and factor > 0):
@@ -83,6 +111,8 @@ class Number:
         Symbols of terms that may stand in this one's place: the record can't tell which.
     origin
         What the number is, where it is no estimate of one record.
+    covers
+        Whether `value` is of a pair that covers the spectra of `axes`; the rest is of the fit's own number.
     """
 
     symbol: str
@@ -94,10 +124,13 @@ class Number:
     excess: float | None = None
     alternatives: tuple[str, ...] = ()
     origin: str = ""
+    covers: bool = False
 
     @property
     def note(self) -> str:
         """Where the number comes from and how well it is known, for a comment beside it."""
+        if self.covers:
+            return f"covers {', '.join(self.axes)}{self.origin and f', {self.origin}'}"
         text = f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}"
         if not self.alternatives:
             return text
@@ -120,29 +153,32 @@ class Number:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SlowNoise:
-    """A first-order Gauss-Markov process dx/dt = -x/T + driving * w(t).
+class WithBias:
+    """An axis as white noise and a first-order Gauss-Markov bias, dx/dt = -x/T + driving * w(t).
 
     Attributes
     ----------
+    white
+        Its N.
     driving
-        Density of the driving noise, in U/sqrt(s); sigma = driving * sqrt(T/2).
+        Density of the noise that drives the bias, in U/sqrt(s).
     correlation_time
         T, in s.
-    number
-        The K it stands for; None where it is a Gauss-Markov term of the fit.
+    used
+        The numbers it is made of.
     note
-        Where it comes from.
+        Where they come from.
     """
 
+    white: float
     driving: float
     correlation_time: float
-    number: Number | None
+    used: tuple[Number, ...]
     note: str
 
     @property
     def sigma(self) -> float:
-        """Steady-state standard deviation, in U."""
+        """Steady-state standard deviation of the bias, in U."""
         return self.driving * math.sqrt(self.correlation_time / 2)
 
 
@@ -158,6 +194,8 @@ class Numbers:
     report: Report
     choices: Choices
     target: str
+    covers: bool = False
+    horizon_s: float = HORIZON_S
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
@@ -197,26 +235,60 @@ class Numbers:
 
     def one(self, sensor: Sensor, symbol: str) -> Number:
         """Return one number for a sensor, by the axis policy."""
-        policy = self.choices.axis_policy
-        if policy in ("x", "y", "z"):
-            return self.of(self.axis(sensor, policy), symbol)
-        numbers = [self.of(axis, symbol) for axis in self.axes(sensor)]
-        if policy == "worst":
+        axes = self.chosen(sensor)
+        if self.covers and symbol in COVERING:
+            return self._covering(axes, symbol)
+        numbers = [self.of(axis, symbol) for axis in axes]
+        if len(numbers) == 1 or self.choices.axis_policy == "worst":
             return max(numbers, key=lambda number: number.value)
-        return Number(
-            symbol=symbol,
-            value=math.sqrt(sum(number.value**2 for number in numbers) / len(numbers)),
-            axes=tuple(name for number in numbers for name in number.axes),
-            bounded=tuple(name for number in numbers for name in number.bounded),
-            level=numbers[0].level,
-            alternatives=tuple(dict.fromkeys(each for number in numbers for each in number.alternatives)),
-            origin=numbers[0].origin,
-        )
+        value = math.sqrt(sum(number.value**2 for number in numbers) / len(numbers))
+        return _joined(numbers, value)
+
+    def chosen(self, sensor: Sensor) -> tuple[AxisReport, ...]:
+        """Return the axes that one number for a sensor is made of, by the axis policy."""
+        policy = self.choices.axis_policy
+        return (self.axis(sensor, policy),) if policy in ("x", "y", "z") else self.axes(sensor)
 
     def each(self, sensor: Sensor, symbol: str) -> tuple[Number, Number, Number]:
         """Return a number for each of the three axes; the axis policy plays no part."""
-        x, y, z = self.triad(sensor)
-        return self.of(x, symbol), self.of(y, symbol), self.of(z, symbol)
+        covers = self.covers and symbol in COVERING
+        x, y, z = (
+            self._covering((axis,), symbol) if covers else self.of(axis, symbol)
+            for axis in self.triad(sensor)
+        )
+        return x, y, z
+
+    def pair(self, axes: Sequence[AxisReport], *, time_s: float | None = None) -> FilterNumbers:
+        """Return white noise and a walk, or a bias that forgets, which cover the spectra of some axes.
+
+        The inflation of flicker is in it, that of white noise and walk is not.
+        """
+        return filter_numbers(
+            [self._inflated(axis.fit) for axis in axes],
+            horizon_s=self.horizon_s,
+            step_s=self.choices.step_s,
+            joined="rms" if self.choices.axis_policy == "rms" else "worst",
+            time_s=time_s,
+        )
+
+    def _inflated(self, fit: NoiseFit) -> NoiseFit:
+        factor = self.choices.factor("B")
+        if factor == 1:
+            return fit
+        return replace(
+            fit,
+            estimates=tuple(
+                replace(e, value=e.value and e.value * factor, low=e.low * factor, high=e.high * factor)
+                if e.symbol in INFLATABLE["flicker"]
+                else e
+                for e in fit.estimates
+            ),
+        )
+
+    def _covering(self, axes: Sequence[AxisReport], symbol: str) -> Number:
+        pair = self.pair(axes)
+        value = {"N": pair.white, "K": pair.walk}[symbol] * self.choices.factor(symbol)
+        return replace(_joined([self.of(axis, symbol) for axis in axes], value), covers=True)
 
     def of(self, axis: AxisReport, symbol: str) -> Number:
         """Return one axis's coefficient of N, B or K, or its upper bound."""
@@ -251,31 +323,66 @@ class Numbers:
         correlation_time, sigma = max(terms)
         return sigma * self.choices.factor(GaussMarkov.symbol), correlation_time
 
-    def slow(self, axis: AxisReport) -> SlowNoise:
-        """Return the process that best stands for what is slower than white noise.
+    def with_bias(self, axes: Sequence[AxisReport]) -> list[WithBias]:
+        """Return each axis as white noise and a bias, all of one correlation time.
+
+        Covered: of the fits' own times and one long against the horizon, the T that costs all axes least. As
+        fitted: the longest T; an axis with a shorter one keeps the noise that drives it.
+        """
+        if not self.covers:
+            fitted = [self._fitted_bias(axis) for axis in axes]
+            time = max(each.correlation_time for each in fitted)
+            return [replace(each, correlation_time=time) for each in fitted]
+        pairs = self.timed([[axis] for axis in axes])
+        return [
+            WithBias(
+                white=pair.white * self.choices.factor("N"),
+                driving=pair.walk * self.choices.factor("K"),
+                correlation_time=pair.correlation_time_s or math.inf,
+                used=tuple(self._covering([axis], symbol) for symbol in COVERING),
+                note=f"{axis.name}: covered by white noise and a bias of T {pair.correlation_time_s:.4g} s",
+            )
+            for axis, pair in zip(axes, pairs, strict=True)
+        ]
+
+    def timed(self, groups: Sequence[Sequence[AxisReport]]) -> list[FilterNumbers]:
+        """Return what covers each group of axes, with a bias of the one T that costs them all least.
+
+        It is that of a term of a fit, or long against the horizon, so that the bias walks.
+        """
+        fits = [axis.fit for axes in groups for axis in axes]
+        tried = (
+            [self.pair(axes, time_s=time) for axes in groups]
+            for time in correlation_times(fits, horizon_s=self.horizon_s)
+        )
+        return min(tried, key=lambda pairs: math.prod(pair.price for pair in pairs))
+
+    def _fitted_bias(self, axis: AxisReport) -> WithBias:
+        """Return N and the process that best stands for what is slower.
 
         A random walk that was found wins, with a nominal T: it goes on at the longest times, and a
         short T would stop it. Else the slowest Gauss-Markov term, with its own T. Else the bound on K.
         """
-        term = self.gauss_markov(axis)
+        white, term = self.of(axis, "N"), self.gauss_markov(axis)
         if term is not None and axis.fit["K"].value is None:
             sigma, time = term
-            return SlowNoise(
+            note = f"{white.note}; Gauss-Markov term of {axis.name}: sigma {sigma:.4g}, T {time:.4g} s"
+            return WithBias(
+                white=white.value,
                 driving=sigma * math.sqrt(2 / time),
                 correlation_time=time,
-                number=None,
-                note=f"Gauss-Markov term of {axis.name}: sigma {sigma:.4g}, T {time:.4g} s",
+                used=(white,),
+                note=note,
             )
-        walk = self.walk(axis)
-        if term is None:
-            return walk
-        return replace(walk, note=f"{walk.note}; a Gauss-Markov term (T {term[1]:.4g} s) is left out")
-
-    def walk(self, axis: AxisReport) -> SlowNoise:
-        """Return the random walk of an axis, or its bound, as a process with a nominal T."""
         walk = self.of(axis, "K")
-        note = f"{walk.note}; T is nominal"
-        return SlowNoise(driving=walk.value, correlation_time=NOMINAL_TIME_S, number=walk, note=note)
+        left_out = "" if term is None else f"; a Gauss-Markov term (T {term[1]:.4g} s) is left out"
+        return WithBias(
+            white=white.value,
+            driving=walk.value,
+            correlation_time=NOMINAL_TIME_S,
+            used=(white, walk),
+            note=f"{white.note}; {walk.note}; T is nominal{left_out}",
+        )
 
     def topic(self) -> tuple[str, str]:
         """Return the IMU topic to write, and a remark on where it comes from."""
@@ -315,6 +422,21 @@ class Numbers:
             "use a log that holds both sensors with all their axes"
         )
         return DataError(msg)
+
+
+def _joined(numbers: Sequence[Number], value: float) -> Number:
+    """Return a number that is made of those of several axes."""
+    if len(numbers) == 1:
+        return replace(numbers[0], value=value)
+    return Number(
+        symbol=numbers[0].symbol,
+        value=value,
+        axes=tuple(name for number in numbers for name in number.axes),
+        bounded=tuple(name for number in numbers for name in number.bounded),
+        level=numbers[0].level,
+        alternatives=tuple(dict.fromkeys(each for number in numbers for each in number.alternatives)),
+        origin=numbers[0].origin,
+    )
 
 
 def _excess(axis: AxisReport, estimate: Estimate) -> float | None:

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Number, Numbers
 from imucal.report.exports.target import Body, Target, quoted, real
 from imucal.report.result import AxisReport
@@ -95,10 +96,23 @@ def _every_term(numbers: Numbers) -> Body:
             f"  {sensor}:",
             f"    rate_hz: {real(numbers.rate_hz(sensor))}",
             f"    unit: {quoted(sensor.unit)}",
+            f"    filter: {{{_pair(numbers, sensor)}}}",
         ]
         for axis in numbers.axes(sensor):
             lines += _axis_terms(numbers, axis)
     return used, lines
+
+
+def _pair(numbers: Numbers, sensor: Sensor) -> str:
+    """Return what covers the spectrum of a sensor's axes, inflated."""
+    pair, factor = numbers.pair(numbers.chosen(sensor)), numbers.choices.factor
+    members = {
+        "white": pair.white * factor("N"),
+        "walk": pair.walk * factor("K"),
+        "horizon_s": pair.horizon_s,
+        "step_s": pair.step_s,
+    }
+    return ", ".join(f"{key}: {real(value)}" for key, value in members.items())
 
 
 def _axis_terms(numbers: Numbers, axis: AxisReport) -> Iterator[str]:
@@ -152,7 +166,10 @@ TARGETS = (
         heading="IMU noise model",
         source="no program: every key is in the file",
         kind="coefficients are continuous, SI; *_per_sample are discrete, right for rate_hz only",
-        formulas=("white_noise_per_sample = N * sqrt(f), bias_step_per_sample = K / sqrt(f)",),
+        formulas=(
+            "white_noise_per_sample = N * sqrt(f), bias_step_per_sample = K / sqrt(f)",
+            "filter: the least white noise and walk (densities) that cover the spectrum of the sensor's axes",
+        ),
         body=_every_term,
         carries="Q N B GM K R",
         per_axis=True,

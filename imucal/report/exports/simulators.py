@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from xml.etree import ElementTree as ET
 
 from imucal.noise.terms import TERMS
-from imucal.report.exports.config_numbers import NOMINAL_TIME_S, Number, Numbers, SlowNoise
+from imucal.report.exports.config_numbers import NOMINAL_TIME_S, Number, Numbers, WithBias
 from imucal.report.exports.target import (
     ACCEL,
     GYRO,
@@ -111,9 +111,9 @@ def _gazebo(numbers: Numbers) -> Body:
     for sensor in numbers.sensors:
         element = ET.SubElement(imu, _ELEMENTS[sensor])
         for axis in numbers.triad(sensor):
-            white, slow = numbers.of(axis, "N"), numbers.slow(axis)
-            used += [white] if slow.number is None else [white, slow.number]
-            _axis_noise(ET.SubElement(element, axis.axis), numbers.stream_hz, white, slow)
+            (noise,) = numbers.with_bias([axis])
+            used += noise.used
+            _axis_noise(ET.SubElement(element, axis.axis), numbers.stream_hz, noise)
     ET.indent(root)
     return used, [ET.tostring(root, encoding="unicode")]
 
@@ -123,17 +123,16 @@ def _sdf(head: Sequence[str], body: Sequence[str]) -> str:
     return "\n".join(['<?xml version="1.0"?>', "<!--", said, "-->", *body]) + "\n"
 
 
-def _axis_noise(parent: ET.Element, rate_hz: float, white: Number, slow: SlowNoise) -> None:
-    notes = f" {white.note} | {slow.note} "
-    parent.append(ET.Comment(_xml_safe(notes)))
+def _axis_noise(parent: ET.Element, rate_hz: float, axis: WithBias) -> None:
+    parent.append(ET.Comment(_xml_safe(f" {axis.note} ")))
     noise = ET.SubElement(parent, "noise", type="gaussian")
     values = {
         "mean": 0.0,
-        "stddev": white.value * math.sqrt(rate_hz),
+        "stddev": axis.white * math.sqrt(rate_hz),
         "bias_mean": 0.0,
         "bias_stddev": 0.0,
-        "dynamic_bias_stddev": slow.driving,
-        "dynamic_bias_correlation_time": slow.correlation_time,
+        "dynamic_bias_stddev": axis.driving,
+        "dynamic_bias_correlation_time": axis.correlation_time,
     }
     for name, value in values.items():
         ET.SubElement(noise, name).text = real(value)
@@ -153,8 +152,8 @@ TARGETS = (
         kind="stddev is discrete, right for update_rate only; dynamic_bias_stddev is a continuous density",
         formulas=(
             "stddev = N * sqrt(f)",
-            "dynamic_bias_stddev = K, with a nominal correlation time of 3600 s",
-            "on an axis with a Gauss-Markov term (sigma, T) and no random walk: sigma * sqrt(2 / T), and T",
+            "dynamic_bias_stddev = density of what drives the bias, K where it walks",
+            "dynamic_bias_correlation_time = T of the bias, long where none that was measured is better",
         ),
         body=_gazebo,
         notes=("bias_mean, bias_stddev: the turn-on bias needs many starts, not one log; set yours",),

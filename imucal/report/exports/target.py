@@ -12,15 +12,16 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import NamedTuple, TypeAlias
 
+from imucal.prediction.filter_numbers import HORIZON_S, FilterNumbers
 from imucal.recording import Sensor
-from imucal.report.exports.config_numbers import INFLATABLE, Number, Numbers
-from imucal.report.result import AxisReport
+from imucal.report.exports.config_numbers import COVERING, INFLATABLE, Choices, Number, Numbers
+from imucal.report.result import AxisReport, Report
 
 #: The numbers that stand in a file, and its lines without the comment at the head.
 Body: TypeAlias = tuple[Sequence[Number], Sequence[str]]
 #: Lines of a file that are the same in every one, or follow from the numbers.
 Lines: TypeAlias = Sequence[str] | Callable[[Numbers], Sequence[str]]
-_YAML_LINE = "{name}: {value}  # {remark}"
+YAML_LINE = "{name}: {value}  # {remark}"
 
 _POLICIES = {
     "worst": "worst: the largest of the sensor's axes",
@@ -131,6 +132,8 @@ class Target:
         The comment's lines and the body's -> text of the file.
     aliases
         Other names it goes by.
+    horizon_s
+        How long a filter with these numbers may coast, where the user doesn't say.
     """
 
     name: str
@@ -147,6 +150,13 @@ class Target:
     notes: tuple[str, ...] = ()
     layout: Callable[[Sequence[str], Sequence[str]], str] = below_comment
     aliases: tuple[str, ...] = ()
+    horizon_s: float = HORIZON_S
+
+    @property
+    def covers(self) -> bool:
+        """Whether white noise and a slow bias stand for all of a sensor's noise here."""
+        carries = self.carries.split()
+        return "B" not in carries and set(COVERING) <= set(carries)
 
     def is_called(self, name: str) -> bool:
         """Return whether this is its own name, whatever the case and the signs between letters."""
@@ -157,8 +167,19 @@ class Target:
             heading = re.sub(r" \((.+)\)$", r", its \1", self.title)
             object.__setattr__(self, "heading", heading)
 
-    def render(self, numbers: Numbers) -> str:
+    def numbers(self, report: Report, choices: Choices) -> Numbers:
+        """Return what a report gives this format."""
+        return Numbers(
+            report=report,
+            choices=choices,
+            target=self.name,
+            covers=self.covers and choices.numbers == "covered",
+            horizon_s=choices.horizon_s or max(self.horizon_s, 2 * choices.step_s),
+        )
+
+    def render(self, report: Report, choices: Choices) -> str:
         """Return the text of the file; raises `DataError` where a number is missing."""
+        numbers = self.numbers(report, choices)
         used, lines = self.body(numbers)
         return self.layout([*self._head(numbers, used), *self.notes], lines)
 
@@ -183,11 +204,9 @@ class Target:
             *(f"formula: {formula}" for formula in self.formulas),
             f"axes: {axes}",
             f"inflation: {_inflation(numbers)}",
+            *(_coverage(numbers, per_axis=self.per_axis) if self.covers else ()),
         ]
-        bounds = dict.fromkeys(f"{number.symbol} of {name}" for number in used for name in number.bounded)
-        if bounds:
-            level = report.axes[0].fit.level
-            lines.append(f"not identified, so the {level:.0%} upper bound is written: {', '.join(bounds)}")
+        lines += _bounds(numbers, used)
         rates = [numbers.rate_hz(sensor) for sensor in numbers.sensors]
         if max(rates) > 1.001 * min(rates):
             lines.append(
@@ -195,7 +214,8 @@ class Target:
                 if self.own_rates
                 else f"the rates differ: every number is for one stream at f = {numbers.stream_hz:.9g} Hz"
             )
-        return [*lines, *_left_out(report.axes, self.carries), *_warnings(numbers)]
+        left_out = _uncovered(numbers) if numbers.covers else _left_out(report.axes, self.carries)
+        return [*lines, *left_out, *_warnings(numbers)]
 
 
 def _sensor_line(numbers: Numbers, sensor: Sensor) -> str:
@@ -211,6 +231,78 @@ def _inflation(numbers: Numbers) -> str:
         return "none; the numbers are those of the sensor at rest"
     parts = (f"{name} ({'/'.join(INFLATABLE[name])}) x {factor:g}" for name, factor in asked.items())
     return f"{', '.join(parts)}; ALREADY in the numbers below"
+
+
+def _bounds(numbers: Numbers, used: Iterable[Number]) -> list[str]:
+    bounds = dict.fromkeys(f"{number.symbol} of {name}" for number in used for name in number.bounded)
+    if not bounds:
+        return []
+    written = "is covered in part" if numbers.covers else "is written"
+    level = f"{numbers.report.axes[0].fit.level:.0%}"
+    return [f"not identified, so the {level} upper bound {written}: {', '.join(bounds)}"]
+
+
+def _coverage(numbers: Numbers, *, per_axis: bool) -> list[str]:
+    """Say what the pairs cover, what that costs, and what the fit's own numbers are."""
+    if not numbers.covers:
+        said = "numbers: N and K as fitted; flicker and Gauss-Markov terms are left out, so that a filter"
+        return [f"{said} with them is surer than it should be"]
+    groups = [
+        each
+        for sensor in numbers.sensors
+        for each in ([(axis,) for axis in numbers.triad(sensor)] if per_axis else [numbers.chosen(sensor)])
+    ]
+    pairs = [numbers.pair(axes) for axes in groups]
+    what = "upper limits of the Allan curve" if pairs[0].basis == "curve" else "fitted spectrum"
+    level = "" if pairs[0].level is None else f" ({pairs[0].level:.0%})"
+    said = f"numbers: the least white noise and walk that cover the {what}{level}; filter aided every "
+    return [
+        f"{said}{numbers.choices.step_s:g} s or slower, horizon {numbers.horizon_s:g} s",
+        *(
+            f"{_named(axes)}: {price(pair)}; the fit's own: {itself(axes)}"
+            for axes, pair in zip(groups, pairs, strict=True)
+        ),
+    ]
+
+
+def _named(axes: Sequence[AxisReport]) -> str:
+    return ", ".join(axis.name for axis in axes)
+
+
+def price(pair: FilterNumbers) -> str:
+    """Return what a pair costs: predicted over modelled error at some times of coasting."""
+    within = [(t, ratio) for t, ratio in pair.ratios if t <= pair.horizon_s] or list(pair.ratios)
+    ratios = " ".join(f"{ratio:.2g}" for _, ratio in within)
+    return f"{ratios} x the model's error at {', '.join(f'{t:g}' for t, _ in within)} s"
+
+
+def itself(axes: Sequence[AxisReport]) -> str:
+    """Return the fit's own numbers, each of the axis where it is largest."""
+    said = []
+    for key in dict.fromkeys(e.key for axis in axes for e in axis.fit.estimates):
+        found = [e for axis in axes for e in axis.fit.estimates if e.key == key]
+        worst = max(found, key=lambda e: (e.value is not None, e.value or e.high))
+        if worst.value is None:
+            said.append(f"{key} < {worst.high:.3g}")
+        else:
+            said.append(f"{key} {worst.value:.3g} ({worst.low:.3g} to {worst.high:.3g})")
+    return ", ".join(said)
+
+
+def _uncovered(numbers: Numbers) -> list[str]:
+    """Say what two numbers do not cover: what a rounded signal adds, and spectral lines."""
+    said = []
+    for axis in numbers.report.axes:
+        rounding = next((e.value for e in axis.fit.estimates if e.symbol == "Q" and e.value), None)
+        if rounding is not None:
+            said.append(f"{axis.name}: quantization adds at most sqrt(2) Q = {math.sqrt(2) * rounding:.3g}")
+        if axis.fit.goodness.lines:
+            line = max(axis.fit.goodness.lines, key=lambda line: line.amplitude / line.frequency_hz)
+            swing = line.amplitude / (math.pi * line.frequency_hz)
+            said.append(
+                f"{axis.name}: the tone of {line.frequency_hz:.4g} Hz is not covered, it adds {swing:.3g}"
+            )
+    return said
 
 
 def _left_out(axes: Iterable[AxisReport], carries: str) -> list[str]:
@@ -324,13 +416,13 @@ def entries(numbers: Numbers, keys: Iterable[Key]) -> list[Entry]:
     return found
 
 
-def lines(found: Iterable[Entry], layout: str = _YAML_LINE) -> list[str]:
+def lines(found: Iterable[Entry], layout: str = YAML_LINE) -> list[str]:
     """Return one line a number; the layout knows name, value and remark (unit and origin)."""
     return [layout.format(name=e.name, value=real(e.value), remark=e.remark) for e in found]
 
 
 def keyed_body(
-    keys: tuple[Key, ...], *, above: Lines = (), below: Lines = (), indent: str = "", layout: str = _YAML_LINE
+    keys: tuple[Key, ...], *, above: Lines = (), below: Lines = (), indent: str = "", layout: str = YAML_LINE
 ) -> Callable[[Numbers], Body]:
     """Return the body of a file of keys: the lines above, the keys (see `lines`), the lines below."""
 

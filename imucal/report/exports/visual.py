@@ -12,22 +12,25 @@ from functools import partial
 
 import numpy as np
 
-from imucal.report.exports.config_numbers import Numbers
+from imucal.report.exports.config_numbers import NOMINAL_TIME_S, Numbers
 from imucal.report.exports.target import (
     ACCEL,
     DENSITY_SQUARED,
     GYRO,
     HALVED_TWICE,
     SAMPLE,
+    YAML_LINE,
     Body,
     Key,
     Target,
     below_comment,
     beside_json,
+    entries,
     four,
     json_object,
     json_origins,
     keyed_body,
+    lines,
     matrix,
     opencv_yaml,
     plain,
@@ -56,15 +59,15 @@ _UPDATE_RATE = stream_rate("update_rate")
 
 def _intrinsics(numbers: Numbers) -> list[str]:
     unit, zero = np.eye(3).tolist(), np.zeros((3, 3)).tolist()
-    lines = [
+    text = [
         f"  {_topic(numbers)}",
         "  time_offset: 0.0",
         f"  {_UPDATE_RATE(numbers)[0]}",
         '  model: "kalibr"',
     ]
     for key, rows in (("Tw", unit), ("R_IMUtoGYRO", unit), ("Ta", unit), ("R_IMUtoACC", unit), ("Tg", zero)):
-        lines += [f"  {key}:", *matrix(rows, "    ")]
-    return lines
+        text += [f"  {key}:", *matrix(rows, "    ")]
+    return text
 
 
 _PLAIN = "no factor of the rate"
@@ -87,6 +90,25 @@ def _orbslam3_rate(numbers: Numbers) -> list[str]:
         *stream_rate("IMU.Frequency")(numbers),
         '# A config without File.version: "1.0" goes through the old loader, which takes an integer alone:',
         f"# IMU.Frequency: {round(numbers.stream_hz)}",
+    ]
+
+
+_OKVIS2 = four("sigma_a_c sigma_aw_c sigma_g_c sigma_gw_c")
+
+
+def _okvis2(numbers: Numbers) -> Body:
+    """Return the four numbers, those of the accelerometer for a bias that forgets after tau."""
+    found, time = entries(numbers, _OKVIS2), NOMINAL_TIME_S
+    if numbers.covers and ACCEL in numbers.sensors:
+        (pair,) = numbers.timed([numbers.chosen(ACCEL)])
+        time = pair.correlation_time_s or time
+        values = (pair.white * numbers.choices.factor("N"), pair.walk * numbers.choices.factor("K"))
+        found[:2] = [entry._replace(value=value) for entry, value in zip(found[:2], values, strict=True)]
+    return [entry.number for entry in found], [
+        "imu_parameters:",
+        *lines(found, f"    {YAML_LINE}"),
+        f"    tau: {real(time)}  # s, of the accelerometer's bias",
+        f"    {_gravity('g')}",
     ]
 
 
@@ -198,13 +220,8 @@ TARGETS = (
         file_name="okvis2_imu.yaml",
         source="source: okvis_ceres/src/ImuError.cpp, okvis_common/src/ViParametersReader.cpp",
         kind="continuous-time densities, SI; OKVIS2 multiplies their squares by dt",
-        formulas=(f"sigma_a_c, sigma_g_c = N; sigma_aw_c, sigma_gw_c = K; {_PLAIN}",),
-        body=keyed_body(
-            four("sigma_a_c sigma_aw_c sigma_g_c sigma_gw_c"),
-            above=("imu_parameters:",),
-            below=(f"    {_gravity('g')}",),
-            indent="    ",
-        ),
+        formulas=(f"sigma_a_c, sigma_g_c = N; sigma_aw_c, sigma_gw_c = K, tau = T; {_PLAIN}",),
+        body=_okvis2,
         notes=(f"{_OWN_KEYS} (a_max, g_max, sigma_ba, sigma_bg, a0, g0, T_BS …)",),
         layout=opencv_yaml,
     ),

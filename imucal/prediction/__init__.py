@@ -1,0 +1,9 @@
+"""What a fitted model says of the errors that grow when its sensor is integrated.
+
+Fits come in; variances of angle, velocity and position with their limits come out, and the two numbers
+that a filter can be held to.
+"""
+
+from imucal.prediction.filter_numbers import FilterNumbers, filter_numbers
+
+__all__ = ["FilterNumbers", "filter_numbers"]

@@ -1,0 +1,228 @@
+"""The variance of anything summed up of a sensor's noise, by a fit: its value and its limits.
+
+A psd, an Allan variance, the variance of an angle after a minute of coasting: each is linear in the
+squares of the terms' coefficients, so each is a sum over the terms. Its limits follow from the limits of
+the coefficients by the method of variance estimates recovery: the distances of each term's share to
+its own limits, added as a quadratic form with the fit's correlations.
+
+Source: Zou & Donner (2008), "Construction of confidence limits about effect measures: a general
+approach", Statistics in Medicine 27, 1693.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from statistics import NormalDist
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from imucal.arrays import FloatArray
+from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.noise.term import NoiseTerm
+from imucal.noise.terms import TERMS, GaussMarkov
+
+#: What is asked of a term: a value, or one for each time or frequency, linear in its coefficient's square.
+Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
+
+#: A coast, and the rest before it, are made of so many blocks at least; both together of at most so many.
+_BLOCKS, _MOST_BLOCKS = 120, 1 << 18
+#: A correlation time's lower limit counts down to this share of it: below, the term is white noise.
+_SHORTEST_TIME = 1 / 30
+#: Integrals of a rate that an error is: the sensor once, twice, three times.
+ANGLE, POSITION, TILT = 1, 2, 3
+
+
+class Caution(NamedTuple):
+    """How far towards its limit a term counts, as a share of the way in power.
+
+    Attributes
+    ----------
+    bounded
+        Of a term that the data do not show, whose value is 0.
+    shown
+        Of a term that they show.
+    """
+
+    bounded: float
+    shown: float
+
+    @classmethod
+    def at(cls, level: float, limits: float) -> "Caution":
+        """Return the shares of a one-sided level, where the fit's limits are those of the level `limits`.
+
+        A shown term errs like a normal deviate, one at its bound like half of one.
+        """
+        normal = NormalDist()
+        whole = normal.inv_cdf((1 + limits) / 2)
+        return cls(normal.inv_cdf((1 + level) / 2) / whole, normal.inv_cdf(level) / whole)
+
+
+#: Up to the limits themselves.
+LIMITS = Caution(1.0, 1.0)
+#: The mean over what the record leaves open: of half a normal deviate, over its 95 % quantile.
+MEAN = Caution(math.sqrt(2 / math.pi) / NormalDist().inv_cdf(0.975), 0.0)
+
+
+class _Excursion(NamedTuple):
+    """How far a quantity moves when one parameter goes to its limit; the parameter's name in the fit."""
+
+    name: str | None
+    by: FloatArray
+
+
+def modelled(fit: NoiseFit, of: Quantity) -> FloatArray:
+    """Return a quantity of the fitted model, shape as `of` gives it: bounded terms count as 0."""
+    shown = [of(_term(e, e.value)) for e in fit.estimates if e.value is not None]
+    return np.sum(shown, axis=0) if shown else 0.0 * of(TERMS["N"].of(0.0))
+
+
+def upper_limit(fit: NoiseFit, of: Quantity, caution: Caution = LIMITS) -> FloatArray:
+    """Return the upper limit of a quantity, shape as `of` gives it.
+
+    Parameters
+    ----------
+    fit
+        The model with its limits.
+    of
+        The quantity of one term.
+    caution
+        How far towards the limits each term counts; by default wholly, which is the fit's level.
+    """
+    return modelled(fit, of) + _joint(fit, _raised(fit, of, caution))
+
+
+def lower_limit(fit: NoiseFit, of: Quantity) -> FloatArray:
+    """Return the lower limit of a quantity at the fit's level, at least 0, shape as `of` gives it."""
+    return np.maximum(modelled(fit, of) - _joint(fit, _lowered(fit, of)), 0.0)
+
+
+def coasting_variance(
+    term: NoiseTerm, times_s: FloatArray, *, rest_s: float, rate_hz: float, integrals: int = ANGLE
+) -> FloatArray:
+    """Return the variance of the error after coasting, shape (t,), in (U s^integrals)².
+
+    The bias is the mean of a rest; then the samples less the bias are integrated so many times:
+    once for the angle of a gyroscope or the velocity of an accelerometer, twice for a position, three times
+    for the position that a tilt makes, per unit of gravity.
+
+    The error is a sum of samples with weights that add up to zero, -w/2' D w with the mean square
+    differences D, whose second sums V(n) each term knows; blocks of samples make the sum short. Right to
+    1e-3 where a block is a hundredth of the rest and of the coast.
+
+    Parameters
+    ----------
+    term
+        Of a model.
+    times_s
+        How long it coasts, shape (t,).
+    rest_s
+        How long it rests before.
+    rate_hz
+        Sampling rate.
+    integrals
+        1, 2 or 3.
+
+    Raises
+    ------
+    ValueError
+        If a time is not positive.
+    """
+    times = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
+    if not (np.all(times > 0) and rest_s > 0):
+        msg = f"times of coasting and resting must be positive, got {times_s} and {rest_s}"
+        raise ValueError(msg)
+    return np.array([_coasting(term, float(t), rest_s, rate_hz, integrals) for t in times])
+
+
+def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, integrals: int) -> float:
+    size = max(
+        1,
+        round(min(coast_s, rest_s) * rate_hz / _BLOCKS),
+        math.ceil((coast_s + rest_s) * rate_hz / _MOST_BLOCKS),
+    )
+    resting, coasting = (max(1, round(t * rate_hz / size)) for t in (rest_s, coast_s))
+    blocks = resting + coasting
+    # The sums of blocks have these covariances, up to a constant that weights of sum zero do not see.
+    V = term.sum_variance(np.arange(blocks + 1.0) * size, 1 / rate_hz) / rate_hz**2
+    covariance = np.concatenate([V[1:2], (V[2:] - 2 * V[1:-1] + V[:-2]) / 2])
+    left = (coasting - 0.5 - np.arange(coasting)) * size / rate_hz
+    weights = np.concatenate([np.zeros(resting), left ** (integrals - 1) / math.factorial(integrals - 1)])
+    weights[:resting] = -weights.sum() / resting
+    # The quadratic form of a Toeplitz matrix, as a product of transforms.
+    length = 1 << (2 * blocks).bit_length()
+    circulant = np.concatenate([covariance, np.zeros(length - 2 * blocks + 1), covariance[:0:-1]])
+    power = np.abs(np.fft.rfft(weights, length)) ** 2 * np.fft.rfft(circulant).real
+    return max(float(power[0] + 2 * power[1:-1].sum() + power[-1]) / length, 0.0)
+
+
+def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> NoiseTerm:
+    """Return the term of an estimate with another coefficient or time.
+
+    A Gauss-Markov term that is only bounded has no T: whatever T is, flicker of the same number covers
+    it, since the greatest of 2 sigma² T / (1 + omega² T²) over all T is sigma² / omega.
+    """
+    if estimate.correlation_time is not None:
+        return TERMS[estimate.symbol].of(coefficient, time or estimate.correlation_time.value)
+    symbol = "B" if estimate.symbol == GaussMarkov.symbol else estimate.symbol
+    return TERMS[symbol].of(coefficient)
+
+
+def _raised(fit: NoiseFit, of: Quantity, caution: Caution) -> Iterator[_Excursion]:
+    """Yield how far each term moves a quantity up."""
+    for estimate in fit.estimates:
+        if estimate.value is None:
+            if caution.bounded and 0 < estimate.high < math.inf:
+                yield _Excursion(None, caution.bounded * of(_term(estimate, estimate.high)))
+            continue
+        if not caution.shown:
+            continue
+        value = of(_term(estimate, estimate.value))
+        name, time_name = _names(estimate)
+        yield _Excursion(name, caution.shown * (of(_term(estimate, estimate.high)) - value))
+        for by in _of_time(estimate, of, value, 1.0):
+            yield _Excursion(time_name, caution.shown * by)
+
+
+def _lowered(fit: NoiseFit, of: Quantity) -> Iterator[_Excursion]:
+    """Yield how far each term moves a quantity down."""
+    for estimate in fit.estimates:
+        if estimate.value is None:
+            continue
+        value = of(_term(estimate, estimate.value))
+        name, time_name = _names(estimate)
+        yield _Excursion(name, value - of(_term(estimate, estimate.low)))
+        for by in _of_time(estimate, of, value, -1.0):
+            yield _Excursion(time_name, by)
+
+
+def _names(estimate: Estimate) -> tuple[str, str]:
+    """Return the names of a term's coefficient and time in its fit."""
+    names = TERMS[estimate.symbol].parameter_names(estimate.key)
+    return names[0], names[-1]
+
+
+def _of_time(estimate: Estimate, of: Quantity, value: FloatArray, up: float) -> Iterator[FloatArray]:
+    """Yield how far a term's time moves a quantity up (1) or down (-1): signed by the limit that does."""
+    time = estimate.correlation_time
+    if time is None or estimate.value is None:
+        return
+    high = max(time.high, time.value)
+    low = max(min(time.low, time.value), time.value * _SHORTEST_TIME)
+    longer, shorter = (up * (of(_term(estimate, estimate.value, t)) - value) for t in (high, low))
+    yield np.where(longer > 0, longer, np.where(shorter > 0, -shorter, 0.0))
+
+
+def _joint(fit: NoiseFit, excursions: Iterator[_Excursion]) -> FloatArray:
+    """Return the root of the excursions' quadratic form with the fit's correlations."""
+    found = list(excursions)
+    if not found:
+        return np.zeros(())
+    place = {name: i for i, name in enumerate(fit.parameters)}
+    at = [place.get(each.name or "", -1) for each in found]
+    form = np.eye(len(found))
+    if fit.parameters:
+        known = np.nan_to_num(fit.correlation)
+        form += [[known[i, j] * (i >= 0 <= j and i != j) for j in at] for i in at]
+    by = np.stack(np.broadcast_arrays(*(each.by for each in found)))
+    square: FloatArray = np.einsum("i...,ij,j...->...", by, form, by)
+    return np.sqrt(np.maximum(square, 0.0))

@@ -1,0 +1,1 @@
+"""Tests of what a model predicts of a filter's errors."""
