@@ -10,6 +10,7 @@ file is named and nothing is read: a disk that lost a bit, or a version with oth
 
 import hashlib
 import io
+import itertools
 import json
 import math
 import secrets
@@ -311,20 +312,19 @@ class FleetStore:
             found = self._read("bins", own["part"].unique(), own["key"])
             yield found.join(own, on=["part", "key"]).select(*BINS).sort("key", "sensor", "axis")
 
-    def damaged(self) -> dict[str, list[Path]]:
-        """Return the parts that are not as they were written, by their names, and all that go with them.
+    def damaged(self) -> dict[Path, list[Path]]:
+        """Return the parts that are not as they were written, each with all that it is nothing without.
 
-        Of a batch that is all three; a part without its commit record is none's.
+        Of a batch that is all three, the commit record first; a part without such a record is nobody's.
         """
-        found = {}
-        for name in self._batches():
-            batch = [self.folder / table / name for table in reversed(_OF_BATCH)]
-            if not all(_is_whole(path, _OF_BATCH[path.parent.name]) for path in batch):
-                found[name] = batch
-        for path in sorted((self.folder / "derived").glob("part-*.parquet")):
-            if not _is_whole(path, DERIVED):
-                found[path.name] = [path]
-        return found
+        groups = [[self.folder / table / name for table in reversed(_OF_BATCH)] for name in self._batches()]
+        groups += [[path] for path in sorted((self.folder / "derived").glob("part-*.parquet"))]
+        return {
+            path: group
+            for group in groups
+            for path in group
+            if not _is_whole(path, _TABLES[path.parent.name])
+        }
 
     def refuse_damage(self) -> None:
         """Check all that is there.
@@ -334,8 +334,7 @@ class FleetStore:
         StoreError
             If a part is not as it was written.
         """
-        for parts in self.damaged().values():
-            part = next(path for path in parts if not _is_whole(path, _TABLES[path.parent.name]))
+        for part in self.damaged():
             msg = f"{part}: {_NOT_WHOLE}; run the fleet again, which does its logs anew"
             raise StoreError(msg)
 
@@ -347,14 +346,11 @@ class FleetStore:
         WriteError
             If they can't be removed.
         """
-        removed = []
+        damaged = self.damaged()
         with _translated(self.folder):
-            for parts in self.damaged().values():
-                removed += [path for path in parts if not _is_whole(path, _TABLES[path.parent.name])]
-                # The commit record first.
-                for path in parts:
-                    path.unlink(missing_ok=True)
-        return removed
+            for path in itertools.chain.from_iterable(damaged.values()):
+                path.unlink(missing_ok=True)
+        return list(damaged)
 
     def _batches(self) -> list[str]:
         return sorted(path.name for path in (self.folder / "logs").glob("part-*.parquet"))

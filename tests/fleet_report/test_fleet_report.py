@@ -168,6 +168,15 @@ def test_the_table_has_a_row_a_unit_and_term(fleet: Fleet) -> None:
     assert [row["logs_differ"] for row in rows[:4]] == ["0", "0", "1", ""]
 
 
+def test_labels_do_no_harm_in_a_table(fleet: Fleet) -> None:
+    """A spreadsheet runs no formula of theirs, a terminal no command; other cells stay as they are."""
+    (model,) = fleet.models
+    bad = replace(fleet, models=(replace(model, name="=cmd()|'x'\x1b[2J"),))
+    rows = list(csv.DictReader(io.StringIO(fleet_csv(bad))))
+    assert {row["model"] for row in rows} == {"'=cmd()|'x'\\x1b[2J"}
+    assert {row["unit"] for row in rows} == {f"u{number:02}" for number in range(24)}
+
+
 def test_few_units_have_neither_spread_nor_bound_and_it_is_said(tmp_path: Path) -> None:
     """In the document, on the page, and by the export."""
     write_store(tmp_path / "two", units=2, failures=False, special=False)
