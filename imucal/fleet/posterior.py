@@ -196,29 +196,16 @@ class Posterior:
 
     def prediction(self, at: Sequence[float] | FloatArray) -> FloatArray:
         """Return quantiles of the logarithm of a unit that was not seen."""
-        from scipy.special import ndtr
-
         weight = self.weight.sum(axis=0)
-        keep = weight > math.exp(-_NOTHING) * weight.max()
-        mu, tau = (np.broadcast_to(x, self.weight.shape)[0][keep] for x in (self.mu, self.tau))
-        reach = 6 * float(tau.max())
-        grid = np.linspace(float(mu.min()) - reach, float(mu.max()) + reach, _GRID)
-        below = ndtr((grid[:, None] - mu) / tau) @ weight[keep] / weight[keep].sum()
-        return np.interp(at, below, grid)
+        points, below = _law(self.mu[0], np.broadcast_to(self.tau[0], weight.shape), weight)
+        return np.interp(at, below, points)
 
     def next_log(self) -> NextLog:
         """Return where a log of a unit that was not seen lies."""
-        from scipy.special import ndtr
-
-        keep = self.weight > _UNLIKELY * self.weight.max()
-        mu = np.broadcast_to(self.mu, self.weight.shape)[keep]
-        wide = np.broadcast_to(np.hypot(self.tau, self.omega), self.weight.shape)[keep]
-        weight = self.weight[keep] / self.weight[keep].sum()
-        reach = 6 * float(wide.max())
-        low, high = float(mu.min()) - reach, float(mu.max()) + reach
-        # A point at a time: all of them would take more memory than the posterior itself.
-        below = [float(ndtr((point - mu) / wide) @ weight) for point in np.linspace(low, high, _GRID)]
-        return NextLog(low=low, high=high, below=tuple(below))
+        mu = np.broadcast_to(self.mu, self.weight.shape)
+        wide = np.broadcast_to(np.hypot(self.tau, self.omega), self.weight.shape)
+        points, below = _law(mu, wide, self.weight)
+        return NextLog(low=float(points[0]), high=float(points[-1]), below=tuple(below.tolist()))
 
     def p_value(self, centre: FloatArray, variance: FloatArray) -> float:
         """Return the two-sided chance of a new unit's logarithm `centre`, known with a normal error.
@@ -243,6 +230,18 @@ class Posterior:
         below = units.below(np.exp(2 * (log + scatter[:, None] * moved))).mean(axis=1)
         result: FloatArray = 2 * np.minimum(below, 1 - below)
         return result
+
+
+def _law(mu: FloatArray, wide: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return points, and the chance of less at each, of normal laws with weights, all of one shape."""
+    from scipy.special import ndtr
+
+    keep = weight > _UNLIKELY * weight.max()
+    mu, wide, weight = mu[keep], wide[keep], weight[keep] / weight[keep].sum()
+    reach = 6 * float(wide.max())
+    points = np.linspace(float(mu.min()) - reach, float(mu.max()) + reach, _GRID)
+    # A point at a time: all of them would take more memory than the posterior itself.
+    return points, np.array([float(ndtr((point - mu) / wide) @ weight) for point in points])
 
 
 def whole_posterior(values: LogValues, place: Place) -> Posterior:
