@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -35,15 +36,11 @@ def shared() -> Iterator[Path]:
 
 def as_nobody(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a command as another user, or as this one where tests do not run as root."""
-    user = {"user": NOBODY, "group": NOBODY, "extra_groups": []} if IS_ROOT else {}
-    return subprocess.run(  # noqa: S603 - the commands of these tests
-        command,
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        check=False,
-        **user,  # type: ignore[call-overload]
+    user: dict[str, Any] = {"user": NOBODY, "group": NOBODY, "extra_groups": []} if IS_ROOT else {}
+    done: subprocess.CompletedProcess[str] = subprocess.run(  # noqa: S603 - the commands of these tests
+        command, cwd=cwd, capture_output=True, text=True, check=False, **user
     )
+    return done
 
 
 def test_a_run_opens_no_port_and_no_pipe_to_others(tmp_path: Path) -> None:
