@@ -173,10 +173,8 @@ def command(
     except ValueError as error:
         msg = f"{error}; choose another folder with -o, or start anew with --fresh"
         raise click.UsageError(msg) from error
-    if dry_run:
-        store.refuse_damage()
-    for part in () if fresh or dry_run else store.mend():
-        say(f"{part}: is damaged; what it held is done again", quiet=quiet)
+    if not fresh:
+        _mend(store, dry_run=dry_run, quiet=quiet)
     entries = _entries(store, logs, manifest, labels, quiet=quiet)
     options = {**reading, "topic": topic, "skip_s": skip_s, "take_s": take_s, "strict": strict}
     plan = plan_fleet(entries, settings, None if fresh else store, reading=as_json(options))
@@ -186,13 +184,21 @@ def command(
         return
     prepare(store, plan, settings, fresh=fresh)
     say_plan(plan, store, quiet=quiet)
-    if scheduler and (warned := unprotected(scheduler)):
+    if warned := unprotected(scheduler):
         say(f"warning: {warned}")
     ask = asking(settings, workers=workers, scheduler=scheduler)
     with _saying_how_to_go_on(ctx, out):
         with fleet_progress(quiet=quiet or not plan.tasks) as progress:
             run_plan(plan, settings, workers=workers, scheduler=scheduler, tell=progress or (lambda _: None))
         conclude(ctx, store, plan, out, ask=ask, max_failed=max_failed, quiet=quiet)
+
+
+def _mend(store: "FleetStore", *, dry_run: bool, quiet: bool) -> None:
+    """Remove what is damaged, and say so; a run that writes nothing refuses it."""
+    if dry_run:
+        store.refuse_damage()
+    for part in store.mend():
+        say(f"{part}: is damaged; what it held is done again", quiet=quiet)
 
 
 @contextlib.contextmanager

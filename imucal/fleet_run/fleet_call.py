@@ -147,7 +147,7 @@ def run_fleet(
     plan = plan_fleet(asked, settings, None if fresh else store, reading=as_json(reading or {}))
     plan = plan.shard(*shard) if shard else plan
     prepare(store, plan, settings, fresh=fresh)
-    if scheduler and (said := unprotected(scheduler)):
+    if said := unprotected(scheduler):
         warnings.warn(said, stacklevel=2)
     tell = progress or (lambda _, __: None)
     run_plan(

@@ -49,13 +49,13 @@ class Lost:
     reason: str
 
 
-def unprotected(address: str) -> str:
+def unprotected(address: str | None) -> str:
     """Return what is to be said of an address by which others may reach a cluster; empty where none can.
 
     Tasks of Dask are pickles: whoever can send one runs code as the user of the workers. Dask's own
     configuration has the certificates of ``tls://`` addresses.
     """
-    parts = urlsplit(address)
+    parts = urlsplit(address or "inproc://")
     try:
         here = parts.hostname == "localhost" or ipaddress.ip_address(parts.hostname or "").is_loopback
     except ValueError:
