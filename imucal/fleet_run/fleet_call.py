@@ -122,12 +122,7 @@ def run_fleet(
     needs no ``if __name__ == "__main__"``, and a notebook may call this.
     """
     _refuse_slips(reports, level=level, jobs=jobs, timeout_s=timeout_s)
-    if shard and not 1 <= shard[0] <= shard[1]:
-        msg = f"shard {shard} is no part; expected (i, n) with i from 1 to n"
-        raise ValueError(msg)
-    if shard and scheduler:
-        msg = "a shard works without a cluster; expected shard or scheduler, not both"
-        raise ValueError(msg)
+    _refuse_shard(shard, scheduler)
     store = FleetStore(Path(folder).absolute())
     workers = 1 if shard else jobs or threads()
     settings = fleet_settings(
@@ -169,6 +164,15 @@ def _refuse_slips(reports: str, **given: float | None) -> None:
         if number is not None and not fits(number):
             msg = f"{name} {number}, expected {expected}"
             raise ValueError(msg)
+
+
+def _refuse_shard(shard: tuple[int, int] | None, scheduler: str | None) -> None:
+    if shard and not 1 <= shard[0] <= shard[1]:
+        msg = f"shard {shard} is no part; expected (i, n) with i from 1 to n"
+        raise ValueError(msg)
+    if shard and scheduler:
+        msg = "a shard works without a cluster; expected shard or scheduler, not both"
+        raise ValueError(msg)
 
 
 def _asked(
