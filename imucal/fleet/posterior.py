@@ -46,6 +46,8 @@ _TINY, _LARGEST = math.exp(-690), 600.0
 #: Points of the law of the next unit, and of the next log; points of the posterior that are less probable
 #: than this, against the most probable, say nothing of the latter.
 _GRID, _UNLIKELY = 801, 1e-7
+#: How far the law of the next log reaches, in deviations.
+_FARTHEST = 6.0
 #: Points of the predictive law that a weak unit is judged by.
 _DRAWS = 4000
 #: Its multiples fill the unit interval evenly, in an order that has nothing to do with theirs.
@@ -150,24 +152,23 @@ class NextLog:
 
     Attributes
     ----------
-    low, high
-        Ends of an even grid of logarithms of the coefficient.
+    points
+        Logarithms of the coefficient, ascending, as dense as the law itself.
     below
-        The chance of less, at each point of the grid.
+        The chance of less, at each of them.
     """
 
-    low: float
-    high: float
+    points: tuple[float, ...]
     below: tuple[float, ...]
 
     def p_value(self, new: LogValues) -> float:
         """Return the two-sided chance of one log like this."""
         from scipy.special import ndtr
 
-        ends, step = np.linspace(self.low, self.high, len(self.below), retstep=True)
-        at, weight = ends[1:] - step / 2, np.diff(self.below)
+        step, weight = np.diff(self.points), np.diff(self.below)
+        at = np.asarray(self.points[1:]) - step / 2
         if new.narrow.all():
-            # Between two points of the grid what is there lies evenly.
+            # Between two points what is there lies evenly.
             error = np.hypot(new.deviation[0], step / math.sqrt(12))
             less = ndtr((new.centre[0] - at) / error)
         else:
@@ -197,15 +198,18 @@ class Posterior:
     def prediction(self, at: Sequence[float] | FloatArray) -> FloatArray:
         """Return quantiles of the logarithm of a unit that was not seen."""
         weight = self.weight.sum(axis=0)
-        points, below = _law(self.mu[0], np.broadcast_to(self.tau[0], weight.shape), weight)
-        return np.interp(at, below, points)
+        law = _Law(self.mu[0], np.broadcast_to(self.tau[0], weight.shape), weight)
+        return np.interp(at, law.below(law.points), law.points)
 
     def next_log(self) -> NextLog:
         """Return where a log of a unit that was not seen lies."""
+        from scipy.special import ndtr
+
         mu = np.broadcast_to(self.mu, self.weight.shape)
-        wide = np.broadcast_to(np.hypot(self.tau, self.omega), self.weight.shape)
-        points, below = _law(mu, wide, self.weight)
-        return NextLog(low=float(points[0]), high=float(points[-1]), below=tuple(below.tolist()))
+        law = _Law(mu, np.broadcast_to(np.hypot(self.tau, self.omega), mu.shape), self.weight)
+        levels = ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))
+        points = np.unique(np.interp(levels, law.below(law.points), law.points))
+        return NextLog(points=tuple(points.tolist()), below=tuple(law.below(points).tolist()))
 
     def p_value(self, centre: FloatArray, variance: FloatArray) -> float:
         """Return the two-sided chance of a new unit's logarithm `centre`, known with a normal error.
@@ -232,16 +236,21 @@ class Posterior:
         return result
 
 
-def _law(mu: FloatArray, wide: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return points, and the chance of less at each, of normal laws with weights, all of one shape."""
-    from scipy.special import ndtr
+class _Law:
+    """Normal laws about `mu`, `wide`, with weights, all of one shape; `points` are where they lie."""
 
-    keep = weight > _UNLIKELY * weight.max()
-    mu, wide, weight = mu[keep], wide[keep], weight[keep] / weight[keep].sum()
-    reach = 6 * float(wide.max())
-    points = np.linspace(float(mu.min()) - reach, float(mu.max()) + reach, _GRID)
-    # A point at a time: all of them would take more memory than the posterior itself.
-    return points, np.array([float(ndtr((point - mu) / wide) @ weight) for point in points])
+    def __init__(self, mu: FloatArray, wide: FloatArray, weight: FloatArray) -> None:
+        keep = weight > _UNLIKELY * weight.max()
+        self._mu, self._wide, self._weight = mu[keep], wide[keep], weight[keep] / weight[keep].sum()
+        reach = 6 * float(self._wide.max())
+        self.points = np.linspace(float(self._mu.min()) - reach, float(self._mu.max()) + reach, _GRID)
+
+    def below(self, points: FloatArray) -> FloatArray:
+        """Return the chance of less at each point."""
+        from scipy.special import ndtr
+
+        # A point at a time: all of them would take more memory than the posterior itself.
+        return np.array([float(ndtr((at - self._mu) / self._wide) @ self._weight) for at in points])
 
 
 def whole_posterior(values: LogValues, place: Place) -> Posterior:
