@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from imucal.noise.integrals import avar_from_acvf, avar_from_psd
     from imucal.pipeline import Settings, characterize, screen
     from imucal.planning import plan
-    from imucal.prediction import FilterNumbers, filter_numbers
+    from imucal.prediction import Drift, FilterNumbers, drift, filter_numbers
     from imucal.readers import read
     from imucal.recording import AxisSeries, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
@@ -57,6 +57,7 @@ __all__ = [
     "Clock",
     "DataError",
     "Decomposition",
+    "Drift",
     "FilterNumbers",
     "Finding",
     "Fleet",
@@ -84,6 +85,7 @@ __all__ = [
     "check_fleet",
     "compare",
     "decompose",
+    "drift",
     "export",
     "filter_numbers",
     "fit",
@@ -121,7 +123,7 @@ _HOMES = {
     "imucal.noise.integrals": ("avar_from_acvf", "avar_from_psd"),
     "imucal.pipeline": ("Settings", "characterize", "screen"),
     "imucal.planning": ("plan",),
-    "imucal.prediction": ("FilterNumbers", "filter_numbers"),
+    "imucal.prediction": ("Drift", "FilterNumbers", "drift", "filter_numbers"),
     "imucal.readers": ("read",),
     "imucal.recording": ("AxisSeries", "Recording", "Sensor"),
     "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),

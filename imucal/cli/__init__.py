@@ -101,6 +101,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "adev": ("imucal.cli.adev", "Print the Allan deviations of every axis as CSV or JSON."),
     "simulate": ("imucal.cli.simulate", "Write a log of known truth (CSV, MCAP, ROS 1 or ROS 2 bag)."),
     "plan": ("imucal.cli.plan", "Say how long to record for a wanted precision."),
+    "drift": ("imucal.cli.drift", "Say how far dead reckoning drifts after a rest, with limits."),
     "check": ("imucal.cli.check", "Pass or fail a report or a log against limits (the CI gate)."),
     "compare": ("imucal.cli.compare", "Say which terms of two reports differ significantly."),
     "export": ("imucal.cli.export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),

@@ -4,6 +4,7 @@ Fits come in; variances of angle, velocity and position with their limits come o
 that a filter can be held to.
 """
 
+from imucal.prediction.drift import Drift, DriftOf, DriftPoint, drift
 from imucal.prediction.filter_numbers import FilterNumbers, filter_numbers
 
-__all__ = ["FilterNumbers", "filter_numbers"]
+__all__ = ["Drift", "DriftOf", "DriftPoint", "FilterNumbers", "drift", "filter_numbers"]

@@ -26,6 +26,8 @@ Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
 
 #: A coast, and the rest before it, are made of so many blocks at least; both together of at most so many.
 _BLOCKS, _MOST_BLOCKS = 120, 1 << 18
+#: Most sizes of a block that are tried: among so many, one leaves less than 1e-3 over.
+_TRIED = 50
 #: A correlation time's lower limit counts down to this share of it: below, the term is white noise.
 _SHORTEST_TIME = 1 / 30
 #: Integrals of a rate that an error is: the sensor once, twice, three times.
@@ -135,12 +137,12 @@ def coasting_variance(
 
 
 def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, integrals: int) -> float:
-    size = max(
-        1,
-        round(min(coast_s, rest_s) * rate_hz / _BLOCKS),
-        math.ceil((coast_s + rest_s) * rate_hz / _MOST_BLOCKS),
-    )
-    resting, coasting = (max(1, round(t * rate_hz / size)) for t in (rest_s, coast_s))
+    coast, rest = (max(1, round(t * rate_hz)) for t in (coast_s, rest_s))
+    largest = max(1, round(min(coast, rest) / _BLOCKS), math.ceil((coast + rest) / _MOST_BLOCKS))
+    # Of the sizes down to half of it, the one of which both are whole blocks most nearly.
+    sizes = range(largest, largest // 2, -1)[:_TRIED]
+    size = min(sizes, key=lambda size: sum(abs(round(n / size) * size - n) / n for n in (coast, rest)))
+    resting, coasting = (max(1, round(n / size)) for n in (rest, coast))
     blocks = resting + coasting
     # The sums of blocks have these covariances, up to a constant that weights of sum zero do not see.
     V = term.sum_variance(np.arange(blocks + 1.0) * size, 1 / rate_hz) / rate_hz**2

@@ -38,6 +38,7 @@ from imucal.report.markup import Markup, render
 from imucal.report.page_parts import (
     axis_section,
     downstream_section,
+    drift_section,
     findings_section,
     glossary_section,
     method_section,
@@ -234,10 +235,11 @@ def render_page(report: Report, *, pictures: Mapping[str, bytes] | None = None) 
     `pictures` has those of the axes (`render_small`), by name, that are drawn already: pages show them where
     scripts are off.
     """
-    drawn = pictures or {}
+    drawn, drifts = pictures or {}, drift_section(report)
     sections = [
         ("summary", "Summary", summary_section(report)),
         ("findings", "Findings", findings_section(report)),
+        *([("drift", "What this does to a filter", drifts)] if drifts else ()),
         ("downstream", "Which number goes where", downstream_section(report)),
         *(
             (

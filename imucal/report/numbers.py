@@ -12,6 +12,7 @@ import numpy as np
 
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.prediction import DriftPoint
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport
 from imucal.units import pretty
@@ -21,6 +22,8 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _ASYMMETRY = 1.25
 #: A number that takes more characters is written with an exponent.
 _LONGEST = 10
+#: Less than this of degrees, metres or metres per second is told in thousandths.
+_SMALL = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +73,17 @@ def datasheet(estimate: Estimate, sensor: Sensor) -> Quantity:
 def correlation_time(interval: Interval) -> Quantity:
     """Return the correlation time of a Gauss-Markov term, in s."""
     return Quantity(value=interval.value, low=interval.low, high=interval.high, unit="s")
+
+
+def drifted(point: DriftPoint, unit: str) -> Quantity:
+    """Return how far dead reckoning has drifted, of rad, m/s or m, in the unit that suits its size.
+
+    It is degrees for rad, and a thousandth of the unit below a tenth of it.
+    """
+    known = Quantity(value=point.value, low=point.low, high=point.high, unit=unit)
+    if unit == "rad":
+        known = known.scaled(math.degrees(1), "deg")
+    return known if known.size >= _SMALL else known.scaled(1e3, f"m{known.unit}")
 
 
 def by_term(axes: Sequence[AxisReport]) -> Iterator[tuple[str, list[Estimate | None]]]:

@@ -18,6 +18,7 @@ from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, Segments, Trace
 from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.prediction import drift
 from imucal.prediction.filter_numbers import usual_pairs
 from imucal.recording import Sensor
 from imucal.report import numbers
@@ -377,6 +378,23 @@ def _x(segments: Segments, seconds: FloatArray) -> list[float]:
     end = float(segments.end_s[-1])
     places: list[float] = (_LEFT + seconds / end * (_WIDTH - _RIGHT - _LEFT)).round(1).tolist()
     return places
+
+
+def drift_section(report: Report) -> Markup | None:
+    """Return how far dead reckoning drifts after a rest, of the worst axes; None where it is not noise."""
+    if not report.verdict.usable or not report.axes:
+        return None
+    found = drift(report)
+    rows = []
+    # The last of a kind is what all parts make together.
+    for quantity in {q.name.split(" ")[0].rstrip(","): q for q in found.quantities}.values():
+        known = [numbers.drifted(point, quantity.unit) for point in quantity.points]
+        texts = [numbers.with_interval(each, exponent=0) for each in known]
+        notes = [f"{p.term}{', extrapolated' if p.seen is False else ''}" for p in quantity.points]
+        cells = map(Markup("{} <small>{}</small>").format, texts, notes)
+        rows.append((quantity.name.removesuffix(", both").capitalize(), list(cells)))
+    times = [f"after {duration(point.time_s)}" for point in found.quantities[0].points]
+    return render("drift.html", drift=found, rest=duration(found.rest_s), titles=["Error", *times], rows=rows)
 
 
 #: What filters ask for: formula and kind in words, symbol, formula, unit.

@@ -21,6 +21,7 @@ COMMANDS = [
     ("check", "still-imucal", "--baseline", "other-imucal"),
     ("compare", "still-imucal", "other-imucal"),
     ("plan", "still-imucal", "--duration", "3h"),
+    ("drift", "still-imucal"),
     ("fit", "curve.csv"),
 ]
 

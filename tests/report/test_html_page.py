@@ -14,6 +14,7 @@ from lxml import html
 
 from imucal.allan.dct import Spectrum
 from imucal.clock import Gap
+from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Line
 from imucal.prediction import filter_numbers
 from imucal.report.exports import TARGETS
@@ -284,6 +285,23 @@ def _page(axis: AxisReport) -> html.HtmlElement:
     return html.document_fromstring("".join(sections))
 
 
+def test_the_page_says_what_it_does_to_a_filter() -> None:
+    """Main quantities at four times, with limits and the term that makes most; none where it is not noise."""
+    section = html.document_fromstring(render_page(consumer_report())).get_element_by_id("drift")
+    rows = {row.findtext("th"): row.xpath("string(td[3])") for row in section.xpath(".//tbody/tr")}
+    assert rows == {
+        "Heading": "0.132 [0.123, 0.139] deg GM1",
+        "Tilt": "0.1107 [0.1083, 0.1133] deg B",
+        "Velocity": "0.580 [0.569, 0.592] m/s gyro_x N",
+        "Position": "12.20 [11.99, 12.43] m gyro_x N",
+    }
+    short = html.document_fromstring(render_page(small_report())).get_element_by_id("drift")
+    assert short.xpath("string(.//tbody/tr[1]/td[4])").endswith(" deg N, extrapolated")
+    moved = Finding(level="error", code="motion", axis="gyro_x", text="it moved")
+    page = html.document_fromstring(render_page(replace(consumer_report(), findings=(moved,))))
+    assert not page.xpath("//*[@id='drift']")
+
+
 def test_spikes_stand_out_and_drift_does_not() -> None:
     """A stretch whose extreme is far from its neighbours' is marked; a slow drift is not."""
     rng = np.random.default_rng(5)
@@ -503,7 +521,7 @@ def test_narrow_screens_scroll_only_downwards(browser: Browser, address: str) ->
     wide = "[...document.querySelectorAll('.scroll')].filter((s) => s.scrollWidth > s.clientWidth + 1).length"
     browser.run("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
     assert browser.run(f"return {wide}") == 0
-    cell = "document.querySelector('.cards td')"
+    cell = "document.querySelector('#downstream .cards td')"
     assert browser.run(f"return getComputedStyle({cell}, '::before').content") == '"White noise"'
     browser.devtools("Emulation.clearDeviceMetricsOverride")
 

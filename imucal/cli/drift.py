@@ -1,0 +1,129 @@
+"""``imucal drift``: how far dead reckoning drifts after a rest."""
+
+from pathlib import Path
+
+import click
+
+from imucal.cli._printing import FULL, echo, fitted, force_option, picked, print_json, refuse, say, width
+from imucal.cli._report_input import load_report, report_or_log
+from imucal.cli.parameters import (
+    DURATION,
+    FORMATS,
+    LogRequest,
+    Text,
+    json_option,
+    out_option,
+    seconds_of,
+    shown,
+)
+from imucal.prediction import Drift, drift
+from imucal.prediction.drift import STRETCHES
+from imucal.report import numbers
+from imucal.units import duration
+
+SCHEMA = "imucal/drift/1"
+
+
+def _times(text: str) -> tuple[float, ...]:
+    """Return the times of ``1s,10s,5min``, each once and rising."""
+    return tuple(sorted({seconds_of(part) for part in text.split(",")}))
+
+
+_TIMES = Text("times", _times)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  imucal drift still-imucal
+  imucal drift still.mcap --rest 30s --times 5s,30s,2min -o drift.png
+  imucal drift still-imucal --all-axes --json -q
+
+\b
+Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
+are not noise at rest, 5 the picture can't be written."""
+)
+@shown("--rest", type=DURATION, default="60s", metavar="TIME", help="How long the bias is averaged before.")
+@shown(
+    "--times", type=_TIMES, default="1s,10s,60s,5min", metavar="LIST", help="How long nothing aids it then."
+)
+@click.option("--all-axes", is_flag=True, help="Each axis by itself, instead of each sensor's worst.")
+@out_option("FILE", "Draw a picture too: .png, .svg or .pdf.")
+@json_option("Print JSON (SI).")
+@force_option
+@report_or_log
+def command(
+    *,
+    request: LogRequest,
+    rest: float,
+    times: tuple[float, ...],
+    all_axes: bool,
+    out: Path | None,
+    as_json: bool,
+    force: bool,
+) -> None:
+    """Say how far dead reckoning drifts after a rest.
+
+    REPORT is a report.json, its folder, or a log, which is characterised first. At rest the bias is
+    averaged, then nothing aids it: angles err by the gyroscope's noise, velocity and position by the
+    accelerometer's and, through tilt, by g times the gyroscope's. Each is one standard deviation with its
+    limits, and the term that makes most of it.
+    """
+    form = out.suffix.lstrip(".") if out else FORMATS[0]
+    if form not in FORMATS:
+        msg = f"{out} is no picture's name; end it with one of .{', .'.join(FORMATS)}"
+        raise click.BadParameter(msg, param_hint="'-o' / '--out'")
+    report = load_report(request)
+    refuse(report.verdict, request.logs[0], "nothing was predicted", force=force)
+    try:
+        found = drift(report, times, rest_s=rest, each_axis=all_axes)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    if as_json:
+        print_json(to_document(found))
+    else:
+        echo(_table(found))
+    if out:
+        from imucal.atomic import replacing
+        from imucal.report.figure import render
+        from imucal.report.figure_drift import drift_figure
+
+        with replacing(out) as scratch:
+            scratch.write_bytes(render(drift_figure(report, found), form, version=report.version))
+        say(out, quiet=request.quiet)
+
+
+def to_document(found: Drift) -> dict[str, object]:
+    """Return a drift as JSON values, SI; null for what is not known."""
+    names = ("time_s", "axis", "value", "low", "high", "term", "share", "seen")
+    return {
+        "schema": SCHEMA,
+        **picked(found, "rest_s", "level", "vertical"),
+        "quantities": [
+            {**picked(one, "name", "unit"), "points": [picked(point, *names) for point in one.points]}
+            for one in found.quantities
+        ],
+    }
+
+
+def _table(found: Drift) -> str:
+    said = f"Drift without aiding after a rest of {duration(found.rest_s)}: one standard deviation"
+    lines = fitted(f"{said} [{100 * found.level:.4g} % limits]", width(), indent=2)
+    lines += [f"{found.vertical} is vertical, by the accelerometer"] if found.vertical else []
+    for quantity in found.quantities:
+        lines += ["", quantity.name]
+        for point in quantity.points:
+            value = numbers.with_interval(numbers.drifted(point, quantity.unit), exponent=0)
+            # The term that makes most of both parts has its axis in its name.
+            makes = [] if " " in point.axis else [f"{point.axis:<8}"]
+            makes += [f"{point.term} {100 * point.share:.0f} %"] if point.term else []
+            makes += ["extrapolated"] if point.seen is False else []
+            row = f"  {duration(point.time_s):<8}{value:<32}"
+            wide = width() >= FULL
+            lines += (
+                [f"{row}{'  '.join(makes)}".rstrip()] if wide else [row.rstrip(), f"    {'  '.join(makes)}"]
+            )
+    if any(point.seen is False for quantity in found.quantities for point in quantity.points):
+        few = f"the log is not {STRETCHES} times as long as rest and time together"
+        lines += ["", *fitted(f"extrapolated: {few}; its terms are taken to go on", width(), indent=2)]
+    return "\n".join(lines)

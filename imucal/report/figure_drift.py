@@ -1,0 +1,109 @@
+"""The picture of a drift: angles, velocities and positions over time, with limits, and what makes them."""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imucal.prediction import Drift, DriftOf, drift
+from imucal.report import numbers
+from imucal.report.figure import (
+    AXES,
+    FADED,
+    GRID,
+    INK,
+    LEGEND_STYLE,
+    MODEL,
+    SMALL_SIZE,
+    dashes,
+    limits,
+    new_figure,
+    style_axes,
+    write_foot,
+    write_head,
+)
+from imucal.report.result import Report
+from imucal.units import duration
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Inches.
+_WIDTH, _HEIGHT, _HEAD, _FOOT, _SPACE = 10.0, 4.3, 0.75, 0.75, 0.62
+_DPI = 160
+#: Points of a line, and room for the first one's label as a share of the axis.
+_POINTS, _ROOM = 25, 0.36
+#: Colours of what stands beside the quantity that a plot is about, by the end of its name.
+_PARTS = {"accelerometer": AXES["x"], "tilt": AXES["z"]}
+
+
+def drift_figure(report: Report, found: Drift) -> "Figure":
+    """Return the picture of a report's drift: of each kind of quantity one plot, the asked times marked."""
+    asked = [point.time_s for point in found.quantities[0].points]
+    fine = np.geomspace(min(asked), max(asked), _POINTS)
+    lines = drift(report, sorted({*asked, *fine[1:-1].tolist()}), rest_s=found.rest_s)
+    units = list(dict.fromkeys(quantity.unit for quantity in lines.quantities))
+    figure = new_figure(_WIDTH, _HEIGHT, _DPI)
+    width, height = 1 / len(units), 1 - (_HEAD + _FOOT) / _HEIGHT
+    for place, unit in enumerate(units):
+        left = place * width + _SPACE / _WIDTH
+        axes = figure.add_axes((left, _FOOT / _HEIGHT, width - (_SPACE + 0.12) / _WIDTH, height))
+        _draw(axes, [quantity for quantity in lines.quantities if quantity.unit == unit], set(asked))
+    upright = f"   ·   {found.vertical} is vertical" if found.vertical else ""
+    said = f"one standard deviation, {100 * found.level:.4g} % limits   ·   each sensor's worst axis{upright}"
+    title = f"Drift without aiding, after a rest of {duration(found.rest_s)}"
+    write_head(figure, title, said if report.verdict.usable else report.verdict.sentence)
+    write_foot(figure, report.source.name, report.version)
+    return figure
+
+
+def _draw(axes: "Axes", quantities: Sequence[DriftOf], asked: set[float]) -> None:
+    """Draw quantities of one unit over time; that which all of them make, or the first angle, with limits."""
+    radians = quantities[0].unit == "rad"
+    main, factor = (quantities[0], math.degrees(1)) if radians else (quantities[-1], 1.0)
+    values = {
+        quantity.name: factor * np.array([point.value or point.high for point in quantity.points])
+        for quantity in quantities
+    }
+    time, low, high = (
+        np.array([getattr(p, name) for p in main.points]) for name in ("time_s", "low", "high")
+    )
+    bottom, top = limits(np.concatenate([*values.values(), factor * high]), below=12.0, above=12.0)
+    kind = "angle" if radians else re.sub("[, ].*", "", main.name)
+    style_axes(
+        axes,
+        x="time without aiding (s)",
+        y=f"{kind} ({'deg' if radians else main.unit})",
+        x_limits=(time[0] / max(3.0, (time[-1] / time[0]) ** _ROOM), time[-1] * 1.3),
+        y_limits=(bottom, top),
+    )
+    for name, value in values.items():
+        stroke = MODEL if name == main.name else next(s for end, s in _PARTS.items() if name.endswith(end))
+        label = re.sub(f"^{kind},? (from the |through )?", "", name)
+        axes.plot(time, value, color=stroke.light, linewidth=1.6, label=label, zorder=4, **dashes(stroke))
+    band: dict[str, Any] = {"color": MODEL.light, "alpha": 0.18, "linewidth": 0}
+    axes.fill_between(time, np.maximum(factor * low, bottom), factor * high, where=np.isfinite(high), **band)
+    axes.legend(loc="upper left", **LEGEND_STYLE)
+    _mark(axes, main, dict(zip(time, values[main.name], strict=True)), asked)
+
+
+def _mark(axes: "Axes", main: DriftOf, heights: dict[float, float], asked: set[float]) -> None:
+    """Say value and leading term at the times that were asked for, and shade what no record has seen."""
+    small: dict[str, Any] = {"fontsize": SMALL_SIZE, "ha": "right"}
+    for point in main.points:
+        if point.time_s in asked and math.isfinite(heights[point.time_s]):
+            place = (point.time_s, heights[point.time_s])
+            axes.plot(*place, color=MODEL.light, marker="o", markersize=4.5, zorder=5)
+            shown = numbers.drifted(point, main.unit)
+            text = f"{'< ' if shown.value is None else ''}{float(f'{shown.size:.2g}'):.10g} {shown.unit}"
+            text += f"\n{point.term}" if point.term else ""
+            axes.annotate(text, place, xytext=(-4, 3), textcoords="offset points", color=INK, **small)
+    unseen = [point.time_s for point in main.points if point.seen is False]
+    if unseen:
+        right = axes.get_xlim()[1]
+        axes.axvspan(unseen[0], right, color=GRID, alpha=0.6, linewidth=0, zorder=0)
+        bottom = axes.get_xaxis_transform()
+        axes.text(right, 0.02, "extrapolated ", color=FADED, transform=bottom, **small)

@@ -1,0 +1,175 @@
+"""How far dead reckoning drifts: closed forms, laws, who makes it, what was seen, and limits that cover."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import imucal
+from imucal.errors import DataError
+from imucal.prediction import Drift, DriftPoint
+from imucal.recording import Sensor
+from imucal.report.result import Report
+from imucal.units import G0
+from tests.benchmarks.drift import limits
+from tests.report.synthetic import axis_report, consumer_report, shortest_report, small_report
+
+T = np.array([1.0, 10.0, 60.0, 300.0])
+GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
+
+
+def points(found: Drift, name: str) -> tuple[DriftPoint, ...]:
+    """Return the points of a quantity."""
+    return next(one.points for one in found.quantities if one.name == name)
+
+
+def values(found: Drift, name: str, what: str = "value") -> list[Any]:
+    """Return one attribute of a quantity's points."""
+    return [getattr(point, what) for point in points(found, name)]
+
+
+def white(sensor: Sensor, integrals: int, rest_s: float) -> np.ndarray:
+    """Return the deviation of unit white noise in closed form: √(∫w² + (∫w)²/W) of w = sⁿ⁻¹/(n-1)!."""
+    n, factor = integrals, math.factorial(integrals - 1)
+    square = T ** (2 * n - 1) / (2 * n - 1) / factor**2 + (T**n / n / factor) ** 2 / rest_s
+    return np.sqrt(square) * (G0 if sensor is GYRO and n > 1 else 1.0)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "name", "integrals"),
+    [
+        (GYRO, "angle", 1),
+        (GYRO, "velocity through tilt", 2),
+        (GYRO, "position through tilt", 3),
+        (ACCEL, "velocity from the accelerometer", 1),
+        (ACCEL, "position from the accelerometer", 2),
+    ],
+)
+@pytest.mark.parametrize("rest_s", [60.0, 6000.0])
+def test_white_noise_in_closed_form(sensor: Sensor, name: str, integrals: int, rest_s: float) -> None:
+    """After a long rest an angle grows as √t, a velocity through tilt as √(t³/3), a position as √(t⁵/20)."""
+    fit = axis_report(sensor, "x", "N=2e-3").fit
+    found = imucal.drift(fit, T.tolist(), rest_s=rest_s)
+    np.testing.assert_allclose(values(found, name), 2e-3 * white(sensor, integrals, rest_s), rtol=2e-3)
+    assert {(point.term, point.share) for point in points(found, name)} == {("N", 1.0)}
+
+
+def test_all_of_it_scales_with_the_noise() -> None:
+    """Thrice the coefficients, thrice the values and limits; the terms have the shares that they had."""
+    one, three = (
+        imucal.drift(axis_report(ACCEL, "x", f"N={k}e-3 + B={2 * k}e-4", bounds={"K": k * 1e-6}).fit)
+        for k in (1, 3)
+    )
+    for name in ("velocity from the accelerometer", "position from the accelerometer"):
+        for what in ("value", "low", "high"):
+            np.testing.assert_allclose(values(three, name, what), 3 * np.array(values(one, name, what)))
+        np.testing.assert_allclose(values(three, name, "share"), values(one, name, "share"))
+
+
+def test_two_parts_add_up_as_squares() -> None:
+    """Values exactly; limits are as far from them as the root of the squares of both ways."""
+    found = imucal.drift(consumer_report())
+    for kind in ("velocity", "position"):
+        parts = [f"{kind} from the accelerometer", f"{kind} through tilt"]
+        square = {
+            what: np.square([values(found, name, what) for name in [*parts, f"{kind}, both"]])
+            for what in ("low", "value", "high")
+        }
+        np.testing.assert_allclose(square["value"][2], square["value"][:2].sum(axis=0))
+        for end in ("low", "high"):
+            ways = np.abs(square[end] - square["value"])
+            np.testing.assert_allclose(ways[2], np.hypot(*ways[:2]))
+    both = points(found, "position, both")
+    assert [point.axis for point in both][-1] == "accel_z gyro_x"
+    assert [point.term for point in both][-1] == "gyro_x B"
+
+
+def test_gravity_tells_heading_from_tilt() -> None:
+    """By the accelerometer's means, if one axis lies along g and they are g together; else it is an angle."""
+    report = consumer_report()
+    assert imucal.drift(report).vertical == "z"
+    assert {point.axis for point in points(imucal.drift(report), "heading")} == {"gyro_z"}
+    assert "gyro_z" not in {point.axis for point in points(imucal.drift(report), "position through tilt")}
+
+    def with_means(*means: float) -> Report:
+        gyros = tuple(axis for axis in report.axes if axis.sensor is GYRO)
+        accels = (axis for axis in report.axes if axis.sensor is ACCEL)
+        found = (replace(axis, mean=mean) for axis, mean in zip(accels, means, strict=False))
+        return replace(report, axes=(*gyros, *found))
+
+    assert imucal.drift(with_means(-9.8, 0.3, 0.3)).vertical == "x"
+    for means in ((5.7, 5.7, 5.7), (0.0, 0.0, 12.0), (0.0, 0.0, 0.0), (0.0, 9.8)):
+        found = imucal.drift(with_means(*means))
+        assert found.vertical == ""
+        assert {one.name for one in found.quantities}.isdisjoint({"heading", "tilt"})
+
+
+def test_the_worst_axis_may_change_with_time() -> None:
+    """At each time the one with the largest value; each by itself where that is asked."""
+    axes = axis_report(GYRO, "x", "N=2e-3"), axis_report(GYRO, "y", "N=1e-3 + K=1e-4")
+    report = replace(small_report(), axes=axes)
+    assert values(imucal.drift(report), "angle", "axis") == ["gyro_x", "gyro_x", "gyro_y", "gyro_y"]
+    each = [one for one in imucal.drift(report, each_axis=True).quantities if one.name == "angle"]
+    assert [{point.axis for point in one.points} for one in each] == [{"gyro_x"}, {"gyro_y"}]
+
+
+@pytest.mark.parametrize("symbol", ["K", "R"])
+def test_a_bound_counts_in_the_upper_limit_alone(symbol: str) -> None:
+    """The value and the lower limit are those of the terms that were seen."""
+    seen = axis_report(GYRO, "x", "N=1e-3").fit
+    found, without = (
+        imucal.drift(axis_report(GYRO, "x", "N=1e-3", bounds=bounds).fit) for bounds in ({symbol: 1e-3}, {})
+    )
+    for what in ("value", "low"):
+        assert values(found, "angle", what) == values(without, "angle", what)
+    assert np.all(np.array(values(found, "angle", "high")) > values(without, "angle", "high"))
+    only = imucal.drift(replace(seen, estimates=(replace(seen["N"], status="bounded", value=None, low=0.0),)))
+    assert {(p.value, p.low, p.term, p.share) for p in points(only, "angle")} == {(None, 0.0, "", 0.0)}
+    assert np.all(np.array(values(only, "angle", "high")) > 0)
+
+
+def test_what_no_one_knows_has_no_limit() -> None:
+    """Four samples bound nothing: the upper limit is infinite, and no number is made up."""
+    found = imucal.drift(shortest_report(4))
+    for one in found.quantities:
+        assert {(point.value, point.low, point.high) for point in one.points} == {(None, 0.0, math.inf)}
+
+
+def test_a_time_is_seen_if_the_record_holds_five_of_it() -> None:
+    """Rest included; a model that no record was fitted to has seen nothing, nor is it extrapolated."""
+    fit = axis_report(GYRO, "x", "N=1e-3", rate_hz=10.0, n=10 * 5 * (60 + 40)).fit
+    seen = imucal.drift(fit, [1.0, 40.0, 41.0]).quantities[0].points
+    assert [point.seen for point in seen] == [True, True, False]
+    given = replace(fit, curve=replace(fit.curve, edf=np.full(fit.curve.tau.size, np.nan)))
+    assert {point.seen for point in imucal.drift(given).quantities[0].points} == {None}
+
+
+@pytest.mark.parametrize(
+    ("times", "rest_s"), [([0.0], 60.0), ([1e-3], 60.0), ([1.0], 0.0), ([math.inf], 60.0)]
+)
+def test_times_that_no_samples_have_are_refused(times: list[float], rest_s: float) -> None:
+    """Less than a sample, or no end."""
+    message = (
+        r"rest \S+ s and time \S+ s, expected each a sample \(0.005 s\) at least and at most 20000 times"
+    )
+    with pytest.raises(ValueError, match=message):
+        imucal.drift(small_report(), times, rest_s=rest_s)
+
+
+def test_a_fit_of_an_unknown_sensor_is_refused() -> None:
+    """Whether it turns or moves is not known then."""
+    with pytest.raises(DataError, match="no axis whose sensor is known"):
+        imucal.drift(replace(small_report().axes[0].fit, sensor=None))
+
+
+def test_limits_hold_the_truth() -> None:
+    """Of 40 records in 91 to 100 %, three standard errors about 95 %, by the default fit."""
+    text = "N=1e-3 + K=2e-5"
+    model = axis_report(GYRO, "x", text, rate_hz=10.0).fit
+    truth = {one.name: values(imucal.drift(model), one.name) for one in imucal.drift(model).quantities}
+    found = [limits(text, 1200.0, (4301, record)) for record in range(40)]
+    for name, true in truth.items():
+        held = np.mean([(low[name] <= true) & (true <= high[name]) for low, high in found], axis=0)
+        assert np.all(held >= 0.95 - 3 * math.sqrt(0.95 * 0.05 / 40)), (name, held)
