@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -280,14 +280,8 @@ def load_fleet(
     answers = Answers(store, ask)
     tests, findings = unit_tests(answers, units, groups) if unit_logs else ({}, ())
     terms = _terms(answers, groups, tests, content, confidence)
-    models = [
-        _model(
-            name,
-            tuple(log for log in logs.values() if log.model == name and log.unit is not None),
-            terms.get(name, []),
-        )
-        for name in sorted({own for own, _ in units.values() if model in {None, own}})
-    ]
+    names = sorted({own for own, _ in units.values() if model in {None, own}})
+    models = [_model(name, logs.values(), terms.get(name, [])) for name in names]
     loose = _loose(results, logs)
     return Fleet(
         folder=Path(folder),
@@ -337,7 +331,8 @@ def labels_to_type(paths: Sequence[str]) -> str:
     return f"{{unit}}{suffix}"
 
 
-def _model(name: str, logs: tuple[FleetLog, ...], terms: Sequence[FleetTerm]) -> SensorModel:
+def _model(name: str, every: Iterable[FleetLog], terms: Sequence[FleetTerm]) -> SensorModel:
+    logs = tuple(log for log in every if log.model == name and log.unit is not None)
     rates = sorted(log.rate_hz for log in logs if log.rate_hz)
     sensors, symbols = list(Sensor), list(TERMS)
 
