@@ -11,15 +11,16 @@ approach", Statistics in Medicine 27, 1693.
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from statistics import NormalDist
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.term import NoiseTerm
-from imucal.noise.terms import TERMS, GaussMarkov
+from imucal.noise.terms import TERMS, GaussMarkov, term_keys
 
 #: What is asked of a term: a value, or one for each time or frequency, linear in its coefficient's square.
 Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
@@ -73,8 +74,8 @@ class _Excursion(NamedTuple):
 
 
 def modelled(fit: NoiseFit, of: Quantity) -> FloatArray:
-    """Return a quantity of the fitted model, shape as `of` gives it: bounded terms count as 0."""
-    shown = [of(_term(e, e.value)) for e in fit.estimates if e.value is not None]
+    """Return a quantity of the fitted model, shape as `of` gives it; a term that is not in it counts as 0."""
+    shown = [of(_term(e, e.value)) for e in _held(fit) if e.value is not None]
     return np.sum(shown, axis=0) if shown else 0.0 * of(TERMS["N"].of(0.0))
 
 
@@ -157,6 +158,29 @@ def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, in
     return max(float(power[0] + 2 * power[1:-1].sum() + power[-1]) / length, 0.0)
 
 
+def _held(fit: NoiseFit) -> Iterator[Estimate]:
+    """Yield the estimates, a bounded one that the model holds with the model's value.
+
+    Its interval reaches zero, so a table prints a bound; but the model without it would be less likely.
+    """
+    held = dict(zip(term_keys(term.symbol for term in fit.model.terms), fit.model.terms, strict=True))
+    for estimate in fit.estimates:
+        term = held.get(estimate.key)
+        if estimate.value is not None or term is None or not math.isfinite(estimate.high):
+            yield estimate
+            continue
+        time = estimate.correlation_time or next(
+            (Interval(value=t, low=t, high=t) for t in term.values[1:]), None
+        )
+        yield replace(
+            estimate,
+            status="estimated",
+            value=term.coefficient,
+            high=max(estimate.high, term.coefficient),
+            correlation_time=time,
+        )
+
+
 def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> NoiseTerm:
     """Return the term of an estimate with another coefficient or time.
 
@@ -171,7 +195,7 @@ def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> 
 
 def _raised(fit: NoiseFit, of: Quantity, caution: Caution) -> Iterator[_Excursion]:
     """Yield how far each term moves a quantity up."""
-    for estimate in fit.estimates:
+    for estimate in _held(fit):
         if estimate.value is None:
             if caution.bounded and 0 < estimate.high < math.inf:
                 yield _Excursion(None, caution.bounded * of(_term(estimate, estimate.high)))
@@ -187,7 +211,7 @@ def _raised(fit: NoiseFit, of: Quantity, caution: Caution) -> Iterator[_Excursio
 
 def _lowered(fit: NoiseFit, of: Quantity) -> Iterator[_Excursion]:
     """Yield how far each term moves a quantity down."""
-    for estimate in fit.estimates:
+    for estimate in _held(fit):
         if estimate.value is None:
             continue
         value = of(_term(estimate, estimate.value))

@@ -9,6 +9,7 @@ import pytest
 
 import imucal
 from imucal.errors import DataError
+from imucal.noise.model import NoiseModel
 from imucal.prediction import Drift, DriftPoint
 from imucal.recording import Sensor
 from imucal.report.result import Report
@@ -125,7 +126,8 @@ def test_a_bound_counts_in_the_upper_limit_alone(symbol: str) -> None:
     for what in ("value", "low"):
         assert values(found, "angle", what) == values(without, "angle", what)
     assert np.all(np.array(values(found, "angle", "high")) > values(without, "angle", "high"))
-    only = imucal.drift(replace(seen, estimates=(replace(seen["N"], status="bounded", value=None, low=0.0),)))
+    unseen = (replace(seen["N"], status="bounded", value=None, low=0.0),)
+    only = imucal.drift(replace(seen, model=NoiseModel(terms=()), estimates=unseen))
     assert {(p.value, p.low, p.term, p.share) for p in points(only, "angle")} == {(None, 0.0, "", 0.0)}
     assert np.all(np.array(values(only, "angle", "high")) > 0)
 

@@ -1,13 +1,14 @@
 """Variances of integrals: closed forms, drawn coasts, and limits that add up as they should."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import imucal
 from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, GaussMarkov
@@ -105,6 +106,20 @@ def test_limits_of_one_term_are_its_own(fit: NoiseFit) -> None:
         walk.high**2 * 1.2816 / 1.96, rel=1e-3
     )
     assert lower_limit(fit, only("K"))[0] == 0
+
+
+def test_a_term_of_the_model_that_is_only_bounded_counts_with_its_value(fit: NoiseFit) -> None:
+    """Its interval reaches zero, but the model is more likely with it; the limits are 0 and the bound."""
+    flicker = fit["B"]
+    assert flicker.value is not None
+    bounded = Estimate.bounded("B", "B", flicker.high)
+    estimates = tuple(bounded if e.key == "B" else e for e in fit.estimates)
+    doubtful = replace(fit, estimates=estimates, parameters=(), covariance=np.zeros((0, 0)))
+    assert modelled(doubtful, only("B"))[0] == pytest.approx(flicker.value**2)
+    assert upper_limit(doubtful, only("B"))[0] == pytest.approx(flicker.high**2)
+    assert lower_limit(doubtful, only("B"))[0] == pytest.approx(0)
+    without = replace(doubtful, model=NoiseModel(terms=fit.model.terms[:1]))
+    assert modelled(without, only("B"))[0] == 0
 
 
 def test_limits_scale_and_hold_their_value(fit: NoiseFit) -> None:
