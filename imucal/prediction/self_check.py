@@ -26,7 +26,7 @@ from imucal.allan import Spectrum, spectrum
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.fitting.curve_opinion import without_disturbances
+from imucal.fitting.cross_checks import without_disturbances
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
