@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from imucal.recording import AxisSeries, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
     from imucal.report.exports import export
+    from imucal.report.given import model_as_report
 
 __all__ = [
     "AllanCurve",
@@ -93,6 +94,7 @@ __all__ = [
     "load_fleet",
     "load_report",
     "log_values",
+    "model_as_report",
     "plan",
     "pool",
     "population",
@@ -128,6 +130,7 @@ _HOMES = {
     "imucal.recording": ("AxisSeries", "Recording", "Sensor"),
     "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),
     "imucal.report.exports": ("export",),
+    "imucal.report.given": ("model_as_report",),
 }
 
 # Now, as the libraries beneath ask only once how many threads they may start.

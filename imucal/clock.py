@@ -163,10 +163,7 @@ class Clock:
             if start < end:
                 offset = segment.offset + start - segment.start
                 segments.append(Segment(start=start - first, stop=end - first, offset=offset))
-        start_ns = self.start_ns
-        if start_ns is not None and segments:
-            start_ns += round((segments[0].offset - self.segments[0].offset) * self.tau0 * 1e9)
-        return replace(self, segments=tuple(segments), start_ns=start_ns)
+        return self._of(segments)
 
     def keeping(self, keep: NDArray[np.bool_]) -> "Clock":
         """Return the clock of the samples where `keep`, shape (n,), is true; the rest become gaps."""
@@ -183,4 +180,11 @@ class Clock:
                 stop = start + end - first
                 segments.append(Segment(start=start, stop=stop, offset=segment.offset + first))
                 start = stop
-        return replace(self, segments=tuple(segments))
+        return self._of(segments)
+
+    def _of(self, segments: list[Segment]) -> "Clock":
+        """Return a clock of some of the samples, which starts when the first of them was taken."""
+        start_ns = self.start_ns
+        if start_ns is not None and segments:
+            start_ns += round((segments[0].offset - self.segments[0].offset) * self.tau0 * 1e9)
+        return replace(self, segments=tuple(segments), start_ns=start_ns)

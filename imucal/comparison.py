@@ -20,6 +20,7 @@ from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
+from imucal.report.given import GIVEN
 from imucal.report.result import AxisReport, Report
 
 #: ``differs``; ``same``: no significant difference; ``bounded``: neither report shows the term;
@@ -161,7 +162,7 @@ def _notes(a: Mapping[str, AxisReport], b: Mapping[str, AxisReport]) -> Iterator
     }
     for what, found in pairs.items():
         for one, other in sorted(found):
-            if one != other:
+            if one != other and GIVEN not in (one, other):
                 yield f"A was {what} {one}, B {what} {other}; differences may come from that"
 
 
@@ -199,6 +200,8 @@ def _estimates(axis: AxisReport | None) -> dict[str, Estimate]:
     """Return an axis's estimates by key; correlation times are estimates of their own, ``GM.T``."""
     found: dict[str, Estimate] = {}
     for estimate in () if axis is None else axis.fit.estimates:
+        if not estimate.high and estimate.value is None:
+            continue  # a model that was given doesn't speak of it
         found[estimate.key] = estimate
         if (time := estimate.correlation_time) is not None:
             key = estimate.key + _TIME

@@ -8,7 +8,7 @@
     ├── DataError      4  the data can't be analysed: no IMU samples, too short, not finite
     ├── WriteError     5  the output can't be written
     ├── SettingError   2  an environment variable of imucal's is wrong
-    ├── LimitsError    2  the limits file of a check is wrong (2 is usage, as for a wrong option)
+    ├── LimitsError    2  a check's limits or config can't be read (2 is usage, as for a wrong option)
     ├── ManifestError  2  the manifest of a fleet is wrong
     └── EngineError    5  the workers of a fleet, or who hands out their work, are gone
 
@@ -48,7 +48,7 @@ class WriteError(ImucalError):
 
 
 class LimitsError(ImucalError):
-    """The limits file of a check can't be read, or asks what can't be checked."""
+    """The limits file of a check, or the config that it checks, can't be read or checked."""
 
     exit_code = 2
 

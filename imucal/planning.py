@@ -9,6 +9,7 @@ itself whether N, B and K are there.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from imucal.findings import Finding
@@ -18,7 +19,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
-from imucal.report.result import Report
+from imucal.report.result import AxisReport, Report
 from imucal.solvers import root, root_near
 
 #: The level of an interval of one standard deviation to each side.
@@ -157,8 +158,10 @@ def plan(
 
     if isinstance(source, Report):
         axes = tuple(
-            replace(_fit_plan(axis.fit, ask(axis.rate_hz, axis.duration_s)), axis=axis.name)
-            for axis in source.axes
+            replace(
+                _fit_plan(axis.fit, ask(axis.rate_hz, axis.duration_s if axis.samples else None)), axis=name
+            )
+            for name, axis in _once_each(source)
         )
     elif isinstance(source, NoiseFit):
         axes = (_fit_plan(source, ask(source.rate_hz, None)),)
@@ -168,6 +171,15 @@ def plan(
     else:
         axes = (_axis_plan(source, [(term, False) for term in source.terms], ask(rate_hz, None)),)
     return Plan(precision=precision, level=level, axes=axes)
+
+
+def _once_each(report: Report) -> Iterator[tuple[str, AxisReport]]:
+    """Yield a report's axes by name; those of a sensor that share one model as one, by the sensor's."""
+    for sensor, axes in report.by_sensor.items():
+        if len(axes) > 1 and all(axis.fit is axes[0].fit for axis in axes):
+            yield sensor.short, axes[0]
+        else:
+            yield from ((axis.name, axis) for axis in axes)
 
 
 def resolution_findings(fit: NoiseFit, duration_s: float, *, precision: float = 0.1) -> tuple[Finding, ...]:

@@ -1,7 +1,9 @@
 """The only module that knows units other than SI: what logs hold, and what data sheets print."""
 
+import ast
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from imucal.recording import Sensor
@@ -105,6 +107,55 @@ _OTHER_UNITS = _spellings(
 
 
 @dataclass(frozen=True, slots=True)
+class _Unit:
+    """A unit as its factor to SI and its exponents of radian, metre and second."""
+
+    factor: float
+    rad: float = 0.0
+    m: float = 0.0
+    s: float = 0.0
+
+    def __pow__(self, by: float) -> "_Unit":
+        return _Unit(self.factor**by, self.rad * by, self.m * by, self.s * by)
+
+    def __mul__(self, by: "_Unit") -> "_Unit":
+        return _Unit(self.factor * by.factor, self.rad + by.rad, self.m + by.m, self.s + by.s)
+
+    def is_like(self, other: "_Unit") -> bool:
+        """Return whether both measure the same kind of thing."""
+        return (self.rad, self.m, self.s) == (other.rad, other.m, other.s)
+
+
+_STANDARD_GRAVITY, _RADIAN = _Unit(G0, m=1, s=-2), _Unit(1.0, rad=1)
+#: What units are made of, in small letters; an arc second as `_WORDS` cut it.
+_BASES: dict[str, _Unit] = {
+    "rad": _RADIAN,
+    "deg": _Unit(_DEGREE, rad=1),
+    "arcmin": _Unit(_DEGREE / 60, rad=1),
+    "arcs": _Unit(_DEGREE / _HOUR, rad=1),
+    "dps": _Unit(_DEGREE, rad=1, s=-1),
+    "dph": _Unit(_DEGREE / _HOUR, rad=1, s=-1),
+    "m": _Unit(1.0, m=1),
+    "g": _STANDARD_GRAVITY,
+    "gal": _Unit(0.01, m=1, s=-2),
+    "s": _Unit(1.0, s=1),
+    "min": _Unit(60.0, s=1),
+    "h": _Unit(_HOUR, s=1),
+    "d": _Unit(24 * _HOUR, s=1),
+    "hz": _Unit(1.0, s=-1),
+}
+#: Prefix of a base but those of time -> its factor.
+_PREFIXES = {"k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
+#: Roots as people write them, and exponents without a sign for them -> a form that Python has, too.
+_ROOTS = (
+    (r"(?:√|\b(?:rt|root|sqrt)\b[- ]*)\(", "sqrt("),
+    (r"(?:√|\b(?:rt|root|sqrt)[- ]*)([a-z]+)", r"sqrt(\1)"),
+    (r"\b([a-z]+)(-?\d)", r"\1^\2"),
+    (r"\^(\(?)(-?)1/2\b", r"^\g<1>\g<2>0.5"),
+)
+
+
+@dataclass(frozen=True, slots=True)
 class DatasheetUnit:
     """A unit that data sheets print; ``value * factor`` turns SI into it."""
 
@@ -158,6 +209,61 @@ def pretty(unit: str) -> str:
     for plain, sign in (("sqrt(Hz)", "√Hz"), ("sqrt(h)", "√h"), ("sqrt(s)", "√s"), ("^2", "²"), ("^3", "³")):
         unit = unit.replace(plain, sign)
     return "µg" + unit[2:] if unit.startswith("ug") else unit
+
+
+def find_unit(text: str, units: Mapping[str, float]) -> tuple[str, float] | None:
+    """Return the name and the factor to SI of a unit that measures what some units do, or None.
+
+    Takes such as ``mdps/rtHz``, ``°/√h``, ``(deg/s)/Hz^0.5``, ``µg per root Hz``: any product of powers.
+
+    Parameters
+    ----------
+    text
+        The unit as people write it.
+    units
+        Units of one kind with their factors, that of SI first. A unit that is none of them, but of
+        their kind, is called as it was written.
+    """
+    if text in units:
+        return text, units[text]
+    found, wanted = _product(text), _product(next(iter(units)))
+    if found is None or wanted is None or not found.is_like(wanted):
+        return None
+    same = (each for each in units.items() if math.isclose(each[1], found.factor, rel_tol=1e-9))
+    return next(same, (text.strip(), found.factor))
+
+
+def _product(text: str) -> _Unit | None:
+    """Return a unit that is a product of powers; None for a text that is none."""
+    for sign, plain in _SIGNS.items():
+        text = text.replace(sign, plain)
+    text = _shortened(text.strip().lower())
+    for pattern, plain in _ROOTS:
+        text = re.sub(pattern, plain, text)
+    text = re.sub(r"\s*([/^()])\s*", r"\1", text).replace("^", "**").replace(" ", "*")
+    try:
+        return _evaluated(ast.parse(text, mode="eval").body)
+    except (SyntaxError, ValueError):
+        return None
+
+
+def _evaluated(node: ast.expr) -> _Unit:
+    """Return what an expression of bases, products, quotients, powers and roots stands for."""
+    match node:
+        case ast.Name(name) if name in _BASES:
+            return _BASES[name]
+        case ast.Name(name) if _BASES.get(name[1:], _Unit(1.0, s=1)).s != 1 and name[0] in _PREFIXES:
+            return _BASES[name[1:]] * _Unit(_PREFIXES[name[0]])
+        case ast.BinOp(left, ast.Mult(), right):
+            return _evaluated(left) * _evaluated(right)
+        case ast.BinOp(left, ast.Div(), right):
+            return _evaluated(left) * _evaluated(right) ** -1
+        case ast.BinOp(left, ast.Pow(), right):
+            return _evaluated(left) ** float(ast.unparse(right))
+        case ast.Call(ast.Name("sqrt"), [inside]):
+            return _evaluated(inside) ** 0.5
+    msg = f"{ast.unparse(node)} is no unit"
+    raise ValueError(msg)
 
 
 def parse_sample_unit(text: str) -> tuple[Sensor, str] | None:

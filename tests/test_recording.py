@@ -56,6 +56,8 @@ def test_left_out_samples_become_gaps(keep: list[bool]) -> None:
     npt.assert_array_equal(kept.clock.grid() + first, np.flatnonzero(mask))
     npt.assert_array_equal(kept.samples, np.flatnonzero(mask))
     assert kept.clock.missing == kept.clock.grid_size - mask.sum()
+    started = replace(series.clock, start_ns=7).keeping(mask)
+    assert started.start_ns == 7 + first * 100_000_000
     for place in range(mask.size + 2):
         assert kept.clock.index_from(place) == np.searchsorted(kept.clock.grid(), place)
 

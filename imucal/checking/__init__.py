@@ -1,16 +1,17 @@
 """The gate: a report against limits, by the interval and not by the point."""
 
+from imucal.checking.config_files import check_config
 from imucal.checking.gate import check
 from imucal.checking.limits import Baseline, FindingRules, Limits, parse_limits, read_limits
-from imucal.checking.verdict import CheckResult, Measured
+from imucal.checking.verdict import CheckResult
 
 __all__ = [
     "Baseline",
     "CheckResult",
     "FindingRules",
     "Limits",
-    "Measured",
     "check",
+    "check_config",
     "parse_limits",
     "read_limits",
 ]

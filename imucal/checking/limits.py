@@ -36,7 +36,7 @@ from typing import Literal, NoReturn, TypeAlias
 from imucal.errors import LimitsError
 from imucal.noise.terms import TERMS, symbol_of
 from imucal.recording import Axis, Sensor
-from imucal.units import SAMPLE_UNITS
+from imucal.units import find_unit
 
 Undecided: TypeAlias = Literal["pass", "fail"]
 
@@ -146,44 +146,13 @@ _LOG_UNITS: dict[str, dict[str, float]] = {
 #: Quantities of a recording: rate, length, number of gaps, missing samples as a fraction.
 LOG_QUANTITIES = tuple(_LOG_UNITS)
 
-#: What people write -> the plain spelling; roots come first, since they hold letters.
-_SIGNS = {
-    "√(": "sqrt(",
-    "√Hz": "sqrt(Hz)",
-    "√h": "sqrt(h)",
-    "√s": "sqrt(s)",
-    "²": "^2",
-    "³": "^3",
-    "°": "deg",
-    "º": "deg",
-    "µ": "u",
-    "μ": "u",
-    " ": "",
-    "·": "",
-}
-
 
 def quantity_units(quantity: str, sensor: Sensor) -> dict[str, float]:
     """Return the units of a quantity, the SI unit first, each with its factor to SI."""
     if quantity in LOG_QUANTITIES:
         return _LOG_UNITS[quantity]
     symbol = "B" if quantity in SAMPLE_QUANTITIES else quantity
-    term = TERMS[symbol]
-    datasheet = term.datasheet_unit(sensor)
-    units = {term.unit(sensor): 1.0}
-    for name, factor in SAMPLE_UNITS[sensor].items():
-        units |= {f"{name}{over}": factor * divisor for over, divisor in term.divisors.items()}
-    units[datasheet.name] = 1 / datasheet.factor
-    if term.spellings:
-        units[term.spellings[sensor is Sensor.ACCELEROMETER]] = 1.0
-    return units
-
-
-def plain_unit(text: str) -> str:
-    """Return the ASCII spelling of a unit: ``°/√h`` becomes ``deg/sqrt(h)``."""
-    for sign, plain in _SIGNS.items():
-        text = text.replace(sign, plain)
-    return text
+    return TERMS[symbol].coefficient_units(sensor)
 
 
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
@@ -289,8 +258,8 @@ class _File:
         written = table.get("unit", next(iter(units)))
         if not isinstance(written, str):
             self._refuse(f"{place}.unit", repr(written), 'expected text, such as "deg/h"')
-        unit = plain_unit(written)
-        if unit not in units:
+        unit = find_unit(written, units)
+        if unit is None:
             self._refuse(f"{place}.unit", repr(written), f"expected one of {', '.join(filter(None, units))}")
         limits = [
             Limit(
@@ -298,8 +267,8 @@ class _File:
                 quantity=quantity,
                 side=side,
                 value=self._number(f"{place}.{side}", table[side]),
-                unit=unit,
-                factor=units[unit],
+                unit=unit[0],
+                factor=unit[1],
             )
             for side in ("min", "max")
             if side in table

@@ -68,6 +68,8 @@ class Row:
         ``pass``, ``fail`` or ``undecided``.
     text
         One sentence.
+    instead
+        The line to write in place of one of a config file that is wrong or doubtful; empty elsewhere.
     """
 
     where: str
@@ -78,6 +80,7 @@ class Row:
     limit: float | None = None
     unit: str = ""
     measured: Measured | None = None
+    instead: str = ""
 
     @property
     def rule(self) -> str:
@@ -243,6 +246,7 @@ def _row_entry(row: Row) -> dict[str, object]:
         **{name: measured and plain(getattr(measured, name)) for name in ("value", "low", "high")},
         "verdict": row.verdict,
         "text": row.text,
+        "instead": row.instead or None,
     }
 
 

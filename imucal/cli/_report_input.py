@@ -1,14 +1,18 @@
-"""REPORT of a command: a report.json, its folder, or a log, which is characterised first."""
+"""REPORT of a command: a report.json, its folder, a log, which is characterised first, or a model."""
 
-from collections.abc import Callable
+import functools
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
 from imucal.cli._printing import as_typed, name_of_log, say
-from imucal.cli.parameters import LogRequest, log_options
+from imucal.cli.parameters import LogRequest, Text, log_options
 from imucal.errors import ReadError
+from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
 from imucal.report.result import Report
@@ -20,36 +24,137 @@ REPORT = "report.json or its folder"
 
 
 def report_or_log(command: Command) -> Callable[..., Any]:
-    """Add the REPORT argument and the options of reading a log; the command gets them as `request`."""
-    decorated = log_options(command)
+    """Add REPORT, the options of reading a log, and those of models; the command gets them as `request`."""
+
+    @model_options
+    @functools.wraps(command)
+    def wrapper(*, request: LogRequest, models: dict[Sensor, str], **values: Any) -> object:  # noqa: ANN401
+        given = next((log for log in request.logs if is_model(log)), None)
+        if given is not None and len(request.logs) > 1:
+            msg = f"{given!r} is a model; give one model, one report, or logs only"
+            raise click.UsageError(msg)
+        if given is not None or not request.logs or models:
+            models = with_model(given or next(iter(request.logs), None), models)
+            # Messages name what was given where a log's path would stand.
+            request = replace(request, logs=tuple(models.values())[:1], models=models)
+        return command(request=request, **values)
+
+    decorated = log_options(wrapper)
     for parameter in decorated.__click_params__:  # type: ignore[attr-defined]
         if isinstance(parameter, click.Argument):
-            parameter.metavar = "REPORT"
+            parameter.metavar, parameter.required = "REPORT", False
             parameter.type = click.Path()  # the shell completes it
         elif parameter.name == "strict":
             parameter.help = "Log: Refuse a damaged log."
-        elif parameter.name not in ("quiet", "verbose"):
+        elif parameter.name == "rate_hz":
+            parameter.help = f"Log, model: {parameter.help} A model has none of its own."
+        elif parameter.name not in ("quiet", "verbose", *Sensor):
             parameter.help = f"Log: {parameter.help}"
     return decorated
 
 
+def model_options(command: Command) -> Callable[..., Any]:
+    """Add the options of models in place of a report; the command gets them as `models`."""
+
+    @click.option("--gyro", "gyroscope", type=_model(Sensor.GYROSCOPE), metavar="MODEL", help=_HELP)
+    @click.option("--accel", "accelerometer", type=_model(Sensor.ACCELEROMETER), metavar="MODEL", help=_HELP)
+    @functools.wraps(command)
+    def wrapper(*, gyroscope: str | None, accelerometer: str | None, **values: Any) -> object:  # noqa: ANN401
+        both = {Sensor.GYROSCOPE: gyroscope, Sensor.ACCELEROMETER: accelerometer}
+        return command(models={sensor: text for sensor, text in both.items() if text}, **values)
+
+    return wrapper
+
+
+_HELP = 'A model in place of a report, such as "N=0.3deg/sqrt(h) + B=5deg/h" or "N=60ug/sqrt(Hz)".'
+
+
+def _model(sensor: Sensor) -> Text[str]:
+    """Return the type of an option that holds a model of a sensor: the text, once it is understood."""
+
+    def checked(text: str) -> str:
+        from imucal.noise.model import NoiseModel
+
+        NoiseModel.parse(text, sensor)
+        return text
+
+    return Text("model", checked)
+
+
+def is_model(text: str) -> bool:
+    """Return whether a text is meant as a model and not as a path or a URL."""
+    return "=" in text and not is_url(text) and not os.path.exists(text)  # noqa: PTH110 - never raises
+
+
+def with_model(source: str | None, models: Mapping[Sensor, str], name: str = "REPORT") -> dict[Sensor, str]:
+    """Return the models of the options, and that of the argument of a name, which is the gyroscope's.
+
+    Raises
+    ------
+    click.UsageError
+        If there is no model, the argument is none, or the gyroscope has two.
+    """
+    from imucal.noise.model import NoiseModel
+
+    if source is None:
+        if not models:
+            raise click.MissingParameter(param_hint=f"'{name}'", param_type="argument")
+        return dict(models)
+    if not is_model(source):
+        msg = f"{shown(source)} is a path, but --gyro and --accel hold models; give the one or the other"
+        raise click.UsageError(msg)
+    if Sensor.GYROSCOPE in models:
+        msg = f"{source!r} is a model of the gyroscope, and so is --gyro; give one of them"
+        raise click.UsageError(msg)
+    try:
+        NoiseModel.parse(source)
+    except ValueError as error:
+        msg = f"{source!r} is no file or folder, nor a model of a gyroscope: {error}"
+        raise click.UsageError(msg) from error
+    return {Sensor.GYROSCOPE: source, **models}
+
+
+def given_report(models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
+    """Return models in the form of a report."""
+    from imucal.report.given import model_as_report
+
+    if rate_hz is None:
+        msg = "a model has no sampling rate of its own; give one, such as --rate 200"
+        raise click.UsageError(msg)
+    return model_as_report(models, rate_hz=rate_hz)
+
+
+def report_or_model(source: str | None, models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
+    """Load a report by its file, folder or URL, or make one of models."""
+    if source is None or models or is_model(source):
+        return given_report(with_model(source, models), rate_hz)
+    return read_report(source)
+
+
 def load_report(request: LogRequest) -> Report:
-    """Load a report, or read and characterise a log.
+    """Load a report, read and characterise a log, or make a report of models.
 
     Options of reading are refused beside a report: they would change nothing.
     """
+    asked = sorted(request.settings())
+    if request.models:
+        _refuse_reading([name for name in asked if name != "rate_hz"], f"{request.logs[0]!r} is a model")
+        return given_report(request.models, request.reading["rate_hz"])
     first = next((log for log in request.logs if is_report(log)), None)
     if first is None:
         return _characterise(request)
     if len(request.logs) > 1:
         msg = f"{shown(first)} is a report; give one report, or logs only"
         raise click.UsageError(msg)
-    if asked := sorted(request.settings()):
-        names = ", ".join(name.removesuffix("_s").removesuffix("_hz").replace("_", "-") for name in asked)
-        what = f"{names} is about reading a log; run 'imucal fit' on the log with it"
-        msg = f"{shown(first)} is a report, but {what}"
-        raise click.UsageError(msg)
+    _refuse_reading(asked, f"{shown(first)} is a report")
     return read_report(first)
+
+
+def _refuse_reading(asked: list[str], what: str) -> None:
+    if asked:
+        names = ", ".join(name.removesuffix("_s").removesuffix("_hz").replace("_", "-") for name in asked)
+        msg = f"{what}, but {names} is about reading a log; run 'imucal fit' on the log with it"
+        raise click.UsageError(msg)
 
 
 def read_report(report: str | Path) -> Report:

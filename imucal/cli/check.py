@@ -39,6 +39,7 @@ Examples:
   imucal check still.mcap --limits limits.toml --junit imucal.xml --github
   imucal check still-imucal --baseline golden-imucal --json | jq .verdict
   imucal check new-unit.mcap --fleet fleet
+  imucal check still-imucal --config imu.yaml
 
 \b
 Exit codes: 0 nothing failed, 1 a limit failed, 2 usage or a wrong limits
@@ -63,6 +64,12 @@ file, 3 the report or log can't be read, 4 the data can't be analysed."""
     metavar="FLEET",
     help="Folder of a fleet: is this unit one of them?",
 )
+@click.option(
+    "--config",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Config of a filter: are its noise parameters right for this sensor?",
+)
 @fleet_model_option
 @click.option(
     "--undecided",
@@ -81,6 +88,7 @@ def command(
     limits_file: Path | None,
     baseline: str | None,
     fleet: Path | None,
+    config: Path | None,
     fleet_model: str | None,
     undecided: str | None,
     as_json: bool,
@@ -96,11 +104,15 @@ def command(
 
     With --fleet each term must lie where the next unit of that sensor model would: with p adjusted for
     the number of terms (Holm), a unit of the fleet fails with a probability of 5 %.
+
+    With --config the noise parameters of a filter's file are held to the numbers that 'imucal export'
+    writes: too small fails, and so does too large where it is a slip, such as a factor of the rate,
+    degrees, g, a square, or another term's number. Each is said with the line to write instead.
     """
-    from imucal.checking import check
+    from imucal.checking import check, check_config
     from imucal.checking.verdict import github_annotations, junit_xml, to_document
 
-    limits = _limits(limits_file, baseline, fleet, fleet_model)
+    limits = _limits(limits_file, baseline, fleet, fleet_model, config=config)
     if undecided is not None:
         limits = replace(limits, undecided="fail" if undecided == "fail" else "pass")
     older = None
@@ -113,6 +125,8 @@ def command(
 
         rows = check_fleet(report, read_fleet(fleet), fleet_model)
         result = replace(result, rows=result.rows + rows)
+    if config is not None:
+        result = replace(result, rows=result.rows + check_config(config, report))
     if junit is not None:
         from imucal.atomic import replacing
 
@@ -124,14 +138,21 @@ def command(
     else:
         click.echo(_table(result))
     if github:
-        for line in github_annotations(result, file=str(limits_file or "")):
+        for line in github_annotations(result, file=str(limits_file or config or "")):
             echo(line, err=as_json)
     if not result.passed:
         click.get_current_context().exit(1)
 
 
-def _limits(limits_file: Path | None, baseline: str | None, fleet: Path | None, model: str | None) -> Limits:
-    """Return the limits to check against: none where a fleet is all there is."""
+def _limits(
+    limits_file: Path | None,
+    baseline: str | None,
+    fleet: Path | None,
+    model: str | None,
+    *,
+    config: Path | None,
+) -> Limits:
+    """Return the limits to check against: none where a fleet or a config is all there is."""
     from imucal.checking import read_limits
 
     if fleet is None and model is not None:
@@ -141,8 +162,10 @@ def _limits(limits_file: Path | None, baseline: str | None, fleet: Path | None, 
         expected = "expected the folder of a fleet that imucal fleet run writes"
         msg = f"{fleet}: found no manifest.parquet, {expected}"
         raise ReadError(msg)
-    if fleet is None and limits_file is None and baseline is None:
-        msg = "nothing to check against; give --limits FILE, --baseline REPORT or --fleet FLEET"
+    if fleet is None and limits_file is None and baseline is None and config is None:
+        msg = (
+            "nothing to check against; give --limits FILE, --baseline REPORT, --fleet FLEET or --config FILE"
+        )
         raise click.UsageError(msg)
     limits = Limits() if limits_file is None else read_limits(limits_file)
     if baseline is not None:
@@ -173,11 +196,14 @@ def _table(result: CheckResult) -> str:
 def _lines(row: Row, where: int, rule: int) -> list[str]:
     verdict = click.style(f"{row.verdict:<9}", fg=_COLOURS[row.verdict])
     start = 9 + 1 + where + 1
-    if row.measured is not None and start + rule + 1 + len(row.measured.text()) <= width():
-        return [f"{verdict} {row.where:<{where}} {row.rule:<{rule}} {row.measured.text()}"]
-    if row.measured is not None and width() < FULL:
+    measured = None if row.instead else row.measured
+    if measured is not None and start + rule + 1 + len(measured.text()) <= width():
+        return [f"{verdict} {row.where:<{where}} {row.rule:<{rule}} {measured.text()}"]
+    if measured is not None and width() < FULL:
         place, *more = textwrap.wrap(f"{row.where:<{where}} {row.rule}", width() - 10)
-        return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, row.measured.text()))]
+        return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, measured.text()))]
     text = printable(row.text).partition(": ")[2]  # without the place, which has its column
-    first, *rest = textwrap.wrap(text, width() - start) or [""]
+    # What is to be copied stays on one line.
+    text = text.removesuffix(f" '{row.instead}'") if row.instead else text
+    first, *rest = [*textwrap.wrap(text, width() - start), *([row.instead] if row.instead else [])] or [""]
     return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]

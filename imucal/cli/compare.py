@@ -7,11 +7,12 @@ import click
 
 from imucal.cli._fleet import fleet_model_option, is_fleet, read_fleet
 from imucal.cli._printing import FULL, as_typed, picked, print_json, say, width
-from imucal.cli._report_input import read_report
+from imucal.cli._report_input import given_report, is_model, model_options, read_report, with_model
 from imucal.cli.parameters import Number, datasheet_option, json_option, quiet_option, shown
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
+from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown as shown_address
 from imucal.report.result import Report
@@ -26,6 +27,7 @@ Examples:
   imucal compare monday-imucal tuesday-imucal
   imucal compare golden-imucal new-imucal --tolerance 0.1
   imucal compare fleet-2023 fleet-2024
+  imucal compare still-imucal "N=0.3deg/sqrt(h) + B=5deg/h" --tolerance 1
   imucal compare a-imucal b-imucal --json -q | jq '.differences[].outcome'
 
 \b
@@ -33,7 +35,8 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
 2 usage, 3 a report can't be read, 4 the reports have no axis in common."""
 )
 @click.argument("a", type=click.Path(), metavar="A")
-@click.argument("b", type=click.Path(), metavar="B")
+@click.argument("b", type=click.Path(), metavar="B", required=False)
+@model_options
 @shown(
     "--alpha",
     type=Number(0, 1, min_open=True, max_open=True),
@@ -55,7 +58,8 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
 def command(
     *,
     a: str,
-    b: str,
+    b: str | None,
+    models: dict[Sensor, str],
     alpha: float,
     tolerance: float,
     no_fail: bool,
@@ -71,9 +75,10 @@ def command(
     probability --alpha. The intervals know the noise of one record, not how a sensor changes from
     run to run; --tolerance says how much of that is all right.
 
-    Of two fleets (folders of 'imucal fleet run') the median units are compared.
+    Of two fleets (folders of 'imucal fleet run') the median units are compared. Either may be a model,
+    such as a data sheet's: as an argument the gyroscope's, --gyro and --accel in place of B.
     """
-    result = compare(*_both(a, b, fleet_model), alpha=alpha, tolerance=tolerance)
+    result = compare(*_both(a, b, models, fleet_model), alpha=alpha, tolerance=tolerance)
     if as_json:
         print_json(to_document(result))
     else:
@@ -87,25 +92,35 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _both(a: str, b: str, model: str | None) -> tuple[Report, Report]:
-    """Return two reports, or the median units of two fleets in the form of reports."""
-    fleets = [is_fleet(path) for path in (a, b)]
+def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -> tuple[Report, Report]:
+    """Return two reports: of logs, of models, or the median units of two fleets."""
+    fleets = [path is not None and is_fleet(path) for path in (a, b)]
+    if fleet is not None and not any(fleets):
+        msg = f"{shown_address(a)} is no fleet, but --fleet-model is about one"
+        raise click.UsageError(msg)
+    if b is None or models or is_model(a) or is_model(b):
+        return _with_models(a, b, models)
     if not any(fleets):
-        if model is not None:
-            msg = f"{shown_address(a)} is no fleet, but --fleet-model is about one"
-            raise click.UsageError(msg)
         return read_report(a), read_report(b)
     if not all(fleets):
-        fleet, other = (a, b) if fleets[0] else (b, a)
+        folder, other = (a, b) if fleets[0] else (b, a)
         msg = (
-            f"{fleet} is a fleet and {shown_address(other)} is none; compare two fleets, or ask if a log "
-            f"is of one of its units: imucal check {_typed(other)} --fleet {_typed(fleet)}"
+            f"{folder} is a fleet and {shown_address(other)} is none; compare two fleets, or ask if a log "
+            f"is of one of its units: imucal check {_typed(other)} --fleet {_typed(folder)}"
         )
         raise click.UsageError(msg)
     from imucal.fleet_report.as_report import fleet_as_report
 
-    one, other_one = (fleet_as_report(read_fleet(path), model, value="median") for path in (a, b))
+    one, other_one = (fleet_as_report(read_fleet(path), fleet, value="median") for path in (a, b))
     return one, other_one
+
+
+def _with_models(a: str, b: str | None, models: dict[Sensor, str]) -> tuple[Report, Report]:
+    """Return two reports of which at least one is a model: at the other's rate, since it has none."""
+    read = [None if text is None or is_model(text) else read_report(text) for text in (a, b)]
+    rate_hz = next((axis.rate_hz for report in read if report for axis in report.axes), 1.0)
+    second = read[1] or given_report(with_model(b, models, "B"), rate_hz)
+    return read[0] or given_report(with_model(a, {}), rate_hz), second
 
 
 def _typed(text: str) -> str:

@@ -6,9 +6,9 @@ Among these are the options of how to read a log, where it doesn't say itself, a
 import functools
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -284,7 +284,10 @@ def reading_options(command: Command) -> Callable[..., Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogRequest:
-    """What the user asked to read; `reading` holds arguments of `imucal.read`."""
+    """What the user asked to read; `reading` holds arguments of `imucal.read`.
+
+    `models` are texts of models in place of a log, where a command takes them.
+    """
 
     logs: tuple[str, ...]
     reading: dict[str, Any]
@@ -293,6 +296,7 @@ class LogRequest:
     take_s: float | None
     quiet: bool
     verbose: bool
+    models: Mapping[Sensor, str] = field(default_factory=dict)
 
     @contextmanager
     def local(self) -> Iterator["LocalLogs"]:

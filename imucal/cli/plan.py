@@ -1,12 +1,11 @@
 """``imucal plan``: how long to record for a wanted precision."""
 
 import math
-from pathlib import Path
 
 import click
 
 from imucal.cli._printing import FULL, can_print, echo, fitted, picked, print_json, say, width
-from imucal.cli._report_input import is_report, read_report
+from imucal.cli._report_input import model_options, report_or_model
 from imucal.cli.parameters import (
     DURATION,
     LEVEL,
@@ -17,11 +16,9 @@ from imucal.cli.parameters import (
     quiet_option,
     shown,
 )
-from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.planning import MOSTLY_SHOWN, ONE_DEVIATION, AxisPlan, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
-from imucal.remote import is_url
 from imucal.units import DatasheetUnit
 
 SCHEMA = "imucal/planning/1"
@@ -43,14 +40,16 @@ def _fraction(text: str) -> float:
 @click.command(
     epilog="""\b
 Examples:
-  imucal plan "N=1e-4 + B=2e-5 + K=1e-6" --rate 200
+  imucal plan "N=0.3deg/sqrt(h) + B=5deg/h" --rate 200
+  imucal plan --accel "N=60ug/sqrt(Hz)" --rate 200
   imucal plan log-imucal --precision 5% --level 0.95
   imucal plan log-imucal --duration 3h --json -q
 
 \b
 Exit codes: 0 done, 2 usage, 3 the report can't be read."""
 )
-@click.argument("source", metavar="MODEL_OR_REPORT")
+@click.argument("source", metavar="MODEL_OR_REPORT", required=False)
+@model_options
 @click.option(
     "--rate", type=RATE, metavar="HZ", help="Sampling rate; needed with a model, a report has its own."
 )
@@ -75,7 +74,8 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read."""
 @quiet_option
 def command(
     *,
-    source: str,
+    source: str | None,
+    models: dict[Sensor, str],
     rate: float | None,
     precision: float,
     level: float | None,
@@ -86,13 +86,13 @@ def command(
 ) -> None:
     """Say how long to record for a wanted precision of each noise term.
 
-    MODEL_OR_REPORT is a model in SI units, such as "N=1e-4 + B=2e-5 + K=1e-6", or a report.json or its
-    folder. Times are from the least error that any method can have (the Cramér-Rao bound), and long
-    enough that about four of five records tell the term from zero; a term that a report only bounds is
-    taken at its bound.
+    MODEL_OR_REPORT is a model of the gyroscope, such as "N=0.3deg/sqrt(h) + B=5deg/h" (numbers without
+    a unit are SI), or a report.json or its folder. Times are from the least error that any method can
+    have (the Cramér-Rao bound), and long enough that about four of five records tell the term from
+    zero; a term that a report only bounds is taken at its bound.
     """
     result = plan(
-        _model(source, rate) or read_report(source),
+        report_or_model(source, models, rate),
         rate_hz=rate,
         precision=precision,
         level=level or ONE_DEVIATION,
@@ -125,23 +125,6 @@ def to_document(result: Plan) -> dict[str, object]:
             for axis in result.axes
         ],
     }
-
-
-def _model(source: str, rate: float | None) -> NoiseModel | None:
-    """Return the model of a text that is one, or None for a path."""
-    if is_url(source) or is_report(source) or Path(source).exists():
-        return None
-    try:
-        model = NoiseModel.parse(source)
-    except ValueError as error:
-        if "=" not in source:
-            msg = f"{source!r} is neither a report (no such file or folder) nor a model: {error}"
-            raise click.BadParameter(msg, param_hint="MODEL_OR_REPORT") from error
-        raise click.BadParameter(str(error), param_hint="MODEL_OR_REPORT") from error
-    if rate is None:
-        msg = "a model has no sampling rate of its own; give one, such as --rate 200"
-        raise click.UsageError(msg)
-    return model
 
 
 def _table(result: Plan, *, datasheet: bool) -> str:

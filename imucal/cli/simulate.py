@@ -7,13 +7,19 @@ import click
 from imucal.cli._printing import echo, picked, print_json, say
 from imucal.cli.parameters import DURATION, RATE, Number, Text, json_option, quiet_option, seconds_of, shown
 from imucal.noise import NoiseModel
+from imucal.recording import Sensor
 from imucal.units import G0
 
 #: Samples of the longest log: six axes of them are 48 GB.
 _MOST = 1e9
 
 
-_MODEL = Text("model", NoiseModel.parse)
+def _of_the_gyroscope(text: str) -> str:
+    """Return the text of a model of a gyroscope."""
+    NoiseModel.parse(text)
+    return text
+
+
 _LSB = Number(min=0)
 
 
@@ -41,13 +47,11 @@ def _log_to_write(_: click.Context, __: click.Parameter, path: Path) -> Path:
     epilog="""\b
 Examples:
   imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
-  imucal simulate "N=1e-4 + K=1e-6" --accel "N=1e-3 + B=2e-4" \\
+  imucal simulate "N=0.3deg/sqrt(h) + B=5deg/h" --accel "N=60ug/sqrt(Hz)" \\
     --rate 400 --duration 2h --gap 10min:3s -o gaps.bag"""
 )
-@click.argument("model", type=_MODEL)
-@click.option(
-    "--accel", type=_MODEL, metavar="MODEL", help="Model of the accelerometer; MODEL's where not given."
-)
+@click.argument("model", type=Text("model", _of_the_gyroscope))
+@click.option("--accel", metavar="MODEL", help="Model of the accelerometer; MODEL's numbers where not given.")
 @click.option(
     "-o",
     "--out",
@@ -78,8 +82,8 @@ Examples:
 @quiet_option
 def command(
     *,
-    model: NoiseModel,
-    accel: NoiseModel | None,
+    model: str,
+    accel: str | None,
     out: Path,
     rate: float,
     duration: float,
@@ -92,9 +96,10 @@ def command(
 ) -> None:
     """Write a log of an IMU at rest whose noise is known.
 
-    MODEL is a sum of terms with continuous SI coefficients, the same for the three gyroscope
-    axes: N=… (rad/s/√Hz), B=… (rad/s), K=… (rad/s/√s), Q=… (rad), R=… (rad/s²),
-    GM(sigma=…, T=…) (rad/s, s); m/s² in place of rad/s for the accelerometer.
+    MODEL is a sum of terms with continuous coefficients, the same for the three gyroscope axes:
+    N=… (rad/s/√Hz), B=… (rad/s), K=… (rad/s/√s), Q=… (rad), R=… (rad/s²), GM(sigma=…, T=…) (rad/s, s);
+    m/s² in place of rad/s for the accelerometer. A number may have another unit, such as
+    N=0.3deg/sqrt(h), or N=60ug/sqrt(Hz) of the accelerometer.
     """
     from imucal.log_files import write_log
     from imucal.simulation import SensorTruth, simulate_recording
@@ -102,8 +107,12 @@ def command(
     if not 1 <= duration * rate <= _MOST:
         msg = f"{duration:g} s at {rate:g} Hz are {duration * rate:.3g} samples; expected 1 to {_MOST:g}"
         raise click.UsageError(msg)
-    gyroscope = SensorTruth(model=model, mean=(0.0, 0.0, 0.0), lsb=gyro_lsb)
-    accelerometer = SensorTruth(model=accel or model, mean=(0.0, 0.0, G0), lsb=accel_lsb)
+    try:
+        models = NoiseModel.parse(model), NoiseModel.parse(accel or model, Sensor.ACCELEROMETER)
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint="'--accel'") from error
+    gyroscope = SensorTruth(model=models[0], mean=(0.0, 0.0, 0.0), lsb=gyro_lsb)
+    accelerometer = SensorTruth(model=models[1], mean=(0.0, 0.0, G0), lsb=accel_lsb)
     try:
         recording = simulate_recording(
             gyroscope=gyroscope,
@@ -121,8 +130,8 @@ def command(
         return
     clock = recording.series[0].clock
     truth = {
-        "gyroscope": {"model": model.text(), "lsb": gyro_lsb},
-        "accelerometer": {"model": (accel or model).text(), "lsb": accel_lsb},
+        "gyroscope": {"model": models[0].text(), "lsb": gyro_lsb},
+        "accelerometer": {"model": models[1].text(), "lsb": accel_lsb},
         "rate_hz": rate,
         "samples": clock.n,
         "duration_s": clock.duration_s,

@@ -1,21 +1,17 @@
 """A sensor model of a fleet as a Report: so that a fleet is exported and compared as a log is."""
 
-import math
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from imucal.allan.curve import AllanCurve
-from imucal.allan.dct import Spectrum
 from imucal.errors import DataError
-from imucal.fitting.noise_fit import Estimate, Goodness, Interval, NoiseFit
+from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.fleet_report.verdict import bound_name
-from imucal.noise.model import NoiseModel
-from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Source
-from imucal.report.result import AxisReport, Overview, Report
+from imucal.report.given import given_axis
+from imucal.report.result import AxisReport, Report
 
 FleetValue: TypeAlias = Literal["tolerance", "median"]
 
@@ -83,43 +79,13 @@ def _axis(
             f"{', '.join(ALWAYS)}; run the fleet with --model 'N + B + K'"
         )
         raise DataError(msg)
-    noise = NoiseModel(terms=tuple(map(_noise_term, estimates.values())))
-    rate = model.rate_hz
-    size = max(int(duration * rate), 4)
-    m = 2 ** np.arange(max(int(math.log2(size)), 1))
-    curve = AllanCurve(
-        tau=m / rate,
-        m=m,
-        avar=noise.avar(m.astype(np.float64), rate_hz=rate),
-        edf=np.full(m.size, np.nan),
-        n=size,
-        computed="given",
-    )
-    none = np.zeros(0)
-    return AxisReport(
-        sensor=term.sensor,
-        axis=term.axis,
-        samples=size,
-        rate_hz=rate,
+    return given_axis(
+        term.sensor,
+        term.axis,
+        tuple(estimates.values()),
+        rate_hz=model.rate_hz,
         duration_s=duration,
-        mean=0.0,
-        std=0.0,
-        gaps=(),
-        spectrum=Spectrum(frequency=none, psd=none, count=none),
-        overview=Overview(time_s=none, low=none, high=none),
-        fit=NoiseFit(
-            method="fleet",
-            sensor=term.sensor,
-            rate_hz=rate,
-            level=0.95,
-            model=noise,
-            estimates=tuple(estimates.values()),
-            parameters=(),
-            covariance=np.zeros((0, 0)),
-            goodness=Goodness(statistic=0.0, p_value=1.0, chi2_per_bin=1.0),
-            curve=curve,
-            used=np.arange(m.size),
-        ),
+        method="fleet",
     )
 
 
@@ -166,8 +132,3 @@ def _correlation_time(fleet: Fleet, term: FleetTerm) -> Interval:
         raise DataError(msg)
     low, value, high = np.exp(np.quantile(np.log(times), (0.025, 0.5, 0.975))).tolist()
     return Interval(value=value, low=low, high=high)
-
-
-def _noise_term(estimate: Estimate) -> NoiseTerm:
-    times = [estimate.correlation_time.value] if estimate.correlation_time else []
-    return TERMS[estimate.symbol].of(estimate.value or estimate.high, *times)

@@ -1,7 +1,7 @@
 """NoiseModel: a sum of independent noise terms, and its text form."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +9,12 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, in_order, symbol_of
+from imucal.recording import Sensor
+from imucal.units import find_unit
 
 _TERM = re.compile(r"\s*(?:(?P<count>[1-9]\d*)\s*\*\s*)?(?P<symbol>[A-Za-z][A-Za-z0-9]*)\s*")
+_VALUE = re.compile(r"(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*)")
+_TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _EXAMPLE = "such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'"
 
 
@@ -24,15 +28,26 @@ class NoiseModel:
     terms: tuple[NoiseTerm, ...]
 
     @classmethod
-    def parse(cls, text: str) -> "NoiseModel":
+    def parse(cls, text: str, sensor: Sensor = Sensor.GYROSCOPE) -> "NoiseModel":
         """Return the model of a text such as ``N=1e-3 + K=3e-6 + GM(sigma=1e-4, T=50)``.
+
+        A number may have a unit, as data sheets print them: ``N=0.3deg/sqrt(h) + B=5 °/h``; without one
+        it is SI.
+
+        Parameters
+        ----------
+        text
+            The model.
+        sensor
+            Whose units may stand in it.
 
         Raises
         ------
         ValueError
-            If the text is not a sum of valued terms, or a term but GM stands twice.
+            If the text is not a sum of valued terms, a unit is none of its term's, or a term but GM
+            stands twice.
         """
-        terms = tuple(_parse_term(part) for part in _split(text))
+        terms = tuple(_parse_term(part, sensor) for part in _split(text))
         _refuse_repeats(tuple(term.symbol for term in terms))
         return cls(terms=terms)
 
@@ -106,24 +121,33 @@ def structure_text(symbols: Iterable[str]) -> str:
 
 def _split(text: str) -> list[str]:
     """Split at each plus sign that neither stands in an exponent nor in parentheses."""
-    return re.split(r"(?<![eE])\+(?![^(]*\))", text)
+    return re.split(r"(?<![\d.][eE])\+(?![^(]*\))", text)
 
 
-def _parse_term(part: str) -> NoiseTerm:
+def _parse_term(part: str, sensor: Sensor) -> NoiseTerm:
     for term in TERMS.values():
         found = term.parameter_texts(part)
         if found is not None:
-            return term.of(*map(_number, found))
+            what = f"{term.symbol}, the {term.name(sensor)} of the {sensor}"
+            coefficient = _number(found[0], what, term.coefficient_units(sensor))
+            return term.of(coefficient, *(_number(text, f"a time of {what}", _TIMES) for text in found[1:]))
     msg = f"model term {part.strip()!r} is not understood; write a sum {_EXAMPLE}"
     raise ValueError(msg)
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
+def _number(text: str, what: str, units: Mapping[str, float]) -> float:
+    """Return a number in SI, of a number alone or with a unit."""
+    match = _VALUE.fullmatch(text)
+    if match is None:
         msg = f"{text!r} is not a number; write a sum {_EXAMPLE}"
-        raise ValueError(msg) from None
+        raise ValueError(msg)
+    if not match["unit"]:
+        return float(match["number"])
+    unit = find_unit(match["unit"], units)
+    if unit is None:
+        msg = f"{text!r}: {match['unit']!r} is no unit of {what}; expected one of {', '.join(units)}"
+        raise ValueError(msg)
+    return float(match["number"]) * unit[1]
 
 
 def _refuse_repeats(symbols: tuple[str, ...]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.powerlaw import PowerLaw, odd_harmonic
 from imucal.recording import Sensor
-from imucal.units import DatasheetUnit, datasheet_unit
+from imucal.units import SAMPLE_UNITS, DatasheetUnit, datasheet_unit
 
 #: Step in the logarithm of a parameter for a slope by differences.
 _STEP = 1e-4
@@ -59,8 +59,6 @@ class NoiseTerm(ABC):
         Names in `imucal.units.DATASHEET_UNITS` of the units that data sheets print.
     divisors
         What a sample unit may be divided by in a unit of the coefficient -> that factor in SI.
-    spellings
-        Other spellings of the two units in `units`.
     stroke, words
         How pictures and page show it.
     slope
@@ -81,7 +79,6 @@ class NoiseTerm(ABC):
     stroke: ClassVar[Stroke]
     words: ClassVar[Words]
     divisors: ClassVar[dict[str, float]] = {}
-    spellings: ClassVar[tuple[str, str] | None] = None
     slope: ClassVar[float | None] = None
     fitted_by: ClassVar[frozenset[str]] = frozenset()
     always: ClassVar[bool] = False
@@ -108,9 +105,9 @@ class NoiseTerm(ABC):
         """Return the parameters that a text such as ``N=1e-3`` gives this term; None for another's text."""
         names, symbol = cls.parameters(), f"(?i:{'|'.join((cls.symbol, *cls.abbreviations))})"
         if len(names) == 1:
-            pattern = rf"\s*{symbol}\s*=\s*([^\s()]+)\s*"
+            pattern = rf"\s*{symbol}\s*=\s*([^\s].*?)\s*"
         else:
-            inside = r"\s*,\s*".join(rf"{name}\s*=\s*([^\s,)]+)" for name in names)
+            inside = r"\s*,\s*".join(rf"{name}\s*=\s*([^\s,][^,]*?)" for name in names)
             pattern = rf"\s*{symbol}\s*\(\s*{inside}\s*\)\s*"
         match = re.fullmatch(pattern, text)
         return match.groups() if match else None
@@ -124,6 +121,15 @@ class NoiseTerm(ABC):
     def unit(cls, sensor: Sensor) -> str:
         """Return the SI unit of the coefficient."""
         return cls.units[sensor is Sensor.ACCELEROMETER]
+
+    @classmethod
+    def coefficient_units(cls, sensor: Sensor) -> dict[str, float]:
+        """Return units of the coefficient, that of SI first, each with its factor to SI."""
+        datasheet = cls.datasheet_unit(sensor)
+        units = {cls.unit(sensor): 1.0}
+        for name, factor in SAMPLE_UNITS[sensor].items():
+            units |= {f"{name}{over}": factor * divisor for over, divisor in cls.divisors.items()}
+        return {**units, datasheet.name: 1 / datasheet.factor}
 
     @classmethod
     def datasheet_unit(cls, sensor: Sensor) -> DatasheetUnit:

@@ -123,8 +123,6 @@ class RateRandomWalk(PowerLawTerm):
     units = ("rad/s/sqrt(s)", "m/s^2/sqrt(s)")
     datasheet = ("deg/h/sqrt(h)", "m/s^2/sqrt(h)")
     divisors: ClassVar[dict[str, float]] = {"/sqrt(s)": 1.0, "/sqrt(h)": 1 / 60}
-    # As Kalibr and OpenVINS spell it.
-    spellings = ("rad/s^2/sqrt(Hz)", "m/s^3/sqrt(Hz)")
     slope = 0.5
     always = True
     stroke = Stroke("#a63c78", "#ee8fc4", (10, 3))

@@ -8,8 +8,11 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.clock import Clock
 from imucal.findings import Finding
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.scales import Unscaled, find_units
 from imucal.readers.store import Room
 from imucal.recording import AXES, Axis, AxisSeries, Recording, Sensor, Source, Temperature
+from imucal.units import SAMPLE_UNITS
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -20,21 +23,46 @@ class RecordingBuilder:
     ----------
     path, format
         The log as the user named it, and what it is.
+    options
+        What the caller says of it.
+    rate_hz
+        Sampling rate that it states beside its stamps, in Hz; None where it states none.
     decisions
         What was decided, and why, in order.
     findings
         What was seen, in order; what is said twice is kept once.
-    room
-        Where samples are put that are not kept as they are.
     """
 
     path: str
     format: str
+    options: ReadOptions = field(default_factory=ReadOptions)
+    rate_hz: float | None = None
     decisions: list[tuple[str, str]] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
-    room: Room = field(default_factory=Room)
     series: list[AxisSeries] = field(default_factory=list)
     temperature: Temperature | None = None
+
+    @property
+    def room(self) -> Room:
+        """Where samples are put that are not kept as they are."""
+        return Room(self.options.memory_limit)
+
+    def decide(self, what: str, how: str) -> None:
+        """Note what was decided, and why, unless it is known."""
+        if (what, how) not in self.decisions:
+            self.decisions.append((what, how))
+
+    def add(self, samples: Sequence[Unscaled], *, where: str = "") -> None:
+        """Add sensors in SI; `where` stands in front of an error's message, or else the path.
+
+        Raises ChoiceError if a unit is open, or the one that is given is none of the sensor's.
+        """
+        units = find_units(where or self.path, self.options, samples, self.findings)
+        for entry in samples:
+            sensor, unit = entry.sensor, units[entry.sensor]
+            self.decide(f"{sensor} unit", f"{unit.unit}, {unit.reason}")
+            scale = SAMPLE_UNITS[sensor][unit.unit or ""] if unit.scale is None else unit.scale
+            self.add_sensor(sensor, entry.rows, entry.clock, scale=scale, order=entry.order, names=entry.axes)
 
     def add_sensor(
         self,

@@ -1,19 +1,18 @@
 """Logs of messages -> Recording: choose topics, decode them in order, and give each sensor its clock."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
-from imucal.arrays import BoolArray, IntArray, blocks
-from imucal.clock import Clock
+from imucal.arrays import IntArray, blocks
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
-from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks
+from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks, repeats
 from imucal.readers.containers import Container, Loss
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.messages import (
@@ -32,9 +31,9 @@ from imucal.readers.messages.message_types import EACH, ImuFields, parse_fields_
 from imucal.readers.messages.topic_streams import first_frames
 from imucal.readers.messages.trees import TreeDecoder, spread_times
 from imucal.readers.read_options import Progress, ReadOptions
+from imucal.readers.scales import UnitGuess, Unscaled
 from imucal.readers.store import Columns, Room, is_constant
 from imucal.recording import Recording, Sensor
-from imucal.units import SAMPLE_UNITS
 
 #: Opens the files of a log; also returns the name of its format.
 OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], str]]
@@ -83,14 +82,12 @@ def _naming(path: Path) -> Iterator[None]:
         raise type(error)(msg) from error
 
 
-@contextmanager
-def _closing(containers: Sequence[Container]) -> Iterator[None]:
-    """Close containers at the end."""
-    try:
-        yield
-    finally:
-        for container in containers:
-            container.close()
+def _closing(containers: Sequence[Container]) -> ExitStack:
+    """Return what closes containers at the end of its block."""
+    closed = ExitStack()
+    for container in containers:
+        closed.callback(container.close)
+    return closed
 
 
 def describe_logs(
@@ -100,7 +97,7 @@ def describe_logs(
     with _closing(containers):
         with _naming(path):
             topics = find_topics(containers, options)
-        contents = [_contents(containers, topic, options) for topic in topics]
+        contents = [_contents(containers, topic) for topic in topics]
     if not any(entry.sensors for entry in contents):
         contents = [_with_proposal(entry, topic) for entry, topic in zip(contents, topics, strict=True)]
     starts = [c.start_ns for c in containers if c.start_ns is not None]
@@ -123,12 +120,12 @@ def _with_proposal(entry: TopicContents, topic: Topic) -> TopicContents:
     return replace(entry, note=f"may be read by a fields text such as {text!r}") if text else entry
 
 
-def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
+def _contents(containers: Sequence[Container], topic: Topic) -> TopicContents:
     sensors: tuple[Sensor, ...] = ()
     note = topic.reason
     if topic.imu is not None and topic.count != 0:
         try:
-            alive = live_sensors(containers, topic, options)
+            alive = live_sensors(containers, topic)
         except ReadError as error:
             alive, note = frozenset(), str(error)
         sensors = tuple(sensor for sensor in topic.imu.sensors if sensor in alive)
@@ -151,10 +148,10 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
     _refuse_options(path, options)
     with _naming(path):
         topics = find_topics(containers, options)
-        choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic, options))
-        streams = [stream_of(choice.topic, choice.sensors, options) for choice in choices]
+        choices = choose(path, topics, options, lambda topic: live_sensors(containers, topic))
+        streams = [stream_of(choice.topic, choice.sensors) for choice in choices]
     decodings = decode(containers, streams, limit=options.memory_limit, progress=options.progress)
-    work = RecordingBuilder(path=str(path), format=form, room=Room(options.memory_limit))
+    work = RecordingBuilder(path=str(path), format=form, options=options)
     work.findings += [finding for container in containers for finding in container.findings]
     work.decisions += [("topic", f"{choice.topic.name}: {choice.how}") for choice in choices]
     work.decisions += first_frames(containers, choices)
@@ -163,7 +160,9 @@ def _read(containers: Sequence[Container], path: Path, options: ReadOptions, for
         if not decoding.columns.n:
             raise _no_message(path, choice.topic, decoding.losses, work.findings)
         _add_topic(work, choice, decoding.columns, options, alone=len(choices) == 1)
-    beside = read_temperature(containers, topics, choices[0].topic.name) if work.temperature is None else None
+    beside = None
+    if work.temperature is None:
+        beside = read_temperature(containers, topics, choices[0].topic.name)
     if beside is not None:
         work.temperature, name = beside
         work.decisions.append(("temperature", f"{name}: the only one beside the IMU"))
@@ -242,16 +241,24 @@ def _add_topic(
         work.findings += compare_clocks(columns.stamps, columns.log)
     columns.release()
     work.decisions.append(("time", clock.source))
-    scales = _inferred_scales(work, topic, columns, clock, options) if imu.asked else {}
+    usual = "from the message type" if imu.standard else "assumed for this message type"
+    unscaled = []
     for sensor, rows in columns.vectors.items():
         if is_constant(rows):
             value = ", ".join(f"{row[0]:g}" for row in rows)
             text = f"The {sensor} of topic {topic.name} is always ({value}): it has no data."
             work.findings.append(Finding(level="warning", code="no-data", text=text, axis=sensor.short))
             continue
-        factor, how = scales.get(sensor) or _si_factor(sensor, imu, options)
-        work.decisions.append((f"{sensor} unit", how))
-        work.add_sensor(sensor, rows, clock, order=order, scale=factor, names=vectors[sensor].axes)
+        vector = vectors[sensor]
+        stated: UnitGuess | None = UnitGuess(unit=sensor.unit, reason=usual)
+        if imu.asked:
+            # Nothing is known of fields that a user named but what stands in their names.
+            own = UnitGuess(unit=vector.unit, reason="from the column header")
+            stated = own if vector.unit else None
+        unscaled.append(
+            Unscaled(sensor=sensor, rows=rows, clock=clock, order=order, axes=vector.axes, stated=stated)
+        )
+    work.add(unscaled, where=f"{work.path}: topic {topic.name}")
     if columns.temperature is not None and columns.temperature.any():
         work.add_temperature(columns.temperature, clock, order=order)
 
@@ -275,55 +282,6 @@ def _other_elements(topic: Topic, stream: Stream) -> list[Finding]:
         if count > 1
     ]
     return [Finding(level="warning", code="other-vectors", text=text) for text in texts]
-
-
-def _inferred_scales(
-    work: RecordingBuilder, topic: Topic, columns: Columns, clock: Clock, options: ReadOptions
-) -> dict[Sensor, tuple[float, str]]:
-    """Return what turns samples of fields that a user named into SI: as a table's columns have it.
-
-    Raises ChoiceError if a unit is open.
-    """
-    # Few logs of messages need what reads tables, and it takes longer to load than such a log to read.
-    from imucal.readers.tables.columns import Triad
-    from imucal.readers.tables.scales import Unscaled, Work, find_scales
-
-    vectors = {vector.sensor: vector for vector in (topic.imu.vectors if topic.imu else ())}
-    table = Work(path=f"{work.path}: topic {topic.name}", options=options, dialect=None, rate_hz=None)
-    timed = [
-        Unscaled(
-            triad=Triad(
-                sensor=sensor,
-                indices=tuple(range(len(vectors[sensor].axes))),
-                headers=vectors[sensor].axes,
-                unit=vectors[sensor].unit,
-                axes=vectors[sensor].axes,
-            ),
-            axes=list(rows),
-            temperature=None,
-            clock=clock,
-        )
-        for sensor, rows in columns.vectors.items()
-    ]
-    factors = find_scales(table, timed)
-    work.findings += table.findings
-    reasons = dict(table.decisions)
-    return {sensor: (factor, reasons[f"{sensor} unit"]) for sensor, factor in factors.items()}
-
-
-def _si_factor(sensor: Sensor, imu: ImuFields, options: ReadOptions) -> tuple[float, str]:
-    """Return what turns samples into SI, and why."""
-    unit, scale = options.unit_of(sensor), options.scale_of(sensor)
-    if scale is not None:
-        return scale, f"{scale:g} {sensor.unit} per count, given"
-    if unit is not None:
-        if unit not in SAMPLE_UNITS[sensor]:
-            known = ", ".join(SAMPLE_UNITS[sensor])
-            msg = f"the unit {unit!r} of the {sensor} is not known; expected one of {known}"
-            raise ChoiceError(msg)
-        return SAMPLE_UNITS[sensor][unit], f"{unit}, given"
-    how = "from the message type" if imu.standard else "assumed for this message type"
-    return 1.0, f"{sensor.unit}, {how}"
 
 
 def steps_back(times: IntArray) -> int:
@@ -393,33 +351,14 @@ def _clock(work: RecordingBuilder, topic: Topic, columns: Columns, options: Read
     """Return the clock of a topic's samples: by their stamps, or by the log time where that is wanted."""
     own = topic.imu is not None and topic.imu.stamp is not None
     by_log = options.time == "log"
+    # A sensor alone may well give the same values twice.
+    rows = [row for rows in columns.vectors.values() for row in rows] if len(columns.vectors) > 1 else []
     return clock_from_stamps(
         columns.log if by_log else columns.stamps,
         source=LOG_TIME if by_log else (HEADER if own else "stamp"),
         where=f"{work.path}: topic {topic.name}",
         log_ns=columns.log,
         rate_hz=options.rate_hz,
-        repeated=_repeated(columns, work.room),
+        repeated=repeats(columns.stamps, rows, work.room) if rows else None,
         room=work.room,
     )
-
-
-def _repeated(columns: Columns, room: Room) -> BoolArray | None:
-    """Return the samples recorded twice: same stamp and same six values; None where there are none."""
-    stamps = columns.stamps
-    found = [
-        np.flatnonzero(stamps[part.start + 1 : part.stop + 1] == stamps[part]) + part.start + 1
-        for part in blocks(columns.n - 1, stamps)
-    ]
-    same = np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
-    if not same.size or len(columns.vectors) < 2:
-        return None
-    twin = stamps[same] != 0
-    for rows in columns.vectors.values():
-        for row in rows:
-            twin &= row[same] == row[same - 1]
-    if not twin.any():
-        return None
-    repeated = room.made(columns.n, np.bool_, lambda _: False)
-    repeated[same[twin]] = True
-    return repeated

@@ -15,9 +15,9 @@ from imucal.findings import Finding
 from imucal.readers.containers.rosbag2_folder import natural
 from imucal.readers.formats import detect, load
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.scales import converter_step, median_size, sample_rows
 from imucal.readers.store import join_rows
 from imucal.readers.tables import read_many
-from imucal.readers.tables.scales import converter_step, median_size, sample_rows
 from imucal.recording import AxisSeries, Recording, Sensor, Temperature
 from imucal.resources import column_limit
 

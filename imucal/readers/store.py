@@ -9,8 +9,7 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
-from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,68 +25,32 @@ T = TypeVar("T", bound=np.generic)
 _SHARE = 16
 #: Bytes written before their pages are given back to the system.
 _FLUSH = 1 << 25
-#: Bytes that wait for the temporary file.
-_PIECE = 1 << 22
 #: Values that a growing column has room for at first.
 _FIRST = 1 << 16
 
 
-class Spill:
-    """A temporary file of values."""
+def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
+    """Return an array of n values that are not set, in a temporary file if it has more than `most` bytes.
 
-    def __init__(self) -> None:
-        self._file = tempfile.TemporaryFile(prefix="imucal-")  # noqa: SIM115 - closed when it is mapped
-        self._size = 0
-
-    def __del__(self) -> None:
-        """Close the file of a log whose reading was given up."""
-        self._file.close()
-
-    def write(self, values: NDArray[Any]) -> None:
-        """Append values."""
-        self._size += values.nbytes
-        try:
-            self._file.write(values.data)
-        except OSError as error:
-            raise self._full(error) from error
-
-    def become_float(self) -> None:
-        """Turn the integers written so far into floats, which take as many bytes."""
-        if self._size:
-            integers, _ = self._map(np.int64)
-            self._file.seek(0)
-            for part in blocks(integers.size, integers):
-                self._file.write(integers[part].astype(np.float64).data)
-
-    def take(self, dtype: np.dtype[Any], size: int = 0) -> tuple[NDArray[Any], mmap.mmap]:
-        """Return an array of all that was written, or of `size` bytes; the file vanishes with it."""
-        try:
-            if size:
-                self._size = size
-                self._reserve(size)
-            return self._map(dtype)
-        except OSError as error:
-            raise self._full(error) from error
-        finally:
-            self._file.close()
-
-    def _reserve(self, size: int) -> None:
-        """Make room for bytes that are written through a map: what is missing then ends the process."""
-        if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(self._file.fileno(), 0, size)
-        else:
-            self._file.truncate(size)
-
-    def _map(self, dtype: type[Any] | np.dtype[Any]) -> tuple[NDArray[Any], mmap.mmap]:
-        self._file.flush()
-        held = mmap.mmap(self._file.fileno(), self._size)
-        return np.frombuffer(held, dtype=dtype), held
-
-    def _full(self, error: OSError) -> ReadError:
-        where = Path(tempfile.gettempdir())
-        return ReadError(
-            f"{where}: no room for {self._size / 1e9:.1f} GB of samples: {error.strerror or error}"
-        )
+    Raises
+    ------
+    ReadError
+        If there is no room for the file: what is missing later would end the process.
+    """
+    size = n * np.dtype(dtype).itemsize
+    if size <= most or not size:
+        return np.empty(n, dtype=dtype)
+    try:
+        with tempfile.TemporaryFile(prefix="imucal-") as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:
+                file.truncate(size)
+            return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=dtype)
+    except OSError as error:
+        where = tempfile.gettempdir()
+        msg = f"{where}: no room for {size / 1e9:.1f} GB of samples: {error.strerror or error}"
+        raise ReadError(msg) from error
 
 
 class Room:
@@ -105,11 +68,7 @@ class Room:
 
     def empty(self, n: int, dtype: type[T] | np.dtype[T]) -> NDArray[T]:
         """Return an array of n values that are not set."""
-        size = n * np.dtype(dtype).itemsize
-        if size <= self._most or not size:
-            return np.empty(n, dtype=dtype)
-        values: NDArray[T] = Spill().take(np.dtype(dtype), size)[0]
-        return values
+        return allocated(n, dtype, self._most)
 
     def made(
         self, n: int, dtype: type[T] | np.dtype[T], of: Callable[[slice], Any], *sources: NDArray[Any]
@@ -193,15 +152,9 @@ class Columns:
     ) -> None:
         self._axes = axes or (3,) * len(sensors)
         shape = (2 + sum(self._axes) + int(temperature), n)
-        size = 8 * shape[0] * n
-        self._limit = limit
-        self._map: mmap.mmap | None = None
+        self._limit = column_limit() if limit is None else limit
         self._written = 0
-        if size > (column_limit() if limit is None else limit):
-            values, self._map = Spill().take(np.dtype(np.float64), size)
-            self._data: FloatArray = values.reshape(shape)
-        else:
-            self._data = np.empty(shape)
+        self._data: FloatArray = allocated(shape[0] * n, np.float64, self._limit).reshape(shape)
         self._view(self._data, sensors, temperature=temperature)
 
     def _view(self, data: FloatArray, sensors: tuple[Sensor, ...], *, temperature: bool) -> None:
@@ -221,8 +174,6 @@ class Columns:
 
     def wrote(self, size: int) -> None:
         """Count bytes written; now and then hand the pages of a mapped file back to the system."""
-        if self._map is None:
-            return
         self._written += size
         if self._written >= _FLUSH:
             self._written = 0
@@ -230,16 +181,15 @@ class Columns:
 
     def release(self) -> None:
         """Hand the pages of a mapped file back to the system; they are read again when used."""
-        if self._map is not None:
-            release(self._data)
+        release(self._data)
 
-    def like(self, n: int, *, limit: int | None = None) -> "Columns":
+    def like(self, n: int) -> "Columns":
         """Return columns for n samples of the same sensors."""
         return Columns(
             n,
             tuple(self.vectors),
             temperature=self.temperature is not None,
-            limit=self._limit if limit is None else limit,
+            limit=self._limit,
             axes=self._axes,
         )
 
@@ -279,36 +229,13 @@ def copy_to(target: NDArray[Any], source: NDArray[Any]) -> None:
         target[part] = source[part]
 
 
-def map_stream(stream: BinaryIO, size: int) -> mmap.mmap:
-    """Return `size` bytes of a stream, mapped from a temporary file.
-
-    Raises
-    ------
-    ValueError
-        If the stream ends before.
-    ReadError
-        If there is no room for the file.
-    """
-    spill, left = Spill(), size
-    while left:
-        piece = stream.read(min(left, _FLUSH))
-        if not piece:
-            msg = f"an array ends after {size - left} of {size} bytes"
-            raise ValueError(msg)
-        spill.write(np.frombuffer(piece, dtype=np.uint8))
-        left -= len(piece)
-    return spill.take(np.dtype(np.uint8))[1]
-
-
 def join_rows(pieces: Sequence[Sequence[FloatArray]], *, limit: int | None = None) -> list[FloatArray]:
     """Return rows of samples, each made of its pieces one behind the other.
 
     They lie in a temporary file where all together are more than `limit` bytes.
     """
     rows = [sum(piece.size for piece in row) for row in pieces]
-    size = 8 * sum(rows)
-    spilled = size > (column_limit() if limit is None else limit)
-    held = Spill().take(np.dtype(np.float64), size)[0] if spilled else np.empty(sum(rows))
+    held = allocated(sum(rows), np.float64, column_limit() if limit is None else limit)
     joined, start = [], 0
     for row, n in zip(pieces, rows, strict=True):
         joined.append(held[start : start + n])
@@ -333,46 +260,30 @@ class GrowingColumn:
 
     def __init__(self, dtype: type[np.generic], *, limit: int, expected: int = 0) -> None:
         self._limit = limit
-        room = min(max(expected, _FIRST), limit // 8 + _FIRST)
-        self._held: NDArray[Any] = np.empty(room, dtype=dtype)
         self._filled = 0
-        self._file: Spill | None = None
+        self._held: NDArray[Any] = allocated(max(expected, _FIRST), dtype, limit)
 
     def append(self, values: NDArray[Any]) -> None:
         """Append a block; a block of floats turns a column of integers into one of floats."""
-        if self._held.dtype.kind == "i" and values.dtype.kind == "f":
-            self._held = self._held.astype(np.float64)
-            if self._file is not None:
-                self._file.become_float()
-        stop = self._filled + values.size
-        if stop > self._held.size:
-            larger = np.empty(max(stop, 2 * self._held.size), dtype=self._held.dtype)
-            larger[: self._filled] = self._held[: self._filled]
+        size, stop = self._held.size, self._filled + values.size
+        floats = self._held.dtype.kind == "i" and values.dtype.kind == "f"
+        if floats or stop > size:
+            dtype = np.dtype(np.float64) if floats else self._held.dtype
+            larger = allocated(max(stop, 2 * size) if stop > size else size, dtype, self._limit)
+            copy_to(larger[: self._filled], self._held[: self._filled])
             self._held = larger
         self._held[self._filled : stop] = values
+        if self._filled * 8 // _FLUSH != stop * 8 // _FLUSH:
+            release(self._held)
         self._filled = stop
-        if self._filled * self._held.itemsize > self._limit:
-            self._file = self._file or Spill()
-            self._spill(self._file)
-            # What follows need not wait in memory.
-            self._limit = min(self._limit, _PIECE)
-            self._held = self._held[: self._limit // 8 + _FIRST].copy()
 
     def take(self) -> NDArray[Any]:
         """Return all values as one array, and forget them."""
-        if self._file is None:
-            array, self._held = self._held, np.empty(0, dtype=self._held.dtype)
+        array, self._held = self._held, self._held[:0]
+        if array.flags.owndata:
             # Shrinking gives pages back and copies nothing.
             array.resize(self._filled, refcheck=False)
-            return array
-        self._spill(self._file)
-        values, _ = self._file.take(self._held.dtype)
-        self._file = None
-        return values
-
-    def _spill(self, file: Spill) -> None:
-        file.write(self._held[: self._filled])
-        self._filled = 0
+        return array[: self._filled]
 
 
 def is_constant(rows: NDArray[Any]) -> bool:

@@ -20,12 +20,12 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ChoiceError, DataError, ReadError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
-from imucal.readers.clocks import ClockReading, clock_from_stamps
+from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.isolation import isolated
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.scales import UnitGuess, Unscaled
 from imucal.recording import AXES, Recording, Sensor
-from imucal.units import SAMPLE_UNITS, parse_sample_unit
 
 __all__ = ["MESSAGES", "describe", "read"]
 
@@ -197,18 +197,23 @@ def read(path: Path, options: ReadOptions) -> Recording:
         msg = f"{path}: {findings[0].text} Expected an undamaged log"
         raise ReadError(msg)
     chosen = _choose(path, log.instances, options)
-    work = RecordingBuilder(path=str(path), format="ulog", findings=findings)
+    work = RecordingBuilder(path=str(path), format="ulog", options=options, findings=findings)
     how = "as asked" if options.topics else "the only ones logged at the full rate"
     work.decisions.append(("topics", f"{', '.join(one.name for one in chosen)}, {how}"))
     timed = _timed(path, chosen, options)
-    scales = _scales(path, options)
-    work.decisions += [(f"{sensor} unit", f"{unit}, as given") for sensor, (unit, _) in scales.items()]
-    for sensor in sorted(timed, key=(_GYRO, _ACCEL).index):
-        samples, reading = timed[sensor]
-        _, scale = scales.get(sensor, ("", 1.0))
-        work.add_sensor(sensor, samples.vectors.T, reading.clock, order=reading.order, scale=scale)
-        if sensor not in scales:
-            work.decisions.append((f"{sensor} unit", f"{sensor.unit}, as PX4 logs it"))
+    work.add(
+        [
+            Unscaled(
+                sensor=sensor,
+                rows=timed[sensor][0].vectors.T,
+                clock=timed[sensor][1].clock,
+                order=timed[sensor][1].order,
+                stated=UnitGuess(unit=sensor.unit, reason="as PX4 logs it"),
+            )
+            for sensor in Sensor
+            if sensor in timed
+        ]
+    )
     for samples, reading in timed.values():
         work.findings += reading.findings
         temperature = samples.temperature
@@ -341,29 +346,10 @@ def _listed(instances: Sequence[Instance]) -> str:
 
 
 def _clock(path: Path, instance: Instance, samples: Samples, options: ReadOptions) -> ClockReading:
-    same = np.zeros(samples.stamps.size, dtype=np.bool_)
-    same[1:] = (np.diff(samples.stamps) == 0) & (samples.vectors[1:] == samples.vectors[:-1]).all(axis=1)
     return clock_from_stamps(
         samples.stamps,
         source=f"timestamp of {instance.name}",
         where=f"{path}: {instance.name}",
         rate_hz=options.rate_hz,
-        repeated=same if same.any() else None,
+        repeated=repeats(samples.stamps, samples.vectors.T),
     )
-
-
-def _scales(path: Path, options: ReadOptions) -> dict[Sensor, tuple[str, float]]:
-    """Return what a user says the samples are instead of SI: the unit in words, and SI per unit."""
-    scales = {}
-    for sensor in (_GYRO, _ACCEL):
-        unit, scale = options.unit_of(sensor), options.scale_of(sensor)
-        if scale is not None:
-            scales[sensor] = (f"{scale:g} {sensor.unit} per count", scale)
-        elif unit is not None:
-            parsed = parse_sample_unit(unit)
-            if parsed is None or parsed[0] is not sensor:
-                known = ", ".join(SAMPLE_UNITS[sensor])
-                msg = f"{path}: {unit!r} is no unit of the {sensor}; expected one of {known}"
-                raise ChoiceError(msg)
-            scales[sensor] = (parsed[1], SAMPLE_UNITS[sensor][parsed[1]])
-    return scales

@@ -96,22 +96,19 @@ class HttpStore:
         """Return bytes `start` to `stop` of an object; raises ChangedError where it is another by now."""
 
         def part() -> bytes:
-            with _open(file.url, f"bytes={start}-{stop - 1}") as (status, headers, body):
-                if status != 206 or _tag(headers) != file.etag:
-                    raise ChangedError
-                data = body.read(stop - start)
-                if len(data) != stop - start:
-                    msg = "the connection ended early"
-                    raise PassingError(msg)
-                return data
+            data = b"".join(self.blocks(file, start, stop))
+            if len(data) != stop - start:
+                msg = "the connection ended early"
+                raise PassingError(msg)
+            return data
 
         return retried(file.url, part)
 
-    def blocks(self, file: RemoteFile, start: int) -> Iterator[bytes]:
-        """Yield an object from byte `start` on; raises PassingError, or ChangedError."""
-        part = f"bytes={start}-" if start else None
+    def blocks(self, file: RemoteFile, start: int, stop: int | None = None) -> Iterator[bytes]:
+        """Yield bytes `start` to `stop` of an object, or all behind; raises PassingError, or ChangedError."""
+        part = f"bytes={start}-{'' if stop is None else stop - 1}" if start or stop else None
         with _open(file.url, part) as (status, headers, body):
-            if (start and status != 206) or _tag(headers) != file.etag:
+            if (part and status != 206) or _tag(headers) != file.etag:
                 raise ChangedError
             while block := body.read(_BLOCK):
                 yield block
@@ -252,7 +249,7 @@ class ObjectStore:
         if info.get("size") is None:
             msg = f"{shown(url)}: its store does not say how large it is; expected an object of known size"
             raise ReadError(msg)
-        return RemoteFile(url=url, etag=_object_store_tag(info), size=int(info["size"]))
+        return RemoteFile(url=url, etag=_entity_tag(info), size=int(info["size"]))
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
         return self._asked(file.url, lambda: self._part(file, start, stop))
@@ -305,7 +302,7 @@ def _ours(error: Exception, url: str) -> Exception:
     return error if isinstance(error, ImucalError | PassingError | ChangedError) else explained(error, url)
 
 
-def _object_store_tag(info: dict[str, Any]) -> str:
+def _entity_tag(info: dict[str, Any]) -> str:
     """Return the ETag in quotes, as S3 writes it; Google and Azure leave them out at times."""
     tag = info.get("ETag") or info.get("etag")
     if tag:

@@ -98,9 +98,9 @@ class AxisReport:
 
     @property
     def white_error(self) -> float:
-        """Half of the interval of N, relative to N; infinite where the data don't show it."""
+        """Half of the interval of N, relative to N; infinite where no data show it."""
         white = self.fit["N"]
-        return (white.high - white.low) / (2 * white.value) if white.value else np.inf
+        return (white.high - white.low) / (2 * white.value) if white.value and self.samples else np.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucal.checking import CheckResult, Measured, check, parse_limits
+from imucal.checking import CheckResult, check, parse_limits
 from imucal.checking.gate import measure, relative
-from imucal.checking.verdict import judge
+from imucal.checking.verdict import Measured, judge
 from imucal.errors import LimitsError, ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor

@@ -143,7 +143,10 @@ def test_nothing_to_check_against_is_an_error(tmp_path: Path) -> None:
     write_report(tmp_path)
     done = run("check", "still-imucal", cwd=tmp_path)
     assert done.returncode == 2
-    assert "nothing to check against; give --limits FILE, --baseline REPORT or --fleet FLEET" in done.stderr
+    assert (
+        "nothing to check against; give --limits FILE, --baseline REPORT, --fleet FLEET or --config FILE"
+        in done.stderr
+    )
     (tmp_path / "limits.toml").write_text(PASSES)
     assert run("check", "no.json", "--limits", "limits.toml", cwd=tmp_path).returncode == 3
 
@@ -162,3 +165,39 @@ def test_a_log_is_characterised_first(tmp_path: Path) -> None:
     done = run("check", log, "--limits", "limits.toml", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "rate >= 1 Hz" in done.stdout
+
+
+def test_a_filters_config_is_held_to_the_report(tmp_path: Path) -> None:
+    """Exit code 1 and the line to write, which makes it pass; in JSON, JUnit and annotations, too."""
+    write_report(tmp_path)
+    run("export", "still-imucal", "--to", "vins", "-o", "vins.yaml", cwd=tmp_path)
+    assert run("check", "still-imucal", "--config", "vins.yaml", cwd=tmp_path).returncode == 0
+    right = (tmp_path / "vins.yaml").read_text(encoding="utf-8")
+    value = next(line for line in right.splitlines() if line.startswith("gyr_n:")).split()[1]
+    wrong = right.replace(f"gyr_n: {value}", f"gyr_n: {float(value) / 20 / 2**0.5!r}")
+    (tmp_path / "vins.yaml").write_text(wrong, encoding="utf-8")
+    done = run("check", "still-imucal", "--config", "vins.yaml", "--github", "--junit", "j.xml", cwd=tmp_path)
+    assert done.returncode == 1
+    lines = [line.strip() for line in done.stdout.splitlines()]
+    assert f"gyr_n: {value}" in lines
+    assert "too small" in done.stdout
+    assert "::error file=vins.yaml," in done.stdout
+    assert "gyr_n" in (tmp_path / "j.xml").read_text(encoding="utf-8")
+    asked = ("check", "still-imucal", "--config", "vins.yaml", "--json", "-q")
+    (row,) = (
+        row for row in json.loads(run(*asked, cwd=tmp_path).stdout)["rows"] if row["subject"] == "gyr_n"
+    )
+    assert row["instead"] == f"gyr_n: {value}"
+    (tmp_path / "vins.yaml").write_text(f"{row['instead']}\n", encoding="utf-8")
+    assert run(*asked, cwd=tmp_path).returncode == 0
+
+
+def test_limits_and_a_config_go_together(tmp_path: Path) -> None:
+    """One table; either fails it."""
+    write_report(tmp_path)
+    (tmp_path / "px4.params").write_text("param set EKF2_GYR_NOISE 0.0\n", encoding="utf-8")
+    code, out, _ = _check(tmp_path, PASSES, "--config", "px4.params")
+    assert code == 1
+    assert "param set EKF2_GYR_NOISE 0.0" in out
+    assert "expected a positive number" in " ".join(out.split())
+    assert "gyro_x N <= 0.5 deg/sqrt(h)" in out

@@ -17,10 +17,10 @@ def test_a_model_gives_a_table_of_80_columns(tmp_path: Path) -> None:
     assert done.stdout.splitlines() == [
         "Record length for ±10 % (1 sd) of each term",
         "",
-        "N + K  at 100 Hz, 3.0 h",
+        "gyro  at 100 Hz, 3.0 h",
         "  term             value  unit                            needs       this tells",
-        "  N                0.001  SI                             0.94 s         ±0.068 %",
-        "  K                1e-06  SI                           3.9 days  ±83 % (0 of 10)",
+        "  N                3.438  deg/sqrt(h)                    0.94 s         ±0.068 %",
+        "  K                12.38  deg/h/sqrt(h)                3.9 days  ±83 % (0 of 10)",
     ]
 
 
@@ -46,7 +46,7 @@ def test_json_is_the_plan(tmp_path: Path) -> None:
     assert document["precision"] == 0.1
     assert document["needed_s"] is None
     (axis,) = document["axes"]
-    assert axis["model"] == "N + K"
+    assert (axis["axis"], axis["model"]) == ("gyro", "N + K")
     assert [term["name"] for term in axis["terms"]] == ["N", "K"]
     assert axis["terms"][1] == {
         "name": "K",
@@ -71,8 +71,8 @@ def test_refuses_with_what_to_do(tmp_path: Path) -> None:
     assert rate.returncode == 2
     assert "a model has no sampling rate of its own; give one, such as --rate 200" in rate.stderr
     neither = run("plan", "still", cwd=tmp_path)
-    assert neither.returncode == 2
-    assert "'still' is neither a report (no such file or folder) nor a model" in neither.stderr
+    assert neither.returncode == 3
+    assert "still: no such file, expected the report.json" in neither.stderr
     (tmp_path / "log.csv").write_text("t,gx\n", encoding="utf-8")
     log = run("plan", "log.csv", cwd=tmp_path)
     assert log.returncode == 3

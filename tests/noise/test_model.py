@@ -1,4 +1,6 @@
-"""NoiseModel: sums, text, refusals."""
+"""NoiseModel: sums, text, units, refusals."""
+
+import re
 
 import numpy as np
 import numpy.testing as npt
@@ -8,6 +10,8 @@ from hypothesis import strategies as st
 
 from imucal.noise import GaussMarkov, NoiseModel, parse_structure, structure_text
 from imucal.noise.terms import TERMS, RateRamp
+from imucal.recording import Sensor
+from imucal.units import G0
 
 REPEATABLE = " and ".join(symbol for symbol, term in TERMS.items() if term.repeatable)
 TEXT = "N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)"
@@ -138,3 +142,77 @@ def test_no_abbreviation_has_two_meanings() -> None:
     names = [name for term in TERMS.values() for name in (term.symbol, *term.abbreviations)]
     assert len(names) == len(set(names))
     assert all(name == name.upper() for name in names)
+
+
+DEGREE = np.pi / 180
+
+
+@pytest.mark.parametrize(
+    ("sensor", "text", "si"),
+    [
+        ("gyroscope", "N=0.3deg/sqrt(h)", 0.3 * DEGREE / 60),
+        ("gyroscope", "N = 0.3 °/√h", 0.3 * DEGREE / 60),
+        ("gyroscope", "N=0.3 deg per root hour", 0.3 * DEGREE / 60),
+        ("gyroscope", "N=5e-3deg/s/sqrt(Hz)", 5e-3 * DEGREE),
+        ("gyroscope", "N=.005 (°/s)/√Hz", 5e-3 * DEGREE),
+        ("gyroscope", "N=0.005dps/rtHz", 5e-3 * DEGREE),
+        ("gyroscope", "N=5mdps/√Hz", 5e-3 * DEGREE),
+        ("gyroscope", "N=5mdps/rt(Hz)", 5e-3 * DEGREE),
+        ("gyroscope", "N=5 mdeg/sec/Hz^0.5", 5e-3 * DEGREE),
+        ("gyroscope", "N=5 mdeg/s/Hz^(1/2)", 5e-3 * DEGREE),
+        ("gyroscope", "N=18 deg/h/sqrt(Hz)", 18 * DEGREE / 3600),
+        ("gyroscope", "ARW=1e-4 rad/s/√Hz", 1e-4),
+        ("gyroscope", "N=1e-4 rad/(s·√Hz)", 1e-4),
+        ("gyroscope", "N=1e-4 rad s^-1 Hz^-1/2", 1e-4),
+        ("gyroscope", "B=5deg/h", 5 * DEGREE / 3600),
+        ("gyroscope", "BI=5 degrees/hour", 5 * DEGREE / 3600),
+        ("gyroscope", "K=2deg/h/sqrt(h)", 2 * DEGREE / 3600 / 60),
+        ("gyroscope", "K=2°/h^1.5", 2 * DEGREE / 3600 / 60),
+        ("gyroscope", "K=1e-6rad/s^2/√Hz", 1e-6),
+        ("gyroscope", "R=3deg/h/h", 3 * DEGREE / 3600**2),
+        ("gyroscope", "R=-3deg/h²", -3 * DEGREE / 3600**2),
+        ("gyroscope", "Q=0.5arcsec", 0.5 * DEGREE / 3600),
+        ("accelerometer", "N=60ug/sqrt(Hz)", 60e-6 * G0),
+        ("accelerometer", "N=60 µg/√Hz", 60e-6 * G0),
+        ("accelerometer", "VRW=60 \u03bcg/rtHz", 60e-6 * G0),
+        ("accelerometer", "N=0.06mg/√Hz", 60e-6 * G0),
+        ("accelerometer", "N=0.02m/s/sqrt(h)", 0.02 / 60),
+        ("accelerometer", "N=0.02 m/s/√hr", 0.02 / 60),
+        ("accelerometer", "N=1e-3m/s^2/sqrt(Hz)", 1e-3),
+        ("accelerometer", "N=1e-3 m/s²/√Hz", 1e-3),
+        ("accelerometer", "N=100 mGal/√Hz", 1e-3),
+        ("accelerometer", "B=0.04mg", 4e-5 * G0),
+        ("accelerometer", "B=40µg", 4e-5 * G0),
+        ("accelerometer", "K=1e-5m/s^3/√Hz", 1e-5),
+    ],
+)
+def test_numbers_may_have_the_units_of_data_sheets(sensor: str, text: str, si: float) -> None:
+    """As data sheets print and people type them; by the definition of each unit."""
+    (term,) = NoiseModel.parse(text, Sensor(sensor)).terms
+    assert term.coefficient == pytest.approx(si, rel=1e-14)
+
+
+def test_units_stand_in_sums_and_times() -> None:
+    """A plus sign in an exponent is none, nor an e that ends a number; T has a unit, too."""
+    model = NoiseModel.parse("N=3e+0deg/sqrt(h)+B=5deg/h + GM(sigma=2deg/h, T=5 min)+K=1e-6")
+    assert str(model) == "N + B + GM + K"
+    assert model.terms[2].values == pytest.approx((2 * DEGREE / 3600, 300.0))
+
+
+@pytest.mark.parametrize(
+    ("sensor", "text", "said"),
+    [
+        ("gyroscope", "N=5deg/h", "'deg/h' is no unit of N, the angle random walk of the gyroscope; "),
+        ("gyroscope", "N=60ug/sqrt(Hz)", "'ug/sqrt(Hz)' is no unit of N"),
+        ("gyroscope", "B=5deg/sqrt(h)", "of B, the bias instability of the gyroscope; expected one of rad/s"),
+        ("accelerometer", "N=0.3deg/sqrt(h)", "expected one of m/s^2/sqrt(Hz), g/sqrt(Hz), mg"),
+        ("gyroscope", "N=3 furlongs", "'furlongs' is no unit of N"),
+        ("gyroscope", "N=3 __import__('os')", "is no unit of N"),
+        ("gyroscope", "N=3 deg/", "'deg/' is no unit of N"),
+        ("gyroscope", "GM(sigma=1deg/h, T=5deg)", "'deg' is no unit of a time of GM"),
+    ],
+)  # fmt: skip
+def test_another_terms_unit_is_refused_with_those_that_fit(sensor: str, text: str, said: str) -> None:
+    """A rate for a density, the other sensor's, what is no unit at all."""
+    with pytest.raises(ValueError, match=re.escape(said)):
+        NoiseModel.parse(text, Sensor(sensor))

@@ -2,10 +2,14 @@
 
 import numpy as np
 import numpy.testing as npt
+import pytest
 
 from imucal.clock import Clock
+from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
+from imucal.readers.read_options import ReadOptions
+from imucal.readers.scales import UnitGuess, Unscaled
 from imucal.recording import Sensor
 
 CLOCK = Clock.even(3, 10.0)
@@ -55,3 +59,58 @@ def test_what_is_said_twice_is_kept_once() -> None:
         "csv",
         (("unit", "SI"),),
     )
+
+
+def samples(sensor: Sensor, stated: UnitGuess | None = None) -> Unscaled:
+    """Return samples of a sensor that feels nothing but gravity along z."""
+    rows = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    return Unscaled(sensor=sensor, rows=rows, clock=CLOCK, stated=stated)
+
+
+@pytest.mark.parametrize(
+    ("options", "decision", "scale"),
+    [
+        (ReadOptions(), "g, inferred: median magnitude 1 is gravity in g", 9.80665),
+        (ReadOptions(accel_unit="mg"), "mg, as given", 9.80665e-3),
+        (ReadOptions(accel_scale=0.5), "count, 0.5 m/s^2 per count as given", 0.5),
+        (ReadOptions(gyro_unit="deg/s"), "g, inferred: median magnitude 1 is gravity in g", 9.80665),
+    ],
+)
+def test_what_the_caller_says_goes_before_what_samples_show(
+    options: ReadOptions, decision: str, scale: float
+) -> None:
+    """A unit of the sensor, or the scale of its counts; else gravity tells."""
+    builder = RecordingBuilder(path="log", format="csv", options=options)
+    builder.add([samples(Sensor.ACCELEROMETER)])
+    assert builder.decisions == [("accelerometer unit", decision)]
+    npt.assert_allclose(builder.series[2].samples, scale)
+
+
+def test_what_the_log_states_goes_before_what_samples_show() -> None:
+    """And what the caller says goes before it."""
+    stated = UnitGuess(unit="m/s^2", reason="as Acme logs it")
+    for options, how in (
+        (ReadOptions(), "m/s^2, as Acme logs it"),
+        (ReadOptions(accel_unit="g"), "g, as given"),
+    ):
+        builder = RecordingBuilder(path="log", format="csv", options=options)
+        builder.add([samples(Sensor.ACCELEROMETER, stated)])
+        assert builder.decisions == [("accelerometer unit", how)]
+
+
+@pytest.mark.parametrize(
+    ("options", "wrong"),
+    [
+        (ReadOptions(gyro_unit="g"), "'g' is no unit of the gyroscope; expected one of rad/s"),
+        (ReadOptions(gyro_unit="furlong"), "'furlong' is no unit of the gyroscope; expected one of rad/s"),
+        (
+            ReadOptions(gyro_unit="rad/s", gyro_scale=2.0),
+            r"both a unit \(rad/s\) and a scale \(2\) are given for the gyroscope; expected one of them",
+        ),
+    ],
+)
+def test_a_unit_that_can_not_be(options: ReadOptions, wrong: str) -> None:
+    """The error says where, and what could be."""
+    builder = RecordingBuilder(path="log", format="csv", options=options)
+    with pytest.raises(ChoiceError, match=f"^log: topic /imu: {wrong}"):
+        builder.add([samples(Sensor.GYROSCOPE)], where="log: topic /imu")

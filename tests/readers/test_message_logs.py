@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imucal.readers.containers import Channel, Loss
-from imucal.readers.message_logs import _loss_findings, _repeated, in_time_order
+from imucal.readers.message_logs import _loss_findings, in_time_order
 from imucal.readers.messages import Topic
 from imucal.readers.messages.topics import _said
 from imucal.readers.read_options import ReadOptions
@@ -115,23 +115,3 @@ def test_the_order_of_the_log_time() -> None:
     assert len(in_time_order(held, Room())) == 1
     assert held.vectors[GYRO][0].tolist() == [0, 2, 1, 3]
     assert in_time_order(columns([1, 1, 2, 2]), Room()) == []
-
-
-def test_samples_recorded_twice() -> None:
-    """The stamp and all six values repeat; zero stamps and a sensor alone tell nothing."""
-    held = columns([1, 1, 2, 2])
-    assert _repeated(held, Room()) is None
-    for rows in held.vectors.values():
-        rows[:, 1] = rows[:, 0]
-    found = _repeated(held, Room())
-    assert found is not None
-    assert found.tolist() == [False, True, False, False]
-    held.vectors[ACCEL][2, 1] = 9
-    assert _repeated(held, Room()) is None
-    zero = columns([0, 0, 1, 2])
-    alone = columns([1, 1, 2, 2], sensors=(GYRO,))
-    for other in (zero, alone):
-        for rows in other.vectors.values():
-            rows[:] = 5
-        assert _repeated(other, Room()) is None
-    assert _repeated(columns([1, 2, 3]), Room()) is None

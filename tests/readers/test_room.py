@@ -12,7 +12,7 @@ from imucal.arrays import IntArray, blocks, release
 from imucal.errors import ReadError
 from imucal.readers.clocks.from_stamps import _filled
 from imucal.readers.message_logs import steps_back, unsorted
-from imucal.readers.store import Room, Spill, copy_to, count, equal, extremes, is_constant
+from imucal.readers.store import Room, copy_to, count, equal, extremes, is_constant
 from imucal.readers.tables.dates import DAY
 from imucal.readers.tables.stamps import date_stamps, pair_stamps, rolled, to_ns, unwrapped, week_stamps
 
@@ -78,15 +78,6 @@ def test_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imucal.readers.store.os.posix_fallocate", full)
     with pytest.raises(ReadError, match=r"no room for 8\.0 GB of samples: No space left on device"):
         Room(0).empty(10**9, np.float64)
-
-
-def test_integers_in_a_file_become_floats() -> None:
-    """All of them, block by block."""
-    spill = Spill()
-    spill.write(VALUES)
-    spill.become_float()
-    spill.write(np.array([0.5]))
-    npt.assert_array_equal(spill.take(np.dtype(np.float64))[0], [*VALUES, 0.5])
 
 
 def test_copies_of_overlapping_parts() -> None:

@@ -7,6 +7,15 @@ from imucal.readers.clocks.from_stamps import (
     compare_clocks,
     gap_notes,
     part_between,
+    repeats,
 )
 
-__all__ = ["LOG_TIME", "ClockReading", "clock_from_stamps", "compare_clocks", "gap_notes", "part_between"]
+__all__ = [
+    "LOG_TIME",
+    "ClockReading",
+    "clock_from_stamps",
+    "compare_clocks",
+    "gap_notes",
+    "part_between",
+    "repeats",
+]

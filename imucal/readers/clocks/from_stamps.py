@@ -4,11 +4,14 @@ Samples keep the order of the log: it is the order in which the sensor gave them
 rate and each sample's place on the even grid come from `imucal.readers.clocks.placing`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imucal.arrays import BoolArray, IntArray, blocks, median
+from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, median
 from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -108,6 +111,28 @@ def gap_notes(clock: Clock) -> list[Finding]:
         f"the longest is {longest.duration_s:.4g} s at {longest.start_s:.6g} s."
     )
     return [_warning("gaps", text) if share > _FEW else _info("gaps", text)]
+
+
+def repeats(
+    stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray, room: Room | None = None
+) -> BoolArray | None:
+    """Return which samples have the stamp and all values of the one before; None where none has.
+
+    Shape (n,), like the stamps and each of the `rows` of values. A stamp of zero is none, and tells nothing.
+    """
+
+    def of(part: slice) -> BoolArray:
+        first = max(part.start, 1)
+        here = stamps[first : part.stop]
+        at = np.flatnonzero((here == stamps[first - 1 : part.stop - 1]) & (here != 0)) + first
+        for values in rows:
+            at = at[values[at] == values[at - 1]]
+        same = np.zeros(part.stop - part.start, dtype=np.bool_)
+        same[at - part.start] = True
+        return same
+
+    found = (room or Room()).made(stamps.size, np.bool_, of, stamps, *rows)
+    return found if count(found) else None
 
 
 def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:

@@ -20,9 +20,9 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, blocks, distinct, median, percentile
 
-#: Blocks of neighbouring samples looked at, and samples in each; all samples where there are fewer.
-_BLOCKS = 10
-_RATE_BLOCK = 4096
+#: Runs of neighbouring samples by which the period is estimated, and samples in each; all samples where there
+#: are fewer.
+_RUNS, _RUN = 10, 4096
 
 #: Relative difference of two slopes that counts as the same.
 _SAME = 0.03
@@ -50,18 +50,18 @@ class Period:
 
 def estimate_period(stamps: IntArray) -> Period | None:
     """Return the sampling period of stamps in ns, shape (n,); None where they don't advance."""
-    blocks = _blocks(stamps)
-    steps = np.concatenate([np.diff(block) for block in blocks])
+    runs = _runs(stamps)
+    steps = np.concatenate([np.diff(run) for run in runs])
     positive = steps[steps > 0]
     if not positive.size:
         return None
     quantum = int(np.gcd.reduce(np.abs(steps[:100_000])))
-    short, wide = _slope(blocks, 1), _plateau(blocks)
+    short, wide = _slope(runs, 1), _plateau(runs)
     if not wide > 0:
         return None
     unit = median(positive[positive <= 1.5 * percentile(positive, 10)])
     burst, near = 1, steps
-    if unit < 0.97 * wide and _skips(steps, unit) and not _only_late(blocks, steps, wide, unit, quantum):
+    if unit < 0.97 * wide and _skips(steps, unit) and not _only_late(runs, steps, wide, unit, quantum):
         near = positive[np.abs(positive / unit - 1) < 0.25]
         wide = float(near.mean())
     elif not short > 0 or abs(wide / short - 1) > _SAME:
@@ -73,28 +73,28 @@ def estimate_period(stamps: IntArray) -> Period | None:
     return Period(tau_ns=wide, jitter=jitter, burst=burst, resolution_ns=quantum)
 
 
-def _blocks(stamps: IntArray) -> list[IntArray]:
+def _runs(stamps: IntArray) -> list[IntArray]:
     """Return runs of neighbouring stamps, spread over the log."""
-    if stamps.size <= _BLOCKS * _RATE_BLOCK:
+    if stamps.size <= _RUNS * _RUN:
         return [stamps]
-    starts = np.linspace(0, stamps.size - _RATE_BLOCK, _BLOCKS).astype(np.int64)
-    return [stamps[start : start + _RATE_BLOCK] for start in starts.tolist()]
+    starts = np.linspace(0, stamps.size - _RUN, _RUNS).astype(np.int64)
+    return [stamps[start : start + _RUN] for start in starts.tolist()]
 
 
-def _slope(blocks: list[IntArray], width: int) -> float:
-    """Return the median of (t[k+W] - t[k]) / W, in ns per sample; NaN where no block is long enough."""
-    spans = [block[width:] - block[:-width] for block in blocks if block.size > width]
+def _slope(runs: list[IntArray], width: int) -> float:
+    """Return the median of (t[k+W] - t[k]) / W, in ns per sample; NaN where no run is long enough."""
+    spans = [run[width:] - run[:-width] for run in runs if run.size > width]
     return median(np.concatenate(spans)) / width if spans else np.nan
 
 
-def _plateau(blocks: list[IntArray]) -> float:
+def _plateau(runs: list[IntArray]) -> float:
     """Return the slope at the first width from which a wider window changes nothing, in ns per sample."""
-    longest = max(block.size for block in blocks)
+    longest = max(run.size for run in runs)
     widths = [w for w in (16, 32, 64, 128, 256, 512, 1024, 2048) if w <= longest // 3]
     if not widths:
-        block = max(blocks, key=len)
-        return (int(block[-1]) - int(block[0])) / (block.size - 1)
-    slopes = [_slope(blocks, width) for width in widths]
+        run = max(runs, key=len)
+        return (int(run[-1]) - int(run[0])) / (run.size - 1)
+    slopes = [_slope(runs, width) for width in widths]
     changes = [abs(b / a - 1) if a > 0 else np.inf for a, b in pairwise(slopes)]
     for index, change in enumerate(changes):
         if change <= _SAME:
@@ -112,26 +112,26 @@ def _skips(steps: IntArray, unit: float) -> bool:
     return bool(single >= 0.3 and whole >= 0.9)
 
 
-def _only_late(blocks: list[IntArray], steps: IntArray, tau: float, unit: float, quantum: int) -> bool:
+def _only_late(runs: list[IntArray], steps: IntArray, tau: float, unit: float, quantum: int) -> bool:
     """Say whether steps that look like whole multiples come from bursts, or from coarse stamps, instead.
 
     Coarse stamps are multiples of a power of ten, such as 1 ms; a sampling period seldom is one of the two
     at once. Pauses between bursts are several units long, and there is more than a pair of them.
     """
     longer = steps[steps > 1.4 * unit]
-    if not _conserved(blocks, tau) or longer.size < 3:
+    if not _conserved(runs, tau) or longer.size < 3:
         return False
     coarse = quantum > unit / 2 and np.log10(quantum) % 1 == 0
     return bool(coarse or median(longer) >= 4 * unit)
 
 
-def _conserved(blocks: list[IntArray], tau: float) -> bool:
+def _conserved(runs: list[IntArray], tau: float) -> bool:
     """Say whether t[k] - k tau stays within a few pauses: samples are late, none is missing."""
     ranges: list[float] = []
     pauses: list[float] = []
-    for block in blocks:
-        for start in range(0, max(block.size - 1024, 0) + 1, 2048):
-            part = (block[start : start + 2048] - block[start]) / tau
+    for run in runs:
+        for start in range(0, max(run.size - 1024, 0) + 1, 2048):
+            part = (run[start : start + 2048] - run[start]) / tau
             if part.size < 3:
                 continue
             late = part - np.linspace(0.0, part[-1], part.size)

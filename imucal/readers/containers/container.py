@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from imucal.arrays import IntArray
 from imucal.findings import Finding
 from imucal.readers.files import DamagedError, LogFile, Scratch
+from imucal.readers.read_options import Progress
 
 #: A position from the start of a record, and the bytes that every record has there.
 Guard = tuple[int, bytes]
@@ -235,6 +236,16 @@ class MessageFile(ABC):
         except BaseException:
             self.close()
             raise
+
+    @classmethod
+    def open_files(cls, path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
+        """Open a file, and name its format; raises ReadError if it can't be read."""
+        del progress
+        return [cls(path)], cls.format
+
+    @abstractmethod
+    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
+        """Yield the chunks that hold messages of some channels."""
 
     @abstractmethod
     def _read_index(self) -> None:

@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +22,14 @@ from imucal.readers.containers.container import (
     Batch,
     Bytes,
     Channel,
-    Container,
     Loss,
     MessageFile,
     Task,
     gather,
     scan_finding,
 )
-from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChannelRecord, ChunkIndex, Schema, each_record
+from imucal.readers.containers.mcap_records import HEAD, MAGIC, ChunkIndex, Schema, each_record
 from imucal.readers.files import DamagedError, LogFile, Scratch
-from imucal.readers.read_options import Progress
 
 #: Opcode, length, channel and so on of a Message record: its payload starts here.
 _MESSAGE = 31
@@ -50,12 +47,6 @@ _MAX_DEFINITION = 1 << 24
 _WINDOW = 1 << 20
 #: Bytes in which the head of a chunk is looked for: names of compressions are short.
 _HEAD_BLOCK = 128
-
-
-def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open an MCAP file, and name its format; raises ReadError if it can't be read."""
-    del progress
-    return [McapFile(path)], McapFile.format
 
 
 class ChunkTask:
@@ -244,7 +235,8 @@ class Bookkeeping:
     """What an MCAP file says about itself."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, ChannelRecord] = field(default_factory=dict)
+    #: Channel -> the number of its schema, and what its record says.
+    channels: dict[int, tuple[int, Channel]] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
     loose: list[LooseTask] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
@@ -258,8 +250,8 @@ class Bookkeeping:
             schema = records.schema(body)
             self.schemas.setdefault(schema.id, schema)
         else:
-            channel = records.channel(body)
-            self.channels.setdefault(channel.id, channel)
+            number, channel = records.channel(body)
+            self.channels.setdefault(channel.key, (number, channel))
 
     def define_all(self, raw: memoryview) -> None:
         """Take all definitions among the records of a chunk, up to the first that is damaged."""
@@ -302,8 +294,8 @@ class _Scan:
         return memoryview(self._data)[at - self._start : at - self._start + size]
 
     def visit_records(self) -> int:
-        """Visit the records of the file; return where the last whole one ends."""
-        at, size = len(MAGIC), self._file.size
+        """Visit the records of the file; return where the last whole one of its data ends."""
+        at, size, ended = len(MAGIC), self._file.size, False
         with suppress(DamagedError):
             while at + 9 <= size:
                 opcode, length = HEAD.unpack_from(self._take(at, HEAD.size))
@@ -313,13 +305,12 @@ class _Scan:
                 if not opcode or after > size:
                     if opcode == records.CHUNK:
                         self._salvage(at)
-                    return at
-                if opcode == records.DATA_END:
-                    self._define_from_summary(after)
-                    return size
+                    break
+                # The summary behind the data repeats definitions, though its checksum may be wrong.
+                ended |= opcode == records.DATA_END
                 self._visit(opcode, at, length)
                 at = after
-        return at
+        return size if ended else at
 
     def _visit(self, opcode: int, at: int, length: int) -> None:
         chunks = self.book.chunks
@@ -355,16 +346,6 @@ class _Scan:
             self.book.define_all(raw)
             if starts := walk_records(raw):
                 self.book.loose.append(LooseTask(self._file, at, size, starts, bytes(raw)))
-
-    def _define_from_summary(self, at: int) -> None:
-        """Take definitions that the summary repeats, though its checksum is wrong."""
-        with suppress(DamagedError):
-            while at + 9 <= self._file.size:
-                opcode, length = HEAD.unpack_from(self._take(at, HEAD.size))
-                if at + 9 + length > self._file.size or opcode not in records.DEFINITIONS:
-                    return
-                self.book.define(opcode, self._take(at + 9, length))
-                at += 9 + length
 
     def define_from_chunks(self) -> None:
         """Read definitions from chunks until every indexed channel is known.
@@ -474,18 +455,16 @@ class McapFile(MessageFile):
     def _channels(self) -> list[Channel]:
         book, spans = self._book, self._spans()
         channels = []
-        for key, record in sorted(book.channels.items()):
-            described = book.schemas.get(record.schema, Schema(0, "", "", ""))
+        for key, (number, channel) in sorted(book.channels.items()):
+            schema = book.schemas.get(number, Schema(0, "", "", ""))
             first, last = spans.get(key, (None, None))
             channels.append(
-                Channel(
-                    key=key,
-                    topic=record.topic,
-                    type=described.name,
-                    encoding=record.encoding,
-                    definition=described.text,
-                    definition_kind=described.encoding,
-                    schema=described.raw,
+                replace(
+                    channel,
+                    type=schema.name,
+                    definition=schema.text,
+                    definition_kind=schema.encoding,
+                    schema=schema.raw,
                     count=book.counts[key],
                     first_ns=first,
                     last_ns=last,
@@ -507,3 +486,6 @@ class McapFile(MessageFile):
             for key, batch in loose.load(Scratch()):
                 times.setdefault(key, []).extend([int(batch.log_ns.min()), int(batch.log_ns.max())])
         return {key: (min(values), max(values)) for key, values in times.items() if values}
+
+
+open_files = McapFile.open_files

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from imucal.readers.containers.container import Bytes
+from imucal.readers.containers.container import Bytes, Channel
 from imucal.readers.files import DamagedError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -30,16 +30,6 @@ class Schema:
     encoding: str
     text: str
     raw: bytes = field(default=b"", compare=False, repr=False)
-
-
-@dataclass(frozen=True, slots=True)
-class ChannelRecord:
-    """A channel: its topic, and the number of its schema (0 for none)."""
-
-    id: int
-    schema: int
-    topic: str
-    encoding: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,10 +108,11 @@ def schema(body: Bytes) -> Schema:
     return Schema(number, name, encoding, raw.decode("utf-8", "replace"), raw)
 
 
-def channel(body: Bytes) -> ChannelRecord:
-    """Parse a Channel record; its metadata is not needed."""
+def channel(body: Bytes) -> tuple[int, Channel]:
+    """Return the number of a channel's schema (0 for none), and the channel; its metadata is not needed."""
     fields = _Fields(body, "channel")
-    return ChannelRecord(fields.number(2), fields.number(2), fields.text(), fields.text())
+    key, number, topic = fields.number(2), fields.number(2), fields.text()
+    return number, Channel(key=key, topic=topic, type="", encoding=fields.text())
 
 
 def chunk_head(record: Bytes) -> ChunkHead:

@@ -4,6 +4,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,13 +12,12 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import KINDS
 from imucal.readers.containers import ros1_records as records
-from imucal.readers.containers.container import Bytes, Channel, Container, MessageFile, Task, scan_finding
+from imucal.readers.containers.container import Bytes, Channel, MessageFile, Task, scan_finding
 from imucal.readers.containers.ros1_chunks import BagChunk, BagChunkTask, unpack
 from imucal.readers.containers.ros1_records import (
     MAGIC,
     PAIR,
     U32,
-    Connection,
     connection,
     number,
     record,
@@ -25,18 +25,11 @@ from imucal.readers.containers.ros1_records import (
     walk,
 )
 from imucal.readers.files import DamagedError
-from imucal.readers.read_options import Progress
 
 #: The index section has a few bytes for each chunk and connection; a larger one is damage.
 _MAX_INDEX = 1 << 31
 #: Bytes in which the head of the bag, and that of a chunk, is looked for.
 _HEAD_BLOCK = 1 << 12
-
-
-def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
-    """Open a bag, and name its format; raises ReadError if it can't be read."""
-    del progress
-    return [BagFile(path)], BagFile.format
 
 
 class BagFile(MessageFile):
@@ -45,7 +38,7 @@ class BagFile(MessageFile):
     format = "rosbag1"
 
     def _read_index(self) -> None:
-        self._connections: dict[int, Connection] = {}
+        self._connections: dict[int, Channel] = {}
         self._chunks: list[BagChunk] = []
         magic = bytes(self._file.read(0, min(len(MAGIC), self.size)))
         if magic != MAGIC:
@@ -101,7 +94,7 @@ class BagFile(MessageFile):
             raise DamagedError(msg, code="truncated")
         if opcode == records.CONNECTION:
             found = connection(head, data)
-            self._connections[found.id] = found
+            self._connections[found.key] = found
         elif opcode == records.CHUNK_INFO:
             if len(data) % PAIR.size:
                 msg = "a chunk's entry in the index is damaged"
@@ -162,7 +155,7 @@ class BagFile(MessageFile):
         """Take a connection record; a damaged one is as good as none."""
         with suppress(DamagedError):
             found = connection(head, data)
-            self._connections.setdefault(found.id, found)
+            self._connections.setdefault(found.key, found)
 
     def _add_chunk(self, at: int, size: int, *, cut: bool) -> None:
         """Count the messages of a chunk, and learn the connections defined in it."""
@@ -191,23 +184,13 @@ class BagFile(MessageFile):
             for key in chunk.counts:
                 first, last = spans.get(key, (chunk.first_ns, chunk.last_ns))
                 spans[key] = (min(first, chunk.first_ns), max(last, chunk.last_ns))
-        channels = []
-        for key, found in sorted(self._connections.items()):
-            span = spans.get(key, (None, None))
-            channels.append(
-                Channel(
-                    key=key,
-                    topic=found.topic,
-                    type=found.type,
-                    encoding="ros1",
-                    definition=found.definition,
-                    definition_kind="ros1msg" if found.definition else "",
-                    count=counts[key],
-                    first_ns=span[0],
-                    last_ns=span[1],
-                )
+        none = (None, None)
+        return [
+            replace(
+                found, count=counts[key], first_ns=spans.get(key, none)[0], last_ns=spans.get(key, none)[1]
             )
-        return channels
+            for key, found in sorted(self._connections.items())
+        ]
 
     def _compression(self) -> str:
         """Return how the first chunk is compressed; all chunks of a bag are written alike."""
@@ -231,3 +214,6 @@ def _refuse(path: Path, magic: bytes) -> None:
         raise ReadError(msg)
     msg = f"{path}: not a ROS 1 bag (first bytes {magic[:13]!r}); expected {MAGIC!r}"
     raise ReadError(msg)
+
+
+open_files = BagFile.open_files

@@ -6,11 +6,10 @@ refuses unindexed and cut ones, and builds an object for each message when it op
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
-from imucal.readers.containers.container import Bytes
+from imucal.readers.containers.container import Bytes, Channel
 from imucal.readers.files import DamagedError
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -19,16 +18,6 @@ U32 = struct.Struct("<I")
 PAIR = struct.Struct("<II")
 #: Longest header of a record; a connection's is its topic's length.
 _MAX_HEADER = 1 << 20
-
-
-@dataclass(frozen=True, slots=True)
-class Connection:
-    """A publisher of a topic."""
-
-    id: int
-    topic: str
-    type: str
-    definition: str
 
 
 class Record(NamedTuple):
@@ -115,14 +104,17 @@ def time_ns(found: Mapping[bytes, bytes], name: bytes) -> int:
     return int(seconds) * 1_000_000_000 + int(rest)
 
 
-def connection(found: Mapping[bytes, bytes], data: Bytes) -> Connection:
+def connection(found: Mapping[bytes, bytes], data: Bytes) -> Channel:
     """Parse a connection record: its header, and the connection's own header as data."""
     inner = fields(bytes(data))
-    return Connection(
-        number(found, b"conn", 4),
-        found.get(b"topic", b"").decode("utf-8", "replace"),
-        inner.get(b"type", b"").decode("utf-8", "replace"),
-        inner.get(b"message_definition", b"").decode("utf-8", "replace"),
+    definition = inner.get(b"message_definition", b"").decode("utf-8", "replace")
+    return Channel(
+        key=number(found, b"conn", 4),
+        topic=found.get(b"topic", b"").decode("utf-8", "replace"),
+        type=inner.get(b"type", b"").decode("utf-8", "replace"),
+        encoding="ros1",
+        definition=definition,
+        definition_kind="ros1msg" if definition else "",
     )
 
 

@@ -7,10 +7,8 @@ Source: https://www.sqlite.org/fileformat2.html, sections 1.6 (b-tree pages) and
 
 import os
 import sqlite3
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
@@ -28,8 +26,6 @@ from imucal.readers.files import DamagedError, LogFile, Scratch
 
 #: A bag's topics and definitions are written first: they lie in the first pages, in bytes.
 _START = 1 << 22
-#: Longest file that a cut database is made up to, in bytes; it is sparse.
-_LONGEST = 1 << 40
 #: Types of the pages that hold rows of a table, and the tree above them.
 LEAF, _INTERIOR = 0x0D, 0x05
 #: Bytes of a column by its serial type, up to 9; blobs and texts have 12 and more.
@@ -90,26 +86,24 @@ def _write_ahead_log(path: Path) -> Path | None:
 
 
 def connect_to_start(file: LogFile) -> sqlite3.Connection:
-    """Return a database in memory with the tables that the first pages of a cut file hold.
+    """Return the database that the first pages of a cut file are: its topics and definitions.
 
-    SQLite refuses a file that is shorter than its first page says. So the start is copied to a sparse
-    file of the right length, and the small tables are taken from there.
+    SQLite refuses a file that is shorter than its first page says. So the start is taken into memory, what
+    is missing of it as empty pages, and its first page says how many there are.
     """
     head = file.read(0, min(_START, file.size))
-    stated = stated_size(head)
-    result = sqlite3.connect(":memory:", check_same_thread=False)
+    head += bytes(_START - len(head))
+    # Versions 2 would ask for a write-ahead log.
+    head[18:20] = b"\1\1"
+    head[28:32] = (len(head) // max(_page_bytes(head), 512)).to_bytes(4, "big")
+    base = sqlite3.connect(":memory:", check_same_thread=False)
     try:
-        with tempfile.TemporaryDirectory(prefix="imucal-") as folder:
-            copy = Path(folder) / "start.db3"
-            with copy.open("wb") as target:
-                target.write(head)
-                target.truncate(max(min(stated, _LONGEST), len(head)))
-            with closing(_open(copy, "mode=ro&immutable=1")) as source:
-                _copy_tables(source, result)
+        base.deserialize(bytes(head))
+        base.execute("select count(*) from topics").fetchone()
     except BaseException:
-        result.close()
+        base.close()
         raise
-    return result
+    return base
 
 
 def stated_size(head: Bytes) -> int:
@@ -121,21 +115,6 @@ def _page_bytes(head: Bytes) -> int:
     """Return the size of a page; 65536 does not fit in two bytes and stands as 1."""
     size = int.from_bytes(head[16:18], "big")
     return 65536 if size == 1 else size
-
-
-def _copy_tables(source: sqlite3.Connection, target: sqlite3.Connection) -> None:
-    """Copy topics and definitions."""
-    columns = "id, name, type, serialization_format"
-    rows = source.execute(f"select {columns} from topics").fetchall()  # noqa: S608 - our own constant
-    target.execute(f"create table topics({columns})")
-    target.executemany("insert into topics values (?, ?, ?, ?)", rows)
-    columns = "topic_type, encoding, encoded_message_definition"
-    target.execute(f"create table message_definitions({columns})")
-    try:
-        rows = source.execute(f"select {columns} from message_definitions").fetchall()  # noqa: S608
-    except sqlite3.DatabaseError:
-        return
-    target.executemany("insert into message_definitions values (?, ?, ?)", rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,7 +12,6 @@ from typing import Literal, TypeAlias
 
 from imucal.errors import ReadError
 from imucal.readers.containers import Channel
-from imucal.readers.read_options import ReadOptions
 
 #: What a field is: one number, a fixed array, a string, a sequence of numbers, or anything else.
 Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
@@ -319,7 +318,7 @@ def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
     return found
 
 
-def definition_of(kind: str, given: dict[str, str]) -> str | None:
+def definition_of(kind: str, given: Mapping[str, str]) -> str | None:
     """Return the given definition of a type; None where none of that name is given.
 
     One of its package goes first; one of another package is none, one of no package is.
@@ -338,7 +337,7 @@ class ChannelDefinition:
     channel: Channel
     text: str
     assumed: bool
-    more: dict[str, str] | None = None
+    more: Mapping[str, str] | None = None
 
     @property
     def ros1(self) -> bool:
@@ -349,8 +348,8 @@ class ChannelDefinition:
         return flatten(self.channel.type, self.text, ros1=self.ros1, more=self.more)
 
 
-def definition_of_channel(channel: Channel, options: ReadOptions) -> ChannelDefinition:
-    """Return the definition of a channel's type: the log's own, one that is given, or the standard one.
+def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> ChannelDefinition:
+    """Return the definition of a channel's type: the log's own, one of those `given`, or the standard one.
 
     Raises DefinitionError if the type has no definition, or one that can't be read.
     """
@@ -365,7 +364,6 @@ def definition_of_channel(channel: Channel, options: ReadOptions) -> ChannelDefi
                 raise
             return ChannelDefinition(channel, standard, assumed=True)
         return own
-    given = read_definitions(options.message_definitions)
     text = definition_of(channel.type, given)
     if text is not None:
         return ChannelDefinition(channel, text, assumed=True, more=given)
@@ -377,8 +375,3 @@ def definition_of_channel(channel: Channel, options: ReadOptions) -> ChannelDefi
         msg = f"the log holds no definition of {channel.type}{kind}{names}; give its .msg file, {last}.msg"
         raise DefinitionError(msg)
     return ChannelDefinition(channel, standard, assumed=True)
-
-
-def is_given(channel: Channel, options: ReadOptions) -> bool:
-    """Return whether the user gives the definition of a channel's type."""
-    return definition_of(channel.type, read_definitions(options.message_definitions)) is not None

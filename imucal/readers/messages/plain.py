@@ -28,14 +28,10 @@ from imucal.recording import Sensor
 
 #: From the start of the payload: the same for all messages, or one for each.
 Position: TypeAlias = int | IntArray
-#: A position and a width, and the sensor, the position in them and the type of each vector there.
-_Span: TypeAlias = tuple[int, int, tuple[tuple[Sensor, int, str], ...]]
 #: One element of an array.
 _ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 #: Longest head of a message that is gathered at once, in bytes.
 _HEAD = 256
-#: Widest span gathered at once: up to about here bytes in between cost less than another gather.
-_WIDEST = 128
 _SECOND = 1_000_000_000
 
 
@@ -246,9 +242,8 @@ class Template:
     #: Path -> position and type of every wanted field.
     places: dict[str, Place]
     imu: ImuFields
-    #: Vectors that are three plain numbers side by side, those close to each other in one span of bytes:
-    #: its position and width, and sensor, position in the span and type of each vector.
-    spans: tuple[_Span, ...]
+    #: Vectors that are three plain numbers side by side, with the place of the first.
+    plain: tuple[tuple[Sensor, Place], ...]
     #: The other vectors.
     others: tuple[Vector, ...]
 
@@ -280,11 +275,11 @@ class Template:
         # Last, since it writes to the heads; what was written to the columns counts only if it is true.
         if not self.alike.all(head):
             return False
-        for at, width, vectors in self.spans:
-            values = _gather(batch.buffer, starts, at, width)
-            for sensor, place, dtype in vectors:
-                for axis, row in enumerate(columns.vectors[sensor]):
-                    row[part] = _cells(values, place + axis * int(dtype[-1]), dtype)
+        for sensor, place in self.plain:
+            size = int(place.dtype[-1])
+            values = _gather(batch.buffer, starts, _fixed(place.at), 3 * size)
+            for axis, row in enumerate(columns.vectors[sensor]):
+                row[part] = _cells(values, axis * size, place.dtype)
         messages = Messages(batch.buffer, starts, self.places)
         for vector in self.others:
             messages.write_vector(vector, columns, part)
@@ -307,7 +302,7 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
     head = _head_size(alike, times, batch.log_at or 0, end)
     if head > min(_HEAD, end) or skip + _fixed(found.end) > end or (times and times[0].dtype[1] == "f"):
         return None
-    plain, others = _parted(imu, places)
+    plain = _plain(imu, places)
     return Template(
         guards=batch.guards,
         alike=Alike(alike, head),
@@ -315,15 +310,15 @@ def learn(batch: Batch, found: Found, layout: Layout, code: bytes, imu: ImuField
         end=end,
         places=places,
         imu=imu,
-        spans=_spans([(vector.sensor, places[vector.paths[0]]) for vector in plain]),
-        others=others,
+        plain=tuple(plain.items()),
+        others=tuple(vector for vector in imu.vectors if vector.sensor not in plain),
     )
 
 
-def _parted(imu: ImuFields, places: dict[str, Place]) -> tuple[list[Vector], tuple[Vector, ...]]:
-    """Return the vectors whose numbers lie side by side as they are, and the others."""
-    plain = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
-    return plain, tuple(vector for vector in imu.vectors if vector not in plain)
+def _plain(imu: ImuFields, places: dict[str, Place]) -> dict[Sensor, Place]:
+    """Return where the vectors begin whose numbers lie side by side as they are."""
+    vectors = [vector for vector in imu.vectors if not vector.divisor and adjacent(places, vector)]
+    return {vector.sensor: places[vector.paths[0]] for vector in vectors}
 
 
 def _head_size(alike: Sequence[Guard], times: Sequence[Place], log_at: int, end: int) -> int:
@@ -341,19 +336,6 @@ def _repeated(batch: Batch, found: Found, layout: Layout, code: bytes) -> list[G
     first = batch.header + (4 if code else 0)
     lengths = [(first + _fixed(at), np.array(_fixed(size), u4).tobytes()) for at, size in found.lengths]
     return [*batch.guards, *([(batch.header, code)] if code else []), *lengths]
-
-
-def _spans(vectors: list[tuple[Sensor, Place]]) -> tuple[_Span, ...]:
-    """Return the spans of bytes in which vectors lie, each given with the place of its first number."""
-    spans: list[_Span] = []
-    for sensor, place in sorted(vectors, key=lambda vector: _fixed(vector[1].at)):
-        at, size = _fixed(place.at), 3 * int(place.dtype[-1])
-        first, _, inside = spans[-1] if spans else (0, 0, ())
-        if inside and at + size - first <= _WIDEST:
-            spans[-1] = (first, at + size - first, (*inside, (sensor, at - first, place.dtype)))
-        else:
-            spans.append((at, size, ((sensor, 0, place.dtype),)))
-    return tuple(spans)
 
 
 def _gather(buffer: Bytes, starts: IntArray, at: int, width: int) -> NDArray[np.void]:

@@ -20,7 +20,6 @@ from imucal.readers.messages.message_types import ImuFields, Stamp, find_imus
 from imucal.readers.messages.plain import BinaryDecoder, Shape, is_reachable
 from imucal.readers.messages.topics import Choice, Topic
 from imucal.readers.messages.trees import JSON_FIELDS, TreeDecoder, tree_decoder
-from imucal.readers.read_options import ReadOptions
 from imucal.readers.store import is_constant
 from imucal.recording import Sensor, Temperature
 
@@ -33,11 +32,14 @@ _LOOKS, _ENOUGH = (2, 32), 100
 
 _TEMPERATURE = "sensor_msgs/Temperature"
 _TEMPERATURE_FIELDS = ImuFields(
-    stamp=Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec"), vectors=(), temperature="temperature"
+    stamp=Stamp(sec="header.stamp.sec", nanosec="header.stamp.nanosec"),
+    vectors=(),
+    temperature="temperature",
+    asked=True,
 )
 
 
-def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> Stream:
+def stream_of(topic: Topic, sensors: Sequence[Sensor]) -> Stream:
     """Return how to decode some sensors of a topic.
 
     Raises
@@ -52,7 +54,7 @@ def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> 
     imu = _only(topic.imu, sensors)
     for number, channel in topic.channels:
         try:
-            decoder = _decoder(channel, topic, sensors, options)
+            decoder = _decoder(channel, topic, sensors)
         except DefinitionError as error:
             msg = f"topic {topic.name} of type {channel.type} can't be decoded: {error}"
             raise ReadError(msg) from error
@@ -62,9 +64,7 @@ def stream_of(topic: Topic, sensors: Sequence[Sensor], options: ReadOptions) -> 
     return Stream(imu=imu, decoders=decoders)
 
 
-def _decoder(
-    channel: Channel, topic: Topic, sensors: Sequence[Sensor], options: ReadOptions
-) -> BinaryDecoder | TreeDecoder:
+def _decoder(channel: Channel, topic: Topic, sensors: Sequence[Sensor]) -> BinaryDecoder | TreeDecoder:
     """Return what decodes the messages of one channel of a topic."""
     imu = _only(topic.imu or JSON_FIELDS, sensors)
     if channel.encoding == "json":
@@ -72,7 +72,7 @@ def _decoder(
     if channel.encoding == "protobuf":
         return tree_decoder(imu, protobuf_messages.parser_of(channel), "protobuf")
     ros1 = channel.encoding == "ros1"
-    definition = definition_of_channel(channel, options)
+    definition = definition_of_channel(channel, topic.given)
     fields = definition.fields()
     if imu.asked:
         if not is_reachable(imu, fields):
@@ -128,14 +128,14 @@ def _frame(message: bytes, encoding: str) -> str:
     return text if text.isprintable() else ""
 
 
-def live_sensors(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> frozenset[Sensor]:
+def live_sensors(containers: Sequence[Container], topic: Topic) -> frozenset[Sensor]:
     """Return the sensors whose samples change in the first chunks of a topic.
 
     One sample, or none that can be decoded, tells nothing: the type is believed then.
     """
     if topic.imu is None:
         return frozenset()
-    stream = stream_of(topic, topic.imu.sensors, options)
+    stream = stream_of(topic, topic.imu.sensors)
     for chunks in _LOOKS:
         columns = decode(containers, [stream], most_chunks=chunks)[0].columns
         if columns.n >= _ENOUGH:
@@ -161,24 +161,13 @@ def read_temperature(
     ]
     if len(beside) != 1 or not space:
         return None
-    topic = beside[0]
-    columns = decode(containers, [_temperature_stream(topic)])[0].columns
-    if columns.temperature is None or columns.n < 2:
-        return None
+    topic = replace(beside[0], imu=_TEMPERATURE_FIELDS)
     try:
+        columns = decode(containers, [stream_of(topic, ())])[0].columns
+        if columns.temperature is None or columns.n < 2:
+            return None
         reading = clock_from_stamps(columns.stamps, source="header stamp", log_ns=columns.log)
-    except DataError:
+    except (DataError, ReadError):
         return None
     samples = columns.temperature if reading.order is None else columns.temperature[reading.order]
     return Temperature(samples=samples, clock=reading.clock), topic.name
-
-
-def _temperature_stream(topic: Topic) -> Stream:
-    """Return how to decode a topic by the standard definition of its type."""
-    decoders: dict[tuple[int, int], Decoder] = {}
-    for number, channel in topic.channels:
-        ros1 = channel.encoding == "ros1"
-        text = built_in(_TEMPERATURE, ros1=ros1) or ""
-        shape = Shape(flatten(_TEMPERATURE, text, ros1=ros1), _TEMPERATURE_FIELDS)
-        decoders[number, channel.key] = BinaryDecoder([shape], ros1=ros1, exact=True)
-    return Stream(imu=_TEMPERATURE_FIELDS, decoders=decoders)

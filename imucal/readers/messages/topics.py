@@ -1,7 +1,7 @@
 """The topics of a log: which carry IMU samples, in which numbers, and which to read; never a silent pick."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
@@ -11,9 +11,10 @@ from imucal.readers.containers import Channel, Container
 from imucal.readers.messages import protobuf_messages, ros_trees
 from imucal.readers.messages.definitions import (
     DefinitionError,
+    definition_of,
     definition_of_channel,
-    is_given,
     plain_type,
+    read_definitions,
 )
 from imucal.readers.messages.leaves import Leaves, leaves_of_tree
 from imucal.readers.messages.loader import first_message
@@ -46,6 +47,8 @@ class Topic:
         Why its messages can't be read, though its type looks like an IMU's; else empty.
     leaves
         The numbers in its messages.
+    given
+        The definitions of types that the user gives.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Topic:
     reason: str = ""
     part: str = ""
     leaves: Leaves = field(default_factory=lambda: Leaves(()))
+    given: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def count(self) -> int | None:
@@ -80,6 +84,7 @@ class Topic:
 def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[Topic]:
     """Return all topics of a log, in the order of its first file."""
     wanted = parse_fields_text(options.fields)
+    given = read_definitions(options.message_definitions)
     groups: dict[tuple[str, str], list[tuple[int, Channel]]] = {}
     for number, container in enumerate(containers):
         for channel in container.channels:
@@ -87,31 +92,40 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
     return [
         topic
         for channels in groups.values()
-        for topic in _topics(channels, containers[channels[0][0]], options, wanted)
+        for topic in _topics(channels, containers[channels[0][0]], options, wanted, given)
     ]
 
 
 def _topics(
-    channels: list[tuple[int, Channel]], container: Container, options: ReadOptions, wanted: FieldsText | None
+    channels: list[tuple[int, Channel]],
+    container: Container,
+    options: ReadOptions,
+    wanted: FieldsText | None,
+    given: Mapping[str, str],
 ) -> list[Topic]:
     """Return a topic as one entry for each IMU that its messages hold; one without IMU samples as it is."""
     channel = channels[0][1]
     name = channel.topic
-    whole = Topic(name=name, type=channel.type, channels=tuple(channels))
+    whole = Topic(name=name, type=channel.type, channels=tuple(channels), given=given)
     imus: dict[str, ImuFields] = {}
     try:
-        leaves = _leaves(channel, container, options)
+        leaves = _leaves(channel, container, whole.given)
         whole = replace(whole, leaves=leaves)
         if wanted is not None:
             asked = leaves.asked(wanted, options.time_unit)
             imus, reason = ({"": asked}, "") if isinstance(asked, ImuFields) else ({}, f"it has no {asked}")
         else:
-            imus = _known(channel, leaves, options)
+            imus = _known(channel, whole, options)
             reason = "" if imus else _unreachable(leaves)
     except DefinitionError as error:
         reason = str(error)
     if not imus:
-        meant = wanted or _looks_like_imu(channel) or name in options.topics or is_given(channel, options)
+        meant = (
+            wanted
+            or _looks_like_imu(channel)
+            or name in options.topics
+            or definition_of(channel.type, whole.given)
+        )
         return [replace(whole, reason=reason if meant else "")]
     return [
         replace(whole, name=f"{name}:{part}" if part else name, imu=imu, part=part)
@@ -119,7 +133,7 @@ def _topics(
     ]
 
 
-def _leaves(channel: Channel, container: Container, options: ReadOptions) -> Leaves:
+def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) -> Leaves:
     """Return the numbers in the messages of a channel; those of JSON are those of the first message.
 
     Raises DefinitionError if the messages can't be read.
@@ -138,22 +152,22 @@ def _leaves(channel: Channel, container: Container, options: ReadOptions) -> Lea
             "the log with what wrote it: to a CSV with a row per message, or to JSON messages"
         )
         raise DefinitionError(msg)
-    definition = definition_of_channel(channel, options)
+    definition = definition_of_channel(channel, given)
     # The flat fields say whether the definition is whole.
     definition.fields()
     return Leaves(ros_trees.leaves_of(definition))
 
 
-def _known(channel: Channel, leaves: Leaves, options: ReadOptions) -> dict[str, ImuFields]:
+def _known(channel: Channel, topic: Topic, options: ReadOptions) -> dict[str, ImuFields]:
     """Return the IMUs that the fields of a channel's messages are recognised as."""
     if channel.encoding == "json":
-        vectors = tuple(v for v in JSON_FIELDS.vectors if leaves.vector(v.paths) is not None)
-        known = len(vectors) == 2 or (not leaves.all and _looks_like_imu(channel))
+        vectors = tuple(v for v in JSON_FIELDS.vectors if topic.leaves.vector(v.paths) is not None)
+        known = len(vectors) == 2 or (not topic.leaves.all and _looks_like_imu(channel))
         return {"": JSON_FIELDS} if known else {}
     if channel.encoding == "protobuf":
         fields = tuple(protobuf_messages.fields_of(channel))
     else:
-        fields = definition_of_channel(channel, options).fields()
+        fields = definition_of_channel(channel, topic.given).fields()
     return find_imus(channel.type, fields, channel.topic, _said(channel.topic, options))
 
 

@@ -19,7 +19,8 @@ from typing import Any, BinaryIO, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.readers.store import map_stream
+from imucal.arrays import release
+from imucal.readers.store import allocated
 
 #: Parts of a list or a matrix that are shown as columns.
 WIDEST = 64
@@ -160,7 +161,8 @@ def npz_arrays(path: Path, *, limit: int, heads_above: int | None = None) -> dic
         arrays = {}
         for header in headers:
             with archive.open(header.info) as member:
-                array = _read(cast("BinaryIO", member), header, heads=heads, spill=size > limit)
+                most = 0 if size > limit and not heads else header.size
+                array = _read(cast("BinaryIO", member), header, heads=heads, most=most)
             arrays[header.info.filename.removesuffix(_SUFFIX)] = array
     return arrays
 
@@ -181,17 +183,14 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
     return header
 
 
-def _read(stream: BinaryIO, header: _Header, *, heads: bool, spill: bool) -> NDArray[Any]:
-    """Return an array, read-only where it lies in a temporary file; of `heads` only the first values."""
-    stream.seek(header.start)
-    if spill and header.size and not heads:
-        flat = np.frombuffer(map_stream(stream, header.size), dtype=header.dtype)
-    else:
-        # Memory that nobody touches is never taken.
-        flat = np.zeros(math.prod(header.shape), dtype=header.dtype)
-        for part in _head(header) if heads else [slice(0, flat.size)]:
-            stream.seek(header.start + part.start * header.dtype.itemsize)
-            _fill(stream, flat[part].view(np.uint8))
+def _read(stream: BinaryIO, header: _Header, *, heads: bool, most: int) -> NDArray[Any]:
+    """Return an array, in a temporary file if it has more than `most` bytes; of `heads` the first values."""
+    size = math.prod(header.shape)
+    # Memory that nobody touches is never taken.
+    flat = np.zeros(size, dtype=header.dtype) if heads else allocated(size, header.dtype, most)
+    for part in _head(header) if heads else [slice(0, size)]:
+        stream.seek(header.start + part.start * header.dtype.itemsize)
+        _fill(stream, flat[part].view(np.uint8))
     return flat.reshape(header.shape, order="F" if header.fortran else "C")
 
 
@@ -217,6 +216,7 @@ def _fill(stream: BinaryIO, target: NDArray[np.uint8]) -> None:
             raise ValueError(msg)
         target[done : done + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
         done += len(piece)
+        release(target)
 
 
 _HEADER, _COMPRESSED = 128, 15

@@ -8,7 +8,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import TypeAlias
 
@@ -29,6 +29,16 @@ _LINES = 400
 #: Cells beyond this many don't make a delimiter more likely.
 _WIDE = 50
 
+#: A delimiter is a candidate where it gives this share of the best one's cells.
+_CLOSE = 0.5
+
+_RATE = re.compile(
+    r"(?:update|sampl\w*|output|data)[\s_]*(?:rate|freq\w*)[^0-9\n]{0,12}(?P<rate>\d+(?:\.\d+)?)\s*(?P<kilo>k?)hz\b"
+    r"|(?:^|[\s#\"])(?:fs|sampl\w*[\s_]*(?:rate|freq\w*)|update[\s_]*rate|rate_hz|frequency)(?:\s*[(\[]hz[)\]])?"
+    r"\s*[\"]?\s*[,;:=\t]\s*[\"]?(?P<plain>\d+(?:\.\d+)?)\s*(?P<kilos>(?:khz)?)",
+    re.IGNORECASE | re.MULTILINE,
+)
+
 #: A delimiter that fewer lines have is none.
 _FEW_LINES = 2
 #: A table of one or two columns has rows of numbers in more than this share of its lines.
@@ -42,34 +52,75 @@ def is_number(cell: str) -> bool:
     return _NUMBER.fullmatch(cell) is not None
 
 
-@dataclass(frozen=True, slots=True)
-class LineSplit:
-    """The head of a table cut by one delimiter: rows by line, which of them fit, and where they start."""
+#: Rows of a sensor: the index of a column, -1 for any, and the text its cells must hold; None for all rows.
+Rows: TypeAlias = tuple[int, str] | None
 
-    delimiter: str
-    decimal: str
-    rows: list[list[str]]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TextLayout:
+    """The layout of a text table.
+
+    Attributes
+    ----------
+    width
+        Cells of a row.
+    rows
+        The first rows of data, as cells without blanks around them.
+    headers, units
+        Names of the columns, and a row of units; each empty where there is none.
+    preamble
+        Lines before the header.
+    start
+        Lines before the first row of data.
+    delimiter
+        ``,`` ``;`` tab ``|``, or `BLANKS` for runs of blanks and tabs.
+    rate_hz
+        Sampling rate from the preamble.
+    mismatch
+        Cells of the header line where they don't fit the rows: names can't be told apart then.
+    tag
+        The rows that have this layout, where others stand between them.
+    prepare
+        Turns a block of lines into rows of plain cells, where they are none.
+    """
+
     width: int
-    start: int
-    fitting: tuple[int, ...]
-    #: Whether a semicolon that parts no cells ends each line, as in matrices of MATLAB.
-    ended: bool = False
+    rows: tuple[tuple[str, ...], ...]
+    headers: tuple[str, ...] = ()
+    units: tuple[str | None, ...] = ()
+    preamble: tuple[str, ...] = ()
+    start: int = 0
+    delimiter: str = ","
+    decimal: str = "."
+    rate_hz: float | None = None
+    quoted: bool = False
+    mismatch: int | None = None
+    tag: Rows = None
+    prepare: Callable[[bytes], bytes] | None = None
 
     @property
     def score(self) -> int:
-        """How many cells of rows it gives."""
-        return len(self.fitting) * min(self.width, _WIDE)
+        """How many cells of rows the first lines give."""
+        return len(self.rows) * min(self.width, _WIDE)
+
+    def cells(self, index: int) -> list[str]:
+        """Return the first cells of a column, decimal point in place."""
+        cells = [row[index] for row in self.rows if index < len(row)]
+        return [cell.replace(",", ".") for cell in cells] if self.decimal == "," else cells
 
 
-def line_splits(lines: Sequence[str]) -> list[LineSplit]:
-    """Return the ways of cutting a table's first lines that give rows of numbers, the likeliest first."""
+def find_layout(lines: Sequence[str]) -> TextLayout | None:
+    """Return the layout of a table from its first lines; None where they hold no rows of numbers."""
     lines = list(lines[:_LINES])
     only = _named_delimiter(lines)
     for delimiters, narrow in (((only,) if only else (), False), (_DELIMITERS, False), (_DELIMITERS, True)):
-        splits = [split for delimiter in delimiters if (split := _split(lines, delimiter, narrow=narrow))]
-        if splits:
-            return sorted(splits, key=lambda split: -split.score)
-    return []
+        found = [layout for delimiter in delimiters if (layout := _layout(lines, delimiter, narrow=narrow))]
+        if found:
+            found.sort(key=lambda layout: -layout.score)
+            likely = [layout for layout in found if layout.score >= _CLOSE * found[0].score]
+            # Blanks within dates and names make more cells than there are names.
+            return next((layout for layout in likely if layout.headers), likely[0])
+    return None
 
 
 def _named_delimiter(lines: Sequence[str]) -> str | None:
@@ -95,14 +146,14 @@ def split_line(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> LineSplit | None:
-    """Return the lines cut by a delimiter; None where that gives no rows, of one or two cells if `narrow`."""
+def _layout(lines: Sequence[str], delimiter: str, *, narrow: bool) -> TextLayout | None:
+    """Return the layout of lines cut by a delimiter; None where that gives no rows of numbers.
+
+    Rows of one or two cells count only if `narrow`.
+    """
     if delimiter != BLANKS and sum(delimiter in line for line in lines) < min(_FEW_LINES, len(lines)):
         return None
-    ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
-    if ended:
-        lines = [line.rstrip("; \t") for line in lines]
-    rows = [split_line(line, delimiter) if line.strip() else [] for line in lines]
+    rows, ended = _cells(lines, delimiter)
     # Where commas part the cells, one within a cell stood in quotes.
     decimal = _decimal(rows)
     width, fitting = _narrow(rows, decimal) if narrow else _fitting(rows, decimal)
@@ -111,7 +162,40 @@ def _split(lines: Sequence[str], delimiter: str, *, narrow: bool) -> LineSplit |
     if width == 1:
         rows = list(map(_one_cell, rows))
     start = _start(fitting, len(lines))
-    return LineSplit(delimiter, decimal, rows, width, start, tuple(i for i in fitting if i >= start), ended)
+    chosen = [i for i in fitting if i >= start]
+    table = TextLayout(
+        delimiter=delimiter,
+        decimal=decimal,
+        width=width,
+        start=start,
+        rows=tuple(tuple(rows[i]) for i in chosen),
+        rate_hz=_stated_rate(lines[:start]),
+        quoted=any('"' in lines[i] for i in chosen),
+        prepare=_without_ends if ended else None,
+    )
+    return _with_header(table, lines, rows[:start])
+
+
+def _cells(lines: Sequence[str], delimiter: str) -> tuple[list[list[str]], bool]:
+    """Return the cells of lines, and whether a semicolon that parts none ends them, as MATLAB's matrices."""
+    ended = delimiter != ";" and sum(line.rstrip().endswith(";") for line in lines) > 0.5 * len(lines)
+    bare = [line.rstrip("; \t") for line in lines] if ended else lines
+    return [split_line(line, delimiter) if line.strip() else [] for line in bare], ended
+
+
+def _with_header(table: TextLayout, lines: Sequence[str], above: Sequence[list[str]]) -> TextLayout:
+    """Return a layout with what stands before its rows, in `lines`, which are the rows `above` when cut."""
+    line, headers, units = _find_header(table, above)
+    headers, mismatch = _fitted_names(headers, table)
+    preamble = tuple(text for text in lines[: table.start if line is None else line] if text.strip())
+    return replace(table, headers=tuple(headers), units=tuple(units), preamble=preamble, mismatch=mismatch)
+
+
+def _stated_rate(lines: Sequence[str]) -> float | None:
+    """Return the sampling rate that a preamble states, in Hz."""
+    match = _RATE.search("\n".join(lines))
+    rate = float(match["rate"] or match["plain"]) if match else 0.0
+    return (rate * 1000 if match and (match["kilo"] or match["kilos"]) else rate) or None
 
 
 def _one_cell(row: Sequence[str]) -> list[str]:
@@ -119,7 +203,7 @@ def _one_cell(row: Sequence[str]) -> list[str]:
     return [" ".join(row)] if row else []
 
 
-def without_ends(block: bytes) -> bytes:
+def _without_ends(block: bytes) -> bytes:
     """Return a block without the semicolons that end its lines."""
     return re.sub(rb"[; \t]+$", b"", block, flags=re.MULTILINE)
 
@@ -177,21 +261,22 @@ _UNIT_PART = re.compile(r"[\[(][^\])]*[\])]")
 _STAMP_FIRST = 6
 
 
-def find_header(split: LineSplit) -> tuple[int | None, list[str], list[str | None]]:
-    """Return the header's line, its names and the units of a row of units."""
+def _find_header(
+    table: TextLayout, above: Sequence[list[str]]
+) -> tuple[int | None, list[str], list[str | None]]:
+    """Return the header's line among the rows `above` a table, its names and the units of a row of units."""
     units: list[str | None] = []
-    for line in range(split.start - 1, -1, -1):
-        row = split.rows[line]
+    # The cells of a date, a time and AM or PM may have one name.
+    fewest = -max(1, _stamp_cells(table)[1] - 1)
+    for line in range(len(above) - 1, -1, -1):
+        row = above[line]
         row = row[1:] if row and row[0] in {"#", "%", "//"} else row
-        # The cells of a date, a time and AM or PM may have one name.
-        fewest = -max(1, _stamp_cells(split)[1] - 1)
-        if not fewest <= len(row) - split.width <= 1 or len(row) < min(2, split.width):
+        if not fewest <= len(row) - table.width <= 1 or len(row) < min(2, table.width):
             continue
         if not units and _is_row_of_units(row):
             units = [unit if is_unit(unit) else None for unit in (cell.strip("[]()") for cell in row)]
         elif any(re.search(r"[^\W\d_]", cell) for cell in row):
-            above = split.rows[line - 1] if line else []
-            return line, _two_rows(above, row), units
+            return line, _two_rows(above[line - 1] if line else [], row), units
     return None, [], units
 
 
@@ -221,103 +306,31 @@ def _two_rows(above: Sequence[str], row: list[str]) -> list[str]:
     return names
 
 
-def _stamp_cells(split: LineSplit) -> tuple[int, int]:
+def _stamp_cells(table: TextLayout) -> tuple[int, int]:
     """Return where the cells of one time start, and their number: blanks cut a date from its time."""
-    columns = [[split.rows[i][at] for i in split.fitting] for at in range(min(split.width, _STAMP_FIRST))]
+    columns = [[row[at] for row in table.rows] for at in range(min(table.width, _STAMP_FIRST))]
     kinds = [text_kind(cells) for cells in columns]
     for at in range(len(kinds) - 1):
-        if split.delimiter == BLANKS and kinds[at] == "date" and all(map(is_time_of_day, columns[at + 1])):
+        if table.delimiter == BLANKS and kinds[at] == "date" and all(map(is_time_of_day, columns[at + 1])):
             return at, 3 if kinds[at + 2 : at + 3] == ["half"] else 2
     return 0, 1
 
 
-def fitted_names(headers: list[str], split: LineSplit) -> tuple[list[str], int | None]:
+def _fitted_names(headers: list[str], table: TextLayout) -> tuple[list[str], int | None]:
     """Return as many names as cells, and the number of names where they don't fit."""
-    if not headers or len(headers) == split.width:
+    if not headers or len(headers) == table.width:
         return headers, None
-    at, cells = _stamp_cells(split)
-    named = cells - (split.width - len(headers))
+    at, cells = _stamp_cells(table)
+    named = cells - (table.width - len(headers))
     if 0 < named < cells:
         names = [*(["date"] if named == 1 else []), *headers[at : at + named], "am/pm"][:cells]
         return [*headers[:at], *names, *headers[at + named :]], None
-    if len(headers) == split.width + 1 and not headers[-1]:
+    if len(headers) == table.width + 1 and not headers[-1]:
         return headers[:-1], None
-    last_empty = all(not split.rows[i][-1] for i in split.fitting)
-    if len(headers) == split.width - 1 and last_empty:
+    last_empty = all(not row[-1] for row in table.rows)
+    if len(headers) == table.width - 1 and last_empty:
         return [*headers, ""], None
     return [], len(headers)
-
-
-#: Rows of a sensor: the index of a column, -1 for any, and the text its cells must hold; None for all rows.
-Rows: TypeAlias = tuple[int, str] | None
-
-#: A delimiter is a candidate where it gives this share of the best one's cells.
-_CLOSE = 0.5
-
-_RATE = re.compile(
-    r"(?:update|sampl\w*|output|data)[\s_]*(?:rate|freq\w*)[^0-9\n]{0,12}(?P<rate>\d+(?:\.\d+)?)\s*(?P<kilo>k?)hz\b"
-    r"|(?:^|[\s#\"])(?:fs|sampl\w*[\s_]*(?:rate|freq\w*)|update[\s_]*rate|rate_hz|frequency)(?:\s*[(\[]hz[)\]])?"
-    r"\s*[\"]?\s*[,;:=\t]\s*[\"]?(?P<plain>\d+(?:\.\d+)?)\s*(?P<kilos>(?:khz)?)",
-    re.IGNORECASE | re.MULTILINE,
-)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TextLayout:
-    """The layout of a text table.
-
-    Attributes
-    ----------
-    width
-        Cells of a row.
-    rows
-        The first rows of data, as cells without blanks around them.
-    headers, units
-        Names of the columns, and a row of units; each empty where there is none.
-    preamble
-        Lines before the header.
-    start
-        Lines before the first row of data.
-    delimiter
-        ``,`` ``;`` tab ``|``, or `BLANKS` for runs of blanks and tabs.
-    rate_hz
-        Sampling rate from the preamble.
-    mismatch
-        Cells of the header line where they don't fit the rows: names can't be told apart then.
-    tag
-        The rows that have this layout, where others stand between them.
-    prepare
-        Turns a block of lines into rows of plain cells, where they are none.
-    """
-
-    width: int
-    rows: tuple[tuple[str, ...], ...]
-    headers: tuple[str, ...] = ()
-    units: tuple[str | None, ...] = ()
-    preamble: tuple[str, ...] = ()
-    start: int = 0
-    delimiter: str = ","
-    decimal: str = "."
-    rate_hz: float | None = None
-    quoted: bool = False
-    mismatch: int | None = None
-    tag: Rows = None
-    prepare: Callable[[bytes], bytes] | None = None
-
-    def cells(self, index: int) -> list[str]:
-        """Return the first cells of a column, decimal point in place."""
-        cells = [row[index] for row in self.rows if index < len(row)]
-        return [cell.replace(",", ".") for cell in cells] if self.decimal == "," else cells
-
-
-def find_layout(lines: Sequence[str]) -> TextLayout | None:
-    """Return the layout of a table from its first lines; None where they hold no rows of numbers."""
-    splits = line_splits(lines)
-    if not splits:
-        return None
-    layouts = [_finish(lines, split) for split in splits if split.score >= _CLOSE * splits[0].score]
-    # Blanks within dates and names make more cells than there are names.
-    return next((layout for layout in layouts if layout.headers), layouts[0])
 
 
 def rows_of_tag(lines: Sequence[str], delimiter: str, rows: tuple[int, str]) -> list[str]:
@@ -329,27 +342,3 @@ def rows_of_tag(lines: Sequence[str], delimiter: str, rows: tuple[int, str]) -> 
         if tag in (cells if index < 0 else cells[index : index + 1]):
             found.append(line)
     return found
-
-
-def _finish(lines: Sequence[str], split: LineSplit) -> TextLayout:
-    line, headers, units = find_header(split)
-    before = lines[: line if line is not None else split.start]
-    headers, mismatch = fitted_names(headers, split)
-    match = _RATE.search("\n".join(lines[: split.start]))
-    rate = None
-    if match:
-        rate = float(match["rate"] or match["plain"]) * (1000 if match["kilo"] or match["kilos"] else 1)
-    return TextLayout(
-        delimiter=split.delimiter,
-        decimal=split.decimal,
-        width=split.width,
-        headers=tuple(headers),
-        units=tuple(units),
-        preamble=tuple(text for text in before if text.strip()),
-        start=split.start,
-        rows=tuple(tuple(split.rows[i]) for i in split.fitting),
-        rate_hz=rate if rate and rate > 0 else None,
-        quoted=any('"' in lines[i] for i in split.fitting),
-        mismatch=mismatch,
-        prepare=without_ends if split.ended else None,
-    )

@@ -110,23 +110,11 @@ _COUNTER_WORDS = _words(
 )
 _NOT_COUNTER = _words("id type rate satellites sats gps")
 
-#: Last words of a name -> the unit they spell.
-_UNIT_TAILS: dict[tuple[str, ...], str] = {
-    **{
-        (angle, *second): f"{angle}/s"
-        for angle in ("deg", "rad")
-        for second in (("s",), ("sec",), ("per", "s"), ("per", "sec"))
-    },
-    ("mrad", "s"): "mrad/s",
-    ("mdeg", "s"): "mdeg/s",
-    ("rad",): "rad/s",
-    **dict.fromkeys(
-        (("m", "s2"), ("m", "s", "2"), ("m", "s", "s"), ("m", "per", "s2"), ("m", "per", "sec2")), "m/s^2"
-    ),
-    **{(word,): word for word in _words("dps mdps rads radps degs degps mps2 ms2 mss")},
-    **{(word,): word for word in _words("g mg ug ns us ms s sec usec msec nsec")},
-    ("c",): "degC",
-    ("degc",): "degC",
+#: Last word of a name -> the unit it spells, beside those of samples.
+_UNIT_TAILS = {
+    **{word: word for word in _words("ns us ms s sec usec msec nsec degc")},
+    "rad": "rad/s",
+    "c": "degC",
 }
 
 
@@ -211,7 +199,9 @@ def _classify(
     """Return the role, the words left and the unit of a name whose axis stood before word number `place`."""
     if unit is None:
         for size in (3, 2, 1):
-            spelled = _UNIT_TAILS.get(tuple(words[-size:])) if len(words) > size else None
+            tail = " ".join(words[-size:]) if len(words) > size else ""
+            sample = parse_sample_unit(tail) if tail else None
+            spelled = sample[1] if sample else _UNIT_TAILS.get(tail)
             if spelled is None:
                 continue
             role = _role(words[:-size], axis, omega=omega)

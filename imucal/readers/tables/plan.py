@@ -16,6 +16,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.scales import UnitGuess, median_size
 from imucal.readers.tables.columns import (
     Cells,
     ColumnsError,
@@ -37,7 +38,6 @@ from imucal.readers.tables.dates import is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.names import NamedColumn, Role, is_of_something_else, parse_column, plain_name
-from imucal.readers.tables.scales import median_size
 from imucal.readers.tables.stamps import TimeChoice, choose_times, named_time, time_of_columns
 from imucal.recording import AXES, Sensor
 from imucal.units import G0
@@ -67,11 +67,15 @@ _NARROW = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorPlan:
-    """The columns of one sensor: its axes, its stamps, and beside them the time of recording."""
+    """The columns of one sensor: its axes, its stamps, and beside them the time of recording.
+
+    `stated` is the unit of its samples that the header or the dialect says; None where neither does.
+    """
 
     triad: Triad
     time: TimeChoice | None
     log_time: TimeChoice | None = None
+    stated: UnitGuess | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,8 +170,18 @@ def _plan(
     if dialect is not None:
         decisions.append(("layout", f"{dialect.name}, from the column names"))
     return TablePlan(
-        sensors=tuple(sensors), temperature=temperature, dialect=dialect, decisions=tuple(decisions)
+        sensors=tuple(replace(plan, stated=_stated_unit(plan.triad, dialect)) for plan in sensors),
+        temperature=temperature,
+        dialect=dialect,
+        decisions=tuple(decisions),
     )
+
+
+def _stated_unit(triad: Triad, dialect: Dialect | None) -> UnitGuess | None:
+    if triad.unit is not None:
+        return UnitGuess(unit=triad.unit, reason="from the column header")
+    usual = dialect.unit_of(triad.sensor) if dialect is not None else None
+    return UnitGuess(unit=usual, reason=f"as {dialect.name} logs it") if dialect and usual else None
 
 
 def _sensors(table: NamedTable, options: ReadOptions, name: str) -> tuple[Triad | None, Triad | None, str]:

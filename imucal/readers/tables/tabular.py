@@ -11,18 +11,19 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
-from imucal.readers.clocks import ClockReading, clock_from_stamps
+from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.scales import Unscaled
 from imucal.readers.store import Room, count, extremes
 from imucal.readers.tables.plan import SensorPlan
-from imucal.readers.tables.scales import Unscaled, Work, find_scales
 from imucal.readers.tables.stamps import (
     Numbers,
     TimeChoice,
@@ -56,7 +57,8 @@ class SensorColumns:
     """The columns of one sensor, as read, shape (n,) each.
 
     The axes are in the unit of the log; `time` and `log_time` are the columns of the plan's times, empty
-    where there are none. Of a `sparse` sensor the rows without any value belong to other sensors.
+    where there are none. Of a `sparse` sensor the rows without any value belong to other sensors; where some
+    rows were left out, `rows_left` tells which from others.
     """
 
     plan: SensorPlan
@@ -65,25 +67,24 @@ class SensorColumns:
     log_time: Sequence[Numbers] = ()
     temperature: FloatArray | None = None
     sparse: bool = False
+    rows_left: bytes = b""
 
-    def rows(self, chosen: BoolArray | IntArray, room: Room) -> "SensorColumns":
-        """Return some rows of the columns: those where `chosen` is true, or at the places that it names."""
+    def rows(self, keep: BoolArray, room: Room) -> "SensorColumns":
+        """Return the rows of the columns where `keep` is true."""
 
-        def some(column: Any) -> Any:  # noqa: ANN401 - of integers or of floats
-            if chosen.dtype == np.bool_:
-                return room.chosen(column, cast("BoolArray", chosen))
-            return room.taken(column, cast("IntArray", chosen))
+        def kept(columns: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+            return [room.chosen(column, keep) for column in columns]
 
         return replace(
             self,
-            axes=[some(axis) for axis in self.axes],
-            time=[some(column) for column in self.time],
-            log_time=[some(column) for column in self.log_time],
-            temperature=some(self.temperature) if self.temperature is not None else None,
+            axes=kept(self.axes),
+            time=kept(self.time),
+            log_time=kept(self.log_time),
+            temperature=room.chosen(self.temperature, keep) if self.temperature is not None else None,
         )
 
 
-def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
+def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
     """Return the clock of a sensor's samples from the columns of its times, or from a counter and a rate.
 
     Raises
@@ -96,10 +97,11 @@ def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
     plan, sensor = columns.plan, columns.plan.triad.sensor
     if plan.time is None or (plan.time.kind == "counter" and work.options.time_unit is None):
         return _counted_clock(work, columns)
-    if not _tells_time(work, plan.time, columns):
-        return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
+    _refuse_unit(work, plan.time, sensor)
     source = f"column {plan.time.name}"
     stamps = _stamps(work, plan.time, columns.time, sensor)
+    if stamps is None:
+        return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
     log = columns.log_time
     log_ns = _stamps(work, plan.log_time, log, sensor) if plan.log_time and log else None
     # A device's clock may start at zero, which is a stamp like any other.
@@ -124,16 +126,12 @@ def table_clock(work: Work, columns: SensorColumns) -> ClockReading:
     return reading
 
 
-def _sent_twice(work: Work, stamps: IntArray, columns: SensorColumns) -> BoolArray | None:
+def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns) -> BoolArray | None:
     """Return which samples are the one before, sent again; None where there are none."""
-    rows = blocks(stamps.size - 1, stamps)
-    if not any(bool((stamps[part.start + 1 : part.stop + 1] == stamps[part]).any()) for part in rows):
-        return None
-    sources: tuple[Numbers, ...] = (stamps, *columns.axes)
-    same = work.room.made(stamps.size, np.bool_, lambda part: _repeats(sources, part), *sources)
-    share = count(same) / same.size
+    same = repeats(stamps, columns.axes, work.room)
+    share = count(same) / same.size if same is not None else 0.0
     if share <= _SENT_TWICE:
-        return same if share else None
+        return same
     sensor = columns.plan.triad.sensor
     text = (
         f"{share:.0%} of the rows of the {sensor} repeat the stamp and the values of the row before: "
@@ -146,22 +144,12 @@ def _sent_twice(work: Work, stamps: IntArray, columns: SensorColumns) -> BoolArr
     return None
 
 
-def _repeats(columns: Sequence[Numbers], part: slice) -> BoolArray:
-    """Return which rows of a block have the values of the row before in all columns; the first has none."""
-    same = np.ones(part.stop - part.start, dtype=np.bool_)
-    first = max(part.start, 1)
-    same[: first - part.start] = False
-    for column in columns:
-        same[first - part.start :] &= column[first : part.stop] == column[first - 1 : part.stop - 1]
-    return same
-
-
 def _time_words(time: TimeChoice) -> str:
     words = {"pair": "seconds + nanoseconds", "week": "GPS week and time of week", "text": "date and time"}
     return words.get(time.kind, "stamps") + (", read as month, day, year" if time.open_date else "")
 
 
-def _compare_rates(work: Work, measured: float) -> None:
+def _compare_rates(work: RecordingBuilder, measured: float) -> None:
     stated = work.rate_hz
     if stated is not None and work.options.rate_hz is None and abs(measured / stated - 1) > 0.02:
         text = f"The log states {stated:g} Hz, its stamps give {measured:.6g} Hz; the stamps are used."
@@ -171,8 +159,10 @@ def _compare_rates(work: Work, measured: float) -> None:
             work.findings.append(finding)
 
 
-def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor) -> IntArray:
-    """Return the stamps of a time in ns."""
+def _stamps(
+    work: RecordingBuilder, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor
+) -> IntArray | None:
+    """Return the stamps of a time in ns; None of a count that has the given rate in no unit."""
     room = work.room
     if time.kind == "text":
         return text_stamps(cast("Sequence[IntArray]", columns), room)
@@ -180,9 +170,10 @@ def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Se
         return pair_stamps(columns[0], columns[1], room)
     if time.kind == "date":
         return date_stamps(columns, room)
+    values = columns[-1]
     if time.kind == "week":
-        return week_stamps(columns[0], columns[1], _ns_per_count(work, time, columns[1], sensor), room)
-    values = columns[0]
+        ns = _ns_per_count(work, time, values, sensor)
+        return week_stamps(columns[0], values, ns, room) if ns else None
     if values.dtype.kind == "i":
         values, wraps = unwrapped(cast("IntArray", values), room)
         if wraps:
@@ -191,14 +182,12 @@ def _stamps(work: Work, time: TimeChoice, columns: Sequence[Numbers], sensor: Se
                 "it was put in order."
             )
             work.findings.append(Finding(level="info", code="wrapped", text=text))
-    return to_ns(values, _ns_per_count(work, time, values, sensor), room)
+    ns = _ns_per_count(work, time, values, sensor)
+    return to_ns(values, ns, room) if ns else None
 
 
-def _tells_time(work: Work, time: TimeChoice, columns: SensorColumns) -> bool:
-    """Return whether a time gives stamps: a count that has the given rate in no unit doesn't.
-
-    A given unit makes stamps of any count; a ChoiceError where the time can have none.
-    """
+def _refuse_unit(work: RecordingBuilder, time: TimeChoice, sensor: Sensor) -> None:
+    """Refuse a given unit of the time that is none, or of a time that has none, with a ChoiceError."""
     given = work.options.time_unit
     if given is not None and given not in TIME_UNITS_NS:
         known = ", ".join(TIME_UNITS_NS)
@@ -206,22 +195,10 @@ def _tells_time(work: Work, time: TimeChoice, columns: SensorColumns) -> bool:
         raise ChoiceError(msg)
     if given is not None and time.kind not in {"stamp", "week", "counter"}:
         msg = (
-            f"{work.path}: the time unit {given} is given, but the {columns.plan.triad.sensor} has the time "
+            f"{work.path}: the time unit {given} is given, but the {sensor} has the time "
             f"{time.name}, {_time_words(time)}; expected no unit, or another time column"
         )
         raise ChoiceError(msg)
-    rate = work.options.rate_hz
-    if given is not None or time.kind != "stamp" or time.ns is not None or rate is None:
-        return True
-    values = columns.time[0]
-    if infer_time_unit(values)[0] or _unit_of_rate(values, rate) or _counts_samples(values):
-        return True
-    text = (
-        f"Column {time.name} goes on by {typical_step(values):g} a row, which is {rate:g} Hz in no unit; "
-        "it was left out, so that gaps are not seen."
-    )
-    work.findings.append(Finding(level="warning", code="time-unused", text=text))
-    return False
 
 
 def _unit_of_rate(values: Numbers, rate_hz: float) -> str | None:
@@ -229,12 +206,11 @@ def _unit_of_rate(values: Numbers, rate_hz: float) -> str | None:
     return next((unit for unit, rate in rates.items() if abs(rate / rate_hz - 1) <= _AS_GIVEN), None)
 
 
-def _counts_samples(values: Numbers) -> bool:
-    return values.dtype.kind == "i" and typical_step(values) == 1
+def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
+    """Return ns per count: as given, as the log says, as the given rate has it, or as steps show.
 
-
-def _ns_per_count(work: Work, time: TimeChoice, values: Numbers, sensor: Sensor) -> int:
-    """Return ns per count: as given, as the log says, as the given rate has it, or as steps show."""
+    None where the counts have the given rate in no unit; a ChoiceError where their unit is open.
+    """
     rate = work.options.rate_hz
     unit, how = work.options.time_unit, "as given"
     if unit is None and time.ns is not None:
@@ -250,9 +226,16 @@ def _ns_per_count(work: Work, time: TimeChoice, values: Numbers, sensor: Sensor)
     if unit is not None:
         work.decide("time unit", f"{unit} for {time.name}, {how}")
         return TIME_UNITS_NS[unit]
-    if rate is not None and _counts_samples(values):
+    if rate is not None and values.dtype.kind == "i" and typical_step(values) == 1:
         work.decide("time unit", f"{time.name} counts samples at the given rate")
         return max(1, round(_SECOND / rate))
+    if rate is not None:
+        text = (
+            f"Column {time.name} goes on by {typical_step(values):g} a row, which is {rate:g} Hz in no unit; "
+            "it was left out, so that gaps are not seen."
+        )
+        work.findings.append(Finding(level="warning", code="time-unused", text=text))
+        return None
     raise _open_unit(work.path, time, values, fits, sensor)
 
 
@@ -281,7 +264,7 @@ def _open_unit(
     return ChoiceError(f"{found}, which is {shown}; give the time unit{in_header} or give the sampling rate")
 
 
-def _counted_clock(work: Work, columns: SensorColumns) -> ClockReading:
+def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
     """Return the clock of samples that have no stamps: by their counter and a rate, or by a rate alone."""
     plan, n = columns.plan, columns.axes[0].size
     rate, source = work.options.rate_hz, "given rate"
@@ -321,8 +304,8 @@ def _counted_clock(work: Work, columns: SensorColumns) -> ClockReading:
     return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
 
 
-#: Time and rows of a sensor -> its clock and the samples to keep: two sensors of one table share them.
-_Clocks: TypeAlias = dict[tuple[Any, ...], tuple[Clock, IntArray | None]]
+#: Time and rows of a sensor -> its clock: two sensors of one table share them.
+_Clocks: TypeAlias = dict[tuple[Any, ...], ClockReading]
 
 #: Temperatures in which electronics work, in degrees Celsius; others are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
@@ -330,8 +313,8 @@ _TEMPERATURES = (-80.0, 200.0)
 _LOOKED_AT = 1_000_000
 
 
-def assemble(work: Work, sensors: Sequence[SensorColumns], form: str, topics: Sequence[str]) -> Recording:
-    """Put the recording of a gyroscope, an accelerometer, or both together; `form` is what the log is.
+def assemble(work: RecordingBuilder, sensors: Sequence[SensorColumns], topics: Sequence[str]) -> Recording:
+    """Put the recording of a gyroscope, an accelerometer, or both together.
 
     Raises
     ------
@@ -341,18 +324,27 @@ def assemble(work: Work, sensors: Sequence[SensorColumns], form: str, topics: Se
         If there are no samples, or no rate.
     """
     clocks: _Clocks = {}
-    timed = [_timed(work, columns, clocks) for columns in sensors]
-    scales = find_scales(work, timed)
-    builder = RecordingBuilder(
-        path=work.path, format=form, decisions=work.decisions, findings=work.findings, room=work.room
+    kept = [_of_sensor(work, columns) for columns in sensors]
+    readings = [_clock(work, columns, clocks) for columns in kept]
+    both = list(zip(kept, readings, strict=True))
+    work.add(
+        [
+            Unscaled(
+                sensor=columns.plan.triad.sensor,
+                rows=columns.axes,
+                clock=reading.clock,
+                order=reading.order,
+                axes=columns.plan.triad.axes,
+                stated=columns.plan.stated,
+            )
+            for columns, reading in both
+        ]
     )
-    for entry in timed:
-        triad = entry.triad
-        builder.add_sensor(
-            triad.sensor, entry.axes, entry.clock, scale=scales[triad.sensor], names=triad.axes
-        )
-    _add_temperature(builder, work, timed)
-    return builder.build(topics=topics)
+    for columns, reading in both:
+        if columns.temperature is not None:
+            _add_temperature(work, columns.temperature, reading)
+            break
+    return work.build(topics=topics)
 
 
 def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
@@ -397,33 +389,25 @@ def of_a_part(contents: LogContents, count: int | None = None) -> LogContents:
     return replace(contents, topics=topics, duration_s=None)
 
 
-def _timed(work: Work, columns: SensorColumns, clocks: _Clocks) -> Unscaled:
-    """Drop rows that are none of the sensor's, and read its clock."""
-    triad = columns.plan.triad
-    keep = _rows_of_sensor(work, columns)
-    if keep is not None:
-        columns = columns.rows(keep, work.room)
-    n = columns.axes[0].size
+def _clock(work: RecordingBuilder, columns: SensorColumns, clocks: _Clocks) -> ClockReading:
+    """Return the clock of a sensor, or that of another which has its time and its rows."""
+    plan, n = columns.plan, columns.axes[0].size
     if not n:
-        names = ", ".join(triad.headers)
+        names = ", ".join(plan.triad.headers)
         msg = (
-            f"{work.path}: the columns of the {triad.sensor} ({names}) hold no samples; "
+            f"{work.path}: the columns of the {plan.triad.sensor} ({names}) hold no samples; "
             "expected a row per sample"
         )
         raise DataError(msg)
-    key = (columns.plan.time, triad.rows, None if keep is None else blake2b(keep.data).digest(), n)
+    key = (plan.time, plan.triad.rows, columns.rows_left, n)
     if key not in clocks:
-        reading = table_clock(work, columns)
-        work.findings.extend(reading.findings)
-        clocks[key] = (reading.clock, reading.order)
-    clock, order = clocks[key]
-    if order is not None:
-        columns = columns.rows(order, work.room)
-    return Unscaled(triad=triad, axes=columns.axes, temperature=columns.temperature, clock=clock)
+        clocks[key] = table_clock(work, columns)
+        work.findings.extend(clocks[key].findings)
+    return clocks[key]
 
 
-def _rows_of_sensor(work: Work, columns: SensorColumns) -> BoolArray | None:
-    """Return which rows are samples of the sensor; None where all are."""
+def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
+    """Return the columns of a sensor without the rows that are none of its samples."""
     room, n = work.room, columns.axes[0].size
     axes, keep = columns.axes, None
     if columns.sparse:
@@ -436,7 +420,9 @@ def _rows_of_sensor(work: Work, columns: SensorColumns) -> BoolArray | None:
             if lost:
                 text = f"{lost} rows have no finite time; they were dropped."
                 work.findings.append(Finding(level="warning", code="bad-rows", text=text))
-    return None if keep is None or count(keep) == n else keep
+    if keep is None or count(keep) == n:
+        return columns
+    return replace(columns.rows(keep, room), rows_left=blake2b(keep.data).digest())
 
 
 def _finite(column: Numbers, among: BoolArray | None, part: slice) -> BoolArray:
@@ -445,16 +431,12 @@ def _finite(column: Numbers, among: BoolArray | None, part: slice) -> BoolArray:
     return finite if among is None else finite & among[part]
 
 
-def _add_temperature(builder: RecordingBuilder, work: Work, timed: Sequence[Unscaled]) -> None:
-    for entry in timed:
-        if entry.temperature is None:
-            continue
-        values = np.asarray(entry.temperature, dtype=np.float64)
-        some = values[:: max(1, values.size // _LOOKED_AT)]
-        finite = some[np.isfinite(some)]
-        usual = float(np.median(finite)) if finite.size else None
-        if usual is not None and _TEMPERATURES[0] <= usual <= _TEMPERATURES[1]:
-            builder.add_temperature(values, entry.clock)
-        elif usual is not None:
-            work.decide("temperature", f"left out: a median of {usual:.4g} is not in degrees Celsius")
-        return
+def _add_temperature(work: RecordingBuilder, column: FloatArray, reading: ClockReading) -> None:
+    values = np.asarray(column, dtype=np.float64)
+    some = values[:: max(1, values.size // _LOOKED_AT)]
+    finite = some[np.isfinite(some)]
+    usual = float(np.median(finite)) if finite.size else None
+    if usual is not None and _TEMPERATURES[0] <= usual <= _TEMPERATURES[1]:
+        work.add_temperature(values, reading.clock, order=reading.order)
+    elif usual is not None:
+        work.decide("temperature", f"left out: a median of {usual:.4g} is not in degrees Celsius")

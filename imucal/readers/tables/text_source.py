@@ -8,7 +8,6 @@ import bz2
 import codecs
 import gzip
 import hashlib
-import io
 import lzma
 import sys
 import zlib
@@ -49,8 +48,6 @@ _CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
 _HEAD = 1 << 18
 #: Bytes of text parsed at once: large enough for the parser, small enough for memory.
 _BLOCK = 2 << 20
-#: Bytes before the end of a block in which its last line is looked for first.
-_TAIL = 1 << 12
 #: A line longer than this is no row of a table.
 _LONGEST_LINE = 1 << 20
 #: Bytes of a zstd stream unpacked at once; each may hold blocks of 128 KiB in 4 bytes.
@@ -128,22 +125,17 @@ class CountedStream:
         return self._machine.hexdigest()
 
 
-class _Joined(io.RawIOBase):
+class _Joined:
     """A stream with the bytes already read put back in front."""
 
     def __init__(self, start: bytes, rest: BinaryIO) -> None:
         self._start = start
         self._rest = rest
 
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: object) -> int:
-        view = memoryview(cast("bytearray", buffer)).cast("B")
-        data = self._start[: len(view)] or self._rest.read(len(view))
-        self._start = self._start[len(data) :]
-        view[: len(data)] = data
-        return len(data)
+    def read(self, size: int) -> bytes:
+        """Return up to `size` bytes, none at the end."""
+        data, self._start = self._start[:size], self._start[size:]
+        return data or self._rest.read(size)
 
 
 class _Zstd:
@@ -242,9 +234,6 @@ class TextSource:
         wide = self.encoding.startswith("utf-16")
         self._decode = codecs.getincrementaldecoder(self.encoding)() if wide else None
         text = head.removeprefix(codecs.BOM_UTF8)
-        # Where the text begins in a plain file, whose blocks can be read one by one.
-        exact = plain and not wide and b"\r" not in text and isinstance(raw, io.FileIO)
-        self._exact = len(head) - len(text) if exact else None
         text = self._plain(text)
         self._return_only = b"\r" in text and b"\n" not in text
         self._start = self._line_ends(text)
@@ -283,16 +272,7 @@ class TextSource:
         ReadError
             If a line is longer than any row of a table.
         """
-        start, self._start = self._start, b""
-        exact = self._exact is not None and not self._ended
-        for block in self._exact_blocks(start) if exact else self._joined_blocks(start):
-            self.passed += len(block)
-            if self._most is not None and self.passed > self._most:
-                raise LongerError
-            yield block
-
-    def _joined_blocks(self, rest: bytes) -> Iterator[bytes]:
-        """Yield the blocks of a stream: the rest of the one before and the whole lines of what comes next."""
+        rest, self._start = self._start, b""
         while True:
             data = b"" if self._ended else self._line_ends(self._plain(self._read(_BLOCK)))
             cut = len(data) if self._ended else data.rfind(b"\n") + 1
@@ -300,48 +280,16 @@ class TextSource:
             block = b"".join((rest, memoryview(data)[:cut])) if cut or self._ended else b""
             rest = data[cut:] if block or not rest else rest + data
             if len(rest) > _LONGEST_LINE:
-                raise self._too_long()
+                msg = f"{self.name}: a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
+                raise ReadError(msg)
             self._report()
+            self.passed += len(block)
+            if self._most is not None and self.passed > self._most:
+                raise LongerError
             if block:
                 yield block
             if self._ended:
                 return
-
-    def _exact_blocks(self, head: bytes) -> Iterator[bytes]:
-        """Yield the blocks of a plain file, each read where it ends: nothing is copied to join them."""
-        cut = head.rfind(b"\n") + 1
-        place = (self._exact or 0) + cut
-        if cut:
-            yield head[:cut]
-        size = self._raw.seek(0, io.SEEK_END)
-        while place < size:
-            stop = min(place + _BLOCK, size)
-            if stop < size:
-                stop = self._line_end(place, stop)
-            self._raw.seek(place)
-            block = read_fully(self._raw, stop - place)
-            if not block:
-                return
-            place += len(block)
-            self._report()
-            yield self._line_ends(block)
-
-    def _line_end(self, start: int, stop: int) -> int:
-        """Return the end of the last line that ends between two places."""
-        back = _TAIL
-        while True:
-            first = max(start, stop - back)
-            self._raw.seek(first)
-            end = read_fully(self._raw, stop - first).rfind(b"\n")
-            if end >= 0:
-                return first + end + 1
-            if first == start or back > _LONGEST_LINE:
-                raise self._too_long()
-            back *= 16
-
-    def _too_long(self) -> ReadError:
-        msg = f"{self.name}: a line of more than {_LONGEST_LINE} bytes; expected rows of a table"
-        return ReadError(msg)
 
     def _read(self, size: int) -> bytes:
         """Return up to `size` bytes of the unpacked stream; a cut stream ends, with a finding."""

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError
 from imucal.findings import Finding
+from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.read_options import ReadOptions
@@ -44,7 +45,6 @@ from imucal.readers.tables.layout import (
 )
 from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan, propose
-from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import TimeChoice
 from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
@@ -368,7 +368,10 @@ def read_table(
     keep_freed_memory()
     layout, plan = plan_of_head(source, options, name)
     groups = _by_rows(plan, stamps)
-    readers = [_reader(source, layout, group, plan.temperature, options) for group in groups]
+    expected = 0 if head else source.expected_rows
+    readers = [
+        _reader(source, layout, group, plan.temperature, options, expected=expected) for group in groups
+    ]
     blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
     cut = _read_blocks(blocks, layout, readers)
     if options.strict and source.findings:
@@ -391,15 +394,15 @@ def read_table(
     if not sensors:
         msg = f"{source.name}: the table has no rows of its sensors; expected a row per sample"
         raise DataError(msg)
-    work = Work(
+    work = RecordingBuilder(
         path=source.name,
+        format="csv",
         options=options,
-        dialect=plan.dialect,
         rate_hz=layout.rate_hz,
         decisions=[*plan.decisions],
         findings=[*source.findings, *findings, *plan.findings],
     )
-    return assemble(work, sensors, "csv", plan.topics)
+    return assemble(work, sensors, plan.topics)
 
 
 def _by_rows(plan: TablePlan, stamps: ExternalTime | None) -> list[list[SensorPlan]]:
@@ -435,6 +438,8 @@ def _reader(
     sensors: Sequence[SensorPlan],
     temperature: int | None,
     options: ReadOptions,
+    *,
+    expected: int,
 ) -> BlockReader:
     rows = sensors[0].triad.rows or layout.tag
     layout = _of_rows(source.head, layout, rows)
@@ -457,7 +462,7 @@ def _reader(
         needed=needed,
         rows=rows,
         limit=limit,
-        expected=source.expected_rows,
+        expected=expected,
         by_day=any(time.by_day for time in times),
     )
 

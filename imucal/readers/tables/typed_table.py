@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.errors import ChoiceError, ImucalError, ReadError
+from imucal.readers.builder import RecordingBuilder
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.isolation import isolated
 from imucal.readers.read_options import ReadOptions
@@ -32,7 +33,6 @@ from imucal.readers.tables.foreign_files import (
     unpacks_to_more,
 )
 from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
-from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import Numbers, TimeChoice
 from imucal.readers.tables.tabular import SensorColumns, assemble, contents_of, of_a_part, refuse_topics
 from imucal.recording import Recording, Sensor
@@ -271,17 +271,17 @@ def read(path: Path, options: ReadOptions) -> Recording:
 def _read(path: Path, table: TableFile, parts: Sequence[_Part], options: ReadOptions) -> Recording:
     plans = [part.plan for part in parts]
     found = {sensor.triad.sensor.short for plan in plans for sensor in plan.sensors}
-    work = Work(
+    work = RecordingBuilder(
         path=str(path),
+        format=table.format,
         options=options,
-        dialect=next((plan.dialect for plan in plans if plan.dialect), None),
         rate_hz=table.rate_hz,
         decisions=[*dict.fromkeys(decision for plan in plans for decision in plan.decisions)],
         # What one table lacks another may hold.
         findings=[finding for plan in plans for finding in plan.findings if finding.axis not in found],
     )
     sensors = [_columns(part, sensor, options) for part in parts for sensor in part.plan.sensors]
-    return assemble(work, sensors, table.format, [topic for plan in plans for topic in plan.topics])
+    return assemble(work, sensors, [topic for plan in plans for topic in plan.topics])
 
 
 def describe(path: Path, options: ReadOptions) -> LogContents:

@@ -8,7 +8,7 @@ floors: vibration dominates in flight.
 from collections.abc import Callable, Iterable
 
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.target import Body, Entry, Key, Target, at_period, comment, decimal, entries, four
+from imucal.report.exports.target import Entry, Key, KeyedBody, Target, at_period, comment, decimal, four
 
 #: Period of EKF2's prediction, in s (EKF2_PREDICT_US = 10000).
 _PX4_S = 0.01
@@ -31,21 +31,15 @@ _DOCUMENTED = {
 _FLOORS = "numbers at rest are floors: in flight, vibration dominates; raise them to what the logs show"
 
 
-def _body(
-    keys: tuple[Key, ...], autopilot: str, rows: Callable[[list[Entry]], list[str]]
-) -> Callable[[Numbers], Body]:
+def _body(keys: tuple[Key, ...], autopilot: str, rows: Callable[[list[Entry]], list[str]]) -> KeyedBody:
     """Return the body of a parameter file: where each number is from, what is out of range, the rows."""
 
-    def body(numbers: Numbers) -> Body:
-        found = sorted(entries(numbers, keys))
+    def text(_: Numbers, found: list[Entry]) -> list[str]:
+        found = sorted(found)
         said = comment(f"{entry.name}: {entry.number.note}" for entry in found)
-        return [entry.number for entry in found], [
-            *said,
-            *comment(_out_of_range(found, autopilot)),
-            *rows(found),
-        ]
+        return [*said, *comment(_out_of_range(found, autopilot)), *rows(found)]
 
-    return body
+    return KeyedBody(keys, text)
 
 
 def _out_of_range(found: Iterable[Entry], autopilot: str) -> list[str]:

@@ -293,13 +293,15 @@ class Numbers:
     def of(self, axis: AxisReport, symbol: str) -> Number:
         """Return one axis's coefficient of N, B or K, or its upper bound."""
         estimate = axis.fit[symbol]
-        bounded, factor = estimate.value is None, self.choices.factor(symbol)
+        # A model that was given is without the terms that it lacks, not uncertain of them.
+        bounded, factor = estimate.value is None and estimate.high > 0, self.choices.factor(symbol)
         if bounded and self.choices.unidentified == "refuse":
             raise self._refused(axis, estimate)
-        coefficient = estimate.high if estimate.value is None else estimate.value
+        value = factor * (estimate.high if estimate.value is None else estimate.value)
+        covered = self.covers and symbol in COVERING
         return Number(
             symbol=symbol,
-            value=self._positive(coefficient * factor, symbol, axis.name),
+            value=value if covered else self._positive(value, symbol, axis.name),
             axes=(axis.name,),
             bounded=(axis.name,) if bounded else (),
             level=axis.fit.level,
@@ -411,7 +413,7 @@ class Numbers:
             return value
         msg = (
             f"{self.report.source.path}: {name}: {symbol} is {value}, "
-            f"but {self.target} needs a positive number; choose another axis or fit again"
+            f"but {self.target} needs a positive number; choose another axis, or a model that has it"
         )
         raise DataError(msg)
 

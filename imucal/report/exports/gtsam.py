@@ -8,7 +8,7 @@ exists: the bias's own uncertainty is the estimator's to carry.
 
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import Numbers
-from imucal.report.exports.target import DENSITY_SQUARED, Body, Target, entries, four, lines, real
+from imucal.report.exports.target import DENSITY_SQUARED, Entry, KeyedBody, Target, four, lines, real
 from imucal.units import G0
 
 #: Covariance of the integration itself: GTSAM's own default of 1 would drown the sensor's.
@@ -32,9 +32,8 @@ _TAIL = """    params.setIntegrationCovariance(integrationCovariance * identity)
     return params"""
 
 
-def _body(numbers: Numbers) -> Body:
-    found = entries(numbers, _KEYS)
-    text = [
+def _text(numbers: Numbers, found: list[Entry]) -> list[str]:
+    return [
         "",
         "import gtsam",
         "import numpy as np",
@@ -46,7 +45,6 @@ def _body(numbers: Numbers) -> Body:
         *(f"    params.set{e.name[0].upper()}{e.name[1:]}({e.name} * identity)" for e in found),
         _TAIL,
     ]
-    return [entry.number for entry in found], text
 
 
 def _correlation_times(numbers: Numbers) -> list[str]:
@@ -70,7 +68,7 @@ TARGETS = (
         source="source: gtsam/navigation/PreintegrationCombinedParams.h; run: gtsam 4.2 and 4.3",
         kind="continuous-time covariances (densities squared), SI; GTSAM makes them discrete with dt",
         formulas=("covariance = N^2, bias covariance = K^2, each times the identity; no factor of the rate",),
-        body=_body,
+        body=KeyedBody(_KEYS, _text),
         carries="N K GM",
     ),
 )

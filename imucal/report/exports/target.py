@@ -158,6 +158,11 @@ class Target:
         carries = self.carries.split()
         return "B" not in carries and set(COVERING) <= set(carries)
 
+    @property
+    def keys(self) -> "tuple[Key, ...]":
+        """Its keys and their formulas, where a formula of one coefficient is all there is to each."""
+        return self.body.keys if isinstance(self.body, KeyedBody) else ()
+
     def is_called(self, name: str) -> bool:
         """Return whether this is its own name, whatever the case and the signs between letters."""
         return name_key(name) == name_key(self.name)
@@ -222,7 +227,8 @@ def _sensor_line(numbers: Numbers, sensor: Sensor) -> str:
     axis = numbers.axes(sensor)[0]
     given = any(finding.code == "rate-given" for finding in (*numbers.report.findings, *axis.findings))
     origin = "given by the user" if given else "measured"
-    return f"{sensor}: f = {numbers.rate_hz(sensor):.9g} Hz ({origin}), {axis.duration_s:.6g} s recorded"
+    recorded = f"{axis.duration_s:.6g} s recorded" if axis.samples else "nothing recorded"
+    return f"{sensor}: f = {numbers.rate_hz(sensor):.9g} Hz ({origin}), {recorded}"
 
 
 def _inflation(numbers: Numbers) -> str:
@@ -283,9 +289,10 @@ def itself(axes: Sequence[AxisReport]) -> str:
         found = [e for axis in axes for e in axis.fit.estimates if e.key == key]
         worst = max(found, key=lambda e: (e.value is not None, e.value or e.high))
         if worst.value is None:
-            said.append(f"{key} < {worst.high:.3g}")
+            said += [f"{key} < {worst.high:.3g}"] if worst.high else []
         else:
-            said.append(f"{key} {worst.value:.3g} ({worst.low:.3g} to {worst.high:.3g})")
+            limits = f" ({worst.low:.3g} to {worst.high:.3g})" if worst.low < worst.high else ""
+            said.append(f"{key} {worst.value:.3g}{limits}")
     return ", ".join(said)
 
 
@@ -344,6 +351,15 @@ class Formula:
 
     of: Callable[[float, float], float]
     unit: str
+
+    @property
+    def power(self) -> int:
+        """Power of the coefficient: 1, or 2 of variances."""
+        return round(math.log2(self.of(2.0, 1.0) / self.of(1.0, 1.0)))
+
+    def inverse(self, number: float, f: float) -> float:
+        """Return the coefficient that a positive number stands for."""
+        return float((number / self.of(1.0, f)) ** (1 / self.power))
 
 
 #: Continuous: c, and its square.
@@ -421,17 +437,29 @@ def lines(found: Iterable[Entry], layout: str = YAML_LINE) -> list[str]:
     return [layout.format(name=e.name, value=real(e.value), remark=e.remark) for e in found]
 
 
+@dataclass(frozen=True, slots=True)
+class KeyedBody:
+    """The body of a file of keys: the lines follow from their numbers."""
+
+    keys: tuple[Key, ...]
+    text: Callable[[Numbers, list[Entry]], Sequence[str]]
+
+    def __call__(self, numbers: Numbers) -> Body:
+        """Return the numbers of the keys, and the lines."""
+        found = entries(numbers, self.keys)
+        return [entry.number for entry in found], self.text(numbers, found)
+
+
 def keyed_body(
     keys: tuple[Key, ...], *, above: Lines = (), below: Lines = (), indent: str = "", layout: str = YAML_LINE
-) -> Callable[[Numbers], Body]:
+) -> KeyedBody:
     """Return the body of a file of keys: the lines above, the keys (see `lines`), the lines below."""
 
-    def body(numbers: Numbers) -> Body:
-        found = entries(numbers, keys)
+    def text(numbers: Numbers, found: list[Entry]) -> Sequence[str]:
         head, tail = (part(numbers) if callable(part) else part for part in (above, below))
-        return [entry.number for entry in found], [*head, *lines(found, indent + layout), *tail]
+        return [*head, *lines(found, indent + layout), *tail]
 
-    return body
+    return KeyedBody(keys, text)
 
 
 def stream_rate(key: str, remark: str = "Hz, of the") -> Callable[[Numbers], Sequence[str]]:

@@ -6,8 +6,9 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BLOCK, FloatArray, IntArray
 from imucal.errors import DataError
+from imucal.readers.clocks import repeats
 from imucal.readers.clocks.from_stamps import ClockReading, clock_from_stamps
 
 N = 20_000
@@ -305,3 +306,18 @@ def test_gaps_are_found_across_blocks() -> None:
     lost = [*range(65_530, 65_540), 131_072, 200_000]
     reading = read(np.delete(stamps, lost))
     assert [gap.missing for gap in reading.clock.gaps] == [10, 1, 1]
+
+
+def test_repeated_samples_have_the_stamp_and_all_values_of_the_one_before() -> None:
+    """In any block; a stamp of zero is none, and tells nothing."""
+    stamps = np.array([1, 1, 2, 2, 3, 3, 0, 0])
+    rows = np.array([[5.0, 5, 6, 6, 7, 7, 8, 8], [1.0, 1, 1, 2, 2, 2, 2, 2]])
+    found = repeats(stamps, rows)
+    assert found is not None
+    assert np.flatnonzero(found).tolist() == [1, 5]
+    assert repeats(stamps[1:5], rows[:, 1:5]) is None
+    long = np.arange(BLOCK + 3)
+    long[BLOCK] = long[BLOCK - 1]
+    again = repeats(long, [np.zeros(long.size)])
+    assert again is not None
+    assert np.flatnonzero(again).tolist() == [BLOCK]

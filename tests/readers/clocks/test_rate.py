@@ -159,11 +159,11 @@ def test_no_period(found: IntArray) -> None:
 
 def test_long_logs_are_looked_at_in_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """All samples up to a limit, beyond it some runs from the first to the last."""
-    monkeypatch.setattr(placing, "_RATE_BLOCK", 4)
-    monkeypatch.setattr(placing, "_BLOCKS", 3)
+    monkeypatch.setattr(placing, "_RUN", 4)
+    monkeypatch.setattr(placing, "_RUNS", 3)
     place = np.arange(13)
-    assert [block.tolist() for block in placing._blocks(place[:12])] == [[*range(12)]]
-    assert [block.tolist() for block in placing._blocks(place)] == [
+    assert [block.tolist() for block in placing._runs(place[:12])] == [[*range(12)]]
+    assert [block.tolist() for block in placing._runs(place)] == [
         [0, 1, 2, 3],
         [4, 5, 6, 7],
         [9, 10, 11, 12],

@@ -43,7 +43,7 @@ def test_definitions_and_messages_outside_chunks(held: Held) -> None:
     """Their places count from the first of them."""
     book = scanned(held, MESSAGES, DATA_END, FOOTER)
     assert lost(book) == 0
-    assert {key: found.topic for key, found in book.channels.items()} == {7: "/imu", 8: "/gps"}
+    assert {key: found.topic for key, (_, found) in book.channels.items()} == {7: "/imu", 8: "/gps"}
     assert [(found.id, found.name) for found in book.schemas.values()] == [(1, "a/B")]
     (part,) = book.loose
     assert (part.position, part.size, part.starts) == (START, len(MESSAGES), {7: [0, 64], 8: [33]})
@@ -54,7 +54,7 @@ def test_definitions_and_messages_outside_chunks(held: Held) -> None:
 def test_the_first_definition_of_a_number_stands(held: Held) -> None:
     """Writers repeat them; what differs later is damage."""
     book = scanned(held, channel(7, b"/other"), schema(1, b"c/D"), FOOTER)
-    assert book.channels[7].topic == "/imu"
+    assert book.channels[7][1].topic == "/imu"
     assert book.schemas[1].name == "a/B"
 
 
@@ -171,12 +171,12 @@ def test_a_damaged_chunk_does_not_hide_the_channels_of_the_next(held: Held) -> N
 
 
 def test_definitions_behind_the_data_are_taken(held: Held) -> None:
-    """The summary repeats them; it ends at the first record of another kind, or at a damaged one."""
+    """The summary repeats them, among records of other kinds; it ends at a damaged one."""
     more = channel(11, b"/late")
     for end, known in (
         (more, {7, 8, 11}),
         (more[:-1], {7, 8}),
-        (schema(2) + more + record(8, bytes(9)) + channel(12), {7, 8, 11}),
+        (schema(2) + more + record(8, bytes(9)) + channel(12), {7, 8, 11, 12}),
         (more + record(4, b"?") + channel(12), {7, 8, 11}),
         (more + bytes(9), {7, 8, 11}),
     ):

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.readers.containers import mcap_records, ros1_records
+from imucal.readers.containers import Channel, mcap_records, ros1_records
 from imucal.readers.containers.container import Batch, gather
 from imucal.readers.containers.ros2_bag import open_files
 from imucal.readers.containers.rosbag2_folder import natural, open_folder, parse_metadata
@@ -26,7 +26,7 @@ def test_a_schema_and_a_channel_of_an_mcap() -> None:
     with pytest.raises(DamagedError, match=r"^a schema record is damaged$"):
         mcap_records.schema(body[:-1])
     body = struct.pack("<HH", 7, 3) + text(b"/imu") + text(b"cdr")
-    assert mcap_records.channel(body) == mcap_records.ChannelRecord(7, 3, "/imu", "cdr")
+    assert mcap_records.channel(body) == (3, Channel(key=7, topic="/imu", type="", encoding="cdr"))
     with pytest.raises(DamagedError, match=r"^a channel record is damaged$"):
         mcap_records.channel(body[:3])
 
@@ -103,9 +103,16 @@ def test_a_field_has_a_name_and_all_its_bytes(broken: bytes) -> None:
 def test_a_connection() -> None:
     data = text(b"type=a/B") + text(b"message_definition=int8 x")
     found = {b"conn": struct.pack("<I", 258), b"topic": b"/imu"}
-    assert ros1_records.connection(found, data) == ros1_records.Connection(258, "/imu", "a/B", "int8 x")
+    assert ros1_records.connection(found, data) == Channel(
+        key=258,
+        topic="/imu",
+        type="a/B",
+        encoding="ros1",
+        definition="int8 x",
+        definition_kind="ros1msg",
+    )
     bare = ros1_records.connection({b"conn": bytes(4)}, b"")
-    assert bare == ros1_records.Connection(0, "", "", "")
+    assert bare == Channel(key=0, topic="", type="", encoding="ros1")
 
 
 def test_messages_lie_inside_their_chunk() -> None:

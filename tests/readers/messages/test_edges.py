@@ -63,8 +63,8 @@ def test_two_samples_tell_whether_a_sensor_has_data(n: int, alive: set[Sensor], 
     containers, _ = open_files(CONTAINERS["mcap-none"](tmp_path, truth))
     with closing(containers[0]):
         (topic,) = (topic for topic in find_topics(containers, options) if topic.imu is not None)
-        assert live_sensors(containers, topic, options) == alive
-        assert live_sensors(containers, replace(topic, imu=None), options) == frozenset()
+        assert live_sensors(containers, topic) == alive
+        assert live_sensors(containers, replace(topic, imu=None)) == frozenset()
 
 
 def channel(
@@ -137,11 +137,11 @@ def test_the_one_temperature_beside_an_imu_is_read(
     """In its own namespace; others may be those of other things, and an empty one says nothing."""
     seen: list[str] = []
 
-    def stream(topic: Topic) -> None:
+    def stream(topic: Topic, *_: object) -> None:
         seen.append(topic.name)
 
     none = SimpleNamespace(columns=SimpleNamespace(temperature=None, n=0))
-    monkeypatch.setattr(topic_streams, "_temperature_stream", stream)
+    monkeypatch.setattr(topic_streams, "stream_of", stream)
     monkeypatch.setattr(topic_streams, "decode", lambda *_: [none])
     found = [
         Topic(

@@ -349,7 +349,7 @@ def test_units_of_a_type_of_ones_own(tmp_path: Path) -> None:
     npt.assert_allclose(axes(recording)[:, :3], np.deg2rad(TRUTH.gyro), rtol=1e-15)
     npt.assert_array_equal(axes(recording)[:, 3:], TRUTH.accel * 0.5)
     with pytest.raises(
-        ChoiceError, match="the unit 'furlong' of the gyroscope is not known; expected one of"
+        ChoiceError, match="topic /imu/data: 'furlong' is no unit of the gyroscope; expected one of"
     ):
         read(path, gyro_unit="furlong")
 

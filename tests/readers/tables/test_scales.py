@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.readers.tables.scales import (
+from imucal.readers.scales import (
     _STEPS,
     _white_noise,
     converter_step,

@@ -7,10 +7,10 @@ import numpy.testing as npt
 import pytest
 
 from imucal.errors import ChoiceError
+from imucal.readers.builder import RecordingBuilder
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import Triad
 from imucal.readers.tables.plan import SensorPlan
-from imucal.readers.tables.scales import Work
 from imucal.readers.tables.stamps import Numbers, TimeChoice
 from imucal.readers.tables.tabular import SensorColumns, _compare_rates, _sent_twice, table_clock
 from imucal.recording import Sensor
@@ -20,8 +20,9 @@ COUNTER = TimeChoice(kind="counter", indices=(0,), name="seq")
 MS = TimeChoice(kind="stamp", indices=(0,), name="t", ns=1_000_000, ns_source="by hand")
 
 
-def work(rate_hz: float | None = None, given: float | None = None) -> Work:
-    return Work(path="log.csv", options=ReadOptions(rate_hz=given), dialect=None, rate_hz=rate_hz)
+def work(rate_hz: float | None = None, given: float | None = None) -> RecordingBuilder:
+    options = ReadOptions(rate_hz=given)
+    return RecordingBuilder(path="log.csv", format="csv", options=options, rate_hz=rate_hz)
 
 
 def columns(time: TimeChoice | None, values: Numbers, still: int = 0) -> SensorColumns:

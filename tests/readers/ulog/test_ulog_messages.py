@@ -19,7 +19,6 @@ from imucal.readers.ulog import (
     _listed,
     _log_findings,
     _refuse_options,
-    _scales,
     _timed,
     samples_of,
 )
@@ -217,22 +216,6 @@ def test_a_ulog_has_one_clock() -> None:
     )
     with pytest.raises(ChoiceError, match=r"time unit 'ms' was asked for; .* found none of an IMU"):
         _refuse_options(LOG, ReadOptions(time_unit="ms"), [])
-
-
-def test_samples_may_be_said_to_be_in_another_unit() -> None:
-    """By a unit of the sensor, or a scale in SI per count; nothing is scaled unasked."""
-    path = Path("log.ulg")
-    assert _scales(path, ReadOptions()) == {}
-    found = _scales(path, ReadOptions(gyro_unit="deg/s", accel_scale=0.5))
-    assert found == {
-        Sensor.GYROSCOPE: ("deg/s", pytest.approx(np.pi / 180)),
-        Sensor.ACCELEROMETER: ("0.5 m/s^2 per count", 0.5),
-    }
-    for wrong in ("g", "furlong"):
-        with pytest.raises(
-            ChoiceError, match=rf"^log.ulg: '{wrong}' is no unit of the gyroscope; expected one of"
-        ):
-            _scales(path, ReadOptions(gyro_unit=wrong))
 
 
 def test_both_sensors_of_a_message_have_their_own_fields() -> None:

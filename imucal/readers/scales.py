@@ -1,4 +1,4 @@
-"""The unit of a table's samples: as given, from the header, from the dialect, or inferred; and why.
+"""The unit of samples: as given, as the log states it, or inferred; and why.
 
 Gravity settles an accelerometer. Nothing settles a gyroscope as surely: its converter's step does where
 it can be seen; otherwise rad/s beside an accelerometer in m/s^2 is taken, with a warning, where noise
@@ -6,19 +6,16 @@ and rate are those of a real gyroscope.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.arrays import FloatArray
+from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Clock
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.store import Room
-from imucal.readers.tables.columns import Triad
-from imucal.readers.tables.dialects import Dialect
-from imucal.recording import Sensor
+from imucal.recording import AXES, Axis, Sensor
 from imucal.units import G0, SAMPLE_UNITS, parse_sample_unit
 
 #: Counts per g of 16 bit converters at 2, 4, 8 and 16 g.
@@ -50,106 +47,9 @@ _NOISIEST = 5e-3
 _SAMPLE = 20_000
 
 
-@dataclass(slots=True, kw_only=True)
-class Work:
-    """What is known while a recording is put together."""
-
-    path: str
-    options: ReadOptions
-    dialect: Dialect | None
-    rate_hz: float | None
-    decisions: list[tuple[str, str]] = field(default_factory=list)
-    findings: list[Finding] = field(default_factory=list)
-
-    @property
-    def room(self) -> Room:
-        """Where what becomes of the columns is held."""
-        return Room(self.options.memory_limit)
-
-    def decide(self, what: str, how: str) -> None:
-        if (what, how) not in self.decisions:
-            self.decisions.append((what, how))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Unscaled:
-    """A sensor's samples with their clock, still in the unit of the log: its axes, shape (n,) each."""
-
-    triad: Triad
-    axes: Sequence[FloatArray]
-    temperature: FloatArray | None
-    clock: Clock
-
-
-def find_scales(work: Work, timed: Sequence[Unscaled]) -> dict[Sensor, float]:
-    """Return SI per unit of the log for each sensor; the accelerometer first, as it tells of the other."""
-    scales: dict[Sensor, float] = {}
-    accel_unit: str | None = None
-    for entry in sorted(timed, key=lambda entry: entry.triad.sensor is Sensor.GYROSCOPE):
-        sensor = entry.triad.sensor
-        stated = _stated_scale(work, entry.triad)
-        unit, scales[sensor], reason = stated or _inferred_scale(work, entry, accel_unit)
-        if sensor is Sensor.ACCELEROMETER:
-            accel_unit = unit
-        work.decide(f"{sensor} unit", f"{unit}, {reason}")
-    return scales
-
-
-def _stated_scale(work: Work, triad: Triad) -> tuple[str, float, str] | None:
-    """Return unit, scale and reason where the user, the header or the format states the unit."""
-    sensor, known = triad.sensor, SAMPLE_UNITS[triad.sensor]
-    unit, scale = work.options.unit_of(sensor), work.options.scale_of(sensor)
-    if unit is not None and scale is not None:
-        msg = (
-            f"{work.path}: both a unit ({unit}) and a scale ({scale:g}) are given for the {sensor}; "
-            "expected one of them"
-        )
-        raise ChoiceError(msg)
-    if scale is not None:
-        return "count", scale, f"{scale:g} {sensor.unit} per count as given"
-    if unit is not None:
-        parsed = parse_sample_unit(unit)
-        if parsed is None or parsed[0] is not sensor:
-            msg = f"{work.path}: {unit!r} is no unit of the {sensor}; expected one of {', '.join(known)}"
-            raise ChoiceError(msg)
-        return parsed[1], known[parsed[1]], "as given"
-    if triad.unit is not None:
-        return triad.unit, known[triad.unit], "from the column header"
-    usual = work.dialect.unit_of(sensor) if work.dialect else None
-    if usual is not None and work.dialect is not None:
-        return usual, known[usual], f"as {work.dialect.name} logs it"
-    return None
-
-
-def _inferred_scale(work: Work, entry: Unscaled, accel_unit: str | None) -> tuple[str, float, str]:
-    """Return unit, scale and reason as the samples themselves show them."""
-    sensor, rows = entry.triad.sensor, sample_rows(entry.axes)
-    if sensor is Sensor.ACCELEROMETER:
-        found = infer_accel_unit(rows)
-    else:
-        found = infer_gyro_unit(rows, rate_hz=entry.clock.rate_hz, accel_unit=accel_unit)
-    if found.unit is None:
-        msg = (
-            f"{work.path}: the unit of the {sensor} is open: no header says it, and {found.reason}; "
-            f"expected one of {', '.join(SAMPLE_UNITS[sensor])}; "
-            f"give its unit, or the scale of its counts in {sensor.unit} per count"
-        )
-        raise ChoiceError(msg)
-    if found.assumed:
-        text = f"The unit of the gyroscope is taken to be {found.unit}: {found.reason}."
-        advice = (
-            "Give its unit if that is wrong: deg/s instead of rad/s changes every result by a factor of 57."
-        )
-        work.findings.append(
-            Finding(level="warning", code="unit-assumed", axis="gyro", text=text, advice=advice)
-        )
-    scale = SAMPLE_UNITS[sensor][found.unit] if found.scale is None else found.scale
-    return found.unit, scale, f"inferred: {found.reason}"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnitGuess:
-    """What samples say of their unit, and the reason in words.
+    """What is known of the unit of samples, and the reason in words.
 
     `unit` is a key of `imucal.units.SAMPLE_UNITS`, or ``count`` with `scale` as SI per count; None where it
     is open. It is `assumed` where it is taken for want of anything better.
@@ -161,7 +61,92 @@ class UnitGuess:
     assumed: bool = False
 
 
-def sample_rows(axes: Sequence[FloatArray]) -> FloatArray:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Unscaled:
+    """A sensor's samples with their clock, in the unit of the log.
+
+    Attributes
+    ----------
+    axes
+        What each of the `rows` is, of shape (n,) and no two the same memory.
+    order
+        Samples to keep, in order, shape (clock.n,); None for all.
+    stated
+        The unit that the log states; None where nothing in it does.
+    """
+
+    sensor: Sensor
+    rows: Sequence[FloatArray] | FloatArray
+    clock: Clock
+    order: IntArray | None = None
+    axes: Sequence[Axis] = AXES
+    stated: UnitGuess | None = None
+
+
+def find_units(
+    where: str, options: ReadOptions, samples: Sequence[Unscaled], findings: list[Finding]
+) -> dict[Sensor, UnitGuess]:
+    """Return the unit of each sensor's samples, and add what is to be said of it to the findings.
+
+    Raises ChoiceError, with `where` in front, if a unit is open, or what is given is none of the sensor's.
+    """
+    units: dict[Sensor, UnitGuess] = {}
+    # The accelerometer first, as it tells of the other.
+    for entry in sorted(samples, key=lambda entry: entry.sensor is Sensor.GYROSCOPE):
+        accel = units.get(Sensor.ACCELEROMETER)
+        units[entry.sensor] = (
+            _given(where, options, entry.sensor)
+            or entry.stated
+            or _inferred(where, entry, accel.unit if accel else None, findings)
+        )
+    return units
+
+
+def _given(where: str, options: ReadOptions, sensor: Sensor) -> UnitGuess | None:
+    """Return the unit that the caller gives; a ChoiceError if it is none of the sensor's, or has a scale."""
+    unit, scale = options.unit_of(sensor), options.scale_of(sensor)
+    if unit is not None and scale is not None:
+        msg = (
+            f"{where}: both a unit ({unit}) and a scale ({scale:g}) are given for the {sensor}; "
+            "expected one of them"
+        )
+        raise ChoiceError(msg)
+    if scale is not None:
+        return UnitGuess(unit="count", scale=scale, reason=f"{scale:g} {sensor.unit} per count as given")
+    if unit is None:
+        return None
+    parsed = parse_sample_unit(unit)
+    if parsed is None or parsed[0] is not sensor:
+        known = ", ".join(SAMPLE_UNITS[sensor])
+        msg = f"{where}: {unit!r} is no unit of the {sensor}; expected one of {known}"
+        raise ChoiceError(msg)
+    return UnitGuess(unit=parsed[1], reason="as given")
+
+
+def _inferred(where: str, entry: Unscaled, accel_unit: str | None, findings: list[Finding]) -> UnitGuess:
+    """Return the unit as the samples themselves show it."""
+    sensor, rows = entry.sensor, sample_rows(entry.rows)
+    if sensor is Sensor.ACCELEROMETER:
+        found = infer_accel_unit(rows)
+    else:
+        found = infer_gyro_unit(rows, rate_hz=entry.clock.rate_hz, accel_unit=accel_unit)
+    if found.unit is None:
+        msg = (
+            f"{where}: the unit of the {sensor} is open: no header says it, and {found.reason}; "
+            f"expected one of {', '.join(SAMPLE_UNITS[sensor])}; "
+            f"give its unit, or the scale of its counts in {sensor.unit} per count"
+        )
+        raise ChoiceError(msg)
+    if found.assumed:
+        text = f"The unit of the gyroscope is taken to be {found.unit}: {found.reason}."
+        advice = (
+            "Give its unit if that is wrong: deg/s instead of rad/s changes every result by a factor of 57."
+        )
+        findings.append(Finding(level="warning", code="unit-assumed", axis="gyro", text=text, advice=advice))
+    return replace(found, reason=f"inferred: {found.reason}")
+
+
+def sample_rows(axes: Sequence[FloatArray] | FloatArray) -> FloatArray:
     """Return up to 20 000 rows of a sensor, spread over the log, finite ones only; shape (k, axes)."""
     n = min(axis.size for axis in axes)
     size = _SAMPLE // 4

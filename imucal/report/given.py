@@ -1,0 +1,136 @@
+"""Reports of numbers that no record was fitted to: a model of a data sheet, a bound over many units.
+
+What takes the report of a log takes them: exports, comparisons, plans, checks.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+
+from imucal._version import __version__
+from imucal.allan.curve import AllanCurve
+from imucal.allan.dct import Spectrum
+from imucal.findings import Finding
+from imucal.fitting.noise_fit import Estimate, Goodness, Interval, NoiseFit
+from imucal.noise.model import NoiseModel
+from imucal.noise.terms import ALWAYS, TERMS, term_keys
+from imucal.recording import Axis, Sensor, Source
+from imucal.report.result import AxisReport, Overview, Report
+
+#: Method of the fits of a model that was given.
+GIVEN = "given"
+#: Length of the record that a model without one stands for, in s.
+_RECORD_S = 3 * 3600.0
+
+
+def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
+    """Return models, such as those of a data sheet, in the form of the report of one log.
+
+    All axes of a sensor have its model, without intervals; N, B and K that it lacks are zero.
+
+    Parameters
+    ----------
+    models
+        Sensor -> its model as `NoiseModel.parse` takes it.
+    rate_hz
+        Sampling rate, which numbers per sample are for.
+
+    Raises
+    ------
+    ValueError
+        If a text is no model of its sensor.
+    """
+    axes = []
+    for sensor in Sensor:
+        if sensor in models:
+            estimates = _estimates(NoiseModel.parse(models[sensor], sensor))
+            one = given_axis(sensor, "x", estimates, rate_hz=rate_hz, duration_s=_RECORD_S, method=GIVEN)
+            # Nothing was recorded, and what the axes share is one.
+            axes += [replace(one, axis=letter, samples=0) for letter in get_args(Axis)]
+    said = "; ".join(f"{models[sensor]} ({sensor})" for sensor in Sensor if sensor in models)
+    return Report(
+        source=Source(path=said, format="a model as given, no log"),
+        axes=tuple(axes),
+        settings={"models": {str(sensor): text for sensor, text in models.items()}, "rate_hz": rate_hz},
+        version=__version__,
+        findings=(Finding(level="info", code="rate-given", text=f"The rate, {rate_hz:g} Hz, was given."),),
+    )
+
+
+def _estimates(model: NoiseModel) -> list[Estimate]:
+    """Return each term of a model as known exactly, and those of `ALWAYS` that it lacks as zero."""
+    found = []
+    for key, term in zip(term_keys(term.symbol for term in model.terms), model.terms, strict=True):
+        value, *times = term.values
+        time = Interval(value=times[0], low=times[0], high=times[0]) if times else None
+        found.append(
+            Estimate(
+                key=key,
+                symbol=term.symbol,
+                status="estimated",
+                value=value,
+                low=value,
+                high=value,
+                correlation_time=time,
+                origin="as given",
+            )
+        )
+    there = {estimate.symbol for estimate in found}
+    return [*found, *(Estimate.bounded(symbol, symbol, 0.0) for symbol in ALWAYS if symbol not in there)]
+
+
+def given_axis(
+    sensor: Sensor,
+    axis: Axis,
+    estimates: Sequence[Estimate],
+    *,
+    rate_hz: float,
+    duration_s: float,
+    method: str,
+) -> AxisReport:
+    """Return the result of an axis that is told its terms; its curve is the model's, without limits."""
+    noise = NoiseModel(
+        terms=tuple(
+            TERMS[e.symbol].of(e.value or e.high, *([e.correlation_time.value] if e.correlation_time else []))
+            for e in estimates
+            if e.value or e.high
+        )
+    )
+    size = max(int(duration_s * rate_hz), 4)
+    m = 2 ** np.arange(size.bit_length() - 1)
+    curve = AllanCurve(
+        tau=m / rate_hz,
+        m=m,
+        avar=noise.avar(m.astype(np.float64), rate_hz=rate_hz),
+        edf=np.full(m.size, np.nan),
+        n=size,
+        computed="given",
+    )
+    none = np.zeros(0)
+    return AxisReport(
+        sensor=sensor,
+        axis=axis,
+        samples=size,
+        rate_hz=rate_hz,
+        duration_s=duration_s,
+        mean=0.0,
+        std=0.0,
+        gaps=(),
+        spectrum=Spectrum(frequency=none, psd=none, count=none),
+        overview=Overview(time_s=none, low=none, high=none),
+        fit=NoiseFit(
+            method=method,
+            sensor=sensor,
+            rate_hz=rate_hz,
+            level=0.95,
+            model=noise,
+            estimates=tuple(estimates),
+            parameters=(),
+            covariance=np.zeros((0, 0)),
+            goodness=Goodness(statistic=0.0, p_value=1.0, chi2_per_bin=1.0),
+            curve=curve,
+            used=np.arange(m.size),
+        ),
+    )

@@ -1,0 +1,295 @@
+"""A filter's config read back: right ones pass, and each slip is named with the line that mends it."""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from imucal.checking import check_config
+from imucal.checking.verdict import Row
+from imucal.errors import LimitsError
+from imucal.recording import Axis, Sensor
+from imucal.report.exports import TARGETS, render
+from imucal.report.given import model_as_report
+from imucal.report.result import Report
+from imucal.units import G0
+from tests.report.synthetic import axis_report
+from tests.report.synthetic import consumer_report as make_consumer_report
+
+GYRO, ACCEL = BOTH = tuple(Sensor)
+RATE_HZ, ROOT = 200.0, math.sqrt(200.0)
+#: Formats whose keys are one number each: those that the command reads back.
+READ = [target.name for target in TARGETS.values() if target.keys]
+DEGREE = math.pi / 180
+#: White noise and walk alone, each in the middle of the band, so that their cover is themselves: the factors
+#: below are then those of the file.
+N, K = {GYRO: 1e-4, ACCEL: 1e-3}, {GYRO: 1e-6, ACCEL: 1e-5}
+PAIR = model_as_report(
+    {s: f"N={N[s]} + K={K[s]} + B={0.3 * math.sqrt(N[s] * K[s])}" for s in Sensor}, rate_hz=RATE_HZ
+)
+consumer_report = cache(make_consumer_report)
+
+
+def read_back(folder: Path, text: str, report: Report = PAIR) -> dict[str, Row]:
+    """Return the rows of a config by their key."""
+    file = folder / "imu.cfg"
+    file.write_text(text, encoding="utf-8")
+    return {row.subject: row for row in check_config(file, report)}
+
+
+def kalibr(gyro_n: float, gyro_k: float, accel_n: float = 1e-3, accel_k: float = 1e-5) -> str:
+    """Return an imu.yaml as people write it."""
+    return (
+        f"accelerometer_noise_density: {accel_n!r}   #Noise density\n"
+        f"accelerometer_random_walk: {accel_k!r}\n"
+        f"gyroscope_noise_density: {gyro_n!r}\n"
+        f"gyroscope_random_walk: {gyro_k!r}\n"
+        "rostopic: /imu0\nupdate_rate: 200\n"
+    )
+
+
+@pytest.mark.parametrize("name", READ)
+def test_what_the_exporter_writes_passes(name: str, tmp_path: Path) -> None:
+    """Of every format, whatever the options that its comment names; every key is read."""
+    asked = render(
+        consumer_report(),
+        name,
+        inflate={"white": 3.0, "walk": 14.0},
+        horizon_s=1000.0,
+        step_s=0.1,
+        axis_policy="rms",
+    )
+    for report, text in ((PAIR, render(PAIR, name)), (consumer_report(), asked)):
+        rows = read_back(tmp_path, text, report)
+        assert {row.verdict for row in rows.values()} == {"pass"}
+        assert not any(row.instead for row in rows.values())
+        wanted = len(TARGETS[name].keys) * (3 if "{" in TARGETS[name].keys[0].name else 1)
+        assert len([row for row in rows.values() if row.where != "log"]) == wanted
+
+
+#: What is done to a number of a Kalibr file -> what is said of it, and of which sensor it can be.
+SLIPS: dict[str, tuple[Callable[[float], float], str, tuple[Sensor, ...]]] = {
+    "per sample": (lambda c: c * ROOT, r"large: by sqrt\(f\) at 200 Hz: .\*sqrt\(f\), the dev", BOTH),
+    "step": (lambda c: c / ROOT, r"small: by sqrt\(f\) at 200 Hz: ./sqrt\(f\), the step", BOTH),
+    "f": (lambda c: c * RATE_HZ, "large: by f = 200 Hz: one factor of the rate too many", BOTH),
+    "1/f": (lambda c: c / RATE_HZ, "small: by f = 200 Hz: one factor of the rate is missing", BOTH),
+    "degrees": (lambda c: c / DEGREE, r"57.3 times too large: by 57.3: it is in deg/s/sqrt", (GYRO,)),
+    "radians twice": (lambda c: c * DEGREE, "57.3 times too small: by 57.3: it was turned from", (GYRO,)),
+    "deg/h": (lambda c: c / DEGREE * 3600, r"it is in deg/h/sqrt\(..?\)", (GYRO,)),
+    "g": (lambda c: c / G0, r"9.81 times too small: by 9.81: it is in g/sqrt\(..?\), not in m/s", (ACCEL,)),
+    "g twice": (lambda c: c * G0, "9.81 times too large: by 9.81: it was turned from g", (ACCEL,)),
+    "mg": (lambda c: c / G0 * 1e3, r"102 times too large: it is in mg/sqrt\(..?\)", (ACCEL,)),
+    "square": (lambda c: c * c, r".\^2, the square of the continuous density", BOTH),
+    "variance": (lambda c: c * c * RATE_HZ, r".\^2\*f, the variance of one sample", BOTH),
+    "zero": (lambda _: 0.0, "expected a positive number", BOTH),
+    "negative": (lambda c: -c, "expected a positive number", BOTH),
+    "tiny": (lambda _: 6.5e-15, "times too small, absurd: no sensor is so good", BOTH),
+    "third": (lambda c: c / 3, "3 times too small: below the pair that covers", BOTH),
+}
+
+
+@pytest.mark.parametrize("symbol", "NK")
+@pytest.mark.parametrize(
+    ("slip", "sensor"), [(slip, s) for slip, (_, _, sensors) in SLIPS.items() for s in sensors]
+)
+def test_each_slip_is_named_and_mended(slip: str, sensor: Sensor, symbol: str, tmp_path: Path) -> None:
+    """In its own row; with the lines that are said the file passes."""
+    make, said, _ = SLIPS[slip]
+    right = read_back(tmp_path, render(PAIR, "kalibr"))
+    numbers = {key: row.measured.value for key, row in right.items() if row.measured is not None}
+    key = f"{sensor}_{'noise_density' if symbol == 'N' else 'random_walk'}"
+    wrong = make(numbers[key] or math.nan)
+    text = "".join(f"{name}: {wrong if name == key else value!r}\n" for name, value in numbers.items())
+    rows = read_back(tmp_path, text)
+    # Ten times as large is what people make numbers on purpose.
+    assert rows[key].verdict == ("undecided" if slip == "g twice" else "fail")
+    assert re.search(said, rows[key].text), rows[key].text
+    assert rows[key].text.startswith(f"{sensor.short}: imu.cfg:{list(numbers).index(key) + 1}: {key} is ")
+    mended = "".join(f"{rows[name].instead or f'{name}: {value!r}'}\n" for name, value in numbers.items())
+    assert {row.verdict for row in read_back(tmp_path, mended).values()} == {"pass"}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_a_slip_is_named_in_every_format(name: str, tmp_path: Path) -> None:
+    """A factor of the square root of the rate, both ways, by each format's own formula."""
+    for by, said in ((ROOT, "large: by sqrt(f)"), (1 / ROOT, "small: by sqrt(f)")):
+        numbers = {
+            key.name.format(i=1, axis="y"): key.formula.of(
+                by * (N if key.symbol == "N" else K)[key.sensor], RATE_HZ
+            )
+            for key in TARGETS[name].keys
+        }
+        rows = read_back(tmp_path, "".join(f"{key}: {number!r}\n" for key, number in numbers.items()))
+        assert rows.keys() == numbers.keys()
+        for row in rows.values():
+            assert row.verdict == "fail"
+            assert said in row.text or "the continuous density" in row.text, row.text
+
+
+def test_another_terms_number_is_named(tmp_path: Path) -> None:
+    """B or N in place of K: a data sheet's bias instability, and what 'random walk' is called elsewhere."""
+    report = model_as_report({GYRO: "N=1e-4 + B=5e-5 + K=1e-8"}, rate_hz=RATE_HZ)
+    rows = read_back(tmp_path, "gyroscope_noise_density: 2e-4\ngyroscope_random_walk: 1e-4\n", report)
+    assert (
+        "N, the angle random walk, in place of K, the rate random walk" in rows["gyroscope_random_walk"].text
+    )
+    report = model_as_report({GYRO: "N=1e-4 + B=5e-6 + K=1e-8"}, rate_hz=RATE_HZ)
+    rows = read_back(tmp_path, "gyroscope_noise_density: 2e-4\ngyroscope_random_walk: 5e-6\n", report)
+    assert rows["gyroscope_random_walk"].verdict == "fail"
+    assert (
+        "B, the bias instability, in place of K, the rate random walk" in rows["gyroscope_random_walk"].text
+    )
+
+
+def test_the_fits_own_numbers_are_too_small_where_there_is_flicker(tmp_path: Path) -> None:
+    """N and K as fitted, which leave it out; but a pair may share it out in another way."""
+    report = model_as_report({GYRO: "N=1e-4 + B=2e-5 + K=1e-7"}, rate_hz=RATE_HZ)
+    rows = read_back(tmp_path, render(report, "kalibr", numbers="as-fitted"), report)
+    walk = rows["gyroscope_random_walk"]
+    assert walk.verdict == "fail"
+    assert "K of the fit alone is below the pair that covers the fitted spectrum" in walk.text
+    # Flicker is covered by N K >= B²/2; three times the white noise leaves a third for the walk.
+    shared = "gyroscope_noise_density: 3e-4\ngyroscope_random_walk: 8e-7\n"
+    rows = read_back(tmp_path, shared, report)
+    assert {row.verdict for row in rows.values()} == {"pass"}
+    assert "with the sensor's other number it is enough" in rows["gyroscope_random_walk"].text
+    assert rows["gyroscope_random_walk"].limit is None
+    assert (
+        read_back(tmp_path, shared.replace("8e-7", "4e-7"), report)["gyroscope_random_walk"].verdict == "fail"
+    )
+
+
+def test_more_than_needed_passes_with_a_word(tmp_path: Path) -> None:
+    """Ten times and more is said, up to there it is not; and that is no slip."""
+    rows = read_back(tmp_path, kalibr(7e-4, 7e-6, 3e-2, 3e-4))
+    assert {row.verdict for row in rows.values()} == {"pass"}
+    assert "times too large: too cautious for a sensor at rest" in rows["accelerometer_noise_density"].text
+    assert rows["accelerometer_noise_density"].instead
+    assert not rows["gyroscope_noise_density"].instead
+
+
+def test_what_a_record_only_bounds_is_undecided(tmp_path: Path) -> None:
+    """A walk below the bound may be right: the record is too short to tell."""
+    bounds = {"K": 1e-5, "B": 1e-5}
+    axes = tuple(axis_report(GYRO, axis, "N=1e-4", bounds=bounds) for axis in get_args(Axis))
+    report = replace(consumer_report(), axes=axes, findings=())
+    text = "gyroscope_noise_density: 1.1e-4\ngyroscope_random_walk: 3e-7\n"
+    row = read_back(tmp_path, text, report)["gyroscope_random_walk"]
+    assert row.verdict == "undecided"
+    assert "unless a term is smaller that the record only bounds; record for longer" in row.text
+    assert (
+        read_back(tmp_path, text.replace("3e-7", "3e-13"), report)["gyroscope_random_walk"].verdict == "fail"
+    )
+
+
+#: One sensor's numbers as files of all kinds hold them, among other keys.
+SPELLINGS = {
+    "OpenCV": """%YAML:1.0
+---
+IMU.NoiseGyro: 1.7e-3 # rad/s
+IMU.GyroWalk: 1.0e-05
+Camera.fx: 458.654
+T: !!opencv-matrix
+   rows: 1
+   data: [0, 1,
+     2]
+""",
+    "ROS 2": """/**:
+  ros__parameters:
+    mapping:
+      gyr_cov: 0.1
+      b_gyr_cov: 0.0001
+""",
+    "rosparam": "mapping/gyr_cov: 0.1\nmapping/b_gyr_cov: 0.0001\n",
+    "GTSAM, a matrix": """gyroscopeCovariance: [1e-4, 0, 0, 0, 1e-4, 0,
+   0, 0, 1e-4]
+biasOmegaCovariance: [1e-8, 1e-8, 1e-8]
+""",
+    "GTSAM, OpenCV's matrix": """gyroscopeCovariance: !!opencv-matrix
+  rows: 2
+  data: [1e-4, 0, 0, 1e-4]
+biasOmegaCovariance: 1e-8
+""",
+    "QGroundControl": """# Onboard parameters
+1\t1\tEKF2_GYR_NOISE\t0.015\t9
+1\t1\tEKF2_GYR_B_NOISE\t0.001\t9
+1\t1\tEKF2_AID_MASK\t1\t6
+""",
+    "PX4 shell": "param set EKF2_GYR_NOISE 0.015\nparam set-default EKF2_GYR_B_NOISE 0.001\n",
+    "ArduPilot": "EK3_GYRO_P_NSE 0.015\nEK3_GBIAS_P_NSE\t0.001\nGND_ALT_OFFSET 0\n",
+    "Mission Planner": "EK3_GYRO_P_NSE,0.015\nEK3_GBIAS_P_NSE,0.001\n",
+    "Python": "gyroscopeCovariance = 1e-4  # of mine\nbiasOmegaCovariance = 1e-8\n",
+}
+
+
+@pytest.mark.parametrize("kind", SPELLINGS)
+def test_files_are_read_as_their_programs_spell_them(kind: str, tmp_path: Path) -> None:
+    """Large numbers pass; of absurdly small ones the lines to write are read back."""
+    text = SPELLINGS[kind]
+    rows = read_back(tmp_path, text)
+    assert {row.where for row in rows.values()} == {"gyro"}
+    assert len(rows) == 2
+    for row in rows.values():
+        assert row.measured is not None
+        assert row.measured.value is not None
+        assert row.measured.value > (row.limit or math.inf)
+    small = re.sub(
+        r"(?<![\w.])(1e-4|1e-8|1\.7e-3|1\.0e-05|0\.1|0\.0001|0\.015|0\.001)(?![\w.])", "1e-30", text
+    )
+    wrong = read_back(tmp_path, small)
+    assert {row.verdict for row in wrong.values()} == {"fail"}
+    for row in wrong.values():
+        (right,) = {value for value in re.findall(r"\d\.\d+(?:e-\d+)?", row.instead) if float(value)}
+        assert float(right) == pytest.approx(row.limit, rel=1e-9)
+    mended = "\n".join(row.instead for row in wrong.values())
+    assert {row.verdict for row in read_back(tmp_path, mended).values()} == {"pass"}
+
+
+def test_another_rate_is_undecided(tmp_path: Path) -> None:
+    """Nobody but the user knows at which rate the IMU runs in service."""
+    rows = read_back(
+        tmp_path, render(PAIR, "orbslam3").replace("IMU.Frequency: 200.0", "IMU.Frequency: 400.0")
+    )
+    row = rows["IMU.Frequency"]
+    assert row.verdict == "undecided"
+    assert row.instead == "IMU.Frequency: 200.0"
+
+
+def test_a_sensor_that_the_report_lacks_is_undecided(tmp_path: Path) -> None:
+    """Half of the file can be judged."""
+    report = model_as_report({GYRO: "N=1e-4 + K=1e-6"}, rate_hz=RATE_HZ)
+    rows = read_back(tmp_path, kalibr(2e-4, 2e-6), report)
+    assert rows["gyroscope_noise_density"].verdict == "pass"
+    assert rows["accelerometer_noise_density"].verdict == "undecided"
+    assert "the report has no accelerometer" in rows["accelerometer_noise_density"].text
+
+
+def test_a_text_in_place_of_a_number_fails(tmp_path: Path) -> None:
+    """With the line to write."""
+    row = read_back(tmp_path, "gyroscope_noise_density: high\ngyroscope_random_walk:\n")[
+        "gyroscope_noise_density"
+    ]
+    assert row.verdict == "fail"
+    assert "is high; expected a positive number" in row.text
+    assert row.instead.startswith("gyroscope_noise_density: 0.0001")
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    """Missing, no text, no key of a filter: where, what was found, what is expected."""
+    with pytest.raises(
+        LimitsError, match=r"no\.yaml: can't be read \(No such file or directory\), expected the config"
+    ):
+        check_config(tmp_path / "no.yaml", PAIR)
+    (tmp_path / "b.yaml").write_bytes(b"\xff\xfe")
+    with pytest.raises(LimitsError, match=r"b\.yaml: can't be read \(it is not UTF-8 text\)"):
+        check_config(tmp_path / "b.yaml", PAIR)
+    (tmp_path / "c.yaml").write_text("camera: 1\n", encoding="utf-8")
+    with pytest.raises(
+        LimitsError, match=r"c\.yaml: found no key of a noise parameter, expected the file of one of kalibr,"
+    ):
+        check_config(tmp_path / "c.yaml", PAIR)
