@@ -8,6 +8,7 @@ whoever has gone through one hands them back; they are read again when they are 
 
 import mmap
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -17,6 +18,8 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
+#: Annotation of a field -> what its array holds.
+_HELD_AS: dict[object, Any] = {FloatArray: np.float64, IntArray: np.int64, BoolArray: np.bool_}
 #: Bytes of a line of the cache.
 _LINE = 64
 
@@ -28,6 +31,19 @@ def read_only(array: NDArray[T]) -> NDArray[T]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+class ReadOnlyArrays:
+    """A frozen dataclass whose arrays can't be written through, and hold what their annotations say."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        value: Any = self
+        for field in fields(value):
+            if field.type in _HELD_AS:
+                array = np.asarray(getattr(self, field.name), dtype=_HELD_AS[field.type])
+                object.__setattr__(self, field.name, read_only(array))
 
 
 def aligned(n: int) -> FloatArray:

@@ -15,9 +15,7 @@ from imucal.arrays import FloatArray, never_changes, release
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting import FitSettings, NoiseFit, fit_axis
-from imucal.fitting.ambiguity import ambiguity_findings
-from imucal.fitting.cross_checks import second_opinion
-from imucal.fitting.curve_opinion import fit_of_curve
+from imucal.fitting.cross_checks import ambiguity_findings, fit_of_curve, second_opinion
 from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
 from imucal.fitting.spectral.not_noise import not_noise

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from imucal.findings import Finding
-from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import named_terms, relative_deviations
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
@@ -220,19 +220,14 @@ def _two_digits(value: float) -> str:
 
 def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
     """Return the needs of the terms that a fit estimated, and of those it bounded, at their bounds."""
-    seen = [(_term(e, e.value), False) for e in fit.estimates if e.value]
+    seen = [(e.term(e.value), False) for e in fit.estimates if e.value]
     unseen = [
-        (_term(e, e.high), True)
+        (e.term(e.high), True)
         for e in fit.estimates
         if e.value is None and not TERMS[e.symbol].repeatable and 0 < e.high < math.inf
     ]
     model = NoiseModel(terms=tuple(term for term, _ in seen))
     return replace(_axis_plan(model, seen + unseen, ask), sensor=fit.sensor)
-
-
-def _term(estimate: Estimate, value: float) -> NoiseTerm:
-    time = estimate.correlation_time
-    return TERMS[estimate.symbol].of(value, *([time.value] if time else []))
 
 
 def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask) -> AxisPlan:

@@ -76,16 +76,7 @@ class PowerLaw(Enum):
 
     def avar(self, m: FloatArray) -> FloatArray:
         """Return the exact Allan variance at averaging factors `m`, shape (k,)."""
-        m = np.asarray(m, dtype=np.float64)
-        match self:
-            case PowerLaw.QUANTIZATION:
-                return 3.0 / m**2
-            case PowerLaw.WHITE:
-                return 1.0 / m
-            case PowerLaw.FLICKER:
-                return (4 * self.sum_variance(m) - self.sum_variance(2 * m)) / (2 * m * m)
-            case PowerLaw.WALK:
-                return (2 * m * m + 1) / (6 * m)
+        return (4 * self.sum_variance(m) - self.sum_variance(2 * m)) / (2 * m * m)
 
     def psd(self, omega: FloatArray) -> FloatArray:
         """Return the two-sided psd per sample at angular frequencies `omega`, rad/sample."""

@@ -109,7 +109,7 @@ def non_negative(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, fl
 
     Notes
     -----
-    Most often no variable of the ordinary solution is negative, and it is the answer.
+    Mostly the ordinary solution has none below zero. Of more variables than rows, few rise above it.
 
     Source: Lawson & Hanson (1974), "Solving least squares problems", ch. 23.
     """
@@ -124,17 +124,16 @@ def non_negative(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, fl
 def _active_set(columns: FloatArray, target: FloatArray) -> FloatArray:
     size = columns.shape[1]
     solution = np.zeros(size)
-    if not size:
-        return solution
-    whole = np.linalg.lstsq(columns, target, rcond=None)[0]
-    if whole.min() > 0:
-        return np.asarray(whole)
+    if 0 < size <= len(columns):
+        whole = np.linalg.lstsq(columns, target, rcond=None)[0]
+        if whole.min() > 0:
+            return np.asarray(whole)
     used = np.zeros(size, dtype=bool)
     gain = columns.T @ target
-    least = _NO_GAIN * float(np.abs(gain).max())
+    least = _NO_GAIN * float(np.abs(gain).max(initial=0.0))
     for _ in range(3 * size + 10):
         entering = np.where(used, -np.inf, gain)
-        if entering.max() <= least:
+        if entering.max(initial=-np.inf) <= least:
             break
         used[np.argmax(entering)] = True
         while True:

@@ -29,12 +29,13 @@ def test_sum_variance_follows_from_the_structure_function(law: PowerLaw) -> None
         assert law.sum_variance(np.array([float(n)]))[0] == pytest.approx(expected, rel=1e-11, abs=1e-11)
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_avar_follows_from_the_sum_variance(law: PowerLaw) -> None:
-    """(4 V(m) - V(2m)) / (2 m²): the closed form of each law."""
-    m = np.array([1.0, 2.0, 3.0, 17.0, 500.0])
-    expected = (4 * law.sum_variance(m) - law.sum_variance(2 * m)) / (2 * m**2)
-    npt.assert_allclose(law.avar(m), expected, rtol=1e-9)
+def test_avar_has_its_closed_forms() -> None:
+    """3/m², 1/m and (2m² + 1)/(6m); flicker's floor is 2 ln 2 / pi of its psd's square."""
+    m = np.array([1.0, 2.0, 3.0, 17.0, 500.0, 1e7])
+    npt.assert_allclose(PowerLaw.QUANTIZATION.avar(m), 3 / m**2, rtol=1e-13)
+    npt.assert_allclose(PowerLaw.WHITE.avar(m), 1 / m, rtol=1e-13)
+    npt.assert_allclose(PowerLaw.WALK.avar(m), (2 * m**2 + 1) / (6 * m), rtol=1e-13)
+    npt.assert_allclose(PowerLaw.FLICKER.avar(m)[-1], 2 * np.log(2) / np.pi, rtol=1e-9)
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray, read_only
+from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AllanCurve:
+class AllanCurve(ReadOnlyArrays):
     """Allan variances at rising averaging times.
 
     Attributes
@@ -43,10 +43,7 @@ class AllanCurve:
     edf_method: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("tau", "avar", "edf"):
-            array = read_only(np.asarray(getattr(self, name), dtype=np.float64))
-            object.__setattr__(self, name, array)
-        object.__setattr__(self, "m", read_only(np.asarray(self.m, dtype=np.int64)))
+        ReadOnlyArrays.__post_init__(self)
         shapes = {self.tau.shape, self.m.shape, self.avar.shape, self.edf.shape}
         if len(shapes) != 1 or self.tau.ndim != 1:
             msg = f"tau, m, avar and edf must share one shape (k,), got {sorted(shapes)}"

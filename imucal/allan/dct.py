@@ -23,7 +23,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray, read_only
+from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays, read_only
 from imucal.errors import DataError
 from imucal.recording import AxisSeries
 
@@ -179,7 +179,7 @@ def _turns(rows: IntArray, n: int, columns: int) -> ComplexArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DctBins:
+class DctBins(ReadOnlyArrays):
     """Bins of the ordinates k = 1 … n-1, one ordinate wide at first, then of a steady ratio.
 
     Attributes
@@ -198,10 +198,6 @@ class DctBins:
     first: IntArray
     count: IntArray
     omega: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("first", "count", "omega"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def size(self) -> int:
@@ -402,7 +398,7 @@ def _is_smooth(n: int) -> bool:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Spectrum:
+class Spectrum(ReadOnlyArrays):
     """A two-sided power spectral density, averaged over bins of rising width.
 
     Attributes
@@ -418,11 +414,6 @@ class Spectrum:
     frequency: FloatArray
     psd: FloatArray
     count: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("frequency", "psd", "count"):
-            array = read_only(np.asarray(getattr(self, name), dtype=np.float64))
-            object.__setattr__(self, name, array)
 
 
 def spectrum(series: AxisSeries, *, per_octave: int = 12) -> Spectrum:

@@ -44,6 +44,7 @@ from imucal.allan.variance import Estimator, GappyVariances, sum_of_squares
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
+from imucal.solvers import non_negative
 
 #: Up to so many lags are summed one by one; beyond, on a graded grid.
 _ALL_LAGS = 1024
@@ -66,8 +67,6 @@ _DRIFT_ORDINATES = 128
 _DRIFT_GAIN = 3.84
 #: Rounds of Fisher scoring, and of the updates that give its start.
 _ROUNDS, _UPDATES = 30, 20
-#: Added to the diagonal of the laws' correlation, so that laws that are alike are not singular.
-_RIDGE = 1e-12
 #: Up to n / 256 the spectrum has enough ordinates in the passband to need no model.
 _CROSSOVER = 256
 #: The kurtosis of a difference of two independent values is half of each one's.
@@ -292,44 +291,9 @@ def _score(spectrum: FloatArray, power: FloatArray, count: FloatArray, floor: fl
 
 
 def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return the weights v >= 0 that minimise Σ weight (target - v @ basis)², shape (4,).
-
-    Laws that add next to nothing stay out: those of a curve of two or three points are not told otherwise.
-
-    Source: Lawson & Hanson (1974), Solving Least Squares Problems, ch. 23.
-    """
-    scale = np.sqrt(np.maximum((basis**2) @ weight, np.finfo(np.float64).tiny))
-    unit = basis / scale[:, None]
-    gram, moment = (unit * weight) @ unit.T, (unit * weight) @ target
-    gram += _RIDGE * np.eye(len(basis))
-    values = np.zeros(len(basis))
-    free = np.zeros(len(basis), dtype=bool)
-    for _ in range(3 * len(basis)):
-        slope = np.where(free, -np.inf, moment - gram @ values)
-        if slope.max() <= 1e-10 * np.abs(moment).max():
-            break
-        free[int(np.argmax(slope))] = True
-        values = _inside(gram, moment, values, free)
-        free = values > 0
-    return values / scale
-
-
-def _inside(gram: FloatArray, moment: FloatArray, values: FloatArray, free: BoolArray) -> FloatArray:
-    """Walk from `values` towards the free minimum, dropping each weight that reaches zero."""
-    free = free.copy()
-    while True:
-        chosen = np.flatnonzero(free)
-        wanted = np.zeros(values.size)
-        wanted[chosen] = np.linalg.solve(gram[np.ix_(chosen, chosen)], moment[chosen])
-        low = chosen[wanted[chosen] <= 0]
-        if not low.size:
-            return wanted
-        step = np.min(values[low] / (values[low] - wanted[low]))
-        values = values + step * (wanted - values)
-        values[low[values[low] <= 1e-15]] = 0.0
-        free &= values > 0
-        if not free.any():
-            return np.zeros(values.size)
+    """Return the weights v >= 0 that minimise Σ weight (target - v @ basis)², shape (4,)."""
+    root = np.sqrt(weight)
+    return non_negative((basis * root).T, target * root)[0]
 
 
 def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, method: str) -> FloatArray:

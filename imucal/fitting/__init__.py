@@ -8,7 +8,7 @@ from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.allan.dct import shared_transform
 from imucal.allan.engine import same_curve
 from imucal.arrays import FloatArray
-from imucal.fitting.ambiguity import ambiguity_findings, unseen_spectrum
+from imucal.fitting.cross_checks import ambiguity_findings, unseen_spectrum
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.robust import clean as clean_spikes
 from imucal.fitting.settings import CRITERIA, METHODS, WEIGHTS, FitSettings, load_method

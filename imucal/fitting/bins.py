@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray, read_only
+from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import DataError
 
 #: Number of the layout of `Bins`; one that an old reader would misunderstand raises it.
@@ -22,7 +22,7 @@ BINS_VERSION = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Bins:
+class Bins(ReadOnlyArrays):
     """The binned DCT ordinates of an axis: sums of squares, and of products with the regressors.
 
     The samples stand in k unbroken blocks, the bins of one after those of the other, b in all. With r
@@ -83,8 +83,7 @@ class Bins:
         if wrong or not self.n.size:
             msg = f"bins: {', '.join(wrong) or 'n'} do not fit {bins} bins of {regressors} names"
             raise ValueError(msg)
-        for name in ("n", "first", *shapes):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        ReadOnlyArrays.__post_init__(self)
 
 
 #: Number of this form, its first byte.

@@ -1,21 +1,38 @@
-"""A fit held against another of the same samples.
+"""A fit held against other views of the same samples: another fit, the exact likelihood, the spectrum.
 
 `second_opinion` is Hausman's test of a maximum-likelihood fit against the fit of the Allan curve:
 where the model is right both estimate the same numbers, and the variance of their difference is
 the difference of their variances, because the first has the least there can be. Where it is not,
-they weigh frequencies differently and part. `verify_findings` compares the maximum with that of
-the exact state-space likelihood.
+they weigh frequencies differently and part. A second opinion is about the same noise: `fit_of_curve` takes
+the shapes that the first fit took out, such as cycles, steps and the temperature, out of the samples; and at
+averaging times where its output filter or lines shape the curve, that is brought to the noise's own, or left
+out if there is more of them than of it. `verify_findings` compares the maximum with that of the exact
+state-space likelihood.
 
-Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 1251, eq. (2.7).
+`ambiguity_findings` says what an Allan curve can't tell: spectra that differ, with one and the same curve.
+With D(tau) = integral of S(f) sin^2(pi f tau)/f^2 df the Allan variance is proportional to
+(D(tau) - D(2 tau)/4)/tau^2, and the second part is the first of S(f/2)/2. So S enters by
+S(f) - S(f/2)/2 alone, and what obeys Phi(f) = 2 Phi(2f), with nothing over an octave, adds nothing to
+the curve at any tau: 1/f times any ripple of one period an octave. Such a pair is told apart by the
+spectrum only: a fit of a curve alone says that nothing has looked at one.
+
+Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 1251, eq. (2.7); Greenhall
+(1998), "Spectral ambiguity of Allan variance", IEEE Trans. Instrum. Meas. 47, 623.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
+from imucal.allan import AllanCurve
+from imucal.allan.dct import Spectrum
+from imucal.allan.engine import same_curve
 from imucal.arrays import FloatArray
+from imucal.errors import DataError
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.fitting.settings import FitSettings
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, term_keys
 from imucal.recording import AxisSeries
@@ -142,3 +159,135 @@ def _values(model: NoiseModel) -> dict[str, float]:
         for term, key in zip(model.terms, keys, strict=True)
         for name, value in zip(term.parameter_names(key), term.values, strict=True)
     }
+
+
+#: A point is left out of which less than this share is noise, or which has less than this share of the noise.
+_LEAST_NOISE = 2 / 3
+#: Fewest points of a curve that can contradict anything.
+_FEWEST_POINTS = 4
+
+
+def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None) -> NoiseFit:
+    """Return the GMWM fit of `first`'s model to the curve of the samples it had, as it saw them.
+
+    Raises
+    ------
+    DataError
+        If too few averaging times show the noise, or the curve can't be fitted.
+    """
+    from imucal.fitting.moments import fit_gmwm
+
+    curve = first.curve
+    if first.taken_out:
+        series = without_disturbances(series, first, temperature)
+        curve = same_curve(series, curve)
+    settings = FitSettings(model=str(first.model), method="gmwm", level=first.level)
+    return fit_gmwm(series, _of_noise(curve, first.noise_share, series.name), settings)
+
+
+def without_disturbances(
+    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None
+) -> AxisSeries:
+    """Return finite samples less what a fit took out of them."""
+    from imucal.fitting.spectral.ordinates import regressor_samples
+
+    places = series.clock.grid().astype(np.float64)
+    samples = series.samples.copy()
+    for name, size in first.taken_out.items():
+        samples -= size * regressor_samples(name, places, temperature)
+    return replace(series, samples=samples)
+
+
+def _of_noise(curve: AllanCurve, share: FloatArray | None, axis: str) -> AllanCurve:
+    """Return the curve of the noise alone, at the averaging times that show it."""
+    if share is None:
+        return curve
+    keep = (share > _LEAST_NOISE) & (share < 1 / _LEAST_NOISE)
+    shown = np.count_nonzero(keep)
+    if shown < _FEWEST_POINTS:
+        msg = (
+            f"{axis}: an output filter or lines shape the Allan variance, and {shown} averaging times show "
+            f"the noise, expected at least {_FEWEST_POINTS}; record for longer"
+        )
+        raise DataError(msg)
+    return replace(
+        curve, tau=curve.tau[keep], m=curve.m[keep], avar=(curve.avar * share)[keep], edf=curve.edf[keep]
+    )
+
+
+#: Misfit score from which a fit says itself that it does not describe the curve.
+_MISFIT = 3.0
+#: Ordinates that drift and the ends of the record bend, each a bin of its own.
+_LOWEST = 8
+#: Score of all bins together, standard normal, from which the spectrum contradicts the model.
+_CONTRADICTED = 5.0
+#: Bins this many standard deviations, and this factor, from the model are what the curve hid; fewer than
+#: so many are a line, which the screening names.
+_HIDDEN, _NOTABLE, _LEAST_BINS = 3.0, 1.3, 3
+#: Of the logarithm of the density: what the estimates' own errors may make.
+_TOLERANCE = 0.05
+
+
+def unseen_spectrum() -> Finding:
+    """Return what is to say where there is a curve and no spectrum."""
+    return Finding(
+        level="info",
+        code="spectral-ambiguity",
+        text="A curve alone was fitted: spectra that differ by a ripple Phi(f) = 2 Phi(2f) have the same "
+        "Allan variance at every averaging time, so nothing has checked that the noise has the model's.",
+        advice="Look at the density of the samples beside the curve, or fit the samples themselves by mle.",
+    )
+
+
+def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple[Finding, ...]:
+    """Return a finding where a fit of the curve describes it, but not the spectrum of the samples.
+
+    Looked at are the frequencies that the used averaging times see, without the lowest 8. All together
+    must be beyond chance (5 standard deviations), and 3 bins differ by 3 of their own and by 30 %.
+    Nothing is said of a fit of the spectrum, nor where the curve is not described either: the fit
+    itself says that.
+    """
+    tau = result.goodness.tau_s
+    described = result.goodness.statistic < _MISFIT
+    if tau is None or not described or not any(term.psd(np.ones(1), 1.0)[0] for term in result.model.terms):
+        return ()
+    used = np.arange(spectrum.frequency.size) >= _LOWEST
+    used &= spectrum.frequency <= 0.5 / tau[0]
+    density = result.model.psd(spectrum.frequency, rate_hz=result.rate_hz)
+    used &= _ramp(result, spectrum.frequency) < _TOLERANCE * density
+    frequency, count = spectrum.frequency[used], spectrum.count[used]
+    ratio = spectrum.psd[used] / density[used]
+    score = _score(ratio, count)
+    far = (np.abs(score) > _HIDDEN) & (np.abs(np.log(ratio)) > math.log(_NOTABLE))
+    together = float(np.sum(score**2 - 1)) / math.sqrt(2 * max(score.size, 1))
+    if together < _CONTRADICTED or far.sum() < _LEAST_BINS:
+        return ()
+    low, high = frequency[far][[0, -1]]
+    worst = ratio[far][int(np.argmax(np.abs(np.log(ratio[far]))))]
+    factor, side = max(worst, 1 / worst), "above" if worst > 1 else "below"
+    text = (
+        f"{result.model} describes the Allan curve but not the spectrum: between {low:.3g} and {high:.3g} Hz "
+        f"the density is up to {factor:.3g} times {side} the model's. The curve can't tell: spectra that "
+        "differ by Phi(f) = 2 Phi(2f) share it."
+    )
+    advice = "Look at the spectrum and fit the samples themselves by mle; trust no number of this fit."
+    return (Finding(level="warning", code="spectral-ambiguity", axis=axis, text=text, advice=advice),)
+
+
+def _ramp(result: NoiseFit, frequency: FloatArray) -> FloatArray:
+    """Return what a ramp in the model, which has no density, leaves at each frequency at most."""
+    tau0 = 1 / result.rate_hz
+    slope = sum(term.coefficient * tau0 for term in result.model.terms if term.symbol == "R")
+    left: FloatArray = tau0 * slope**2 / (2 * result.curve.n * np.sin(np.pi * frequency * tau0) ** 4)
+    return left
+
+
+def _score(ratio: FloatArray, count: FloatArray) -> FloatArray:
+    """Return standard-normal scores of chi-squared means over their expectation, less a tolerance.
+
+    Source: Wilson & Hilferty (1931), PNAS 17, 684.
+    """
+    variance = 2 / (9 * count)
+    within = np.clip(ratio, math.exp(-_TOLERANCE), math.exp(_TOLERANCE))
+    score: FloatArray = (np.cbrt(ratio / within) - (1 - variance)) / np.sqrt(variance)
+    return score

@@ -17,9 +17,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
+from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import DataError
-from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.noise_fit import NoiseFit, keyed
 from imucal.fitting.robust import find_spikes
 from imucal.fitting.state_space import (
     BIAS,
@@ -47,7 +47,7 @@ Progress: TypeAlias = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Component:
+class Component(ReadOnlyArrays):
     """One part of the samples, given all of them.
 
     Attributes
@@ -64,13 +64,9 @@ class Component:
     value: FloatArray
     error: FloatArray
 
-    def __post_init__(self) -> None:
-        for name in ("value", "error"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Decomposition:
+class Decomposition(ReadOnlyArrays):
     """A record as the sum of what its model is made of, on the clock's even grid of n places.
 
     Attributes
@@ -97,16 +93,8 @@ class Decomposition:
     components: tuple[Component, ...]
     bias: Component
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "samples", read_only(self.samples))
-
     def __getitem__(self, key: str) -> Component:
-        for component in (*self.components, self.bias):
-            if component.key == key:
-                return component
-        found = ", ".join(component.key for component in (*self.components, self.bias))
-        msg = f"{key!r}; the decomposition has {found}"
-        raise KeyError(msg)
+        return keyed((*self.components, self.bias), key, "the decomposition has")
 
     @property
     def n(self) -> int:

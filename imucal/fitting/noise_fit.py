@@ -1,16 +1,17 @@
 """NoiseFit: what explains an axis, with an interval on each number; Segments: what its parts say of it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Literal, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
-from imucal.arrays import FloatArray, IntArray, read_only
+from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.noise.model import NoiseModel
+from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 
@@ -22,6 +23,23 @@ def is_slow(symbol: str) -> bool:
     """Whether a term is slower than white noise: what of that changed in a segment is not told."""
     slope = TERMS[symbol].slope
     return slope is None or slope >= 0
+
+
+class _Keyed(Protocol):
+    @property
+    def key(self) -> str: ...
+
+
+_K = TypeVar("_K", bound=_Keyed)
+
+
+def keyed(parts: Iterable[_K], key: str, whole: str) -> _K:
+    """Return the one of that key; a KeyError says, after `whole`, which there are."""
+    found = {part.key: part for part in parts}
+    if key not in found:
+        msg = f"{key!r}; {whole} {', '.join(found)}"
+        raise KeyError(msg)
+    return found[key]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,20 +74,16 @@ class TermHomogeneity:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trace:
+class Trace(ReadOnlyArrays):
     """A quantity in each segment: value and limits, shape (s,) each, in SI."""
 
     value: FloatArray
     low: FloatArray
     high: FloatArray
 
-    def __post_init__(self) -> None:
-        for name in ("value", "low", "high"):
-            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name), dtype=np.float64)))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Segments:
+class Segments(ReadOnlyArrays):
     """What the segments of a record say of its noise.
 
     Attributes
@@ -94,17 +108,8 @@ class Segments:
     floor_tau_s: float
     terms: tuple[TermHomogeneity, ...]
 
-    def __post_init__(self) -> None:
-        for name in ("start_s", "end_s"):
-            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name), dtype=np.float64)))
-
     def __getitem__(self, key: str) -> TermHomogeneity:
-        for term in self.terms:
-            if term.key == key:
-                return term
-        found = ", ".join(term.key for term in self.terms)
-        msg = f"{key!r}; the segments tell {found}"
-        raise KeyError(msg)
+        return keyed(self.terms, key, "the segments tell")
 
     @property
     def changing(self) -> tuple[TermHomogeneity, ...]:
@@ -171,6 +176,11 @@ class Estimate:
     def bounded(cls, key: str, symbol: str, high: float) -> "Estimate":
         """Return the estimate of a term that the data do not show: below `high`."""
         return cls(key=key, symbol=symbol, status="bounded", value=None, low=0.0, high=high)
+
+    def term(self, coefficient: float) -> NoiseTerm:
+        """Return the term with this coefficient, in SI, and the estimate's correlation time."""
+        time = self.correlation_time
+        return TERMS[self.symbol].of(coefficient, *([time.value] if time else []))
 
     def __post_init__(self) -> None:
         if (self.value is None) != (self.status == "bounded"):
@@ -300,12 +310,7 @@ class NoiseFit:
     bins: Bins | None = None
 
     def __getitem__(self, key: str) -> Estimate:
-        for estimate in self.estimates:
-            if estimate.key == key:
-                return estimate
-        found = ", ".join(estimate.key for estimate in self.estimates)
-        msg = f"{key!r}; the fit has {found}"
-        raise KeyError(msg)
+        return keyed(self.estimates, key, "the fit has")
 
     @property
     def correlation(self) -> FloatArray:

@@ -385,26 +385,14 @@ def inverse_of(matrix: FloatArray) -> FloatArray:
     return np.asarray((inverse + inverse.T) / 2)
 
 
-def log_likelihood(model: NoiseModel, series: AxisSeries) -> float:
-    """Return the exact log-likelihood of the samples under `model`.
+def log_likelihood(
+    model: NoiseModel, samples: FloatArray, seen: BoolArray, rate_hz: float
+) -> tuple[float, float]:
+    """Return the exact log-likelihood at the best slope of a ramp, where the model has one, and that slope.
 
-    Missing and non-finite samples are skipped. A rate ramp is taken out with its value; flicker is
-    a bank of Gauss-Markov terms (its density within 3 %).
-
-    Raises
-    ------
-    DataError
-        If fewer than 2 samples are finite.
+    Of samples without their mean, shape (n,), those that were `seen` count. Flicker is a bank of
+    Gauss-Markov terms (its density within 3 %).
     """
-    samples, seen = on_grid(series.finite(), "a likelihood")
-    ramp = sum(term.coefficient for term in model.terms if term.symbol == "R")
-    rest = NoiseModel(terms=tuple(term for term in model.terms if term.symbol != "R"))
-    samples = samples - samples[seen].mean() - ramp * series.tau0 * np.arange(samples.size)
-    return _profile(rest, np.where(seen, samples, 0.0), seen, series.rate_hz)[0]
-
-
-def _profile(model: NoiseModel, samples: FloatArray, seen: BoolArray, rate_hz: float) -> tuple[float, float]:
-    """Return the log-likelihood at the best slope of a ramp, where the model has one, and that slope."""
     states = StateSpace.of(model, rate_hz=rate_hz, n=samples.size)
     blocks = Blocks.of(samples / math.sqrt(states.white), seen)
     unit = states.in_unit_of_white()
@@ -448,12 +436,12 @@ def fit_exact(series: AxisSeries, structure: tuple[str, ...], start: NoiseModel)
         )
 
     def cost(steps: FloatArray) -> float:
-        return -_profile(at(steps), samples, seen, series.rate_hz)[0]
+        return -log_likelihood(at(steps), samples, seen, series.rate_hz)[0]
 
     free = sum(len(term.values) for term in start.terms if term.symbol != "R")
     found = minimize(cost, np.zeros(free), method="BFGS", options={"gtol": 1e-3})
     best = at(found.x)
-    value, ramp = _profile(best, samples, seen, series.rate_hz)
+    value, ramp = log_likelihood(best, samples, seen, series.rate_hz)
     terms = (RateRamp(value=ramp) if term.symbol == "R" else term for term in best.terms)
     return NoiseModel(terms=tuple(terms)), value
 

@@ -20,7 +20,6 @@ from imucal.noise.term import (
     Stroke,
     Words,
     draw_flicker,
-    gauss_markov_avar,
     gauss_markov_dct,
     gauss_markov_sum,
     require_non_negative,
@@ -227,9 +226,6 @@ class GaussMarkov(NoiseTerm):
     def q(self, tau0: float) -> float:
         """Return the standard deviation of the driving noise per sample, in U."""
         return float(self.sigma * np.sqrt(-np.expm1(-2 * tau0 / self.T)))
-
-    def avar(self, m: FloatArray, tau0: float) -> FloatArray:
-        return self.sigma**2 * gauss_markov_avar(np.asarray(m, np.float64), tau0 / self.T)
 
     def structure(self, k: FloatArray, tau0: float) -> FloatArray:
         lags = np.abs(np.asarray(k, dtype=np.float64))

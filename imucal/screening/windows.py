@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray, read_only
+from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.clock import Segment
 from imucal.recording import AxisSeries, Sensor
 from imucal.units import G0
@@ -27,7 +27,7 @@ _BLOCK = 1 << 17
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Windows:
+class Windows(ReadOnlyArrays):
     """Statistics of each window of an axis; all arrays have shape (k,), in order of time.
 
     Attributes
@@ -60,10 +60,6 @@ class Windows:
     repeats: IntArray
     low: FloatArray
     high: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("mean", "variance", "step_variance", "low", "high", "time_s"):
-            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name), dtype=np.float64)))
 
     @property
     def size(self) -> int:

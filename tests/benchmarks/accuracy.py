@@ -24,11 +24,10 @@ from imucal.arrays import FloatArray
 from imucal.fitting import FitSettings
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import fit_mle, spectral_view
-from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.likelihood import candidates_of, evaluate, parameter_columns
 from imucal.fitting.spectral.ordinates import LAWS
 from imucal.fitting.spectral.scoring import covariance
 from imucal.fitting.spectral.selection import choose
-from imucal.fitting.spectral.structures import candidates_of, parameter_columns
 from imucal.noise.model import NoiseModel, parse_structure
 from imucal.noise.term import PowerLawTerm
 from imucal.noise.terms import GaussMarkov

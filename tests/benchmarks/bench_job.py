@@ -48,7 +48,7 @@ STAGES = {
     "choice of the model": ("imucal/fitting/spectral/selection.py", "choose"),
     "terms that are not in it": ("imucal/fitting/spectral/bounds.py", "hull_estimates"),
     "segments": ("imucal/fitting/spectral/segments.py", "fit_segments"),
-    "second opinion": ("imucal/fitting/curve_opinion.py", "fit_of_curve"),
+    "second opinion": ("imucal/fitting/cross_checks.py", "fit_of_curve"),
     "record length": ("imucal/planning.py", "resolution_findings"),
     "document and JSON": ("imucal/report/json_file.py", "dumps"),
     "pictures and page": ("imucal/report/writer.py", "write_report"),

@@ -11,8 +11,7 @@ from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting import FitSettings, cross_checks
 from imucal.fitting import fit as fit_samples
-from imucal.fitting.cross_checks import _distance, second_opinion
-from imucal.fitting.curve_opinion import fit_of_curve
+from imucal.fitting.cross_checks import _distance, fit_of_curve, second_opinion
 from imucal.fitting.moments import fit_gmwm
 from imucal.fitting.moments.search import whitening
 from imucal.fitting.noise_fit import Estimate, NoiseFit

@@ -12,7 +12,7 @@ from imucal import DataError, NoiseFit, PooledFit
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.blocks import bin_blocks, make_blocks, ordinates_of
-from imucal.fitting.spectral.given_model import BinFit, _Record, fit_bins, record_tests
+from imucal.fitting.spectral.given_model import BinFit, fit_bins
 from imucal.fleet.values import LogValues
 from imucal.recording import AxisSeries, Sensor
 from tests.fleet.records import RATE, bins_from, fit_of, quick_fit, simulated
@@ -172,32 +172,6 @@ def test_widened_limits_hold_the_mean_of_scattered_records() -> None:
         found = imucal.pool(fits, model="N")["N"]
         held.append(found.low <= 1e-3 <= found.high)
     assert np.mean(held) >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / 16)
-
-
-def test_the_likelihood_ratio_is_that_of_a_plain_search() -> None:
-    """The profile over one common deviation, by scipy and with each record maximised at each step."""
-    from scipy.optimize import minimize_scalar
-
-    fit = _joint([simulated(TEXT, 3000, 14, i) * (1 + 0.02 * i) for i in range(3)])
-    records = [_Record(one, fit) for one in fit.records]
-    for test, column in zip(record_tests(fit), (1, 2, 3), strict=True):
-
-        def drop(log: float, column: int = column) -> float:
-            place = np.array([np.exp(log)])
-            return float(
-                sum(r.profile(np.array([column]), place[None]).objective[0] - r.objective for r in records)
-            )
-
-        peaks = np.array([r.deviations(np.array([column]))[0] for r in records])
-        if not peaks.any():
-            assert test.statistic < 1e-6
-            continue
-        grid = np.geomspace(max(peaks.min(), 1e-4 * peaks.max()), peaks.max(), 40)
-        at = int(np.argmin([drop(np.log(place)) for place in grid]))
-        ends = np.log(grid[[max(at - 1, 0), min(at + 1, 39)]])
-        found = minimize_scalar(drop, bounds=(float(ends[0]), float(ends[1])), method="bounded")
-        least = float(found.fun)
-        npt.assert_allclose(test.statistic, 2 * least, atol=0.03)
 
 
 def _joint(records: list[FloatArray]) -> BinFit:

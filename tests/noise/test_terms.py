@@ -8,7 +8,7 @@ import pytest
 
 from imucal.allan.variance import ESTIMATORS, variances
 from imucal.noise.model import NoiseModel
-from imucal.noise.term import NoiseTerm, gauss_markov_avar, gauss_markov_sum
+from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import (
     TERMS,
     AngleRandomWalk,
@@ -65,8 +65,7 @@ def test_avar_follows_from_the_sum_variance(term: NoiseTerm) -> None:
     m = np.array([1.0, 2.0, 3.0, 20.0, 150.0])
     V = term.sum_variance
     expected = (4 * V(m, TAU0) - V(2 * m, TAU0)) / (2 * m**2)
-    # V of a slow Gauss-Markov process is n² sigma² but for a few parts in a million.
-    npt.assert_allclose(term.avar(m, TAU0), expected, rtol=2e-8)
+    npt.assert_allclose(term.avar(m, TAU0), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("term", MEMBERS, ids=ids)
@@ -169,6 +168,11 @@ def _exact_gauss_markov(m: int, phi: Fraction) -> Fraction:
     return Fraction(total) / (2 * m * m)
 
 
+def markov_avar(m: int, a: float) -> float:
+    """Return the Allan variance of a Gauss-Markov process of variance 1 that forgets a part a per sample."""
+    return float(GaussMarkov(sigma=1.0, T=1 / a).avar(np.array([float(m)]), 1.0)[0])
+
+
 @pytest.mark.parametrize("a", [1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10])
 @pytest.mark.parametrize("m", [1, 2, 5, 40])
 def test_gauss_markov_is_stable_as_phi_tends_to_one(a: float, m: int) -> None:
@@ -176,7 +180,7 @@ def test_gauss_markov_is_stable_as_phi_tends_to_one(a: float, m: int) -> None:
     # phi = 1 - x is exact as a fraction; -log1p(-x) is its a, rounded once.
     x = Fraction(a)
     exact = float(_exact_gauss_markov(m, 1 - x)) if a < 1 else None
-    got = gauss_markov_avar(np.array([float(m)]), -float(np.log1p(-a)) if a < 1 else a)[0]
+    got = markov_avar(m, -float(np.log1p(-a)) if a < 1 else a)
     if exact is None:
         phi = np.exp(-a)
         k = np.arange(1.0, 2 * m)
@@ -187,16 +191,18 @@ def test_gauss_markov_is_stable_as_phi_tends_to_one(a: float, m: int) -> None:
 def test_the_textbook_form_is_not_stable() -> None:
     """At phi = 1 - 1e-6 and m = 1 the value is 1 - phi; the textbook form gives 22.6 times half."""
     a = -np.log1p(-1e-6)
-    assert gauss_markov_avar(np.array([1.0]), a)[0] == pytest.approx(1e-6, rel=1e-11)
+    assert markov_avar(1, a) == pytest.approx(1e-6, rel=1e-11)
 
 
-@pytest.mark.parametrize("a", [2.0, 1e-2, 1e-5, 1e-9])
-def test_the_sum_variance_of_gauss_markov_is_its_double_sum(a: float) -> None:
-    """V(n) = sum of exp(-a |i - j|), in closed form and in series."""
-    for n in (1, 2, 30):
-        i = np.arange(n)
-        expected = np.exp(-a * np.abs(i[:, None] - i)).sum()
-        assert gauss_markov_sum(np.array([float(n)]), a)[0] == pytest.approx(expected, rel=1e-12)
+@pytest.mark.parametrize("time", [0.5, 10.0, 1e4, 1e8])
+def test_a_gauss_markov_sum_has_the_variance_of_its_autocovariances(time: float) -> None:
+    """V(n) is the double sum of exp(-|i-j|/T), but for a multiple of n²."""
+    n = np.arange(1.0, 40.0)
+    direct = np.array(
+        [np.exp(-np.abs(np.subtract.outer(np.arange(k), np.arange(k))) / time).sum() for k in n]
+    )
+    rest = direct - GaussMarkov(sigma=1.0, T=time).sum_variance(n, 1.0)
+    npt.assert_allclose(rest, rest[-1] * (n / n[-1]) ** 2, rtol=1e-9, atol=1e-9 * np.abs(direct).max())
 
 
 def test_a_slow_gauss_markov_is_a_random_walk() -> None:

@@ -5,7 +5,8 @@ sampling period, so that the unit of the samples changes nothing but the unit of
 
 An Allan variance is a mean of squares of d_t, the second differences of the summed signal, so for
 Gaussian noise every covariance of two of them is a sum of squared covariances of d_t. Those follow
-from V(n), the generalised variance of a sum of n samples, of each term of the model:
+from V(n), the generalised variance of a sum of n samples, of each term of the model, which may miss
+a multiple of n²:
 
     cov(d_t at m_i, d_{t+k} at m_j) = -1/(4 m_i m_j) sum_ab c_a c_b V(|k + b m_j - a m_i|),
     cov(avar_i, avar_j) = 2/(M_i M_j) sum_k n_ij(k) s_ij(k)^2,        c = (1, -2, 1).
@@ -18,7 +19,7 @@ for one averaging time; the same argument holds for two.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -26,7 +27,7 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.intervals import excess_kurtosis, trapezoid_weights
-from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
+from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, read_only
 from imucal.errors import DataError
 from imucal.noise.term import NoiseTerm, PowerLawTerm
 from imucal.noise.terms import TERMS, AngleRandomWalk, GaussMarkov, RateRamp
@@ -50,7 +51,7 @@ _LIGHTEST = -1.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AvarCovariance:
+class AvarCovariance(ReadOnlyArrays):
     """The covariance of Allan variances, as a function of the terms' variances per sample.
 
     Attributes
@@ -66,10 +67,6 @@ class AvarCovariance:
     ramp: BoolArray
     quadratic: FloatArray
     drift: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("ramp", "quadratic", "drift"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def at(self, variances: FloatArray) -> FloatArray:
         """Return the covariance, shape (k, k), at variances of shape (p,)."""
@@ -125,24 +122,11 @@ def _computed(
     return AvarCovariance(ramp=ramp, quadratic=quadratic, drift=drift)
 
 
-def sum_variance(term: NoiseTerm, n: FloatArray) -> FloatArray:
-    """Return V(n), up to a multiple of n^2, of which covariances of second differences know nothing.
-
-    For a Gauss-Markov term of variance 1 that multiple is left out: it would cost all digits where
-    the correlation time is much longer than n. Of a term without a closed form `n` are whole numbers.
-    """
-    if isinstance(term, PowerLawTerm):
+def _sum_variance(term: NoiseTerm, n: FloatArray) -> FloatArray:
+    """Return V(n) up to a multiple of n²; of a term that has no closed form for it, from all of them."""
+    if type(term).sum_variance is not NoiseTerm.sum_variance:
         return term.sum_variance(n, 1.0)
-    if not isinstance(term, GaussMarkov):
-        return _every_sum_variance(term, 1 << int(n.max(initial=1)).bit_length())[n.astype(np.int64)]
-    rate = 1 / term.T
-    x = n * rate
-    series = x**3 * (1 / 6 - x * (1 / 24 - x * (1 / 120 - x / 720)))
-    rest = np.where(x < 0.02, series, -np.expm1(-x) - x + x**2 / 2)
-    half = 2 * math.sinh(rate / 2) ** 2
-    slow = rate < 0.01
-    slope = rate / 3 - rate**3 / 90 if slow else 1 / math.tanh(rate / 2) - rate / half
-    return np.asarray(n * slope - rest / half)
+    return _every_sum_variance(term, 1 << int(n.max(initial=1)).bit_length())[n.astype(np.int64)]
 
 
 @lru_cache(maxsize=8)
@@ -207,7 +191,7 @@ def _lag_covariance(lags: IntArray, mi: int, mj: int, term: NoiseTerm) -> FloatA
         meet = apart <= 0
     covariance = np.zeros(lags.size)
     distance = np.abs(shifts[:, np.newaxis] + lags[meet].astype(np.float64))
-    covariance[meet] = signs @ sum_variance(term, distance) / (-4.0 * mi * mj)
+    covariance[meet] = signs @ _sum_variance(term, distance) / (-4.0 * mi * mj)
     if isinstance(term, GaussMarkov):
         covariance[~meet] = _gauss_markov_apart(apart[~meet], mi, mj, term.T)
     return covariance
@@ -324,11 +308,10 @@ def is_timed(symbol: str) -> bool:
     return len(TERMS[symbol].parameters()) > 1
 
 
-def unit_terms(symbols: Sequence[str], times: FloatArray | None = None) -> tuple[NoiseTerm, ...]:
-    """Return terms of unit variance per sample; `times` in samples, one for each, of those that have one."""
-    if times is None:
-        return tuple(TERMS[symbol].of(1.0) for symbol in symbols)
-    return tuple(TERMS[symbol].of(1.0, time) for symbol, time in zip(symbols, times.tolist(), strict=True))
+def unit_terms(symbols: Sequence[str], times: Iterable[float] = ()) -> tuple[NoiseTerm, ...]:
+    """Return terms of unit variance per sample; `times` in samples, one for each of those that have one."""
+    given = iter(times)
+    return tuple(TERMS[s].of(1.0, float(next(given))) if is_timed(s) else TERMS[s].of(1.0) for s in symbols)
 
 
 def columns(m: IntArray, terms: Sequence[NoiseTerm]) -> FloatArray:

@@ -35,6 +35,7 @@ from imucal.errors import DataError
 from imucal.fitting.moments.points import AvarPoints, columns, is_timed, spread_of, unit_terms
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval
 from imucal.fitting.settings import CRITERIA, FitSettings
+from imucal.fitting.spectral.likelihood import all_structures
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
@@ -155,6 +156,43 @@ def time_grid(m: IntArray, per_decade: int = _PER_DECADE) -> FloatArray:
     return np.geomspace(low, high, max(2, int(np.ceil(per_decade * np.log10(high / low)))))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grid:
+    """All terms that a curve can be fitted by, g of unit variance: those with a time at each of many.
+
+    Attributes
+    ----------
+    columns, target
+        Their Allan variances at the points, and the points' own, times the weight; (k, g) and (k,).
+    places
+        Symbol -> the indices of its terms, by rising time.
+    """
+
+    terms: tuple[NoiseTerm, ...]
+    columns: FloatArray
+    target: FloatArray
+    places: dict[str, range]
+
+    @classmethod
+    def of(cls, points: AvarPoints, weight: FloatArray, per_decade: int = _PER_DECADE) -> "Grid":
+        """Return the grid of all terms; `weight` as `whitening` gives it, shape (k, k)."""
+        times = time_grid(points.m, per_decade)
+        terms: list[NoiseTerm] = []
+        places = {}
+        for symbol in (symbol for symbol, term in TERMS.items() if "gmwm" in term.fitted_by):
+            own = unit_terms([symbol] * times.size, times) if is_timed(symbol) else unit_terms([symbol])
+            places[symbol] = range(len(terms), len(terms) + len(own))
+            terms += own
+        design, target = weight @ columns(points.m, terms), weight @ points.avar
+        return cls(terms=tuple(terms), columns=design, target=target, places=places)
+
+    def sets(self, symbols: Sequence[str]) -> IntArray:
+        """Return every choice of a term for each of sorted symbols, shape (s, p); of one kind times rise."""
+        each = [combinations(self.places[symbol], len(list(own))) for symbol, own in groupby(symbols)]
+        chosen = [tuple(chain.from_iterable(parts)) for parts in product(*each)]
+        return np.array(chosen, dtype=np.int64).reshape(len(chosen), len(symbols))
+
+
 def minimise(
     points: AvarPoints, weight: FloatArray, symbols: Sequence[str], *, near: FloatArray | None = None
 ) -> Solution:
@@ -164,51 +202,29 @@ def minimise(
     minimum with another weight, one for each term that has one, they and the best place of the grid are
     refined instead of the best few.
     """
-    laws, kinds = _parted(in_order(symbols))
+    symbols = in_order(symbols)
+    timed = np.array([is_timed(symbol) for symbol in symbols], dtype=bool)
     target = weight @ points.avar
-    fixed = weight @ columns(points.m, unit_terms(laws))
 
-    def matrix_at(times: FloatArray) -> FloatArray:
-        return np.hstack([fixed, weight @ columns(points.m, unit_terms(kinds, times))])
-
-    def residuals(logs: FloatArray) -> FloatArray:
-        matrix = matrix_at(np.exp(logs))
-        return np.asarray(target - matrix @ non_negative(matrix, target)[0])
+    def solved(times: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        matrix = weight @ columns(points.m, unit_terms(symbols, times))
+        variances, objective = non_negative(matrix, target)
+        return target - matrix @ variances, variances, objective
 
     times = np.zeros(0)
-    if kinds:
-        grid = time_grid(points.m, _PER_DECADE if len(kinds) <= 2 else _COARSE)
-        varied = weight @ columns(points.m, _on_grid(kinds, grid))
-        places = _grid_places(kinds, grid.size)
-        costs = [non_negative(np.hstack([fixed, varied[:, place]]), target)[1] for place in places]
-        order = np.argsort(costs, kind="stable")[: _STARTS * len(kinds)]
-        starts = [grid[np.array(places[index]) % grid.size] for index in order]
+    if timed.any():
+        grid = Grid.of(points, weight, _PER_DECADE if timed.sum() <= 2 else _COARSE)
+        sets = grid.sets(symbols)
+        costs = [non_negative(grid.columns[:, chosen], target)[1] for chosen in sets]
+        order = np.argsort(costs, kind="stable")[: _STARTS * int(timed.sum())]
+        starts = [np.array([grid.terms[place].values[1] for place in sets[i, timed]]) for i in order]
         if near is not None:
             starts = [near, starts[0]]
-        bounds = (np.log(grid[0]) - 1, np.log(grid[-1]) + 1)
-        found = [_refined(residuals, np.log(start), bounds) for start in starts]
+        ends = time_grid(points.m)[[0, -1]]
+        bounds = (float(np.log(ends[0])) - 1, float(np.log(ends[1])) + 1)
+        found = [_refined(lambda logs: solved(np.exp(logs))[0], np.log(start), bounds) for start in starts]
         times = np.exp(min(found, key=lambda pair: pair[1])[0])
-    variances, objective = non_negative(matrix_at(times), target)
-    return Solution.sorted((*unit_terms(laws), *unit_terms(kinds, times)), variances, objective)
-
-
-def _parted(symbols: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the symbols of the terms without and with a time."""
-    return [s for s in symbols if not is_timed(s)], [s for s in symbols if is_timed(s)]
-
-
-def _on_grid(kinds: Sequence[str], grid: FloatArray) -> tuple[NoiseTerm, ...]:
-    """Return the terms of each kind with every time of a grid."""
-    return tuple(term for kind in dict.fromkeys(kinds) for term in unit_terms([kind] * grid.size, grid))
-
-
-def _grid_places(kinds: Sequence[str], size: int) -> list[tuple[int, ...]]:
-    """Return every choice of one of `_on_grid` for each term; of one kind they differ, and rise."""
-    each = [
-        [[first * size + place for place in places] for places in combinations(range(size), len(list(own)))]
-        for first, (_, own) in enumerate(groupby(kinds))
-    ]
-    return [tuple(chain.from_iterable(parts)) for parts in product(*each)]
+    return Solution.sorted(unit_terms(symbols, times), *solved(times)[1:])
 
 
 def _refined(
@@ -226,20 +242,14 @@ def _refined(
     return np.asarray(found.x, dtype=np.float64), 2 * float(found.cost)
 
 
-def _fittable() -> tuple[list[str], list[str]]:
-    """Return the symbols of the terms without and with a time that a curve can be fitted by."""
-    return _parted([symbol for symbol, term in TERMS.items() if "gmwm" in term.fitted_by])
-
-
 def dictionary(points: AvarPoints, weight: FloatArray) -> Solution:
     """Return the best fit of all terms at once, those with a time at many of them.
 
     It describes almost any curve; the terms left at zero are dropped.
     """
-    laws, kinds = _fittable()
-    terms = (*unit_terms(laws), *_on_grid(kinds, time_grid(points.m, _COARSE)))
-    variances, objective = non_negative(weight @ columns(points.m, terms), weight @ points.avar)
-    kept = [term for term, variance in zip(terms, variances, strict=True) if variance > 0]
+    grid = Grid.of(points, weight, _COARSE)
+    variances, objective = non_negative(grid.columns, grid.target)
+    kept = [term for term, variance in zip(grid.terms, variances, strict=True) if variance > 0]
     return Solution.sorted(kept, variances[variances > 0], objective)
 
 
@@ -268,28 +278,16 @@ def screen(
     points: AvarPoints, weight: FloatArray, max_gm: int, price: float
 ) -> Iterator[tuple[float, tuple[str, ...]]]:
     """Yield the criterion of each set of terms, at the best times of a grid, and their symbols."""
-    laws, kinds = _fittable()
-    grid, target = time_grid(points.m), weight @ points.avar
-    total = float(target @ target)
-    fixed = weight @ columns(points.m, unit_terms(laws))
-    varied = {kind: weight @ columns(points.m, _on_grid([kind], grid)) for kind in kinds}
-    sets = [own for size in range(len(laws) + 1) for own in combinations(range(len(laws)), size)]
-    counts = [range(max_gm + 1 if TERMS[kind].repeatable else 2) for kind in kinds]
-    for own_counts in product(*counts):
-        timed = [kind for kind, count in zip(kinds, own_counts, strict=True) for _ in range(count)]
-        matrix = np.hstack([fixed, *(varied[kind] for kind in dict.fromkeys(timed))])
-        matrix = matrix / np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
-        # A ridge far below what tells models apart keeps equal columns from being singular.
-        gram, moment = matrix.T @ matrix + 1e-12 * np.eye(matrix.shape[1]), matrix.T @ target
-        places = np.array(_grid_places(timed, grid.size), dtype=np.int64) + len(laws)
-        for own in sets:
-            parameters = len(own) + 2 * len(timed)
-            if not 0 < parameters < points.size:
-                continue
-            chosen = np.broadcast_to(np.array(own, dtype=np.int64), (len(places), len(own)))
-            cost = least_cost(gram, moment, total, np.hstack([chosen, places]))
+    grid = Grid.of(points, weight)
+    matrix = grid.columns / np.sqrt(np.einsum("ij,ij->j", grid.columns, grid.columns))
+    # A ridge far below what tells models apart keeps equal columns from being singular.
+    gram, moment = matrix.T @ matrix + 1e-12 * np.eye(len(grid.terms)), matrix.T @ grid.target
+    for symbols in all_structures(max_gm, method="gmwm"):
+        parameters = len(symbols) + sum(map(is_timed, symbols))
+        if parameters < points.size:
+            cost = least_cost(gram, moment, float(grid.target @ grid.target), grid.sets(symbols))
             if np.isfinite(cost):
-                yield cost + price * parameters, (*(laws[law] for law in own), *timed)
+                yield cost + price * parameters, symbols
 
 
 def least_cost(gram: FloatArray, moment: FloatArray, total: float, sets: IntArray) -> float:
@@ -455,6 +453,14 @@ class _Reader:
         self.inside = np.array([symbol not in absent for symbol in solution.symbols])
         self.timed = np.array([is_timed(symbol) for symbol in solution.symbols])
         self.free = self.inside & (solution.variances > 0)
+        # By the logarithms of the times, 0 for terms without one.
+        ends = [
+            columns(points.m, unit_terms(solution.symbols, solution.times * np.exp(step)))
+            for step in (_STEP, -_STEP)
+        ]
+        self.slopes = weight @ (ends[0] - ends[1]) / (2 * _STEP) * solution.variances
+        influence = self._influence(self.free)
+        self.scatter = influence @ self.spread.at(solution.variances) @ influence.T
 
     def estimate(self, place: int, key: str) -> Estimate:
         """Return the estimate of one term, in SI."""
@@ -475,53 +481,37 @@ class _Reader:
 
     def covariance(self, estimates: Sequence[Estimate]) -> tuple[tuple[str, ...], FloatArray]:
         """Return names and covariance of the parameters in SI of the terms that are estimated."""
-        raw = self._scatter()
         names: list[str] = []
         rows: list[int] = []
         slopes: list[float] = []
         for place, estimate in enumerate(estimates):
             if estimate.value is None:
                 continue
-            own = TERMS[estimate.symbol].parameter_names(estimate.key)
-            names += own
-            rows += self._rows(place, self.free)[: len(own)]
+            names += TERMS[estimate.symbol].parameter_names(estimate.key)
+            rows.append(place)
             slopes.append(estimate.value / (2 * float(self.solution.variances[place])))
             if estimate.correlation_time is not None:
+                rows.append(self.inside.size + place)
                 slopes.append(estimate.correlation_time.value)
-        covariance = raw[np.ix_(rows, rows)] * np.outer(slopes, slopes)
+        covariance = self.scatter[np.ix_(rows, rows)] * np.outer(slopes, slopes)
         return tuple(names), np.asarray(covariance, dtype=np.float64)
 
-    def _rows(self, place: int, free: BoolArray) -> list[int]:
-        """Return where a term's variance and the logarithm of its time stand among what is free."""
-        return [int(free[:place].sum()), int(free.sum() + (free & self.timed)[:place].sum())]
-
-    def _scatter(self) -> FloatArray:
-        """Return the covariance of the free variances, then log times."""
-        rows = self._influence(self.free)
-        return np.asarray(rows @ self.spread.at(self.solution.variances) @ rows.T)
-
     def _influence(self, free: BoolArray) -> FloatArray:
-        """Return what each Allan variance adds to the free variances, then log times, shape (p, k)."""
-        design = np.hstack([self.design[:, free], self.weight @ self._slopes(free & self.timed)])
+        """Return what each Allan variance adds to the p variances, then the logs of the times; (2p, k).
+
+        That is nothing for those that are not `free`, shape (p,).
+        """
+        design = np.hstack([self.design, self.slopes]) * np.concatenate([free, free & self.timed])
         length = np.sqrt(np.einsum("ij,ij->j", design, design))
         length[length == 0] = 1.0
         # Of minimal norm, so that terms the curve can't tell apart give a wide answer, not an error.
         solve = np.linalg.pinv(design / length, rcond=1e-12) @ self.weight
         return np.asarray(solve / length[:, np.newaxis])
 
-    def _slopes(self, timed: BoolArray) -> FloatArray:
-        """Return the derivatives of the model by the log times of some terms, shape (k, t)."""
-        own = [(self.solution.terms[place], place) for place in np.flatnonzero(timed).tolist()]
-        symbols, times = [t.symbol for t, _ in own], np.array([t.values[1] for t, _ in own])
-        later, sooner = (
-            columns(self.points.m, unit_terms(symbols, times * np.exp(step))) for step in (_STEP, -_STEP)
-        )
-        return np.asarray((later - sooner) / (2 * _STEP) * self.solution.variances[timed])
-
     def _time(self, place: int) -> Interval:
         """Return a term's time in s; its logarithm is closer to normal than itself."""
-        row = self._rows(place, self.free)[1]
-        deviation = np.sqrt(self.quantile * self._scatter()[row, row])
+        row = self.inside.size + place
+        deviation = np.sqrt(self.quantile * self.scatter[row, row])
         value = float(self.solution.terms[place].values[1]) * self.points.tau0
         factor = float(np.exp(min(deviation, 50.0)))
         return Interval(value=value, low=value / factor, high=value * factor)
@@ -537,7 +527,7 @@ class _Reader:
             used = self.inside.copy()
             used[place] = True
             value = float(non_negative(self.design[:, used], self.target)[0][used[:place].sum()])
-        own = self._influence(free)[self._rows(place, free)[0]]
+        own = self._influence(free)[place]
 
         def spread_at(trial: float) -> float:
             return float(np.sqrt(own @ self.spread.at(self._others(place, trial)) @ own))

@@ -25,11 +25,10 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.estimates import Fitted
-from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.likelihood import Candidates, Structure, candidates_of, shaped_symbols
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, coarser
 from imucal.fitting.spectral.scoring import Maximum, covariance, maximize, misfit
 from imucal.fitting.spectral.starts import find_starts
-from imucal.fitting.spectral.structures import Structure, candidates_of, shaped_symbols
 
 _NUMBER = ("no", "one", "two", "three", "four", "five")
 #: Largest difference of |H|² from a Butterworth filter's that is called one.

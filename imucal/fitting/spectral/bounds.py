@@ -17,11 +17,10 @@ import numpy as np
 
 from imucal.fitting.noise_fit import Estimate
 from imucal.fitting.spectral.estimates import Fitted, Problem, estimate, quantile
-from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.likelihood import Candidates, Structure, candidates_of, shaped_symbols
 from imucal.fitting.spectral.ordinates import LAWS, SHAPED
 from imucal.fitting.spectral.scoring import bounds, maximize
 from imucal.fitting.spectral.selection import RankedModels
-from imucal.fitting.spectral.structures import Structure, candidates_of, shaped_symbols
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 
 #: Symbol of a power-law term -> its column in a row of parameters.
@@ -113,7 +112,7 @@ def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
     old = fitted.candidate
     shaped = [key for key, symbol in terms if symbol in shaped_symbols(fitted.structure)]
     places = [i for i, key in enumerate(shaped) if key not in keys]
-    candidate = _like(problem, fitted, structure, len(places))
+    candidate = behind_filter(problem, fitted, structure, len(places))
     times = [old.variances + i for i in places]
     columns = [*range(SHAPED), *(SHAPED + i for i in places), *times, *range(old.response, old.width)]
     start = fitted.maximum.theta[:, columns]
@@ -121,8 +120,8 @@ def drop_terms(problem: Problem, fitted: Fitted, keys: list[str]) -> Fitted:
     return Fitted(structure=structure, candidate=candidate, maximum=maximum)
 
 
-def _like(problem: Problem, fitted: Fitted, structure: Structure, room: int) -> Candidates:
-    """Return the candidate of another structure behind the same output filter."""
+def behind_filter(problem: Problem, fitted: Fitted, structure: Structure, room: int) -> Candidates:
+    """Return the candidate of another structure behind a fit's output filter."""
     return candidates_of(
         [structure],
         problem.ordinates.names,
@@ -136,7 +135,7 @@ def _like(problem: Problem, fitted: Fitted, structure: Structure, room: int) -> 
 def add_term(problem: Problem, fitted: Fitted, symbol: str) -> Fitted:
     """Return the fit with a power-law term added, started from almost none of it."""
     structure = in_order((*fitted.structure, symbol))
-    candidate = _like(problem, fitted, structure, fitted.candidate.room)
+    candidate = behind_filter(problem, fitted, structure, fitted.candidate.room)
     low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
     column = COLUMN[symbol]
     starts = np.repeat(fitted.maximum.theta, 2, axis=0)

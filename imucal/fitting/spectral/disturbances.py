@@ -16,11 +16,10 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.findings import Finding, Level
 from imucal.fitting.spectral.blocks import Block, bin_blocks
-from imucal.fitting.spectral.likelihood import Candidates, evaluate
+from imucal.fitting.spectral.likelihood import Candidates, candidates_of, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates, cycle_ordinates
 from imucal.fitting.spectral.scoring import Maximum, maximize
 from imucal.fitting.spectral.starts import find_starts
-from imucal.fitting.spectral.structures import candidates_of
 from imucal.recording import AxisSeries
 from imucal.units import pretty
 

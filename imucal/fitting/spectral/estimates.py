@@ -16,10 +16,9 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.homogeneity import symbol_of
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval
-from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.likelihood import Candidates, Structure, parameter_columns
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximize, misfit_factors
-from imucal.fitting.spectral.structures import Structure, parameter_columns
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
 
@@ -366,10 +365,7 @@ def model_of(problem: Problem, fitted: Fitted, estimates: tuple[Estimate, ...]) 
     ramp = float(fitted.maximum.beta[0, 0]) * problem.deviation("R")
     return NoiseModel(
         terms=tuple(
-            TERMS[found.symbol].of(
-                ramp if found.symbol == "R" else found.value,
-                *([found.correlation_time.value] if found.correlation_time else []),
-            )
+            found.term(ramp if found.symbol == "R" else found.value)
             for found in estimates
             if found.value is not None
         )

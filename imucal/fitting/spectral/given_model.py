@@ -20,19 +20,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.arrays import FloatArray
 from imucal.fitting.bins import Bins
 from imucal.fitting.homogeneity import symbol_of, widened
 from imucal.fitting.noise_fit import Estimate, Goodness
 from imucal.fitting.spectral.band import Band, find_band
 from imucal.fitting.spectral.blocks import joined, ordinates_of
 from imucal.fitting.spectral.bounds import completed, estimate_or_bound, fitted_model, numbered, with_absent
+from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.estimates import Fitted, Problem, misfits_of, model_of
-from imucal.fitting.spectral.likelihood import derivatives
+from imucal.fitting.spectral.likelihood import SHORTEST, SHORTEST_GIVEN, Structure, derivatives, richest
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.fitting.spectral.scoring import Maximum, bounds, covariance, maximize, misfit
+from imucal.fitting.spectral.scoring import bounds, misfit
 from imucal.fitting.spectral.selection import choose
-from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, richest
 from imucal.noise.model import NoiseModel
 
 
@@ -124,11 +124,10 @@ def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, ma
     return band
 
 
-#: Deviations at which the profile is looked at, from the smallest record's to the largest's; and how often
-#: the range is narrowed to the best and its neighbours.
-_PLACES, _ROUNDS = 9, 3
-#: Where a record's fit starts besides at the joint one: terms so far above invisible, in log variance.
-_RAISED = (8.0, 16.0)
+#: A coefficient whose log has less information than this is not told at all.
+_NONE = 1e-8
+#: A term whose log variance is no further above its lower bound is absent from the joint fit.
+_RAISED = 8.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -161,132 +160,63 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
     """Return the test of each term of a joint fit but the ramp; none for a single record."""
     if len(fit.records) < 2:
         return ()
-    records = [_Record(one, fit) for one in fit.records]
-    terms = [
-        (name.partition(".")[0], column)
-        for name, column in fit.whole.columns()
-        if column < fit.whole.candidate.variances
-    ]
-    columns = np.array([column for _, column in terms])
-    peaks = np.array([record.deviations(columns) for record in records])
-    errors = np.array([record.log_deviations(columns) for record in records])
-    drops = _least(records, columns, peaks) - sum(record.objective for record in records)
-    return tuple(
-        _test(fit.problem, key, *of_term)
-        for (key, _), *of_term in zip(terms, drops.tolist(), peaks.T, errors.T, strict=True)
-    )
-
-
-def _test(problem: Problem, key: str, drop: float, peaks: FloatArray, errors: FloatArray) -> RecordTest:
     from scipy.special import chdtrc
 
-    symbol = symbol_of(key)
-    surplus = problem.widening.get(symbol, 1.0) ** 2
-    statistic = max(2 * drop / surplus, 0.0)
-    return RecordTest(
-        key=key,
-        symbol=symbol,
-        statistic=statistic,
-        dof=peaks.size - 1,
-        p_value=float(chdtrc(peaks.size - 1, statistic)),
-        values=problem.deviation(symbol) * peaks,
-        log_deviations=np.sqrt(surplus) * errors,
-    )
-
-
-def _least(records: "list[_Record]", columns: IntArray, peaks: FloatArray) -> FloatArray:
-    """Return the least -log L of all records with one deviation of a term, shape (t,) for t columns.
-
-    `peaks` are the deviations in each record by itself, shape (r, t). All terms are searched side by side.
-    """
-    term = np.arange(columns.size)
-    places = np.linspace(peaks.min(axis=0), peaks.max(axis=0), _PLACES, axis=1)
-    profiles = [record.profile(columns, places) for record in records]
-    least = np.full(columns.size, np.inf)
-    for left in reversed(range(_ROUNDS)):
-        total = np.sum([profile.objective for profile in profiles], axis=0).reshape(places.shape)
-        least = np.minimum(least, total.min(axis=1))
-        if left:
-            best = np.argmin(total, axis=1)
-            ends = [np.maximum(best - 1, 0), np.minimum(best + 1, _PLACES - 1)]
-            first, last = (places[term, end] for end in ends)
-            places = np.linspace(first, last, _PLACES, axis=1)
-            rows = [term * _PLACES + end for end in ends]
-            profiles = [
-                record.finer(columns, places, *(profile.theta[row] for row in rows))
-                for record, profile in zip(records, profiles, strict=True)
-            ]
-    return least
-
-
-class _Record:
-    """One record: its own maximum in the variances, and profiles about it."""
-
-    def __init__(self, ordinates: Ordinates, fit: BinFit) -> None:
-        self.ordinates, self.shortest = ordinates, fit.problem.shortest
-        # What was taken out of another record is nothing in this one.
-        own = np.einsum("iib->i", ordinates.gram) > 0
-        joint = fit.whole.candidate
-        self.candidate = replace(joint, regressors=joint.regressors & own)
-        variances = np.arange(self.candidate.width) < self.candidate.variances
-        self.free = self.candidate.free & variances
-        self.low, _ = bounds(ordinates, self.candidate, shortest=self.shortest)
-        start = fit.whole.maximum.theta
-        raised = [np.where(self.free, np.maximum(start, self.low + more), start) for more in _RAISED]
-        found = self.maximize(np.concatenate([start, *raised]), np.tile(self.free, (1 + len(raised), 1)))
-        self.maximum: Maximum = found.take(np.array([int(np.argmin(found.objective))]))
-        self.objective = float(self.maximum.objective[0])
-
-    def maximize(self, starts: FloatArray, free: BoolArray) -> Maximum:
-        """Return the maxima from starts, shape (k, p), in what is free in each of them."""
-        rows: IntArray = np.zeros(starts.shape[0], dtype=np.int64)
-        return maximize(
-            self.ordinates,
-            self.candidate.take(rows),
-            starts,
-            free=free,
-            shortest=self.shortest,
-            tolerance=1e-5,
+    fitted, dof = fit.whole, len(fit.records) - 1
+    terms = [(name, column) for name, column in fitted.columns() if column < fitted.candidate.variances]
+    parts, logs = _parts(fit, [column for _, column in terms])
+    free, common = (parts.fit(common=held) for held in (False, True))
+    tests = []
+    for row, (name, column) in enumerate(terms):
+        key = name.partition(".")[0]
+        symbol, information = symbol_of(key), free.information[row]
+        surplus = fit.problem.widening.get(symbol, 1.0) ** 2
+        statistic = max(2 * float(np.sum(common.objective[row] - free.objective[row])) / surplus, 0.0)
+        deviations = np.where(information > _NONE, np.exp((logs[column] + free.logs[row, :, 0]) / 2), 0.0)
+        with np.errstate(divide="ignore"):
+            errors = 0.5 * np.sqrt(surplus / np.where(information > _NONE, information, 0.0))
+        tests.append(
+            RecordTest(
+                key=key,
+                symbol=symbol,
+                statistic=statistic,
+                dof=dof,
+                p_value=float(chdtrc(dof, statistic)),
+                values=fit.problem.deviation(symbol) * deviations,
+                log_deviations=errors,
+            )
         )
+    return tuple(tests)
 
-    def deviations(self, columns: IntArray) -> FloatArray:
-        """Return the deviation of each term, shape (t,); 0 where its variance is at its lower end."""
-        logs = self.maximum.theta[0, columns]
-        return np.where(logs > self.low[columns] + 1e-6, np.exp(logs / 2), 0.0)
 
-    def log_deviations(self, columns: IntArray) -> FloatArray:
-        """Return the standard error of the logarithm of each coefficient, shape (t,)."""
-        inverse = covariance(self.maximum.information[0], self.free[0])
-        errors: FloatArray = 0.5 * np.sqrt(np.diag(inverse)[columns])
-        return errors
+def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
+    """Return the parts of each term's test, beside which all others vary, and the logs of their variances.
 
-    def profile(self, columns: IntArray, places: FloatArray) -> Maximum:
-        """Return the maxima with the deviation of each term held at its places, shape (t, k)."""
-        start = self.maximum.theta[0]
-        # What was at its lower end in the maximum may come in where this term is held low.
-        start = np.where(self.free[0] & (start < self.low + _RAISED[0]), self.low + _RAISED[1], start)
-        return self._held(columns, places, np.tile(start, (places.size, 1)))
-
-    def finer(self, columns: IntArray, places: FloatArray, first: FloatArray, last: FloatArray) -> Maximum:
-        """Return the maxima as `profile`, from those at the first and the last place of each term, (t, p).
-
-        A search starts on the line between the two, near its end; a term that is at its lower end in one of
-        them starts where it is in the other one.
-        """
-        part = np.linspace(0, 1, places.shape[1])[:, None]
-        first, last = first[:, None], last[:, None]
-        there = np.minimum(first, last) > self.low + _RAISED[0]
-        starts = np.where(there, (1 - part) * first + part * last, np.maximum(first, last))
-        return self._held(columns, places, starts.reshape(places.size, -1))
-
-    def _held(self, columns: IntArray, places: FloatArray, starts: FloatArray) -> Maximum:
-        held = np.repeat(columns, places.shape[1])
-        rows = np.arange(held.size)
-        logs = 2 * np.log(np.maximum(places.ravel(), 1e-300))
-        starts[rows, held] = np.maximum(logs, self.low[held])
-        free = np.tile(self.free, (held.size, 1))
-        free[rows, held] = False
-        return self.maximize(starts, free)
+    Each record has a ramp of its own; what was taken out of one is nothing in the others.
+    """
+    candidate, theta = fit.whole.candidate, fit.whole.maximum.theta
+    joint, count = Ordinates.joined(fit.records), len(fit.records)
+    owner = np.repeat(np.arange(count), [one.size.size for one in fit.records])
+    rows = np.concatenate([np.zeros(count, dtype=np.int64), np.arange(1, len(joint.names))])
+    own = np.ones((rows.size, owner.size))
+    own[:count] = owner == np.arange(count)[:, np.newaxis]
+    spectra = derivatives(joint, candidate, theta)[: candidate.variances]
+    low, _ = bounds(fit.problem.ordinates, candidate, shortest=fit.problem.shortest)
+    absent = [column for column in columns if theta[0, column] < low[column] + _RAISED]
+    factor = visible(spectra, np.array(absent, dtype=np.int64))
+    varied = [[one, *(column for column in columns if column != one)] for one in columns]
+    parts = Parts(
+        ordinates=replace(
+            joint,
+            cross=joint.cross[rows] * own,
+            gram=joint.gram[np.ix_(rows, rows)] * own * own[:, np.newaxis],
+        ),
+        regressors=candidate.regressors[0, rows],
+        first=np.flatnonzero(np.diff(owner, prepend=-1)),
+        varied=(factor[:, np.newaxis] * spectra)[np.array(varied)],
+        held=np.zeros((len(columns), owner.size)),
+    )
+    return parts, theta[0, : candidate.variances] + np.log(factor)
 
 
 #: Most steps of a search for squared coefficients.
@@ -339,7 +269,7 @@ def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     reference = _reference(slopes[places], ordinates.size, peak)
     spectrum = reference @ slopes[places]
     weight = 0.5 * ordinates.size / spectrum**2
-    variance = _solve(slopes[places], weight, weight * power / ordinates.size)
+    variance = _inverse(slopes[places], weight) @ (slopes[places] @ (weight * power / ordinates.size))
     beside = _nuisance(slopes, fitted, dict(zip(places, reference.tolist(), strict=True)), spectrum)
     laws = _laws(np.concatenate([slopes[places], beside]), ordinates.size, spectrum, variance)
     result = {}
@@ -366,7 +296,7 @@ def _search(shapes: FloatArray, size: FloatArray, power: FloatArray, variance: F
     now = objective(spectrum)
     for _ in range(_STEPS):
         weight = 0.5 * size / spectrum**2
-        step = _solve(shapes, weight, (0.5 * (power - size * spectrum) / spectrum**2))
+        step = _inverse(shapes, weight) @ (shapes @ (0.5 * (power - size * spectrum) / spectrum**2))
         stride = 1.0
         while stride > 1e-6 and not (then := objective((variance + stride * step) @ shapes)) < now:
             stride /= 2
@@ -389,14 +319,6 @@ def _reference(shapes: FloatArray, size: FloatArray, peak: FloatArray) -> FloatA
             break
         reference = np.sqrt(reference * wanted)
     return reference
-
-
-def _solve(shapes: FloatArray, weight: FloatArray, residual: FloatArray) -> FloatArray:
-    information = np.einsum("ib,b,jb->ij", shapes, weight, shapes)
-    root = np.sqrt(np.diag(information))
-    score = shapes @ residual / root
-    step: FloatArray = np.linalg.lstsq(information / np.outer(root, root), score, rcond=1e-12)[0] / root
-    return step
 
 
 def _nuisance(

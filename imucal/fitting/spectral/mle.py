@@ -33,13 +33,19 @@ from imucal.fitting.spectral.band import Band, filter_finding, find_band, respon
 from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
 from imucal.fitting.spectral.bounds import estimate_or_bound, hull_estimates, numbered, with_absent
 from imucal.fitting.spectral.estimates import MISFIT, Fitted, Problem, covariance_of, misfits_of, model_of
-from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.likelihood import (
+    SHORTEST,
+    SHORTEST_GIVEN,
+    Structure,
+    all_structures,
+    evaluate,
+    richest,
+)
 from imucal.fitting.spectral.not_noise import find_shapes, line_finding, tone_finding
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import misfit
 from imucal.fitting.spectral.segments import fit_segments
 from imucal.fitting.spectral.selection import choice_findings, choose, near_candidates
-from imucal.fitting.spectral.structures import SHORTEST, SHORTEST_GIVEN, Structure, all_structures, richest
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries
 

@@ -19,8 +19,8 @@ from imucal.fitting.spectral.disturbances import (
     exact_places,
     find_disturbances,
 )
+from imucal.fitting.spectral.likelihood import SHORTEST, richest
 from imucal.fitting.spectral.lines import likely_cause, local_level
-from imucal.fitting.spectral.structures import SHORTEST, richest
 from imucal.fitting.spectral.telegraph import find_telegraph, telegraph_finding
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries

@@ -4,11 +4,7 @@ Segments are of equal time. Nothing is looked for again: the scale, the lines th
 drift, what the gaps miss, correlation times and the output filter are those of the whole record.
 
 A term is tested with white noise free to vary beside it, so that a change of the white noise is not
-blamed on the term; white noise itself with all slower terms free in one. Fisher scoring of both scales is
-a 2 x 2 system a segment, and with the tested scale in common one more unknown. Twice the drop of the
-likelihood from free to common is the test of homogeneity, as Bartlett's test of equal variances is.
-
-Source: Bartlett (1937), Proc. R. Soc. A 160, 268.
+blamed on the term; white noise itself with all slower terms free in one.
 """
 
 from collections.abc import Mapping
@@ -22,13 +18,13 @@ from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.homogeneity import bartlett_correction, cochran_q, homogeneity
 from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
-from imucal.fitting.spectral.bounds import COLUMN
+from imucal.fitting.spectral.bounds import COLUMN, behind_filter
+from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.estimates import Fitted, Problem, quantile
 from imucal.fitting.spectral.likelihood import derivatives
 from imucal.fitting.spectral.lines import left_out, outside
 from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
 from imucal.fitting.spectral.scoring import bounds
-from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import in_order
 from imucal.recording import AxisSeries
@@ -184,123 +180,6 @@ def _loss(block: Block, omega: FloatArray, missing: float) -> FloatArray:
     return np.clip(share * np.interp(omega, bins.omega, whole), 0.0, 0.99)
 
 
-#: Logs of the scales stay above this: what is lower is invisible.
-_INVISIBLE = -18.0
-#: Longest step of a log, and most steps.
-_STEP, _STEPS = 1.5, 60
-#: Gain of the log-likelihood that ends the search.
-_CLOSE = 1e-4
-_TINY = 1e-12
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scales:
-    """Where the likelihood is greatest.
-
-    Attributes
-    ----------
-    tested, beside
-        Logs of the scales of both parts in each segment, shape (s,).
-    objective
-        -log L of all segments, less a constant.
-    matrix
-        Expected information of both logs: of `tested`, of both, of `beside`; shape (3, s).
-    """
-
-    tested: FloatArray
-    beside: FloatArray
-    objective: float
-    matrix: FloatArray
-
-    @property
-    def information(self) -> FloatArray:
-        """Information on `tested` with `beside` unknown, shape (s,)."""
-        tested, both, beside = self.matrix
-        own: FloatArray = tested - both**2 / (beside + _TINY)
-        return own
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Parts:
-    """The spectra of one test: what is held, what is tested, what varies beside it, shape (b,) each."""
-
-    held: FloatArray
-    tested: FloatArray
-    beside: FloatArray
-    size: FloatArray
-    power: FloatArray
-    first: IntArray
-
-    def total(self, values: FloatArray) -> FloatArray:
-        """Return the sum over each segment's bins, shape (s,)."""
-        summed: FloatArray = np.add.reduceat(values, self.first)
-        return summed
-
-    def spread(self, values: FloatArray) -> FloatArray:
-        """Return a segment's value at each of its bins, shape (b,)."""
-        return np.repeat(values, np.diff(self.first, append=self.size.size))
-
-
-def fit_scales(parts: Parts, *, common: bool) -> Scales:
-    """Maximise the likelihood, the tested part the same in all segments where `common`."""
-    count = parts.first.size
-    theta = np.zeros((2, count))
-    objective, gradient, matrix = _evaluate(parts, theta)
-    shrink = np.ones(count)
-    for _ in range(_STEPS):
-        step = _step(gradient, matrix, common=common)
-        trial = np.maximum(theta + shrink * step, _INVISIBLE)
-        found, slope, information = _evaluate(parts, trial)
-        gain = objective - found
-        if common:
-            gain = np.full(count, gain.sum() / count)
-        better = gain >= -_TINY * np.abs(objective)
-        theta = np.where(better, trial, theta)
-        objective = np.where(better, found, objective)
-        gradient = np.where(better, slope, gradient)
-        matrix = np.where(better, information, matrix)
-        shrink = np.where(better, np.minimum(2 * shrink, 1.0), shrink / 4)
-        if np.all(np.where(better, gain < _CLOSE, shrink < 1e-4)):
-            break
-    return Scales(tested=theta[0], beside=theta[1], objective=float(objective.sum()), matrix=matrix)
-
-
-def scales_at(parts: Parts, tested: FloatArray, beside: FloatArray) -> Scales:
-    """Return the likelihood at given logs of the scales, shape (s,) each."""
-    objective, _, matrix = _evaluate(parts, np.array([tested, beside]))
-    return Scales(tested=tested, beside=beside, objective=float(objective.sum()), matrix=matrix)
-
-
-def _evaluate(parts: Parts, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return -log L (s,), its gradient (2, s) and the information's three entries (3, s)."""
-    tested, beside = (parts.spread(np.exp(row)) for row in theta)
-    tested, beside = tested * parts.tested, beside * parts.beside
-    spectrum = parts.held + tested + beside
-    ratio = parts.power / spectrum
-    objective = 0.5 * parts.total(parts.size * np.log(spectrum) + ratio)
-    tested, beside = tested / spectrum, beside / spectrum
-    rest = 0.5 * (parts.size - ratio)
-    gradient = np.array([parts.total(tested * rest), parts.total(beside * rest)])
-    weight = 0.5 * parts.size
-    pairs = ((tested, tested), (tested, beside), (beside, beside))
-    return objective, gradient, np.array([parts.total(weight * a * b) for a, b in pairs])
-
-
-def _step(gradient: FloatArray, matrix: FloatArray, *, common: bool) -> FloatArray:
-    """Return the scoring step of both logs in each segment, shape (2, s)."""
-    tested, both, beside = matrix[0] * (1 + 1e-9) + _TINY, matrix[1], matrix[2] * (1 + 1e-9) + _TINY
-    left = gradient[0] - both / beside * gradient[1]
-    rest = np.maximum(tested - both**2 / beside, _TINY)
-    first = -left / rest
-    if common:
-        first = np.full(first.size, -left.sum() / rest.sum())
-    first = np.clip(first, -_STEP, _STEP)
-    second = np.clip(-(gradient[1] + both * first) / beside, -_STEP, _STEP)
-    return np.array([first, second])
-
-
-#: A term that the fit lacks is looked for from this share of the spectrum on, where its share is largest.
-_SHARE = 0.1
 #: Standard error of a log below which a segment tells a term by itself.
 _SURE = 0.1
 #: Longest averaging time of the floor, as a part of a segment.
@@ -342,69 +221,68 @@ def fit_segments(
         white=white,
         floor=floor,
         floor_tau_s=tau,
-        terms=tuple(tests.test(name) for name in tests.columns if not name.endswith(".T")),
+        terms=tests.homogeneity(),
     )
 
 
 class _Tests:
-    """The tests of one fit's terms; spectra have a row for each variance parameter."""
+    """The tests of one fit's terms, all side by side."""
 
     def __init__(self, problem: Problem, fitted: Fitted, segments: SegmentOrdinates) -> None:
         self.problem, self.segments = problem, segments
-        self.absent = [COLUMN[symbol] for symbol in fitted.missing]
-        old = fitted.candidate
-        candidate = candidates_of(
-            [in_order((*fitted.structure, *fitted.missing))],
-            (),
-            poles=int(old.poles[0]),
-            zeros=int(old.zeros[0]),
-            room_shaped=old.room,
-        )
+        absent = [COLUMN[symbol] for symbol in fitted.missing]
+        structure = in_order((*fitted.structure, *fitted.missing))
+        candidate = behind_filter(problem, fitted, structure, fitted.candidate.room)
         theta = fitted.maximum.theta.copy()
         low, _ = bounds(problem.ordinates, candidate, shortest=problem.shortest)
-        theta[:, self.absent] = low[self.absent]
-        self.spectra = derivatives(segments.ordinates, candidate, theta)[: candidate.variances]
-        self.whole = np.delete(self.spectra, self.absent, axis=0).sum(axis=0)
-        for column in self.absent:
-            self.spectra[column] *= _SHARE / np.max(self.spectra[column] / self.whole)
-        self.columns = dict(fitted.columns(fitted.missing))
+        theta[:, absent] = low[absent]
+        spectra = derivatives(segments.ordinates, candidate, theta)[: candidate.variances]
+        spectra *= visible(spectra, np.array(absent, dtype=np.int64))[:, np.newaxis]
+        whole = np.delete(spectra, absent, axis=0).sum(axis=0)
+        columns = {n: c for n, c in fitted.columns(fitted.missing) if not n.endswith(".T")}
+        self.names = list(columns)
+        beside = [
+            spectra[self.beside(column, absent, len(spectra))].sum(axis=0) for column in columns.values()
+        ]
+        varied = np.stack([spectra[list(columns.values())], beside], axis=1)
+        inside = [column not in absent for column in columns.values()]
+        held = whole - varied[:, 1] - np.where(np.array(inside)[:, np.newaxis], varied[:, 0], 0.0)
+        self.parts = Parts(
+            ordinates=segments.ordinates,
+            regressors=np.zeros(0, dtype=bool),
+            first=segments.first,
+            varied=varied,
+            held=np.maximum(held, 0.0),
+        )
+        self.free = self.parts.fit(common=False)
         self.spans = np.stack([segments.start_s, segments.end_s], axis=1)
 
-    def test(self, name: str) -> TermHomogeneity:
-        """Return the test of one term: Cochran's Q where each segment tells it, else the likelihood ratio."""
-        parts, surplus = self.parts(self.columns[name]), self.surplus(name)
-        free, common = (fit_scales(parts, common=held) for held in (False, True))
-        # The variance of the log of a deviation is a quarter of that of its square's.
-        logs, weight = free.tested / 2, 4 * free.information / surplus
-        if weight.min() > _SURE**-2:
-            statistic = cochran_q(logs, weight)
-        else:
-            weight = 4 * common.information / surplus
-            statistic = 2 * (common.objective - free.objective) / surplus
-            statistic /= bartlett_correction(common.information)
-        return homogeneity(name.partition(".")[0], statistic, logs, weight, self.spans)
+    def homogeneity(self) -> tuple[TermHomogeneity, ...]:
+        """Return each term's test: Cochran's Q where each segment tells it, else the likelihood ratio."""
+        common = self.parts.fit(common=True)
+        tests = []
+        for row, name in enumerate(self.names):
+            surplus = self.surplus(name)
+            # The variance of the log of a deviation is a quarter of that of its square's.
+            logs, weight = self.free.logs[row, :, 0] / 2, 4 * self.free.information[row] / surplus
+            if weight.min() > _SURE**-2:
+                statistic = cochran_q(logs, weight)
+            else:
+                weight = 4 * common.information[row] / surplus
+                statistic = 2 * float(np.sum(common.objective[row] - self.free.objective[row])) / surplus
+                statistic /= bartlett_correction(common.information[row])
+            tests.append(homogeneity(name.partition(".")[0], statistic, logs, weight, self.spans))
+        return tuple(tests)
 
     def surplus(self, name: str) -> float:
         """Return by what factor the variance of a log is larger than the likelihood's: heavy tails."""
         return self.problem.widening.get(name, 1.0) ** 2
 
-    def parts(self, column: int) -> Parts:
-        """Return what is tested, and what is free beside it."""
+    def beside(self, column: int, absent: list[int], count: int) -> list[int]:
+        """Return what is free beside a term: white noise, or beside that all slower ones in one."""
         white = COLUMN["N"]
-        rows = [c for c in range(white + 1, len(self.spectra)) if c not in self.absent]
-        if column != white:
-            rows = [white] if white not in self.absent else []
-        tested, beside = self.spectra[column], self.spectra[rows].sum(axis=0)
-        held = self.whole - beside - (0.0 if column in self.absent else tested)
-        ordinates = self.segments.ordinates
-        return Parts(
-            held=np.maximum(held, 0.0),
-            tested=tested,
-            beside=beside,
-            size=ordinates.size,
-            power=ordinates.power,
-            first=self.segments.first,
-        )
+        rows = range(white + 1, count) if column == white else [white]
+        return [row for row in rows if row not in absent]
 
     def traces(
         self, model: NoiseModel, curve: AllanCurve, series: AxisSeries
@@ -421,19 +299,18 @@ class _Tests:
         slow = sum(share for symbol, share in shares.items() if symbol not in {"Q", "N", "R"})
         if white is None:
             return None, None, np.nan
-        parts = self.parts(COLUMN["N"])
-        free = fit_scales(parts, common=False)
-        sure = scales_at(parts, np.zeros(self.spans.shape[0]), np.zeros(self.spans.shape[0]))
-        z = quantile(self.problem.level)
-        surplus = self.surplus("N")
-        n = _trace(abs(white.values[0]), free.tested, z * np.sqrt(surplus / sure.information))
+        row = self.names.index("N")
+        sure = self.parts.at(np.zeros(self.free.logs.shape))
+        z, surplus = quantile(self.problem.level), self.surplus("N")
+        fast, rest = self.free.logs[row].T
+        n = _trace(abs(white.values[0]), fast, z * np.sqrt(surplus / sure.information[row]))
         if not slow:
             return n, None, np.nan
-        fast, rest = shares["N"] * np.exp(free.tested), slow * np.exp(free.beside)
+        fast, rest = shares["N"] * np.exp(fast), slow * np.exp(rest)
         total = fast + rest + shares.get("Q", 0.0)
         fast, rest = fast / total, rest / total
         # The variance of the log of a sum of both parts that have these shares of it.
-        tested, both, beside = sure.matrix
+        (tested, both), (_, beside) = np.moveaxis(sure.matrix[row], 0, -1)
         variance = surplus * fast**2 * beside - 2 * fast * rest * both + rest**2 * tested
         error = np.sqrt(variance / (tested * beside - both**2))
         return n, _trace(1.0, np.log(total), z * error), tau

@@ -10,11 +10,10 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate
 from imucal.fitting.settings import CRITERIA
 from imucal.fitting.spectral.band import Band
-from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.likelihood import Candidates, Structure, candidates_of
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
 from imucal.fitting.spectral.scoring import Maximum, maximize
 from imucal.fitting.spectral.starts import find_starts
-from imucal.fitting.spectral.structures import Structure, candidates_of
 from imucal.noise.model import structure_text
 
 #: Candidates within this much of the best of the coarse bins are fitted on all bins.

@@ -24,9 +24,8 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.findings import Finding
 from imucal.fitting.spectral.blocks import Block, bin_blocks
 from imucal.fitting.spectral.disturbances import Whitened, best_cycle
-from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.likelihood import candidates_of, evaluate
 from imucal.fitting.spectral.starts import find_starts
-from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.bank import gauss_markov_bank
 from imucal.noise.term import gauss_markov_dct
 from imucal.recording import AxisSeries

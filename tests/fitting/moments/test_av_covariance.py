@@ -9,7 +9,7 @@ import pytest
 
 from imucal.arrays import FloatArray
 from imucal.fitting.moments import points as module
-from imucal.fitting.moments.points import avar_covariance, sum_variance, unit_terms
+from imucal.fitting.moments.points import avar_covariance, unit_terms
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import GaussMarkov
@@ -91,18 +91,6 @@ def test_simulated_curves_scatter_as_predicted(
     npt.assert_allclose(_correlation(predicted), _correlation(seen), atol=0.12)
 
 
-@pytest.mark.parametrize("time", [0.5, 10.0, 1e4, 1e8])
-def test_a_gauss_markov_sum_has_the_variance_of_its_autocovariances(time: float) -> None:
-    """V(n) is the double sum of exp(-|i-j|/T), but for a multiple of n²."""
-    n = np.arange(1.0, 40.0)
-    direct = np.array(
-        [np.exp(-np.abs(np.subtract.outer(np.arange(k), np.arange(k))) / time).sum() for k in n]
-    )
-    found = sum_variance(_markov(time), n)
-    rest = direct - found
-    npt.assert_allclose(rest, rest[-1] * (n / n[-1]) ** 2, rtol=1e-9, atol=1e-9 * np.abs(direct).max())
-
-
 def test_the_covariance_is_quadratic_in_the_variances() -> None:
     """A noise twice as loud has variances four times as large, and covariances sixteen."""
     found = avar_covariance(2 ** np.arange(8), 2000, [N, K, R], overlapping=True)
@@ -141,7 +129,7 @@ def test_two_averaging_times_covary_as_their_squares_summed_over_all_pairs(
             for a, first in enumerate((1, -2, 1)):
                 for b, second in enumerate((1, -2, 1)):
                     place = np.array([abs(float(u + b * mj - t - a * mi))])
-                    apart += first * second * float(sum_variance(term, place)[0])
+                    apart += first * second * float(term.sum_variance(place, 1.0)[0])
             total += 2 * (apart / (-4 * mi * mj)) ** 2
     expected = total / (len(starts[0]) * len(starts[1]))
     found = avar_covariance(np.array([mi, mj]), n, [term], overlapping=overlapping).at(np.ones(1))

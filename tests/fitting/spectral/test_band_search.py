@@ -19,10 +19,9 @@ from imucal.fitting.spectral.band import (
     find_band,
     start_response,
 )
-from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.likelihood import candidates_of, evaluate
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from imucal.fitting.spectral.scoring import Maximum
-from imucal.fitting.spectral.structures import candidates_of
 from tests.fitting.fits import ordinates_of, simulated
 
 

@@ -8,7 +8,7 @@ from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.fitting import FitSettings, NoiseFit
-from imucal.fitting.curve_opinion import without_disturbances
+from imucal.fitting.cross_checks import without_disturbances
 from imucal.fitting.spectral import fit_mle
 from imucal.fitting.spectral.blocks import Block, make_blocks
 from imucal.fitting.spectral.disturbances import Disturbance, Whitened, find_disturbances

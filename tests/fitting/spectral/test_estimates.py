@@ -19,8 +19,8 @@ from imucal.fitting.spectral.estimates import (
     misfits_of,
     model_of,
 )
+from imucal.fitting.spectral.likelihood import candidates_of
 from imucal.fitting.spectral.scoring import Maximum
-from imucal.fitting.spectral.structures import candidates_of
 from tests.fitting.fits import ordinates_of, simulated
 
 TAU0 = 0.25

@@ -11,6 +11,7 @@ from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Goodness, Line, Response
 from imucal.fitting.spectral.band import Band, Order, filter_finding, response_of
 from imucal.fitting.spectral.estimates import Fitted
+from imucal.fitting.spectral.likelihood import candidates_of, richest
 from imucal.fitting.spectral.mle import (
     _misfit_findings,
     _structures,
@@ -19,7 +20,6 @@ from imucal.fitting.spectral.mle import (
 from imucal.fitting.spectral.not_noise import line_finding
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum
-from imucal.fitting.spectral.structures import candidates_of, richest
 from imucal.recording import AxisSeries
 from tests.fitting.fits import ordinates_of
 

@@ -9,8 +9,8 @@ import pytest
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.fitting.spectral import bounds
 from imucal.fitting.spectral.estimates import Fitted, Problem
+from imucal.fitting.spectral.likelihood import Structure
 from imucal.fitting.spectral.selection import RankedModels
-from imucal.fitting.spectral.structures import Structure
 from imucal.noise.terms import ALWAYS
 from tests.fitting.fits import ordinates_of
 

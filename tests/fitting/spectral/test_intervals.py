@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from imucal.fitting.spectral.likelihood import all_structures
 from imucal.fitting.spectral.selection import choose
-from imucal.fitting.spectral.structures import all_structures
 from tests.fitting.fits import estimated, fitted, ordinates_of, simulated
 
 REPEATS = 150

@@ -9,10 +9,9 @@ import pytest
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral import starts
-from imucal.fitting.spectral.likelihood import Candidates, evaluate
+from imucal.fitting.spectral.likelihood import Candidates, candidates_of, evaluate
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
 from imucal.fitting.spectral.starts import _combinations, _mix, find_starts, time_grid
-from imucal.fitting.spectral.structures import candidates_of
 from imucal.noise.model import NoiseModel
 from tests.fitting.fits import ordinates_of
 

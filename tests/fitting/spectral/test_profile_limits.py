@@ -10,10 +10,9 @@ import pytest
 from imucal.arrays import BoolArray, FloatArray
 from imucal.fitting.spectral import estimates
 from imucal.fitting.spectral.estimates import RAMP, _ProfileSearch, profile_limits, quantile
-from imucal.fitting.spectral.likelihood import Candidates
+from imucal.fitting.spectral.likelihood import Candidates, candidates_of
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.fitting.spectral.scoring import Maximum, bounds
-from imucal.fitting.spectral.structures import candidates_of
 from tests.fitting.fits import ordinates_of, simulated
 
 #: Columns of the variances of N and of a Gauss-Markov term, and of its time.

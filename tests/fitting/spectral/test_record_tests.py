@@ -6,10 +6,9 @@ from scipy import optimize
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.given_model import BinFit, fit_bins, record_tests
-from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.likelihood import evaluate, parameter_columns
 from imucal.fitting.spectral.ordinates import SHAPED
 from imucal.fitting.spectral.scoring import bounds
-from imucal.fitting.spectral.structures import parameter_columns
 from tests.fleet.records import bins_from, simulated
 
 
@@ -63,5 +62,4 @@ def test_the_statistic_is_that_of_a_general_minimiser(case: int) -> None:
     free = _least(fit, None)
     for name, column in parameter_columns(fit.whole.structure, 0):
         drop = 2 * (_least(fit, column) - free) / fit.problem.widening.get(name, 1.0) ** 2
-        # The common deviation is searched to 1/128 of the records' range.
-        assert tests[name].statistic == pytest.approx(max(drop, 0.0), rel=1e-4, abs=2e-3)
+        assert tests[name].statistic == pytest.approx(max(drop, 0.0), rel=1e-5, abs=1e-4)

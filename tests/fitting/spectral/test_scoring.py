@@ -7,7 +7,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.fitting.spectral.likelihood import evaluate
+from imucal.fitting.spectral.likelihood import candidates_of, evaluate
 from imucal.fitting.spectral.scoring import (
     _step,
     bounds,
@@ -17,7 +17,6 @@ from imucal.fitting.spectral.scoring import (
     misfit,
     misfit_factors,
 )
-from imucal.fitting.spectral.structures import candidates_of
 from tests.fitting.fits import ordinates_of, simulated
 
 

@@ -10,15 +10,9 @@ from imucal.clock import Clock
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import mle
 from imucal.fitting.spectral.blocks import make_blocks
-from imucal.fitting.spectral.ordinates import regressor_samples
-from imucal.fitting.spectral.segments import (
-    Parts,
-    SegmentOrdinates,
-    fit_scales,
-    number_of_segments,
-    scales_at,
-    segment_ordinates,
-)
+from imucal.fitting.spectral.common_terms import Parts
+from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
+from imucal.fitting.spectral.segments import SegmentOrdinates, number_of_segments, segment_ordinates
 from imucal.recording import AxisSeries, Sensor
 from tests.fitting.fits import simulated
 
@@ -128,91 +122,83 @@ def test_lines_of_the_record_are_left_out_of_its_segments() -> None:
     npt.assert_allclose(white_levels(cut(series), series), np.ones(8), atol=4 * np.sqrt(2 / 4000))
 
 
-def parts_of(rng: np.random.Generator, levels: np.ndarray, *, size: float = 30.0) -> Parts:
-    """Return parts of segments with a white level each, a steep part beside it and a little held."""
-    count = levels.size
-    steep = np.tile(1 / np.linspace(0.1, 3, 40) ** 2, count)
-    flat, held = np.ones(40 * count), np.full(40 * count, 0.05)
-    spectrum = held + np.repeat(levels, 40) * flat + steep
-    power = spectrum * rng.chisquare(size, spectrum.size)
-    first = np.arange(0, 40 * count, 40)
+def parts(power: np.ndarray, *, size: float = 30.0) -> Parts:
+    """Return two tests of segments of 40 bins: of a flat part beside a steep one, and the other way round."""
+    steep = np.tile(1 / np.linspace(0.1, 3, 40) ** 2, power.size // 40)
+    flat, nothing = np.ones(power.size), np.zeros(power.size)
     return Parts(
-        held=held, tested=flat, beside=steep, size=np.full(spectrum.size, size), power=power, first=first
-    )
+        ordinates=Ordinates(
+            scale=1.0, size=np.full(power.size, size), power=power, lam=flat, length=flat, sign=nothing,
+            basis=flat[None], names=(), cross=np.zeros((0, power.size)), gram=np.zeros((0, 0, power.size)),
+        ),
+        regressors=np.zeros(0, dtype=bool),
+        first=np.arange(0, power.size, 40),
+        varied=np.array([[flat, steep], [steep, flat]]),
+        held=np.full((2, power.size), 0.05),
+    )  # fmt: skip
 
 
-def objective(parts: Parts, tested: np.ndarray, beside: np.ndarray) -> float:
-    """Return -log L, written out."""
+def power_of(rng: np.random.Generator, levels: np.ndarray, *, size: float = 30.0) -> np.ndarray:
+    """Return squares of segments with a white level each, a steep part beside it and a little held."""
+    spectrum = 0.05 + np.repeat(levels, 40) + np.tile(1 / np.linspace(0.1, 3, 40) ** 2, levels.size)
+    return np.asarray(spectrum * rng.chisquare(size, spectrum.size))
+
+
+def objective(of: Parts, test: int, logs: np.ndarray) -> float:
+    """Return -log L, written out, of logs of shape (g, 2)."""
     total = 0.0
-    ends = [*parts.first[1:].tolist(), parts.size.size]
-    for start, end, a, b in zip(parts.first.tolist(), ends, tested.tolist(), beside.tolist(), strict=True):
-        for i in range(start, end):
-            s = parts.held[i] + np.exp(a) * parts.tested[i] + np.exp(b) * parts.beside[i]
-            total += 0.5 * (parts.size[i] * np.log(s) + parts.power[i] / s)
+    for i, (size, power) in enumerate(zip(of.ordinates.size, of.ordinates.power, strict=True)):
+        s = of.held[test, i] + np.exp(logs[i // 40]) @ of.varied[test, :, i]
+        total += 0.5 * (size * np.log(s) + power / s)
     return total
 
 
 @pytest.mark.parametrize("common", [False, True])
 def test_scales_are_where_the_likelihood_is_greatest(*, common: bool) -> None:
     """Against a general minimiser of the likelihood written out."""
-    parts = parts_of(np.random.default_rng(37), np.array([0.7, 1.0, 3.0]))
-    found = fit_scales(parts, common=common)
+    of = parts(power_of(np.random.default_rng(37), np.array([0.7, 1.0, 3.0])))
+    found = of.fit(common=common)
+    for test in range(2):
 
-    def cost(theta: np.ndarray) -> float:
-        tested = np.full(3, theta[0]) if common else theta[:3]
-        return objective(parts, tested, theta[-3:])
+        def unpacked(theta: np.ndarray) -> np.ndarray:
+            return np.stack([np.full(3, theta[0]) if common else theta[:3], theta[-3:]], axis=1)
 
-    witness = minimize(cost, np.zeros(4 if common else 6), method="BFGS", options={"gtol": 1e-4})
-    assert found.objective == pytest.approx(objective(parts, found.tested, found.beside))
-    assert found.objective == pytest.approx(witness.fun, abs=1e-3)
-    npt.assert_allclose(found.beside, witness.x[-3:], atol=2e-3)
+        def cost(theta: np.ndarray, test: int = test) -> float:
+            return objective(of, test, unpacked(theta))
+
+        witness = minimize(cost, np.zeros(4 if common else 6), method="BFGS", options={"gtol": 1e-4})
+        assert found.objective[test].sum() == pytest.approx(objective(of, test, found.logs[test]))
+        assert found.objective[test].sum() == pytest.approx(witness.fun, abs=1e-4)
+        npt.assert_allclose(found.logs[test], unpacked(witness.x), atol=2e-3)
 
 
 def test_information_is_the_curvature_with_the_other_part_unknown() -> None:
     """The inverse of the 2 x 2 information's inverse, at the expected power."""
-    parts = parts_of(np.random.default_rng(38), np.array([1.0, 1.0]))
-    zero = np.zeros(2)
-    a = parts.tested[:40] / (parts.held + parts.tested + parts.beside)[:40]
-    b = parts.beside[:40] / (parts.held + parts.tested + parts.beside)[:40]
+    of = parts(power_of(np.random.default_rng(38), np.array([1.0, 1.0])))
+    a, b = (of.varied[0] / (of.held[0] + of.varied[0].sum(axis=0)))[:, :40]
     matrix = 15.0 * np.array([[a @ a, a @ b], [a @ b, b @ b]])
-    npt.assert_allclose(scales_at(parts, zero, zero).information, 1 / np.linalg.inv(matrix)[0, 0], rtol=1e-9)
+    information = of.at(np.zeros((2, 2, 2))).information
+    npt.assert_allclose(information[0], 1 / np.linalg.inv(matrix)[0, 0], rtol=1e-8)
 
 
 def test_order_of_segments_changes_no_test() -> None:
     """Permuted segments have the same scales and likelihood."""
-    rng = np.random.default_rng(39)
-    parts = parts_of(rng, np.array([0.7, 1.0, 3.0, 1.5]))
+    power = power_of(np.random.default_rng(39), np.array([0.7, 1.0, 3.0, 1.5]))
     order = np.array([2, 0, 3, 1])
-    bins = (40 * order[:, None] + np.arange(40)).ravel()
-    shuffled = Parts(
-        **{name: getattr(parts, name)[bins] for name in ("held", "tested", "beside", "size", "power")},
-        first=parts.first,
+    of, shuffled = parts(power), parts(power.reshape(4, 40)[order].ravel())
+    npt.assert_allclose(
+        of.fit(common=False).logs[:, order], shuffled.fit(common=False).logs, rtol=1e-6, atol=1e-9
     )
-    one, other = fit_scales(parts, common=False), fit_scales(shuffled, common=False)
-    npt.assert_allclose(one.tested[order], other.tested, rtol=1e-6, atol=1e-9)
-    assert fit_scales(parts, common=True).objective == pytest.approx(
-        fit_scales(shuffled, common=True).objective
-    )
+    one, other = (p.fit(common=True).objective.sum(axis=1) for p in (of, shuffled))
+    npt.assert_allclose(one, other, rtol=1e-12)
 
 
 def test_an_absent_part_does_not_stop_the_search() -> None:
     """A part that the data do not have goes to nothing, and the other is found."""
-    rng = np.random.default_rng(40)
-    parts = parts_of(rng, np.array([1.0, 1.0]))
-    no_steep = 1.05 * rng.chisquare(30, 80)
-    found = fit_scales(
-        Parts(
-            held=parts.held,
-            tested=parts.tested,
-            beside=parts.beside,
-            size=parts.size,
-            power=no_steep,
-            first=parts.first,
-        ),
-        common=False,
-    )
+    found = parts(1.05 * np.random.default_rng(40).chisquare(30, 80)).fit(common=False)
     # Four standard errors of 1200 degrees of freedom.
-    npt.assert_allclose(np.exp(found.tested), 1.0, atol=4 * np.sqrt(2 / 1200) + 0.05)
+    npt.assert_allclose(np.exp(found.logs[0, :, 0]), 1.0, atol=4 * np.sqrt(2 / 1200) + 0.05)
+    assert np.all(found.logs[0, :, 1] < -3)
 
 
 def test_a_stationary_record_is_called_so() -> None:

@@ -9,6 +9,7 @@ import pytest
 from imucal.fitting import CRITERIA, fit
 from imucal.fitting.spectral import selection
 from imucal.fitting.spectral.band import Band
+from imucal.fitting.spectral.likelihood import Structure, all_structures, candidates_of, parameter_columns
 from imucal.fitting.spectral.scoring import Maximum, maximize
 from imucal.fitting.spectral.selection import (
     RankedModels,
@@ -18,7 +19,6 @@ from imucal.fitting.spectral.selection import (
     choose,
     near_candidates,
 )
-from imucal.fitting.spectral.structures import Structure, all_structures, candidates_of, parameter_columns
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, ordinates_of, simulated
 
