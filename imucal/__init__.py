@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from imucal.report import AxisReport, Report, load_report, write_report
     from imucal.report.exports import export
     from imucal.report.given import model_as_report
+    from imucal.rests import at_rest
 
 __all__ = [
     "AllanCurve",
@@ -80,6 +81,7 @@ __all__ = [
     "WriteError",
     "__version__",
     "allan_curve",
+    "at_rest",
     "avar_from_acvf",
     "avar_from_psd",
     "characterize",
@@ -128,6 +130,7 @@ _HOMES = {
     "imucal.prediction": ("Drift", "FilterNumbers", "drift", "filter_numbers"),
     "imucal.readers": ("read",),
     "imucal.recording": ("AxisSeries", "Recording", "Sensor"),
+    "imucal.rests": ("at_rest",),
     "imucal.report": ("AxisReport", "Report", "load_report", "write_report"),
     "imucal.report.exports": ("export",),
     "imucal.report.given": ("model_as_report",),

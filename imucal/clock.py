@@ -64,6 +64,9 @@ class Clock:
         Time of the first sample, in ns of the stamps' own epoch; None where the log has no stamps.
     jitter_s
         Standard deviation of the stamps about the even grid, in s; None where there are no stamps.
+    apart
+        Whether each unbroken run stands for itself, because the sensor was moved between them: then no
+        difference of an Allan variance spans two.
     """
 
     source: str
@@ -71,6 +74,7 @@ class Clock:
     segments: tuple[Segment, ...]
     start_ns: int | None = None
     jitter_s: float | None = None
+    apart: bool = False
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):

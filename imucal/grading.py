@@ -53,6 +53,7 @@ PHRASES: Mapping[str, str] = {
     "not-checked": "a check that could not judge",
     "not-finite": "samples that are no numbers",
     "poor-fit": "a model that doesn't describe the curve",
+    "predicts-badly": "halves that don't predict each other",
     "rate-differs": "a rate other than the log's own",
     "rate-given": "a rate other than the log's own",
     "second-opinion": "the second opinion",
@@ -87,10 +88,13 @@ class NoiseVerdict:
         ``good``, ``look`` or ``not-noise``.
     sentence
         The same in one sentence, with its reasons.
+    axes
+        The axes of whose noise nothing was found that makes their numbers wrong.
     """
 
     grade: Grade
     sentence: str
+    axes: tuple[str, ...]
 
     @property
     def usable(self) -> bool:
@@ -130,7 +134,8 @@ def judge_findings(
     else:
         rest = f"look at {_listed(left, axes)} first" if left else "do not use these numbers"
         sentence = f"Not noise: {reasons}; {noise if sound else rest}"
-    return NoiseVerdict(grade=grade, sentence=sentence)
+    right = axes if grade != "not-noise" else left
+    return NoiseVerdict(grade=grade, sentence=sentence, axes=tuple(right))
 
 
 def _untouched(grave: Sequence[Finding], axes: Sequence[str]) -> list[str]:

@@ -20,6 +20,7 @@ from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
 from imucal.fitting.spectral.not_noise import not_noise
 from imucal.planning import resolution_findings
+from imucal.prediction import self_check
 from imucal.processes import findings_or_why_not, side_by_side
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
@@ -220,11 +221,11 @@ def _characterize_axis(
         density = spectrum(finite)
         # The fit takes the transform for its own.
         result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
-        opinion: tuple[Finding, ...] = ()
-        if settings.second_opinion and settings.method == "mle":
-            opinion = _second_opinion(finite, result, at_samples)
+        opinions: tuple[Finding, ...] = ()
+        if settings.second_opinion and settings.method == "mle" and result.model.terms:
+            opinions = _opinions(finite, result, at_samples)
     found = result.findings + findings_or_why_not(
-        lambda: resolution_findings(result, finite.duration_s),
+        lambda: resolution_findings(result, finite.n * finite.tau0),
         what="How long a record would do is not known",
         code="record-length",
     )
@@ -233,7 +234,7 @@ def _characterize_axis(
         what="What the curve can't tell is not known",
         code="spectral-ambiguity",
     )
-    found += opinion
+    found += opinions
     findings = [f for f in screened if f.axis == series.name]
     findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
@@ -256,20 +257,23 @@ def _characterize_axis(
     )
 
 
-def _second_opinion(
-    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None
-) -> tuple[Finding, ...]:
-    """Return where a fit of the curve disagrees; that it can't be made costs no axis its result."""
-    if not first.model.terms:
-        return ()
+def _opinions(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None) -> tuple[Finding, ...]:
+    """Return where a fit of the curve disagrees, and whether one half of the record predicts the other.
 
-    def judge() -> tuple[Finding, ...]:
-        cleaned = any(finding.code == "spikes" for finding in first.findings)
-        samples = clean(series)[0] if cleaned else series
-        return second_opinion(first, fit_of_curve(samples, first, temperature))
-
+    That either can't be told costs no axis its result.
+    """
+    if any(finding.code == "spikes" for finding in first.findings):
+        series = clean(series)[0]
     return findings_or_why_not(
-        judge, what="The Allan curve gives no second opinion", code="second-opinion", axis=series.name
+        lambda: second_opinion(first, fit_of_curve(series, first, temperature)),
+        what="The Allan curve gives no second opinion",
+        code="second-opinion",
+        axis=series.name,
+    ) + findings_or_why_not(
+        lambda: self_check(series, first, temperature),
+        what="Whether one half predicts the other is not known",
+        code="predicts-badly",
+        axis=series.name,
     )
 
 

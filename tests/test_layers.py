@@ -37,6 +37,7 @@ BELOW |= {
     "prediction": BASE | {"allan", "noise", "fitting"},
     "report": BASE | {"allan", "noise", "fitting", "prediction"},
 }
+BELOW["rests"] = BASE | {"screening"}
 BELOW["planning"] = BASE | {"allan", "noise", "fitting", "prediction", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["checking"] = BELOW["planning"]

@@ -341,7 +341,7 @@ def _of_gaps(
     series: AxisSeries, taus: str | Sequence[float], estimator: Estimator
 ) -> tuple[str, GappyVariances]:
     """Return how the variances of a series with missing samples are computed, and those."""
-    if estimator.name == "overlapping":
+    if estimator.name == "overlapping" and not series.clock.apart:
         m = _factors(series, taus, estimator, series.clock.grid_size)
         how, values = "windows", window_variances(series, m)
     else:

@@ -171,19 +171,25 @@ force_option = click.option(
 
 
 def refuse(
-    verdict: NoiseVerdict, where: str, consequence: str, *, force: bool, forbidden: Sequence[Finding] = ()
+    verdict: NoiseVerdict,
+    where: str,
+    consequence: str,
+    *,
+    force: bool,
+    forbidden: Sequence[Finding] = (),
+    remedy: str = "record again at rest",
 ) -> None:
     """Raise what ends a command with exit code 4.
 
     Raises
     ------
     DataError
-        Where the data are not noise at rest, unless forced, with `consequence` (what was written or not); or
-        where a `forbidden` finding, of a --strict command, is more than a remark.
+        Where the data are not noise at rest, unless forced, with `consequence` (what was written or not) and
+        `remedy`; or where a `forbidden` finding, of a --strict command, is more than a remark.
     """
     if not verdict.usable and not force:
         sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
-        msg = f"{where}: {sentence}; {consequence}; record again at rest, or --force"
+        msg = f"{where}: {sentence}; {consequence}; {remedy}, or --force"
         raise DataError(msg)
     if codes := dict.fromkeys(finding.code for finding in forbidden if finding.level != "info"):
         msg = f"{where}: {', '.join(codes)} found, and --strict allows no warning"

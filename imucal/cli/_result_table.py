@@ -3,6 +3,7 @@
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import zip_longest
 
 from imucal.cli._printing import FULL, can_print
@@ -21,7 +22,12 @@ _Block = list[str]
 
 
 def summary_table(
-    report: Report, *, datasheet: bool, encoding: str | None = None, columns: int = FULL
+    report: Report,
+    *,
+    datasheet: bool,
+    forced: bool = False,
+    encoding: str | None = None,
+    columns: int = FULL,
 ) -> str:
     """Return the table as text of at most 80 columns, or 40, without a newline at its end.
 
@@ -31,19 +37,23 @@ def summary_table(
         What to show; an axis that could not be analysed is missing.
     datasheet
         Data-sheet units, else SI.
+    forced
+        Whether to show axes too whose numbers are not those of noise at rest; of a log that was moved no
+        axis is left.
     encoding
         Of the place it is printed to; by default standard output's. Where it can't hold signs
         such as √ the units are written in ASCII.
     columns
         Of the terminal; with less than 80 the sensors stand one after the other, 39 columns wide.
     """
-    plain = not can_print("√²³µ", encoding)
-    sensors: list[dict[str, _Block]] = []
-    for sensor, axes in report.by_sensor.items():
-        units = sheet_units(report, sensor) if datasheet else None
-        sensors.append(dict(_blocks(axes, units, plain=plain)))
-    sentence = report.verdict.sentence
-    lines = [*_wrapped(sentence.replace("±", "+-") if plain else sentence, columns), ""]
+    plain, verdict = not can_print("√²³µ", encoding), report.verdict
+    usable = [axis for axis in report.axes if forced or axis.name in verdict.axes]
+    sensors = list(_sensors(replace(report, axes=tuple(usable)), datasheet=datasheet, plain=plain))
+    sentence = verdict.sentence
+    lines = _wrapped(sentence.replace("±", "+-") if plain else sentence, columns)
+    if not sensors:
+        return "\n".join(lines)
+    lines.append("")
     for beside in [sensors] if columns >= FULL else [[one] for one in sensors]:
         for key in _order(beside):
             sides = [sensor.get(key, []) for sensor in beside]
@@ -55,6 +65,13 @@ def summary_table(
     legend = f"[low, high]: {shown} interval; < high: not shown by the data, upper bound"
     lines += _wrapped(legend, columns)
     return "\n".join(lines)
+
+
+def _sensors(report: Report, *, datasheet: bool, plain: bool) -> Iterator[dict[str, _Block]]:
+    """Yield the blocks of each sensor that has axes."""
+    for sensor, axes in report.by_sensor.items():
+        units = sheet_units(report, sensor) if datasheet else None
+        yield dict(_blocks(axes, units, plain=plain))
 
 
 def _wrapped(text: str, columns: int) -> list[str]:

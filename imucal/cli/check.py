@@ -118,12 +118,14 @@ def command(
     older = None
     if limits.baseline is not None and limits.baseline.report is not None:
         older = read_report(baseline or limits.baseline.report)
+    # What it lacks is said before the log is read.
+    units = None if fleet is None else read_fleet(fleet, fleet_model)
     report = load_report(request)
     result = check(report, limits, baseline=older)
-    if fleet is not None:
+    if units is not None:
         from imucal.fleet_report.fleet_check import check_fleet
 
-        rows = check_fleet(report, read_fleet(fleet), fleet_model)
+        rows = check_fleet(report, units)
         result = replace(result, rows=result.rows + rows)
     if config is not None:
         result = replace(result, rows=result.rows + check_config(config, report))

@@ -1,5 +1,6 @@
 """``imucal fit``: the main job."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,10 @@ from imucal.printable import printable_json
 
 if TYPE_CHECKING:
     from imucal.findings import Finding
+    from imucal.report.result import Report
+
+#: Where a rest lasts so long, in s, --rests finds it.
+_REST_S = 30.0
 
 
 @click.command(
@@ -42,6 +47,7 @@ Examples:
   imucal fit s3://bucket/log.mcap
   imucal fit log.bag --topic /imu/data_raw --skip 10min -o report
   imucal fit log.csv --gyro-unit deg/s --accel-unit g --model "N + B + K"
+  imucal fit drive.mcap --rests
   imucal fit log.mcap --json --no-report -q | jq '.axes[].fit.terms.N'
   imucal fit curve.csv        (tau and deviations made by another tool)
 
@@ -52,6 +58,9 @@ analysed or are not noise at rest (with --strict: or a warning was found),
 )
 @log_options
 @out_option("DIR", "Folder of the report. [default: NAME-imucal]")
+@click.option(
+    "--rests", is_flag=True, help="LOG is a drive with several rests: fit those together, each by itself."
+)
 @model_option('Terms, such as "N + B + K" or "N + 2*GM".')
 @shown("--method", type=click.Choice(METHODS), default="mle", help="Estimator.")
 @shown("--level", type=LEVEL, default=0.95, help="Confidence level of every interval.")
@@ -93,6 +102,7 @@ def command(
     *,
     request: LogRequest,
     out: Path | None,
+    rests: bool,
     no_clean: bool,
     datasheet: bool,
     formats: tuple[str, ...],
@@ -118,7 +128,8 @@ def command(
     from imucal.pipeline import Settings
 
     try:
-        settings = Settings(clean=not no_clean, reading=request.settings(), **choices)
+        reading = request.settings() | ({"rests": True} if rests else {})
+        settings = Settings(clean=not no_clean, reading=reading, **choices)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     if curve or is_curve_table(request):
@@ -131,12 +142,12 @@ def command(
     folder = out or report_folder(request.logs[0])
     if not no_report:
         check_folder(folder)
-    report = request.characterise(settings, workers=jobs)
+    report = request.characterise(settings, workers=jobs, rests=rests)
     if as_json:
         click.echo(printable_json(dumps(to_document(report))), nl=False)
     else:
-        echo(summary_table(report, datasheet=datasheet, columns=width()))
-    print_findings(report.all_findings, quiet=request.quiet, verbose=request.verbose)
+        echo(summary_table(report, datasheet=datasheet, forced=force, columns=width()))
+    print_findings(_told(report, request, force=force), quiet=request.quiet, verbose=request.verbose)
     missing: list[Finding] = []
     if not no_report:
         files = write_report(
@@ -150,7 +161,25 @@ def command(
             say(f"Next: imucal export {typed} --to kalibr (or vins, px4, …, all)", quiet=request.quiet)
     written = "nothing was written" if no_report else f"{folder} says so"
     forbidden = (*report.all_findings, *missing) if request.strict else ()
-    refuse(report.verdict, report.source.path, written, force=force, forbidden=forbidden)
+    remedy = _remedy(() if rests else report.findings)
+    refuse(report.verdict, report.source.path, written, force=force, forbidden=forbidden, remedy=remedy)
+
+
+def _told(report: "Report", request: LogRequest, *, force: bool) -> Sequence["Finding"]:
+    """Return the findings to print: of a log without a number to show, why, and not what that leads to."""
+    every = report.all_findings
+    if force or request.verbose or report.verdict.axes:
+        return every
+    return report.findings + tuple(
+        finding for finding in every[len(report.findings) :] if finding.level == "error"
+    )
+
+
+def _remedy(findings: Sequence["Finding"]) -> str:
+    """Return what else to do with a log that is refused: fit its rests, where one is long enough."""
+    keeps = [f.keep_s for f in findings if f.code in {"motion", "touch"} and f.keep_s]
+    long = any(end - start >= _REST_S for start, end in keeps)
+    return "record again at rest" + (", --rests to fit what is at rest" if long else "")
 
 
 def report_folder(log: str, what: str = "imucal") -> Path:

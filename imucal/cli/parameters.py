@@ -328,13 +328,19 @@ class LogRequest:
         _say_what_was_read(recording, quiet=self.quiet, verbose=self.verbose)
         return recording
 
-    def characterise(self, settings: "Settings", *, workers: int | None = None) -> "Report":
-        """Read and characterise the log, `workers` axes at a time, with progress bars on a terminal."""
+    def characterise(
+        self, settings: "Settings", *, workers: int | None = None, rests: bool = False
+    ) -> "Report":
+        """Read and characterise the log, or its `rests` alone, with progress bars on a terminal."""
         from imucal.pipeline import characterize
         from imucal.readers.checksums import Checksums
 
         with self.local() as logs, Checksums(logs.paths) as checksums:
             recording = self._read(logs)
+            if rests:
+                from imucal.rests import at_rest
+
+                recording = at_rest(recording)
             with axes_progress(quiet=self.quiet) as progress:
                 report = characterize(recording, settings, progress=progress, workers=workers)
             files = (*report.source.files, *logs.named_files(checksums.files()))

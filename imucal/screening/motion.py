@@ -41,7 +41,9 @@ _COLOURED = 8.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Disturbance:
+class Disturbance:
+    """What moved some axes from start to end, in s: at its loudest so many times as loud as their noise."""
+
     start_s: float
     end_s: float
     axes: tuple[str, ...]
@@ -123,7 +125,7 @@ def _stretches(profile: Profile, size: int) -> IntArray:
 
 def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return findings for what disturbs the rest, over all axes, with the part worth keeping."""
-    disturbances = _disturbances(profiles)
+    disturbances = disturbances_of(profiles)
     if not disturbances:
         return ()
     duration = max(p.series.duration_s for p in profiles)
@@ -139,7 +141,7 @@ def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     return (*moved, _touched(middle, _level(profiles, middle, duration), keep)) if middle else moved
 
 
-def _moved(ends: list[_Disturbance], level: Level, duration: float, keep: tuple[float, float]) -> Finding:
+def _moved(ends: list[Disturbance], level: Level, duration: float, keep: tuple[float, float]) -> Finding:
     """Return the finding of what happened near the start and the end."""
     sides = name_list(list(dict.fromkeys("start" if d.start_s < duration / 2 else "end" for d in ends)))
     text = f"The IMU was moved near the {sides} of the log: {_listed(ends)}."
@@ -147,7 +149,7 @@ def _moved(ends: list[_Disturbance], level: Level, duration: float, keep: tuple[
     return Finding(level=level, code="motion", text=text, advice=advice, keep_s=keep)
 
 
-def _touched(middle: list[_Disturbance], level: Level, keep: tuple[float, float]) -> Finding:
+def _touched(middle: list[Disturbance], level: Level, keep: tuple[float, float]) -> Finding:
     """Return the finding of what happened in between."""
     text = f"Something touched or shook the IMU {_times(len(middle))}: {_listed(middle)}."
     advice = f"Record again undisturbed, or keep the longest quiet part, {span(*keep)}."
@@ -162,7 +164,7 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     rest = ~np.any([p.disturbed for p in accel], axis=0)
     down = np.stack([p.windows.mean[rest] for p in accel], axis=1)
     seconds = accel[0].windows.time_s[rest]
-    keep = _longest_rest(_disturbances(profiles), accel[0].series.duration_s)
+    keep = _longest_rest(disturbances_of(profiles), accel[0].series.duration_s)
     start, end = keep or (0.0, np.inf)
     kept = (seconds >= start) & (seconds < end)
     if down.shape[0] < _POSE_WINDOWS or not kept.any():
@@ -185,21 +187,21 @@ def check_turned(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     return (Finding(level="error", code="motion", text=text, advice=advice, keep_s=keep),)
 
 
-def _disturbances(profiles: Sequence[Profile]) -> list[_Disturbance]:
+def disturbances_of(profiles: Sequence[Profile]) -> list[Disturbance]:
     """Return when any axis is disturbed, in order of time; close ones joined."""
     spans = [
         (float(start), float(end), profile.name, factor)
         for profile in profiles
         for start, end, factor in _spans(profile)
     ]
-    joined: list[_Disturbance] = []
+    joined: list[Disturbance] = []
     for start, end, name, factor in sorted(spans):
         if joined and start < joined[-1].end_s + _APART_S:
             last = joined[-1]
             axes = tuple(dict.fromkeys((*last.axes, name)))
-            joined[-1] = _Disturbance(last.start_s, max(last.end_s, end), axes, max(last.factor, factor))
+            joined[-1] = Disturbance(last.start_s, max(last.end_s, end), axes, max(last.factor, factor))
         else:
-            joined.append(_Disturbance(start, end, (name,), factor))
+            joined.append(Disturbance(start, end, (name,), factor))
     return joined
 
 
@@ -219,13 +221,13 @@ def _spans(profile: Profile) -> list[tuple[float, float, float]]:
     return spans
 
 
-def _level(profiles: Sequence[Profile], disturbances: list[_Disturbance], duration: float) -> Level:
+def _level(profiles: Sequence[Profile], disturbances: list[Disturbance], duration: float) -> Level:
     """Return an error for disturbances that hold more power than the noise of the whole log, on any axis."""
     loud = any(_power(profile, disturbances) > _LOUDER * duration for profile in profiles)
     return "error" if loud else "warning"
 
 
-def _power(profile: Profile, disturbances: list[_Disturbance]) -> float:
+def _power(profile: Profile, disturbances: list[Disturbance]) -> float:
     """Return the energy of disturbances on an axis, as the time, in s, in which its noise has as much.
 
     Counted are the variance within windows, and means beyond all that the axis's own wander reaches.
@@ -248,19 +250,29 @@ def _scale(profile: Profile) -> float:
     return max(usual_variance(profile.windows), (profile.lsb or 0.0) ** 2 / 12)
 
 
-def _longest_rest(disturbances: list[_Disturbance], duration: float) -> tuple[float, float] | None:
+def _longest_rest(disturbances: list[Disturbance], duration: float) -> tuple[float, float] | None:
     """Return the longest part without a disturbance, in s, a second clear of it; None if all are short."""
-    edges = [0.0]
-    for disturbance in disturbances:
-        edges += [max(0.0, disturbance.start_s - _SETTLE_S), disturbance.end_s + _SETTLE_S]
-    edges.append(duration)
-    rests = list(zip(edges[::2], edges[1::2], strict=True))
+    rests = rests_between([(d.start_s, d.end_s) for d in disturbances], duration, clear_s=_SETTLE_S)
     start, end = max(rests, key=lambda rest: rest[1] - rest[0])
     return (round(start, 1), round(end, 1)) if end - start >= _WORTH_S else None
 
 
+def rests_between(
+    disturbed: Sequence[tuple[float, float]], duration: float, *, clear_s: float
+) -> list[tuple[float, float]]:
+    """Return start and end of what lies between disturbances, in s, so far clear of them; some may be empty.
+
+    Disturbances may overlap.
+    """
+    rests, begin = [], 0.0
+    for start, end in sorted(disturbed):
+        rests.append((begin, start - clear_s))
+        begin = max(begin, end + clear_s)
+    return [*rests, (begin, duration)]
+
+
 def _not_at_rest(
-    disturbances: list[_Disturbance], moving: float, keep: tuple[float, float] | None, level: Level
+    disturbances: list[Disturbance], moving: float, keep: tuple[float, float] | None, level: Level
 ) -> Finding:
     text = f"The IMU was not at rest: it moved {_times(len(disturbances))}, {moving:.0%} of the log; "
     advice = "Record again with the IMU on a firm, quiet surface"
@@ -272,7 +284,7 @@ def _not_at_rest(
     return Finding(level=level, code="motion", text=text, advice=f"{advice}.", keep_s=keep)
 
 
-def _listed(disturbances: list[_Disturbance]) -> str:
+def _listed(disturbances: list[Disturbance]) -> str:
     loudest = sorted(disturbances, key=lambda d: d.factor, reverse=True)[:3]
     words = "; ".join(d.words() for d in sorted(loudest, key=lambda d: d.start_s))
     more = len(disturbances) - len(loudest)

@@ -6,6 +6,7 @@ own quiet windows, so that a touch does not hide itself by raising the yardstick
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,6 +71,11 @@ class Windows(ReadOnlyArrays):
     def end_s(self) -> FloatArray:
         """End of each window, shape (k,), in s."""
         return self.time_s + self.length_s
+
+    def take(self, keep: NDArray[np.bool_]) -> "Windows":
+        """Return the windows for which `keep`, shape (k,), is true."""
+        names = ("start", "time_s", "mean", "variance", "step_variance", "repeats", "low", "high")
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
 
 def cut(series: AxisSeries) -> Windows:
@@ -172,23 +178,25 @@ def usual_variance(windows: Windows) -> float:
     return float(np.median(varying)) if varying.size else 0.0
 
 
-def disturbed(windows: Windows, lsb: float | None) -> NDArray[np.bool_]:
+def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None) -> NDArray[np.bool_]:
     """Return which windows are disturbed, shape (k,).
 
     A window is when its variance, or the jump of its mean from the window before, is larger than
-    chance allows; both must also exceed the resolution `lsb`, below which values only toggle.
+    chance allows; both must also exceed the resolution `lsb`, below which values only toggle. What
+    chance allows, the `quiet` windows say: by default all of them, most of which are at rest.
     """
     from scipy.special import ndtri
 
     if windows.size < _LEAST_WINDOWS:
         return np.zeros(windows.size, dtype=bool)
+    quiet = quiet or windows
     p_above = _FALSE_ALARM / windows.size
     least = lsb or 0.0
-    varying = windows.variance[windows.variance > 0]
+    varying = quiet.variance[quiet.variance > 0]
     limit = variance_limit(varying, p_above) if varying.size else 0.0
     loud = windows.variance > max(_MARGIN * limit, least**2)
-    jumps = _jumps(windows)
-    scale = np.sqrt(np.median(jumps[jumps > 0] ** 2) / _MEDIAN_CHI2) if np.any(jumps > 0) else 0.0
+    jumps, usual = _jumps(windows), _jumps(quiet)
+    scale = np.sqrt(np.median(usual[usual > 0] ** 2) / _MEDIAN_CHI2) if np.any(usual > 0) else 0.0
     off = jumps > max(np.sqrt(_MARGIN) * -ndtri(p_above) * scale, least)
     loud[1:] |= off
     loud[:-1] |= off
@@ -296,15 +304,18 @@ class Profile:
         return not self.windows.size or bool(self.windows.low.min() == self.windows.high.max())
 
 
-def profile(series: AxisSeries) -> Profile:
-    """Return the profile of an axis; one pass over the samples."""
+def profile(series: AxisSeries, resting: Callable[[Windows], Windows] | None = None) -> Profile:
+    """Return the profile of an axis; one pass over the samples.
+
+    Of a log that is mostly in motion, `resting` returns those of its windows that are at rest.
+    """
     n, series = series.n, series.finite()
     windows = cut(series)
     lsb = resolution(series)
-    marks = disturbed(windows, lsb)
+    marks = disturbed(windows, lsb, resting and resting(windows))
     if marks.any():
         windows = without_spikes(series, windows, marks)
-        marks = disturbed(windows, lsb)
+        marks = disturbed(windows, lsb, resting and resting(windows))
     quiet = windows.step_variance[~marks & (windows.variance > 0)]
     return Profile(
         series=series,

@@ -1,10 +1,12 @@
 """The table on the terminal: 80 columns, every number with its interval, right when piped."""
 
+import textwrap
 from dataclasses import replace
 
 import pytest
 
 from imucal.cli._result_table import summary_table
+from imucal.findings import Finding
 from imucal.report.result import Report
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 
@@ -94,3 +96,21 @@ def test_axes_with_different_clocks_are_told_apart() -> None:
         "x: 200 Hz, 2160000 samples, 3 h 2 min",
         "y: 100 Hz, 2160000 samples, 3 h 2 min",
     ]
+
+
+def test_axes_that_are_not_noise_are_left_out() -> None:
+    """One axis that is stuck leaves the others; of a log that was moved the sentence alone stands."""
+    report = consumer_report()
+    stuck = Finding(level="error", code="stuck", axis="gyro_x", text="It is stuck.")
+    one = replace(report, findings=(*report.findings, stuck))
+    text = summary_table(one, datasheet=True, encoding="utf-8")
+    white = text[text.index("N  angle random walk") :].splitlines()
+    assert [line[:1] for line in white[1:3]] == ["y", "z"]
+    assert "x  0." not in "\n".join(line[:39] for line in white[:4])
+    moved = replace(report, findings=(Finding(level="error", code="motion", text="It was moved."),))
+    said = "Not noise: the IMU was moved; do not use these numbers"
+    assert summary_table(moved, datasheet=True) == said
+    assert summary_table(moved, datasheet=True, columns=40) == "\n".join(textwrap.wrap(said, 40))
+    forced, whole = (summary_table(r, datasheet=True, forced=True) for r in (moved, report))
+    assert forced.startswith(said)
+    assert forced[forced.index("GYROSCOPE") :] == whole[whole.index("GYROSCOPE") :]

@@ -1,0 +1,217 @@
+"""Does one half of a record predict the other: the fitted model held against what it was not fitted to.
+
+A fit that describes all of a record may still say little of what comes next: noise that changes within
+hours, a bias that wanders as no term does. So the coefficients of the fitted terms are estimated from one
+half of the record, and the Allan variance that they predict is held against that of the other half, at the
+times for which filters coast.
+
+Both are sums over a spectrum. Of a half, averaged to blocks, the binned psd P_b of c_b ordinates is
+S_b chi²(c_b) / c_b, where S_b is linear in the squared coefficients: weighted least squares with the fit's
+own spectrum give them without bias, and their covariance. The Allan variance at t is the sum of w_b P_b, with
+
+    w_b = 4/(pi t) (I(pi t f_high) - I(pi t f_low)),   I(x) = Si(2x) - Si(4x)/2 - sin⁴x / x,
+
+I being the integral of sin⁴x / x². Observed over predicted has Fisher's F law, with the degrees of freedom
+that follow from the variances of both.
+
+Source: Rutman & Walls (1991), Proc. IEEE 79, 952 (the Allan variance as an integral of the psd).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucal.allan import Spectrum, spectrum
+from imucal.arrays import FloatArray
+from imucal.clock import Clock
+from imucal.findings import Finding
+from imucal.fitting.curve_opinion import without_disturbances
+from imucal.fitting.noise_fit import NoiseFit
+from imucal.noise.terms import TERMS
+from imucal.recording import AxisSeries
+
+#: Times at which the halves are compared, in s: where a half lasts 12 times as long.
+TIMES_S = (10.0, 30.0, 100.0, 300.0)
+_LONGER = 12.0
+#: Frequencies that count, in Hz: from there on an Allan variance at 10 s holds half a percent.
+_HIGHEST = 3.0
+#: Blocks are so many a period of that; and the corner of an output filter is so far above what counts.
+_FINE, _BELOW = 4.0, 4.0
+#: Where samples are missing a block has so many places or more, of which one in so many is filled.
+_SPARSE = 4
+#: A score that is reported.
+_FAR = 3.0
+#: A prediction is at least this share of the fitted model's: least squares may make it negative.
+_LEAST = 0.05
+#: So many bins about a line, which the fit leaves out, are left out.
+_OF_LINE = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """What one half of a record says of the other, at one averaging time.
+
+    Attributes
+    ----------
+    half
+        The half that was looked at: 1 or 2; the other one predicts.
+    time_s
+        Averaging time.
+    predicted, observed
+        Allan deviations, in U.
+    score
+        Standard-normal score of observed over predicted variance: above 0 where more is observed.
+    """
+
+    half: int
+    time_s: float
+    predicted: float
+    observed: float
+    score: float
+
+
+def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...]:
+    """Return how well each half of a record predicts the other; nothing of a record too short.
+
+    Parameters
+    ----------
+    series
+        Finite samples, gaps allowed, less what the fit took out of them.
+    fit
+        Of these samples, by maximum likelihood.
+
+    Notes
+    -----
+    Terms, correlation times and lines are those of the fit; the squared coefficients of its terms and of N, B
+    and K are each half's own. Some 4 ms for 1e6 samples.
+    """
+    highest = min(_HIGHEST, series.rate_hz / 2, (fit.goodness.band_hz or (0.0, math.inf))[1])
+    if fit.response is not None:
+        highest = min(highest, fit.response.cutoff_hz / _BELOW)
+    if series.clock.missing:
+        highest = min(highest, series.rate_hz / (_FINE * _SPARSE))
+    blocks = _blocks(series, max(1, int(series.rate_hz / (_FINE * highest))))
+    middle = blocks.duration_s / 2
+    halves = [blocks.between(0.0, middle), blocks.between(middle, math.inf)]
+    times = [t for t in TIMES_S if all(_reach(half) >= _LONGER * t for half in halves)]
+    if not times or not fit.model.terms:
+        return ()
+    if any(term.symbol == "R" for term in fit.model.terms):
+        halves = [_without_ramp(half) for half in halves]
+    seen = [_Half(spectrum(half), fit, np.array(times), half.tau0, highest) for half in halves]
+    return tuple(
+        Prediction(half=number, time_s=t, predicted=math.sqrt(p), observed=math.sqrt(o), score=z)
+        for number, (one, other) in enumerate((seen[::-1], seen), 1)
+        for t, p, o, z in zip(times, *_held(one, other), strict=True)
+    )
+
+
+def self_check(
+    series: AxisSeries, fit: NoiseFit, temperature: FloatArray | None = None
+) -> tuple[Finding, ...]:
+    """Return a warning where one half of a record predicts the other badly.
+
+    Parameters
+    ----------
+    series
+        Finite samples, spikes replaced, gaps allowed.
+    fit
+        Of these samples, by maximum likelihood.
+    temperature
+        In degrees Celsius at the samples, shape (n,), or None.
+    """
+    if fit.taken_out:
+        series = without_disturbances(series, fit, temperature)
+    worst = max(half_predictions(series, fit), key=lambda one: abs(one.score), default=None)
+    if worst is None or abs(worst.score) <= _FAR:
+        return ()
+    names = ("first", "second")
+    one, other = names[worst.half - 1], names[2 - worst.half]
+    text = (
+        f"The {other} half of the record predicts the {one} badly: at {worst.time_s:g} s its Allan deviation "
+        f"is {worst.observed:.3g} {series.unit}, where {worst.predicted:.3g} {series.unit} is predicted "
+        f"(score {worst.score:+.1f})."
+    )
+    advice = (
+        "The noise changes with time, or is of another kind than the model's: look at temperature and "
+        "vibration, and give a filter more than these numbers, as what comes next may differ as much."
+    )
+    return (Finding(level="warning", code="predicts-badly", axis=series.name, text=text, advice=advice),)
+
+
+def _reach(series: AxisSeries) -> float:
+    return max((s.size for s in series.clock.segments), default=0) * series.tau0
+
+
+def _blocks(series: AxisSeries, size: int) -> AxisSeries:
+    """Return the means of blocks of so many places, those nearly empty left out."""
+    clock = series.clock
+    if size == 1:
+        return series
+    edges = np.arange(clock.grid_size // size + 1) * size
+    starts = np.searchsorted(clock.grid(), edges) if clock.missing else edges
+    count = np.diff(starts)
+    keep = _SPARSE * count >= size
+    sums = np.add.reduceat(series.samples[: starts[-1]], starts[:-1][count > 0])
+    means = np.zeros(count.size)
+    means[count > 0] = sums / count[count > 0]
+    even = Clock.even(count.size, series.rate_hz / size)
+    return replace(series, samples=means, clock=even).keeping(keep)
+
+
+def _without_ramp(series: AxisSeries) -> AxisSeries:
+    time = series.clock.grid() - series.clock.grid().mean()
+    slope = float(time @ series.samples) / float(time @ time)
+    return replace(series, samples=series.samples - slope * time)
+
+
+class _Half:
+    """The binned psd of a half, the weights of its Allan variances, and the fit's terms at its bins."""
+
+    def __init__(self, own: Spectrum, fit: NoiseFit, times: FloatArray, tau0: float, highest: float) -> None:
+        from scipy.special import sici
+
+        keep = own.frequency <= highest
+        for line in fit.goodness.lines:
+            if line.frequency_hz <= highest:
+                keep[np.argsort(np.abs(own.frequency - line.frequency_hz))[:_OF_LINE]] = False
+        self.psd, self.count = own.psd[keep], own.count[keep]
+        middles = (own.frequency[1:] + own.frequency[:-1]) / 2
+        edges = np.concatenate([[own.frequency[0] / 2], middles, [own.frequency[-1]]])
+
+        def integral(f: FloatArray) -> FloatArray:
+            x = np.pi * np.outer(times, f)
+            result: FloatArray = sici(2 * x)[0] - sici(4 * x)[0] / 2 - np.sin(x) ** 4 / x
+            return result
+
+        self.weights = 4 / (np.pi * times[:, None]) * np.diff(integral(edges))[:, keep]
+        f = own.frequency[keep]
+        terms = [term for term in fit.model.terms if term.symbol != "R"]
+        self.fitted = np.sum([term.psd(f, tau0) for term in terms], axis=0)
+        shapes = [TERMS[symbol].of(1.0) for symbol in "NBK" if symbol not in {t.symbol for t in terms}]
+        self.columns = np.stack([term.psd(f, tau0) for term in (*terms, *shapes)], axis=1)
+
+    def coefficients(self) -> tuple[FloatArray, FloatArray]:
+        """Return the squared coefficients relative to the fit's, and their covariance."""
+        root = np.sqrt(self.count / 2) / self.fitted
+        scaled = self.columns * root[:, None]
+        unit = np.linalg.norm(scaled, axis=0)
+        inverse = np.linalg.pinv(scaled / unit) / unit[:, None]
+        return inverse @ (self.psd * root), inverse @ inverse.T
+
+
+def _held(one: _Half, other: _Half) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return predicted and observed Allan variances and their scores, shape (t,) each."""
+    from scipy.special import fdtr, fdtrc, ndtri
+
+    found, covariance = one.coefficients()
+    shares = other.weights @ other.columns
+    model = other.weights @ other.fitted
+    predicted = np.maximum(shares @ found, _LEAST * model)
+    freedom = 2 * model**2 / np.einsum("ti,ij,tj->t", shares, covariance, shares)
+    edf = model**2 / np.sum((other.weights * other.fitted) ** 2 / other.count, axis=1)
+    observed = other.weights @ other.psd
+    ratio = observed / predicted
+    below, above = (ndtri(law(edf, freedom, ratio)) for law in (fdtr, fdtrc))
+    return predicted, observed, np.where(below < 0, below, -above)

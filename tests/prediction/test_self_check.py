@@ -1,0 +1,119 @@
+"""Whether one half of a record predicts the other: silent where it does, and a warning where it does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import imucal
+from imucal.arrays import FloatArray
+from imucal.prediction import half_predictions, self_check
+from imucal.recording import AxisSeries
+
+RATE = 20.0
+#: Halves of 1300 s: as long as the check at 100 s needs.
+N = int(2600 * RATE)
+TRUTH = "N=1e-3 + B=3e-4 + K=3e-5"
+
+
+def noise(text: str, seed: int, n: int = N) -> FloatArray:
+    """Return simulated samples."""
+    return imucal.NoiseModel.parse(text).simulate(n, rate_hz=RATE, rng=np.random.default_rng(seed))
+
+
+def series_of(samples: FloatArray) -> AxisSeries:
+    """Return an axis of samples."""
+    return AxisSeries.from_samples(samples, rate_hz=RATE)
+
+
+def test_noise_of_the_fitted_kind_is_predicted() -> None:
+    """Scores are those of a normal deviate: 8 records of 6 scores, a mean square of 1 to within chance."""
+    scores = []
+    for seed in range(8):
+        series = series_of(noise(TRUTH, seed))
+        fit = imucal.fit(series, model="N + B + K")
+        found = half_predictions(series, fit)
+        assert [(one.half, one.time_s) for one in found] == [(h, t) for h in (1, 2) for t in (10, 30, 100)]
+        scores += [one.score for one in found]
+        assert self_check(series, fit) == ()
+    # Three at a time are nearly one: some 16 degrees of freedom.
+    assert 0.4 < np.mean(np.square(scores)) < 1.9
+
+
+def test_what_is_observed_is_the_allan_variance_of_the_half() -> None:
+    """To a few percent; and what is predicted at 10 s is near the fit's."""
+    series = series_of(noise(TRUTH, 21))
+    fit = imucal.fit(series, model="N + B + K")
+    for one in half_predictions(series, fit):
+        half = series.samples[: N // 2] if one.half == 1 else series.samples[N // 2 :]
+        curve = imucal.allan_curve(series_of(half), taus=[one.time_s])
+        # One is a sum over the spectrum of the half, the other over its start points.
+        assert one.observed == pytest.approx(float(curve.adev[0]), rel=0.05)
+        model = np.sqrt(fit.model.avar(np.array([one.time_s * RATE]), rate_hz=RATE))
+        if one.time_s == 10:
+            assert one.predicted == pytest.approx(float(model[0]), rel=0.05)
+
+
+def test_a_half_of_other_noise_is_named() -> None:
+    """Three times the flicker in the second half: both ways, with numbers, and a verdict that says look."""
+    samples = noise("N=1e-3 + B=3e-4", 31)
+    samples[N // 2 :] = noise("N=1e-3 + B=1.2e-3", 32)[: N - N // 2]
+    series = series_of(samples)
+    fit = imucal.fit(series)
+    (finding,) = self_check(series, fit)
+    assert (finding.code, finding.level, finding.axis) == ("predicts-badly", "warning", "gyro_x")
+    worst = max(half_predictions(series, fit), key=lambda one: abs(one.score))
+    assert (worst.score > 0) == (worst.half == 2)
+    names = ("first", "second")
+    assert finding.text == (
+        f"The {names[2 - worst.half]} half of the record predicts the {names[worst.half - 1]} badly: at "
+        f"{worst.time_s:g} s its Allan deviation is {worst.observed:.3g} rad/s, where {worst.predicted:.3g} "
+        f"rad/s is predicted (score {worst.score:+.1f})."
+    )
+    recording = imucal.Recording(source=imucal.recording.Source(path="a.csv", format="csv"), series=(series,))
+    report = imucal.characterize(recording)
+    assert "predicts-badly" in {found.code for found in report.axes[0].findings}
+    assert report.verdict.grade == "look"
+    assert "halves that don't predict each other" in report.verdict.sentence
+
+
+def test_scale_and_offset_change_no_score() -> None:
+    """Another unit, another bias."""
+    samples = noise(TRUTH, 41)
+    scores = []
+    for changed in (samples, 1e3 * samples + 5.0):
+        series = series_of(changed)
+        found = half_predictions(series, imucal.fit(series, model="N + B + K"))
+        scores.append([one.score for one in found])
+    np.testing.assert_allclose(scores[1], scores[0], atol=1e-3)
+
+
+def test_a_short_record_says_nothing() -> None:
+    """A half must last for twelve times the averaging time."""
+    series = series_of(noise("N=1e-3", 51, n=int(230 * RATE)))
+    assert half_predictions(series, imucal.fit(series)) == ()
+    longer = series_of(noise("N=1e-3", 51, n=int(250 * RATE)))
+    assert {one.time_s for one in half_predictions(longer, imucal.fit(longer))} == {10.0}
+
+
+def test_lost_samples_and_a_ramp_are_no_change() -> None:
+    """A tenth lost at random, five minutes in the middle, and a steady drift that the model has."""
+    rng = np.random.default_rng(61)
+    samples = noise("N=1e-3 + B=3e-4", 62) + 3e-6 * np.arange(N) / RATE
+    keep = rng.random(N) > 0.1
+    keep[int(700 * RATE) : int(1000 * RATE)] = False
+    series = series_of(samples).keeping(keep)
+    fit = imucal.fit(series, model="N + B + R")
+    found = half_predictions(series, fit)
+    assert {one.time_s for one in found} == {10.0, 30.0}
+    assert max(abs(one.score) for one in found) < 3
+
+
+def test_a_strong_line_is_left_out() -> None:
+    """The fit leaves it out, and so does what it predicts."""
+    samples = noise("N=1e-3 + B=3e-4", 71)
+    samples += 5e-3 * np.sin(2 * np.pi * 0.5 * np.arange(N) / RATE)
+    series = series_of(samples)
+    fit = imucal.fit(series, model="N + B")
+    assert fit.goodness.lines
+    assert self_check(series, replace(fit)) == ()
