@@ -10,6 +10,7 @@
     ├── SettingError   2  an environment variable of imucal's is wrong
     ├── LimitsError    2  a check's limits or config can't be read (2 is usage, as for a wrong option)
     ├── ManifestError  2  the manifest of a fleet is wrong
+    ├── StoreError     5  a file in the folder of a fleet is damaged
     └── EngineError    5  the workers of a fleet, or who hands out their work, are gone
 
 A message reads *where: what was found, what was expected, what to do*.
@@ -67,5 +68,11 @@ class ManifestError(ImucalError):
 
 class EngineError(ImucalError):
     """The workers of a fleet can't be reached, or are gone; what they have done is in the store."""
+
+    exit_code = 5
+
+
+class StoreError(ImucalError):
+    """A file in the folder of a fleet is not as it was written; the message names it."""
 
     exit_code = 5

@@ -13,10 +13,12 @@ Side work only judges or draws a result: where it fails, the result stays and a 
 import ctypes
 import gc
 import io
+import itertools
 import multiprocessing
 import os
 import pickle
 import signal
+import stat
 import struct
 import subprocess
 import sys
@@ -28,7 +30,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import TYPE_CHECKING, BinaryIO, Literal, TypeAlias, TypeVar, cast
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, BinaryIO, Literal, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -86,6 +89,10 @@ class Answer:
     code: int = 0
 
 
+class ChildClosedError(Exception):
+    """A question was put to a child that was closed: nobody waits for its answer."""
+
+
 class ChildProcess:
     """A process that answers one question at a time.
 
@@ -108,8 +115,9 @@ class ChildProcess:
     ) -> None:
         self._environment, self._counted, self._folder = environment or {}, counted, folder
         self._process: subprocess.Popen[bytes] | None = None
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as this object
+        self._said: IO[bytes] | None = None
         self._lock = threading.Lock()
+        self._closed = False
 
     def ask(self, function: Callable[..., object], *args: object, seconds: float, memory: int) -> Answer:
         """Call a function of a module in the child.
@@ -127,6 +135,8 @@ class ChildProcess:
         ------
         OSError
             If the child can't be started.
+        ChildClosedError
+            If it was closed, before or meanwhile.
         """
         question = pickle.dumps((self._counted, memory, function, args))
         with self._lock:
@@ -155,35 +165,81 @@ class ChildProcess:
             if answer is not None:
                 found: Answer = pickle.loads(answer)  # noqa: S301 - from this package's own process
                 return found
-            self.end()
-            size = self._said.seek(0, os.SEEK_END)
-            self._said.seek(max(size - _WORDS, 0))
-            words = self._said.read().decode("utf-8", "replace")
+            words = self.end()
+            self._refuse_closed()
             outcome: Outcome = "late" if late.is_set() else "ended"
             return Answer(outcome=outcome, words=words, code=process.returncode)
 
     def _started(self) -> subprocess.Popen[bytes]:
+        self._refuse_closed()
         if self._process is None or self._process.poll() is not None:
             self.end()
-            self._said.seek(0)
-            self._said.truncate()
+            self._said = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
             self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
-                [sys.executable, "-c", _START.format(path=sys.path)],
+                [sys.executable, "-c", _START.format(path=own_path())],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._said,
                 env={k: v for k, v in {**os.environ, **self._environment}.items() if v is not None},
                 cwd=self._folder,
             )
+            # It may have been closed while it started.
+            if self._closed:
+                self._process.kill()
         return self._process
 
-    def end(self) -> None:
-        """End the process, if there is one."""
+    def close(self) -> None:
+        """Have no more questions answered, nor the one in hand, which another thread may wait for."""
+        self._closed = True
+        if (process := self._process) is not None:
+            process.kill()
+
+    def _refuse_closed(self) -> None:
+        if self._closed:
+            raise ChildClosedError
+
+    def end(self) -> str:
+        """End the process, if there is one; return what it wrote last on standard error."""
         if self._process is not None:
             self._process.kill()
             # Closes the pipes and takes the exit code.
             self._process.communicate()
             self._process = None
+        if self._said is None:
+            return ""
+        with self._said as said:
+            said.seek(max(said.seek(0, os.SEEK_END) - _WORDS, 0))
+            words = said.read().decode("utf-8", "replace")
+        self._said = None
+        return words
+
+
+def own_path() -> list[str]:
+    """Return the folders of modules that nobody else could have put one into.
+
+    A folder that all users share, or one of somebody else's in such a folder, is left out: what stands there
+    under the name of a package would run with this user's rights. What the interpreter itself and this
+    package are in stays.
+    """
+    package = str(Path(__file__).parents[1])
+    return [folder for folder in sys.path if folder == package or _is_private(Path(folder))]
+
+
+def _is_private(folder: Path) -> bool:
+    """Return whether all who may put files into a folder, or another folder in its place, are trusted."""
+    if not hasattr(os, "getuid") or any(map(folder.is_relative_to, (sys.prefix, sys.base_prefix))):
+        return True
+    folder = folder.resolve()
+    try:
+        infos = [place.stat() for place in (folder, *folder.parents)]
+    except OSError:
+        # It may be made by anybody yet.
+        return False
+    for own, above in itertools.pairwise(infos):
+        kept = above.st_mode & stat.S_ISVTX and own.st_uid in {0, os.getuid()}
+        if above.st_mode & stat.S_IWOTH and not kept:
+            return False
+    return not infos[0].st_mode & stat.S_IWOTH
 
 
 def serve() -> None:

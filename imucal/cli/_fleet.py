@@ -10,7 +10,7 @@ import click
 
 from imucal.cli._printing import echo, fitted, print_findings, say, width
 from imucal.cli.parameters import Text, seconds_of, structure_of
-from imucal.errors import ImucalError
+from imucal.errors import ChoiceError
 from imucal.remote import is_url
 from imucal.resources import parse_size
 from imucal.units import data_size, duration
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from imucal.findings import Finding
     from imucal.fleet.store import FleetStore
     from imucal.fleet_report import Fleet
+    from imucal.fleet_report.answers import Ask
     from imucal.fleet_run import FleetPlan
     from imucal.fleet_run.logs import LabelPattern
 
@@ -64,7 +65,14 @@ def say_plan(plan: "FleetPlan", store: "FleetStore", *, quiet: bool) -> None:
 
 
 def conclude(
-    ctx: click.Context, store: "FleetStore", plan: "FleetPlan", out: Path, *, max_failed: float, quiet: bool
+    ctx: click.Context,
+    store: "FleetStore",
+    plan: "FleetPlan",
+    out: Path,
+    *,
+    ask: "Ask",
+    max_failed: float,
+    quiet: bool,
 ) -> None:
     """Print what became of the logs asked for, and end with the exit code of it."""
     counted = {plan.copies.get(path, path) for path in plan.own}
@@ -76,7 +84,7 @@ def conclude(
     # Copies are done with their originals.
     waiting = set(asked.filter(asked["copy_of"].is_null())["path"]) - set(every["path"])
     if every.filter(status="ok").height and not waiting:
-        write_files(store, quiet=quiet)
+        write_files(store, ask=ask, quiet=quiet)
     readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
     if logs.height and not readable:
         say(f"Error: {out}: none of {number_of(logs.height, 'log')} can be read")
@@ -88,8 +96,8 @@ def conclude(
         ctx.exit(4)
 
 
-def write_files(store: "FleetStore", *, quiet: bool) -> None:
-    """Write the report of a fleet of which nothing is left to do; what can't be written is said.
+def write_files(store: "FleetStore", *, quiet: bool, ask: "Ask | None" = None) -> None:
+    """Write the report of a fleet of which nothing is left to do.
 
     One that is newer than the store is left as it is.
     """
@@ -99,14 +107,9 @@ def write_files(store: "FleetStore", *, quiet: bool) -> None:
     if page.is_file() and page.stat().st_mtime_ns > store.changed_ns():
         echo(str(page))
         return
-    try:
-        fleet = load_fleet(store.folder)
-        missing: list[Finding] = []
-        files = write_fleet(fleet, tell=missing.append)
-    except ImucalError as error:
-        # Said to who asked for quiet, too: results were wanted, and these are not there.
-        say(f"the report is missing: {error}")
-        return
+    fleet = load_fleet(store.folder, ask=ask)
+    missing: list[Finding] = []
+    files = write_fleet(fleet, tell=missing.append)
     echo(str(next((file for file in files if file.suffix == ".html"), files[0])))
     say_verdict(fleet, missing, quiet=quiet)
 
@@ -228,8 +231,14 @@ def is_fleet(path: str | Path) -> bool:
     return not is_url(path) and (Path(path) / "manifest.parquet").is_file()
 
 
-def read_fleet(path: str | Path) -> "Fleet":
-    """Load a fleet, as far as exports, checks and comparisons need it."""
+def read_fleet(path: str | Path, model: str | None) -> "Fleet":
+    """Load a fleet, as far as exports, checks and comparisons need it: one sensor model, without its logs."""
     from imucal.fleet_report import load_fleet
+    from imucal.fleet_report.summary import choose_model, model_names
 
-    return load_fleet(path, unit_logs=False)
+    try:
+        chosen = choose_model(path, model_names(path), model)
+    except ChoiceError as error:
+        msg = f"{error}; choose one with --fleet-model"
+        raise ChoiceError(msg) from error
+    return load_fleet(path, unit_logs=False, model=chosen)

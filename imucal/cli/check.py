@@ -14,6 +14,7 @@ from imucal.cli._report_input import REPORT, load_report, read_report, report_or
 from imucal.cli.parameters import LogRequest, json_option
 from imucal.errors import ReadError
 from imucal.printable import printable
+from imucal.report.result import Report
 
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
 
@@ -115,15 +116,15 @@ def command(
     limits = _limits(limits_file, baseline, fleet, fleet_model, config=config)
     if undecided is not None:
         limits = replace(limits, undecided="fail" if undecided == "fail" else "pass")
-    older = None
-    if limits.baseline is not None and limits.baseline.report is not None:
-        older = read_report(baseline or limits.baseline.report)
+    older = _older(limits, baseline)
+    # What it lacks is said before the log is read.
+    units = None if fleet is None else read_fleet(fleet, fleet_model)
     report = load_report(request)
     result = check(report, limits, baseline=older)
-    if fleet is not None:
+    if units is not None:
         from imucal.fleet_report.fleet_check import check_fleet
 
-        rows = check_fleet(report, read_fleet(fleet), fleet_model)
+        rows = check_fleet(report, units)
         result = replace(result, rows=result.rows + rows)
     if config is not None:
         result = replace(result, rows=result.rows + check_config(config, report))
@@ -142,6 +143,13 @@ def command(
             echo(line, err=as_json)
     if not result.passed:
         click.get_current_context().exit(1)
+
+
+def _older(limits: Limits, baseline: str | None) -> Report | None:
+    """Return the report that the limits measure from; None where they don't."""
+    if limits.baseline is None or limits.baseline.report is None:
+        return None
+    return read_report(baseline or limits.baseline.report)
 
 
 def _limits(

@@ -111,7 +111,7 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
         raise click.UsageError(msg)
     from imucal.fleet_report.as_report import fleet_as_report
 
-    one, other_one = (fleet_as_report(read_fleet(path), fleet, value="median") for path in (a, b))
+    one, other_one = (fleet_as_report(read_fleet(path, fleet), value="median") for path in (a, b))
     return one, other_one
 
 

@@ -203,7 +203,7 @@ def _report(request: LogRequest, value: "FleetValue | None", model: str | None) 
             raise click.UsageError(msg)
         from imucal.fleet_report.as_report import fleet_as_report
 
-        return fleet_as_report(read_fleet(folder), model, value=value or "tolerance")
+        return fleet_as_report(read_fleet(folder, model), value=value or "tolerance")
     if value or model is not None:
         msg = f"{shown_address(folder)} is no fleet, but --{'value' if value else 'fleet-model'} is about one"
         raise click.UsageError(msg)

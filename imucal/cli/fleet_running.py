@@ -86,10 +86,12 @@ Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
     "--model", type=FIXED_STRUCTURE, metavar="TEXT", help=f"Terms, for every log. [default: {_MODEL}]"
 )
 @click.option("--level", type=LEVEL, help=f"Confidence level of every interval. [default: {_LEVEL}]")
-@click.option("--jobs", type=click.IntRange(1, 4096), metavar="N", help="Workers. [default: all processors]")
+@click.option(
+    "--jobs", type=click.IntRange(1, 4096), metavar="N", help="Logs at a time. [default: all processors]"
+)
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster, such as tcp://head:8786.")
-@click.option("--shard", type=SHARD, metavar="I/N", help="Do part I of N, in this process, without Dask.")
-@click.option("--memory", type=SIZE, metavar="SIZE", help="Memory of each worker, such as 2GB.")
+@click.option("--shard", type=SHARD, metavar="I/N", help="Do part I of N, log by log.")
+@click.option("--memory", type=SIZE, metavar="SIZE", help="Memory of each log, such as 2GB.")
 @shown("--timeout", type=PATIENCE, default="auto", metavar="TIME", help="Time of each log, such as 10min.")
 @shown("--reports", type=click.Choice(["none", "failed", "all"]), default="failed", help="Reports of logs.")
 @shown(
@@ -147,9 +149,9 @@ def command(
     from imucal.fleet.store import FleetStore
     from imucal.fleet_run import plan_fleet
     from imucal.fleet_run.fleet_call import fleet_settings, prepare
-    from imucal.fleet_run.on_dask import Engine
+    from imucal.fleet_run.on_dask import unprotected
     from imucal.fleet_run.plan import as_json
-    from imucal.fleet_run.running import run_plan
+    from imucal.fleet_run.running import asking, run_plan
 
     if shard and scheduler:
         msg = "--shard works without a cluster; give --shard or --scheduler, not both"
@@ -171,6 +173,8 @@ def command(
     except ValueError as error:
         msg = f"{error}; choose another folder with -o, or start anew with --fresh"
         raise click.UsageError(msg) from error
+    if not fresh:
+        _mend(store, dry_run=dry_run, quiet=quiet)
     entries = _entries(store, logs, manifest, labels, quiet=quiet)
     options = {**reading, "topic": topic, "skip_s": skip_s, "take_s": take_s, "strict": strict}
     plan = plan_fleet(entries, settings, None if fresh else store, reading=as_json(options))
@@ -179,13 +183,22 @@ def command(
         print_plan(plan, workers)
         return
     prepare(store, plan, settings, fresh=fresh)
-    for part in store.damaged():
-        say(f"{part}: was cut off; its logs are done again", quiet=quiet)
     say_plan(plan, store, quiet=quiet)
-    engine = None if shard else Engine(address=scheduler, jobs=workers, memory=settings.memory)
-    with _saying_how_to_go_on(ctx, out), fleet_progress(quiet=quiet or not plan.tasks) as progress:
-        run_plan(plan, settings, engine=engine, tell=progress or (lambda _: None))
-    conclude(ctx, store, plan, out, max_failed=max_failed, quiet=quiet)
+    if warned := unprotected(scheduler):
+        say(f"warning: {warned}")
+    ask = asking(settings, workers=workers, scheduler=scheduler)
+    with _saying_how_to_go_on(ctx, out):
+        with fleet_progress(quiet=quiet or not plan.tasks) as progress:
+            run_plan(plan, settings, workers=workers, scheduler=scheduler, tell=progress or (lambda _: None))
+        conclude(ctx, store, plan, out, ask=ask, max_failed=max_failed, quiet=quiet)
+
+
+def _mend(store: "FleetStore", *, dry_run: bool, quiet: bool) -> None:
+    """Remove what is damaged, and say so; a run that writes nothing refuses it."""
+    if dry_run:
+        store.refuse_damage()
+    for part in store.mend():
+        say(f"{part}: is damaged; what it held is done again", quiet=quiet)
 
 
 @contextlib.contextmanager

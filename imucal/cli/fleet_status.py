@@ -29,28 +29,24 @@ def command(*, folder: Path, as_json: bool, quiet: bool) -> None:
 
     store = FleetStore(folder)
     manifest = store.manifest()
+    store.refuse_damage()
     logs = store.logs()
-    damaged = store.damaged()
     copies = manifest.drop_nulls("copy_of")
     settled = {*logs["path"], *copies["path"]}
     left = [path for path in manifest["path"] if path not in settled]
     if as_json:
-        print_json(_document(logs, manifest, left, damaged))
+        print_json(_document(logs, manifest, left))
         return
     print_standing(logs, folder)
     print_failures(logs, quiet=quiet)
     for path, other in copies.select("path", "copy_of").iter_rows():
         say(f"  {path}: same content as {other}, counted once", quiet=quiet)
-    for part in damaged:
-        say(f"  {part}: was cut off; the next run does its logs again", quiet=quiet)
     if left:
         left_of = f"{len(left)} of {number_of(manifest.height, 'log')}"
         echo(f"left: {left_of}; imucal fleet run -o {as_typed(folder)} goes on")
 
 
-def _document(
-    logs: "pl.DataFrame", manifest: "pl.DataFrame", left: list[str], damaged: list[Path]
-) -> dict[str, object]:
+def _document(logs: "pl.DataFrame", manifest: "pl.DataFrame", left: list[str]) -> dict[str, object]:
     from imucal.fleet.store import STATUSES
 
     copies = manifest.drop_nulls("copy_of").select("path", "copy_of").iter_rows()
@@ -61,7 +57,6 @@ def _document(
         "verdicts": {grade: count(logs, "ok", grade) for grade in GRADES},
         "copies": dict(copies),
         "left": left,
-        "cut_off": [str(part) for part in damaged],
         "bytes": int(logs["bytes"].sum() or 0),
         "cpu_s": float(logs["cpu_s"].sum() or 0.0),
     }

@@ -21,6 +21,7 @@ from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.posterior import (
+    NextLog,
     Place,
     Posterior,
     UnitLikelihoods,
@@ -97,6 +98,8 @@ class Population:
         The value that bounds it with `confidence`: the number for the config of every unit.
     findings
         What should be known of these numbers.
+    next_log
+        Where a log of a new unit lies; None below three units.
     """
 
     units: tuple[UnitValue, ...]
@@ -111,6 +114,7 @@ class Population:
     confidence: float
     findings: tuple[Finding, ...]
     bounded: bool = False
+    next_log: NextLog | None = None
 
 
 def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: float = 0.95) -> Population:
@@ -144,7 +148,7 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
     within = _interval(posterior.quantiles(posterior.omega, _TAILS))
     units = _judged(values, unit_likelihoods(values, within.value, place), posterior, place)
     if only_bounded(values):
-        return _bounded(values, units, content, confidence)
+        return _bounded(values, units, content, confidence, posterior.next_log())
     share = float(np.mean(values.bounded))
     weak = (
         f"{100 * share:.0f} % of the logs only bound this term: longer logs would say more than more units."
@@ -165,10 +169,11 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
         confidence=confidence,
         # The median then leans on the bounds.
         findings=(Finding(level="info", code="weak-term", text=weak),) if share > _MOSTLY else (),
+        next_log=posterior.next_log(),
     )
 
 
-def membership(logs: Sequence[LogValue], new: LogValue) -> float:
+def membership(found: Population, new: LogValue) -> float:
     """Return the two-sided chance that a unit of this fleet gives a log like a new one.
 
     The spread between units, the scatter between logs of a unit and the error of the new log are all in it,
@@ -176,7 +181,7 @@ def membership(logs: Sequence[LogValue], new: LogValue) -> float:
 
     Parameters
     ----------
-    logs
+    found
         Of the fleet, of three units at least.
     new
         What the new log says.
@@ -186,18 +191,18 @@ def membership(logs: Sequence[LogValue], new: LogValue) -> float:
     ValueError
         If there are fewer than three units.
     """
-    values, one = LogValues.of(logs), LogValues.of([new])
-    if len(values.names) < FEWEST:
-        msg = f"a spread between units needs {FEWEST} units at least, got {len(values.names)}"
+    if found.next_log is None:
+        msg = f"a spread between units needs {FEWEST} units at least, got {len(found.units)}"
         raise ValueError(msg)
-    posterior = whole_posterior(values, place_of(values))
-    if one.narrow.all():
-        return posterior.p_value(*one.unit_centre(0, posterior.omega.ravel()))
-    return float(posterior.p_values(one.squares, posterior.quantiles(posterior.omega, [0.5]))[0])
+    return found.next_log.p_value(LogValues.of([new]))
 
 
 def _bounded(
-    values: LogValues, units: tuple[UnitValue, ...], content: float, confidence: float
+    values: LogValues,
+    units: tuple[UnitValue, ...],
+    content: float,
+    confidence: float,
+    next_log: NextLog,
 ) -> Population:
     """Return how large a coefficient can be that all logs together do not show."""
     text = (
@@ -216,6 +221,7 @@ def _bounded(
         content=content,
         confidence=confidence,
         findings=(Finding(level="info", code="weak-term", text=text),),
+        next_log=next_log,
     )
 
 
@@ -252,7 +258,7 @@ def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
     told = units.normal.copy()
     theta = units.theta
     for unit, curve in zip(np.flatnonzero(~units.normal).tolist(), units.weak, strict=True):
-        inside = theta[curve > curve.max() - _TWO_SIDED**2 / 2]
+        inside = theta[curve > math.exp(-(_TWO_SIDED**2) / 2)]
         middle[unit], low[unit], high[unit] = theta[curve.argmax()], inside[0], inside[-1]
         told[unit] = inside[0] > theta[0]
     columns = (told, *np.exp([low, middle, high]), np.bincount(values.unit))

@@ -43,8 +43,11 @@ _LITTLE = 1e-4
 _NOTHING = 16.0
 #: They keep finite the logarithm of a probability that underflows, and the exponential of what is larger.
 _TINY, _LARGEST = math.exp(-690), 600.0
-#: Units whose terms are added at a time.
-_CHUNK = 2048
+#: Points of the law of the next unit, and of the next log; points of the posterior that are less probable
+#: than this, against the most probable, say nothing of the latter.
+_GRID, _UNLIKELY = 801, 1e-7
+#: How far the law of the next log reaches, in deviations.
+_FARTHEST = 6.0
 #: Points of the predictive law that a weak unit is judged by.
 _DRAWS = 4000
 #: Its multiples fill the unit interval evenly, in an order that has nothing to do with theirs.
@@ -71,9 +74,9 @@ class UnitLikelihoods:
     """Likelihoods of the units' coefficients, where logs of one unit scatter by `omega`.
 
     Units that are `normal` have a `centre` and a `deviation`, shape (units,); `constant` is the logarithm of
-    what that leaves out: the scatter of logs about their units. Of the others these are for weights only, and
-    hold `about` a logarithm; their log-likelihoods are `weak`, shape (weak units, points), at the logarithms
-    `theta`, shape (points,).
+    what all of this leaves out: the scatter of logs about their units, and the peaks of the others. Of those
+    `centre` and `deviation` are for weights only, and hold `about` a logarithm; their likelihoods against
+    their peaks are `weak`, shape (weak units, points), at the logarithms `theta`, shape (points,).
     """
 
     omega: float
@@ -100,15 +103,17 @@ def unit_likelihoods(logs: LogValues, omega: float, place: Place) -> UnitLikelih
     )
     reach = min(9 * place.scale, _DEEPEST)
     theta = np.linspace(place.centre - _DEEPEST - reach, place.centre + reach + 3 * place.scale, _POINTS)
+    weak = _on_grid(logs, ~normal, theta, omega)
+    peaks = weak.max(axis=1, keepdims=True)
     return UnitLikelihoods(
         omega=omega,
         about=place.centre,
         normal=normal,
         centre=centre,
         deviation=1 / np.sqrt(np.maximum(total, 1e-300)),
-        constant=constant,
+        constant=constant + float(peaks.sum()),
         theta=theta,
-        weak=_on_grid(logs, ~normal, theta, omega),
+        weak=np.exp(weak - peaks),
     )
 
 
@@ -141,6 +146,37 @@ def _blur(theta_to: FloatArray, theta: FloatArray, width: float) -> FloatArray:
     return result
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NextLog:
+    """Where a log of a unit that was not seen lies, its own error aside.
+
+    Attributes
+    ----------
+    points
+        Logarithms of the coefficient, ascending, as dense as the law itself.
+    below
+        The chance of less, at each of them.
+    """
+
+    points: tuple[float, ...]
+    below: tuple[float, ...]
+
+    def p_value(self, new: LogValues) -> float:
+        """Return the two-sided chance of one log like this."""
+        from scipy.special import ndtr
+
+        step, weight = np.diff(self.points), np.diff(self.below)
+        at = np.asarray(self.points[1:]) - step / 2
+        if new.narrow.all():
+            # Between two points what is there lies evenly.
+            error = np.hypot(new.deviation[0], step / math.sqrt(12))
+            less = ndtr((new.centre[0] - at) / error)
+        else:
+            less = new.squares.below(np.exp(2 * np.minimum(at, _LARGEST / 2)))[0]
+        chance = float(less @ weight) / float(weight.sum())
+        return 2 * min(chance, 1 - chance)
+
+
 @dataclass(frozen=True, slots=True)
 class Posterior:
     """Weights on a grid of omega, tau and mu, broadcast against each other; they add up to one."""
@@ -161,15 +197,19 @@ class Posterior:
 
     def prediction(self, at: Sequence[float] | FloatArray) -> FloatArray:
         """Return quantiles of the logarithm of a unit that was not seen."""
+        weight = self.weight.sum(axis=0)
+        law = _Law(self.mu[0], np.broadcast_to(self.tau[0], weight.shape), weight)
+        return np.interp(at, law.below(law.points), law.points)
+
+    def next_log(self) -> NextLog:
+        """Return where a log of a unit that was not seen lies."""
         from scipy.special import ndtr
 
-        weight = self.weight.sum(axis=0)
-        keep = weight > math.exp(-_NOTHING) * weight.max()
-        mu, tau = (np.broadcast_to(x, self.weight.shape)[0][keep] for x in (self.mu, self.tau))
-        reach = 6 * float(tau.max())
-        grid = np.linspace(float(mu.min()) - reach, float(mu.max()) + reach, 801)
-        below = ndtr((grid[:, None] - mu) / tau) @ weight[keep] / weight[keep].sum()
-        return np.interp(at, below, grid)
+        mu = np.broadcast_to(self.mu, self.weight.shape)
+        law = _Law(mu, np.broadcast_to(np.hypot(self.tau, self.omega), mu.shape), self.weight)
+        levels = ndtr(np.linspace(-_FARTHEST, _FARTHEST, _GRID))
+        points = np.unique(np.interp(levels, law.below(law.points), law.points))
+        return NextLog(points=tuple(points.tolist()), below=tuple(law.below(points).tolist()))
 
     def p_value(self, centre: FloatArray, variance: FloatArray) -> float:
         """Return the two-sided chance of a new unit's logarithm `centre`, known with a normal error.
@@ -194,6 +234,23 @@ class Posterior:
         below = units.below(np.exp(2 * (log + scatter[:, None] * moved))).mean(axis=1)
         result: FloatArray = 2 * np.minimum(below, 1 - below)
         return result
+
+
+class _Law:
+    """Normal laws about `mu`, `wide`, with weights, all of one shape; `points` are where they lie."""
+
+    def __init__(self, mu: FloatArray, wide: FloatArray, weight: FloatArray) -> None:
+        keep = weight > _UNLIKELY * weight.max()
+        self._mu, self._wide, self._weight = mu[keep], wide[keep], weight[keep] / weight[keep].sum()
+        reach = 6 * float(self._wide.max())
+        self.points = np.linspace(float(self._mu.min()) - reach, float(self._mu.max()) + reach, _GRID)
+
+    def below(self, points: FloatArray) -> FloatArray:
+        """Return the chance of less at each point."""
+        from scipy.special import ndtr
+
+        # A point at a time: all of them would take more memory than the posterior itself.
+        return np.array([float(ndtr((at - self._mu) / self._wide) @ self._weight) for at in points])
 
 
 def whole_posterior(values: LogValues, place: Place) -> Posterior:
@@ -276,19 +333,9 @@ def _log_posterior(
     squares = np.sum(y * y / v, axis=1)[:, None] - 2 * offset * first + offset**2 * second
     result = units.constant - 0.5 * (squares + np.sum(np.log(v), axis=1)[:, None])
     if blurs:
-        result += [_weak_part(units, matrix) for matrix in blurs]
+        result += [np.log(matrix @ units.weak.T + _TINY).sum(axis=1) for matrix in blurs]
     posterior: FloatArray = result + _prior(units, tau)[:, None] + _prior_of_median(units, mu)
     return posterior
-
-
-def _weak_part(units: UnitLikelihoods, matrix: FloatArray) -> FloatArray:
-    """Return what the units on the grid say of mu, at one tau."""
-    total = np.zeros(matrix.shape[0])
-    for start in range(0, len(units.weak), _CHUNK):
-        some = units.weak[start : start + _CHUNK]
-        top = some.max(axis=1, keepdims=True)
-        total += np.log(matrix @ np.exp(some - top).T + _TINY).sum(axis=1) + top.sum()
-    return total
 
 
 def _prior(units: UnitLikelihoods, tau: FloatArray) -> FloatArray:

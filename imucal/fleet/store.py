@@ -4,9 +4,13 @@ A part is written under another name, forced to disk and then renamed: it is the
 the three parts of a batch of logs the one in ``logs`` comes last and commits the others: what it does not
 name never happened. Nothing is ever changed in place, so several runs on one store add up.
 
+Each file carries a checksum of its bytes and of the columns that it should have. Where one does not fit, the
+file is named and nothing is read: a disk that lost a bit, or a version with other columns, changes no number.
 """
 
+import hashlib
 import io
+import itertools
 import json
 import math
 import secrets
@@ -15,11 +19,12 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
 from imucal.atomic import replacing, sweep, sync_folder
-from imucal.errors import ReadError, WriteError
+from imucal.errors import ReadError, StoreError, WriteError
 
 #: How a log ended. The first three are of the log itself; the others may go otherwise another time.
 STATUSES = ("ok", "unreadable", "no-data", "memory", "timeout", "crash")
@@ -54,10 +59,16 @@ RESULTS = {
 }
 #: One row a log and axis: its binned spectrum.
 BINS = {"key": _TEXT, "sensor": _TEXT, "axis": _TEXT, "bins": pl.Binary()}
-_TABLES = {"bins": BINS, "results": RESULTS, "logs": LOGS}
+#: What was made of other rows, as JSON, by a checksum of these: it need not be made again.
+DERIVED = {"key": _TEXT, "value": _TEXT}
+#: The tables of a batch, in the order in which they are written; and all.
+_OF_BATCH: dict[str, dict[str, Any]] = {"bins": BINS, "results": RESULTS, "logs": LOGS}
+_TABLES: dict[str, dict[str, Any]] = {"derived": DERIVED, **_OF_BATCH}
 _MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"
-#: Begins and ends every parquet file. Source: Apache Parquet, file format.
-_MAGIC = b"PAR1"
+#: Bytes of a checksum, and of what ends a parquet file: the size of its footer, and four letters. Source:
+#: Apache Parquet, file format.
+_SEAL, _END = 32, 8
+_NOT_WHOLE = "is damaged, or of an earlier version"
 
 Row = Mapping[str, object]
 
@@ -87,7 +98,7 @@ class FleetStore:
         WriteError
             If it can't be made, or holds something else.
         """
-        if self.folder.is_dir() and not self.exists and not self.settings():
+        if self.folder.is_dir() and not self.exists and not self._has_settings():
             own = {_SETTINGS, *_TABLES}
             names = sorted(path.name for path in self.folder.iterdir())
             # Another run may begin here, too: its scratch files and its lock begin with a dot.
@@ -120,12 +131,30 @@ class FleetStore:
             (self.folder / _MANIFEST).unlink(missing_ok=True)
 
     def settings(self) -> dict[str, object]:
-        """Return what holds for every log, as `keep_settings` got it; empty where nothing is known."""
+        """Return what holds for every log, as `keep_settings` got it; empty where nothing is known.
+
+        Raises
+        ------
+        StoreError
+            If it is damaged.
+        """
+        path = self.folder / _SETTINGS
         try:
-            found = json.loads((self.folder / _SETTINGS).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            found = json.loads(path.read_text(encoding="utf-8"))
+            seal = found.pop("checksum")
+        except FileNotFoundError:
             return {}
-        return found if isinstance(found, dict) else {}
+        except (OSError, ValueError, KeyError, AttributeError):
+            found, seal = {}, None
+        if seal != _digest(json.dumps(found).encode()).hex():
+            msg = f"{path}: {_NOT_WHOLE}; start the fleet anew, with --fresh"
+            raise StoreError(msg)
+        return dict(found)
+
+    def _has_settings(self) -> bool:
+        with suppress(StoreError):
+            return bool(self.settings())
+        return False
 
     def keep_settings(self, settings: Row) -> None:
         """Write down what holds for every log.
@@ -135,8 +164,9 @@ class FleetStore:
         WriteError
             If it can't be written.
         """
+        sealed = {**settings, "checksum": _digest(json.dumps(settings).encode()).hex()}
         with replacing(self.folder / _SETTINGS) as scratch:
-            scratch.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
+            scratch.write_text(json.dumps(sealed, indent=2) + "\n", encoding="utf-8")
 
     def manifest(self) -> pl.DataFrame:
         """Return the logs asked for, one row each.
@@ -144,15 +174,20 @@ class FleetStore:
         Raises
         ------
         ReadError
-            If there is no fleet here, or its manifest can't be read.
+            If there is no fleet here.
+        StoreError
+            If its manifest is damaged.
         """
         path = self.folder / _MANIFEST
         try:
-            return pl.read_parquet(path, glob=False)
-        except (OSError, pl.exceptions.PolarsError) as error:
-            found = f"can't be read ({_first_line(error)})" if path.exists() else "no such file"
+            if _is_whole(path, ()):
+                return pl.read_parquet(path, glob=False)
+        except OSError as error:
+            found = "no such file" if isinstance(error, FileNotFoundError) else error.strerror or error
             msg = f"{path}: {found}; expected the folder of a fleet that imucal fleet run writes"
             raise ReadError(msg) from error
+        msg = f"{path}: {_NOT_WHOLE}; remove it, and name the logs again: what is done is kept"
+        raise StoreError(msg)
 
     def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
         """Add logs to those asked for; one named before gets its new labels. Return the whole manifest.
@@ -174,7 +209,7 @@ class FleetStore:
                 rows = pl.concat([others, rows], how="diagonal")
                 if rows.columns == old.columns and rows.sort("path").equals(old.sort("path")):
                     return old
-            self._write(self.folder / _MANIFEST, rows)
+            self._write(self.folder / _MANIFEST, rows, ())
         return rows
 
     def changed_ns(self) -> int:
@@ -205,11 +240,29 @@ class FleetStore:
             If it can't be written: then nothing was.
         """
         name = f"part-{shard}-{secrets.token_hex(8)}.parquet"
-        for table, rows in (("bins", bins), ("results", results), ("logs", logs)):
-            schema = _TABLES[table]
+        for (table, schema), rows in zip(_OF_BATCH.items(), (bins, results, logs), strict=True):
             frame = pl.DataFrame([[row.get(c) for c in schema] for row in rows], schema=schema, orient="row")
-            self._write(self.folder / table / name, frame)
+            self._write(self.folder / table / name, frame, schema)
         return name
+
+    def derived(self, keys: Collection[str]) -> dict[str, str]:
+        """Return what was made before, of those keys that have anything."""
+        parts = [path.name for path in (self.folder / "derived").glob("part-*.parquet")]
+        found = self._read("derived", parts, pl.Series(keys, dtype=pl.String))
+        return dict(found.select("key", "value").iter_rows())
+
+    def keep_derived(self, found: Mapping[str, str]) -> None:
+        """Keep what was made, by its keys.
+
+        Raises
+        ------
+        WriteError
+            If it can't be written.
+        """
+        with _translated(self.folder):
+            (self.folder / "derived").mkdir(exist_ok=True)
+        frame = pl.DataFrame([*found.items()], schema=DERIVED, orient="row")
+        self._write(self.folder / "derived" / f"part-{secrets.token_hex(8)}.parquet", frame, DERIVED)
 
     def logs(self) -> pl.DataFrame:
         """Return what is known of each log: the columns of `LOGS`, and `part`; sorted by path.
@@ -217,7 +270,7 @@ class FleetStore:
         A content counts once (the newest success, else the newest failure), and so does a path (its newest
         content). Labels are those of the manifest where it has them.
         """
-        found = self._read("logs", self._whole())
+        found = self._read("logs", self._batches())
         found = found.sort(pl.col("status") == "ok", "finished", "part", descending=True)
         found = found.unique("key", keep="first", maintain_order=True)
         found = found.sort("finished", "part", descending=True)
@@ -244,6 +297,13 @@ class FleetStore:
         """Return the binned spectra of all logs: the columns of `BINS`."""
         return next(self.bins_in_turn([self.logs()["key"].to_list()]))
 
+    def axes(self) -> pl.DataFrame:
+        """Return the key, sensor and axis of each binned spectrum, and not the spectrum."""
+        places = self.logs().select("part", "key")
+        columns = ("key", "sensor", "axis", "part")
+        found = self._read("bins", places["part"].unique(), columns=columns)
+        return found.join(places, on=["part", "key"]).drop("part")
+
     def bins_in_turn(self, groups: Iterable[Collection[str]]) -> Iterator[pl.DataFrame]:
         """Yield the binned spectra of groups of logs, given by their keys; only one group's are in memory."""
         places = self.logs().select("part", "key")
@@ -252,36 +312,74 @@ class FleetStore:
             found = self._read("bins", own["part"].unique(), own["key"])
             yield found.join(own, on=["part", "key"]).select(*BINS).sort("key", "sensor", "axis")
 
-    def damaged(self) -> list[Path]:
-        """Return the parts that are not whole, as after a loss of power; their logs are not done."""
-        whole = set(self._whole())
-        return sorted(
-            path
-            for table in _TABLES
-            for path in (self.folder / table).glob("part-*.parquet")
-            if not _is_whole(path) or (table == "logs" and path.name not in whole)
-        )
+    def damaged(self) -> dict[Path, list[Path]]:
+        """Return the parts that are not as they were written, each with all that it is nothing without.
 
-    def _whole(self) -> list[str]:
-        """Return the names of the batches whose three parts are whole."""
-        names = sorted(path.name for path in (self.folder / "logs").glob("part-*.parquet"))
-        return [name for name in names if all(_is_whole(self.folder / table / name) for table in _TABLES)]
+        Of a batch that is all three, the commit record first; a part without such a record is nobody's.
+        """
+        groups = [[self.folder / table / name for table in reversed(_OF_BATCH)] for name in self._batches()]
+        groups += [[path] for path in sorted((self.folder / "derived").glob("part-*.parquet"))]
+        return {
+            path: group
+            for group in groups
+            for path in group
+            if not _is_whole(path, _TABLES[path.parent.name])
+        }
 
-    def _read(self, table: str, parts: Iterable[str], keys: pl.Series | None = None) -> pl.DataFrame:
-        """Return the rows of some parts of a table, or of some keys in them, with the part of each."""
+    def refuse_damage(self) -> None:
+        """Check all that is there.
+
+        Raises
+        ------
+        StoreError
+            If a part is not as it was written.
+        """
+        for part in self.damaged():
+            msg = f"{part}: {_NOT_WHOLE}; run the fleet again, which does its logs anew"
+            raise StoreError(msg)
+
+    def mend(self) -> list[Path]:
+        """Remove what is damaged, so that its logs are not done; return which parts.
+
+        Raises
+        ------
+        WriteError
+            If they can't be removed.
+        """
+        damaged = self.damaged()
+        with _translated(self.folder):
+            for path in itertools.chain.from_iterable(damaged.values()):
+                path.unlink(missing_ok=True)
+        return list(damaged)
+
+    def _batches(self) -> list[str]:
+        return sorted(path.name for path in (self.folder / "logs").glob("part-*.parquet"))
+
+    def _read(
+        self,
+        table: str,
+        parts: Iterable[str],
+        keys: pl.Series | None = None,
+        columns: Collection[str] = (),
+    ) -> pl.DataFrame:
+        """Return the rows of some parts of a table, or of some keys in them, with the part of each.
+
+        `columns` are those that are wanted; all where none is named.
+        """
         empty = pl.DataFrame(schema={**_TABLES[table], "part": pl.String})
+        empty = empty.select(columns or pl.all())
         paths = [self.folder / table / name for name in parts]
         if not paths:
             return empty
+        rows = pl.scan_parquet(paths, include_file_paths="part", glob=False)
+        rows = rows.select(columns or pl.all())
+        rows = rows if keys is None else rows.filter(pl.col("key").is_in(keys.implode()))
         try:
-            rows = pl.scan_parquet(paths, include_file_paths="part", glob=False)
-            rows = rows if keys is None else rows.filter(pl.col("key").is_in(keys.implode()))
             # In pieces: of large parts with bins only those that are asked for are ever held.
             found = rows.collect(engine="streaming")
-        except (OSError, pl.exceptions.PolarsError):
-            # Parts of an earlier version may lack a column.
-            found = pl.concat(map(_read_part, paths), how="diagonal")
-        found = pl.concat([empty, found], how="diagonal")
+        except (OSError, pl.exceptions.PolarsError) as error:
+            msg = f"{self.folder / table}: can't be read ({_first_line(error)}); run the fleet again"
+            raise StoreError(msg) from error
         return found.with_columns(pl.col("part").str.split("/").list.last())
 
     def _with_labels(self, logs: pl.DataFrame) -> pl.DataFrame:
@@ -296,11 +394,13 @@ class FleetStore:
         kept = [pl.coalesce(f"{name}_new", name).alias(name) for name in LABELS]
         return joined.with_columns(kept).select(logs.columns)
 
-    def _write(self, path: Path, frame: pl.DataFrame) -> None:
-        data = io.BytesIO()
-        frame.write_parquet(data, compression="zstd")
+    def _write(self, path: Path, frame: pl.DataFrame, columns: Iterable[str]) -> None:
+        stream = io.BytesIO()
+        frame.write_parquet(stream, compression="zstd")
+        data = stream.getvalue()
+        footer = _footer_at(data)
         with replacing(path) as scratch:
-            scratch.write_bytes(data.getbuffer())
+            scratch.write_bytes(data[:footer] + _digest(data, columns) + data[footer:])
         sync_folder(path.parent)
 
     @contextmanager
@@ -314,26 +414,25 @@ class FleetStore:
             yield
 
 
-def _read_part(path: Path) -> pl.DataFrame:
-    """Read one part; say which it is where its inside is damaged, which a crash does not do."""
-    try:
-        return pl.read_parquet(path, include_file_paths="part", glob=False)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        msg = f"{path}: is damaged ({_first_line(error)}); remove it: the next run does its logs again"
-        raise ReadError(msg) from error
+def _digest(data: bytes, columns: Iterable[str] = ()) -> bytes:
+    return hashlib.blake2b(data + ",".join(columns).encode(), digest_size=_SEAL).digest()
 
 
-def _is_whole(path: Path) -> bool:
-    """Whether a parquet file has its beginning and its end, which is written last."""
+def _footer_at(data: bytes) -> int:
+    """Return where a parquet file's footer begins; before it stands the checksum, where no reader looks."""
+    return len(data) - _END - int.from_bytes(data[-_END:-4], "little")
+
+
+def _is_whole(path: Path, columns: Iterable[str]) -> bool:
+    """Return whether a file is as it was written, with the columns that it should have."""
     try:
-        with path.open("rb") as file:
-            start = file.read(4)
-            size = file.seek(0, io.SEEK_END)
-            file.seek(max(size - 8, 0))
-            footer, end = int.from_bytes(file.read(4), "little"), file.read(4)
-    except OSError:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        if not columns:
+            raise
         return False
-    return start == end == _MAGIC and footer + 12 <= size
+    at = max(_footer_at(data), _SEAL)
+    return data[at - _SEAL : at] == _digest(data[: at - _SEAL] + data[at:], columns)
 
 
 @contextmanager

@@ -111,7 +111,7 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
         value=middle,
         low=low,
         high=high,
-        correlation_time=_correlation_time(fleet, term) if TERMS[term.symbol].repeatable else None,
+        correlation_time=_correlation_time(term) if TERMS[term.symbol].repeatable else None,
         origin=f"{what} of {len(found.units)} units" if value == "tolerance" else "",
     )
 
@@ -121,14 +121,8 @@ def _is_shown(term: FleetTerm) -> bool:
     return not TERMS[term.symbol].repeatable or any(log.value for log in term.logs)
 
 
-def _correlation_time(fleet: Fleet, term: FleetTerm) -> Interval:
+def _correlation_time(term: FleetTerm) -> Interval:
     """Return the median of the logs' correlation times, and where 95 % of them lie."""
     times = [log.correlation_time for log in term.logs if log.value and log.correlation_time]
-    if not times:
-        msg = (
-            f"{fleet.folder}: found no correlation time of {term.name} {term.term}, which runs of an earlier "
-            "version did not keep; run the fleet again with --fresh"
-        )
-        raise DataError(msg)
     low, value, high = np.exp(np.quantile(np.log(times), (0.025, 0.5, 0.975))).tolist()
     return Interval(value=value, low=low, high=high)

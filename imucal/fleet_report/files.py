@@ -33,6 +33,7 @@ from imucal.fleet_report.pages import (
 )
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
 from imucal.fleet_report.verdict import beyond_chance, bound_name, deviation, per, sheet_unit, verdict
+from imucal.printable import printable
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
 from imucal.report.figure import (
@@ -147,10 +148,16 @@ def _rows(model: SensorModel, term: FleetTerm) -> Iterator[list[object]]:
     ]
     for unit in found.units:
         yield [
-            *(model.name, str(term.sensor), term.axis, term.term, term.unit, unit.unit, unit.logs),
+            *(_cell(model.name), str(term.sensor), term.axis, term.term, term.unit, _cell(unit.unit)),
+            unit.logs,
             *(unit.value, unit.low, unit.high, int(unit.odd), unit.p_odd, tested.get(unit.unit)),
             *shared,
         ]
+
+
+def _cell(text: str) -> str:
+    """Return a label that a spreadsheet does not take for a formula, nor a terminal for a command."""
+    return f"'{printable(text)}" if text.startswith(("=", "+", "-", "@")) else printable(text)
 
 
 def _term(term: FleetTerm, sure: set[tuple[int, str]]) -> dict[str, object]:

@@ -65,7 +65,7 @@ def check_fleet(
         )
         raise DataError(msg)
     told = [(term, value) for term, value in common if term.population.prediction]
-    chances = iter(holm([membership(term.logs, value) for term, value in told]))
+    chances = iter(holm([membership(term.population, value) for term, value in told]))
     return tuple(
         _row(found, term, value, p=next(chances) if term.population.prediction else None, alpha=alpha)
         for term, value in common

@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from imucal.fleet.population import UnitValue
 from imucal.fleet.trend import NEAREST, Trend
 from imucal.fleet.values import LogValue
-from imucal.fleet_report.summary import Fleet, FleetTerm, LooseLog, SensorModel, symbol_of
+from imucal.fleet_report.answers import symbol_of
+from imucal.fleet_report.summary import Fleet, FleetTerm, LooseLog, SensorModel
 from imucal.fleet_report.verdict import (
     alone,
     between,

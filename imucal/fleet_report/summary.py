@@ -2,25 +2,31 @@
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from imucal._version import __version__
 from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
-from imucal.fitting.bins import unpack
-from imucal.fleet.pooling import Homogeneity, PooledFit, pool_bins
-from imucal.fleet.population import FALSE_SHARE, Population, UnitValue, adjusted, population
+from imucal.fleet.population import FALSE_SHARE, Population, UnitValue, adjusted
 from imucal.fleet.store import FleetStore
-from imucal.fleet.trend import Trend, adjust, trend
+from imucal.fleet.trend import Trend, adjust
 from imucal.fleet.values import LogValue
+from imucal.fleet_report.answers import (
+    Answers,
+    Ask,
+    TermAnswer,
+    TermKey,
+    TermQuestion,
+    UnitLogs,
+    symbol_of,
+    unit_tests,
+)
 from imucal.noise.terms import TERMS
-from imucal.processes import try_side_work
 from imucal.recording import Axis, Sensor
 
 if TYPE_CHECKING:
@@ -65,26 +71,6 @@ class FleetLog:
     def counts(self) -> bool:
         """Whether its numbers belong to a unit of a model."""
         return self.unit is not None and not self.left_out
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UnitLogs:
-    """Several logs of one unit, of one term: whether they have one coefficient.
-
-    `p_value` is of this test alone, `differs` is judged over all units and terms of the fleet (Benjamini &
-    Hochberg 1995). `value`, `low` and `high` are those of the joint fit, widened where the logs differ; None
-    where the term is only bounded. `spread` is the relative deviation between logs beyond chance, 0 where
-    they agree.
-    """
-
-    unit: str
-    logs: int
-    p_value: float
-    differs: bool
-    spread: float
-    value: float | None
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,168 +223,25 @@ class Fleet:
         ChoiceError
             If there is no such model, or several and no name.
         """
-        found = [model for model in self.models if name is None or model.name == name]
-        if len(found) == 1:
-            return found[0]
-        names = ", ".join(repr(model.name) for model in self.models) or "none: no log has a unit's label"
-        asked = "no model's name" if name is None else repr(name)
-        msg = f"{self.folder}: found {asked}, expected one of the sensor models: {names}"
-        raise ChoiceError(msg)
-
-
-#: Model, sensor, axis and term.
-TermKey: TypeAlias = tuple[str, str, str, str]
-#: Relative difference of two sampling rates that is none.
-_SAME_RATE = 1e-3
-_LEVEL = 0.95
-#: So many logs' bins are held at once, 18 kB each.
-_AT_ONCE = 5000
-
-
-def _unit_tests(
-    store: FleetStore, logs: Mapping[str, FleetLog], terms: Collection[TermKey]
-) -> tuple[dict[TermKey, list[UnitLogs]], tuple[Finding, ...]]:
-    """Return for each of the models' terms the units with several logs, and what could not be judged."""
-    found: dict[TermKey, list[UnitLogs]] = {}
-    findings: list[Finding] = []
-    for (model, sensor, axis, unit), every in _packed(store, logs):
-        own = {key[3]: key for key in terms if key[:3] == (model, sensor, axis)}
-        symbols = tuple(symbol for symbol in TERMS if symbol in set(map(symbol_of, own)))
-        where = f"{Sensor(sensor).short}_{axis}"
-        pooled, said = try_side_work(
-            partial(_pooled, every, symbols, Sensor(sensor)),
-            None,
-            what=f"{unit}: whether its logs agree in {where} is not known",
-            code="not-checked",
-            axis=where,
-        )
-        findings += said
-        for test in pooled.homogeneity if pooled else ():
-            if pooled and test.key in own:
-                found.setdefault(own[test.key], []).append(_unit_logs(pooled, test, unit))
-    return found, tuple(findings)
-
-
-def _packed(
-    store: FleetStore, logs: Mapping[str, FleetLog]
-) -> Iterator[tuple[tuple[str, str, str, str], list[bytes]]]:
-    """Yield the packed bins of units with several logs, by model, sensor, axis and unit."""
-    batches = _batches(logs)
-    for frame in store.bins_in_turn(batches) if batches else ():
-        found: dict[tuple[str, str, str, str], list[bytes]] = {}
-        for row in frame.iter_rows(named=True):
-            log = logs[row["key"]]
-            if row["bins"] is not None:
-                place = (log.model, row["sensor"], row["axis"], log.unit or "")
-                found.setdefault(place, []).append(row["bins"])
-        yield from ((place, every) for place, every in sorted(found.items()) if len(every) > 1)
-
-
-def _batches(logs: Mapping[str, FleetLog]) -> list[list[str]]:
-    """Return the logs that count of units with several, some units at a time."""
-    keys: dict[tuple[str, str], list[str]] = {}
-    for key, log in logs.items():
-        if log.counts:
-            keys.setdefault((log.model, log.unit or ""), []).append(key)
-    batches: list[list[str]] = []
-    for own in (own for _, own in sorted(keys.items()) if len(own) > 1):
-        if batches and len(batches[-1]) < _AT_ONCE:
-            batches[-1].extend(own)
-        else:
-            batches.append(own)
-    return batches
-
-
-def _pooled(packed: Sequence[bytes], symbols: tuple[str, ...], sensor: Sensor) -> PooledFit:
-    every = [unpack(data) for data in packed]
-    first = every[0].tau0
-    rates = sorted({f"{1 / one.tau0:.6g} Hz" for one in every if abs(one.tau0 / first - 1) > _SAME_RATE})
-    if rates:
-        msg = f"found rates of {1 / first:.6g} Hz and {', '.join(rates)}, expected one"
-        raise DataError(msg)
-    return pool_bins(every, symbols, sensor=sensor, rate_hz=1 / first, level=_LEVEL)
-
-
-def _unit_logs(pooled: PooledFit, test: Homogeneity, unit: str) -> UnitLogs:
-    joint = pooled[test.key]
-    return UnitLogs(
-        unit=unit,
-        logs=pooled.records,
-        p_value=test.p_value,
-        differs=test.differs,
-        spread=test.spread,
-        value=joint.value,
-        low=joint.low,
-        high=joint.high,
-    )
-
-
-def symbol_of(term: str) -> str:
-    """Return ``GM`` of ``GM2``."""
-    return term.rstrip("0123456789")
-
-
-#: The bound that is near enough, and the most units that are thought of.
-NEAR = 1.1
-_MOST = 10_000
-
-
-def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confidence: float = 0.95) -> float:
-    """Return the median bound of `units` units over the quantile that it bounds: what more units would buy.
-
-    Parameters
-    ----------
-    units
-        At least 2.
-    spread
-        Standard deviation tau between units, in the logarithm.
-    content, confidence
-        Of the bound.
-
-    Notes
-    -----
-    Where units are known well, the bound is k deviations above the mean in the logarithm, and the quantile z:
-    exp(tau (k - z)) is the price of having tested so few units.
-
-    Source: Krishnamoorthy & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3): k is a quantile of the
-    noncentral t law.
-    """
-    from scipy.special import nctdtrit, ndtri
-
-    z = float(ndtri(content))
-    root = math.sqrt(units)
-    factor = float(nctdtrit(units - 1, z * root, confidence)) / root
-    return math.exp(spread * (factor - z))
-
-
-def _prices(found: Population) -> tuple[tuple[int, float], ...]:
-    """Return numbers of units with what they cost: these, twice as many, and those that come near enough.
-
-    Empty where the spread between units is not known.
-    """
-    if found.spread is None:
-        return ()
-    n = len(found.units)
-    excess = partial(
-        tolerance_excess, spread=found.spread.value, content=found.content, confidence=found.confidence
-    )
-    wanted = {n, 2 * n}
-    if excess(n) > NEAR >= excess(_MOST):
-        low, high = n, _MOST
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if excess(middle) <= NEAR else (middle, high)
-        wanted.add(high)
-    return tuple((units, excess(units)) for units in sorted(wanted))
+        chosen = choose_model(self.folder, [model.name for model in self.models], name)
+        return next(model for model in self.models if model.name == chosen)
 
 
 Row = Mapping[str, Any]
 
 
 def load_fleet(
-    folder: str | Path, *, content: float = 0.95, confidence: float = 0.95, unit_logs: bool = True
+    folder: str | Path,
+    *,
+    content: float = 0.95,
+    confidence: float = 0.95,
+    unit_logs: bool = True,
+    model: str | None = None,
+    ask: Ask | None = None,
 ) -> Fleet:
     """Return what the logs of a fleet say of each sensor model.
+
+    What was made of the same logs before stands in the folder, and is not made again.
 
     Parameters
     ----------
@@ -407,35 +250,38 @@ def load_fleet(
     content, confidence
         Of the tolerance bounds: a share `content` of all units with probability `confidence`.
     unit_logs
-        Whether to test if several logs of a unit have one coefficient, which takes the most time.
+        Whether to test if several logs of a unit have one coefficient.
+    model
+        Name of the only sensor model that is wanted; None for all.
+    ask
+        Who makes what is not there yet; by default this process, and others beside it.
 
     Raises
     ------
     ReadError
-        If there is no fleet, or it can't be read.
+        If there is no fleet.
+    StoreError
+        If it is damaged.
     DataError
-        If none of its logs was done, or some by a version that did not keep enough.
+        If none of its logs was done.
     """
     store = FleetStore(folder)
+    manifest = store.manifest()
+    store.refuse_damage()
     # A copy of another log is counted with it.
-    asked = store.manifest()["copy_of"].null_count()
+    asked = manifest["copy_of"].null_count()
     logs = {row["key"]: _log(row) for row in store.logs().iter_rows(named=True)}
     if not logs:
         msg = f"{folder}: found {asked} logs and none done, expected some; run the fleet first"
         raise DataError(msg)
     results = store.results()
-    _refuse_old(folder, results)
-    groups = _grouped(results, logs)
-    tests, findings = _unit_tests(store, logs, groups) if unit_logs else ({}, ())
-    models = []
-    for name in sorted({log.model for log in logs.values() if log.counts}):
-        own = tuple(log for log in logs.values() if log.model == name and log.unit is not None)
-        terms = [
-            _term(key, rows, tests.get(key, ()), content, confidence)
-            for key, rows in groups.items()
-            if key[0] == name
-        ]
-        models.append(_model(name, own, terms))
+    units = {key: (log.model, log.unit or "") for key, log in logs.items() if log.counts}
+    groups = _grouped(results, {key: own for key, (own, _) in units.items() if model in {None, own}})
+    answers = Answers(store, ask)
+    tests, findings = unit_tests(answers, units, groups) if unit_logs else ({}, ())
+    terms = _terms(answers, groups, tests, content, confidence)
+    names = sorted({own for own, _ in units.values() if model in {None, own}})
+    models = [_model(name, logs.values(), terms.get(name, [])) for name in names]
     loose = _loose(results, logs)
     return Fleet(
         folder=Path(folder),
@@ -449,6 +295,31 @@ def load_fleet(
     )
 
 
+def model_names(folder: str | Path) -> list[str]:
+    """Return the names of a fleet's sensor models, and not what their units are like."""
+    store = FleetStore(folder)
+    store.refuse_damage()
+    logs = map(_log, store.logs().iter_rows(named=True))
+    return sorted({log.model for log in logs if log.counts})
+
+
+def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) -> str:
+    """Return the sensor model that is asked for, or the only one.
+
+    Raises
+    ------
+    ChoiceError
+        If there is no such model, or several and no name.
+    """
+    found = [name for name in names if asked in {None, name}]
+    if len(found) == 1:
+        return found[0]
+    said = ", ".join(map(repr, names)) or "none: no log has a unit's label"
+    what = "no model's name" if asked is None else repr(asked)
+    msg = f"{folder}: found {what}, expected one of the sensor models: {said}"
+    raise ChoiceError(msg)
+
+
 def labels_to_type(paths: Sequence[str]) -> str:
     """Return a text of labels that tells a unit for each path: the last folder that differs, or the name."""
     parts = [path.replace("\\", "/").split("/") for path in paths]
@@ -460,7 +331,8 @@ def labels_to_type(paths: Sequence[str]) -> str:
     return f"{{unit}}{suffix}"
 
 
-def _model(name: str, logs: tuple[FleetLog, ...], terms: Sequence[FleetTerm]) -> SensorModel:
+def _model(name: str, every: Iterable[FleetLog], terms: Sequence[FleetTerm]) -> SensorModel:
+    logs = tuple(log for log in every if log.model == name and log.unit is not None)
     rates = sorted(log.rate_hz for log in logs if log.rate_hz)
     sensors, symbols = list(Sensor), list(TERMS)
 
@@ -505,11 +377,10 @@ def _log(row: Row) -> FleetLog:
     return FleetLog(**told, findings=findings, left_out=left_out)
 
 
-def _grouped(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> dict[TermKey, "pl.DataFrame"]:
-    """Return the rows of results that count, by model, sensor, axis and term."""
+def _grouped(results: "pl.DataFrame", counted: Mapping[str, str]) -> dict[TermKey, "pl.DataFrame"]:
+    """Return the rows of results that count, by model, sensor, axis and term; `counted` is key -> model."""
     import polars as pl
 
-    counted = {key: log.model for key, log in logs.items() if log.counts}
     models = pl.DataFrame(list(counted.items()), schema={"key": pl.String, "model": pl.String}, orient="row")
     rows = results.drop("model").join(models, on="key", how="inner", maintain_order="left")
     found = rows.partition_by("model", "sensor", "axis", "term", as_dict=True, maintain_order=True)
@@ -523,46 +394,36 @@ def _value(row: Row, unit: str) -> LogValue:
     return LogValue(unit=unit, **told)
 
 
-def _refuse_old(folder: str | Path, results: "pl.DataFrame") -> None:
-    """Refuse squares whose deviations follow the draws: their mean would be too low, and nothing would show.
-
-    Raises
-    ------
-    DataError
-        If there are any.
-    """
-    old = results.filter(results["variance"].is_not_null() & results["variance_growth"].is_null())
-    if old.height:
-        logs = old["key"].n_unique()
-        msg = (
-            f"{folder}: found {logs} log{'s' * (logs > 1)} done by an earlier version, which did not keep "
-            "how the error of a term grows with it; run the fleet again with --fresh"
+def _terms(
+    answers: Answers,
+    groups: Mapping[TermKey, "pl.DataFrame"],
+    tests: Mapping[TermKey, Sequence[UnitLogs]],
+    content: float,
+    confidence: float,
+) -> dict[str, list[FleetTerm]]:
+    """Return the terms of each model, by its name."""
+    questions = {
+        key: TermQuestion(
+            logs=tuple(_value(row, row["unit"]) for row in rows.iter_rows(named=True)),
+            content=content,
+            confidence=confidence,
         )
-        raise DataError(msg)
-
-
-def _term(
-    key: TermKey, rows: "pl.DataFrame", tests: Sequence[UnitLogs], content: float, confidence: float
-) -> FleetTerm:
-    _, sensor, axis, term = key
-    logs = tuple(_value(row, row["unit"]) for row in rows.iter_rows(named=True))
-    found = population(logs, content=content, confidence=confidence)
-    moves, why = None, ""
-    try:
-        moves = trend(logs)
-    except DataError as error:
-        why = str(error)
-    return FleetTerm(
-        sensor=Sensor(sensor),
-        axis=axis,  # type: ignore[arg-type]  # "x", "y" or "z", from a table
-        term=term,
-        logs=logs,
-        population=found,
-        trend=moves,
-        no_trend=why,
-        unit_logs=tuple(tests),
-        price=_prices(found),
-    )
+        for key, rows in groups.items()
+    }
+    found: dict[str, list[FleetTerm]] = {}
+    for key, answer in zip(questions, answers.to(list(questions.values()), TermAnswer), strict=True):
+        model, sensor, axis, term = key
+        found.setdefault(model, []).append(
+            FleetTerm(
+                sensor=Sensor(sensor),
+                axis=axis,  # type: ignore[arg-type]  # "x", "y" or "z", from a table
+                term=term,
+                logs=questions[key].logs,
+                unit_logs=tuple(tests.get(key, ())),
+                **{field.name: getattr(answer, field.name) for field in fields(TermAnswer)},
+            )
+        )
+    return found
 
 
 def _loose(results: "pl.DataFrame", logs: Mapping[str, FleetLog]) -> tuple[LooseLog, ...]:

@@ -1,13 +1,14 @@
 """A fleet run by a call: what `imucal fleet run` does, without its lines."""
 
 import math
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from imucal.fleet.store import FleetStore
 from imucal.fleet_report import Fleet, load_fleet
 from imucal.fleet_run.logs import LabelPattern
-from imucal.fleet_run.on_dask import Engine
+from imucal.fleet_run.on_dask import unprotected
 from imucal.fleet_run.plan import (
     LEAST_MEMORY,
     LEVEL,
@@ -21,7 +22,7 @@ from imucal.fleet_run.plan import (
     plan_fleet,
     stored_logs,
 )
-from imucal.fleet_run.running import run_plan
+from imucal.fleet_run.running import asking, run_plan
 from imucal.noise import parse_structure, structure_text
 from imucal.resources import memory_there_is, parse_size, threads
 
@@ -73,11 +74,12 @@ def run_fleet(
         Terms, and confidence level of every interval: by default those that the folder has, else
         ``N + B + K`` and 0.95.
     jobs
-        Workers of a cluster on this machine, by Dask; by default one a processor.
+        How many logs are done at a time, each in a process of its own; by default one a processor.
     scheduler
-        Address of a Dask scheduler, whose workers are taken instead.
+        Address of a Dask scheduler, whose workers are taken instead; a warning says where others may
+        reach it.
     shard
-        ``(i, n)``: do part i of n, from 1, log by log and without Dask; ``(1, 1)`` is all of it.
+        ``(i, n)``: do part i of n, from 1, log by log; ``(1, 1)`` is all of it.
     memory
         Bytes that a log may take, or a text such as ``2GB``; by default 80 % of the machine's, shared by
         the workers.
@@ -102,11 +104,13 @@ def run_fleet(
     ValueError
         If an argument can't be meant, or the folder holds fits of another model or level.
     ReadError
-        If no log has such a name, or the folder is damaged.
+        If no log has such a name.
+    StoreError
+        If what the folder has to be done, its manifest or its settings, is damaged.
     ManifestError
         If the manifest, or a label in a path, is wrong.
     EngineError
-        If Dask is missing, or its workers can't be reached or are gone; what is done is kept.
+        If the workers of a `scheduler` can't be reached or are gone; what is done is kept.
     WriteError
         If the folder can't be written.
     DataError
@@ -118,12 +122,7 @@ def run_fleet(
     needs no ``if __name__ == "__main__"``, and a notebook may call this.
     """
     _refuse_slips(reports, level=level, jobs=jobs, timeout_s=timeout_s)
-    if shard and not 1 <= shard[0] <= shard[1]:
-        msg = f"shard {shard} is no part; expected (i, n) with i from 1 to n"
-        raise ValueError(msg)
-    if shard and scheduler:
-        msg = "a shard works without a cluster; expected shard or scheduler, not both"
-        raise ValueError(msg)
+    _refuse_shard(shard, scheduler)
     store = FleetStore(Path(folder).absolute())
     workers = 1 if shard else jobs or threads()
     settings = fleet_settings(
@@ -137,14 +136,23 @@ def run_fleet(
         reports=reports,
         shard=shard,
     )
+    if not fresh:
+        store.mend()
     asked = _asked(store, logs, manifest, labels)
     plan = plan_fleet(asked, settings, None if fresh else store, reading=as_json(reading or {}))
     plan = plan.shard(*shard) if shard else plan
     prepare(store, plan, settings, fresh=fresh)
-    engine = None if shard else Engine(address=scheduler, jobs=workers, memory=settings.memory)
+    if said := unprotected(scheduler):
+        warnings.warn(said, stacklevel=2)
     tell = progress or (lambda _, __: None)
-    run_plan(plan, settings, engine=engine, tell=lambda count: tell(count.done, count.logs))
-    return load_fleet(folder)
+    run_plan(
+        plan,
+        settings,
+        workers=workers,
+        scheduler=scheduler,
+        tell=lambda count: tell(count.done, count.logs),
+    )
+    return load_fleet(folder, ask=asking(settings, workers=workers, scheduler=scheduler))
 
 
 def _refuse_slips(reports: str, **given: float | None) -> None:
@@ -156,6 +164,15 @@ def _refuse_slips(reports: str, **given: float | None) -> None:
         if number is not None and not fits(number):
             msg = f"{name} {number}, expected {expected}"
             raise ValueError(msg)
+
+
+def _refuse_shard(shard: tuple[int, int] | None, scheduler: str | None) -> None:
+    if shard and not 1 <= shard[0] <= shard[1]:
+        msg = f"shard {shard} is no part; expected (i, n) with i from 1 to n"
+        raise ValueError(msg)
+    if shard and scheduler:
+        msg = "a shard works without a cluster; expected shard or scheduler, not both"
+        raise ValueError(msg)
 
 
 def _asked(
@@ -208,7 +225,7 @@ def fleet_settings(
     ValueError
         If the fleet that is there has another model or level: it has one structure for all of its logs.
     """
-    kept = store.settings() if store.exists and not fresh else {}
+    kept = {} if fresh else store.settings()
     asked = {"model": model, "level": level}
     given = {name: value for name, value in asked.items() if value is not None}
     for name, value in given.items():
@@ -236,8 +253,11 @@ def prepare(store: FleetStore, plan: FleetPlan, settings: FleetSettings, *, fres
     WriteError
         If it can't be written.
     """
+    kept: dict[str, object] = {"model": settings.model, "level": settings.level}
     if fresh and store.exists:
+        # They tell whose folder it is, once it has no manifest.
+        store.keep_settings(kept)
         store.clear()
     store.create()
-    store.keep_settings({"model": settings.model, "level": settings.level})
+    store.keep_settings(kept)
     store.add_to_manifest(plan.manifest())

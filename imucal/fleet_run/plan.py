@@ -434,10 +434,10 @@ def plan_fleet(
 
     Raises
     ------
-    ReadError
+    StoreError
         If the store is damaged.
     """
-    known = store.logs().select(_KNOWN).rows(named=True) if store and store.exists else []
+    known = store.logs().select(_KNOWN).rows(named=True) if store else []
     logs, keys = _keyed(entries, reading, settings, known)
     settled = {log["key"]: log["path"] for log in filter(_is_settled, known)}
     failed = {log["path"] for log in itertools.filterfalse(_is_settled, known)}

@@ -1,37 +1,47 @@
-"""A plan -> its logs done and committed, by whoever does the work.
+"""A plan -> its logs done and committed, by processes of this machine or the workers of a cluster.
 
 Each log is read and characterised in a child process with its time and memory. What hangs, dies or takes too
-much memory is the child: the worker stays, or the process of a shard, and knows which log it was. The logs of
-a batch that is lost are tried by themselves.
+much memory is the child: who started it stays, and knows which log it was. On this machine the children are
+this process's own, and speak with it through pipes that nobody else can reach. Of a cluster each worker has
+one; the logs of a batch that such a worker did not bring back are tried by themselves.
 """
 
-import atexit
 import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from queue import SimpleQueue
+from typing import Any, TypeVar, cast
 
 from imucal._version import __version__
 from imucal.errors import DataError, ImucalError
 from imucal.fleet.store import LABELS, OF_VALUE, FleetStore
+from imucal.fleet_report.answers import Ask, Question, answer_texts
 from imucal.fleet_run.logs import at_hand, content_at, edge_at
-from imucal.fleet_run.on_dask import Engine, Lost, outcomes
-from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask, batches, has_failed
+from imucal.fleet_run.on_dask import Lost, outcomes
+from imucal.fleet_run.plan import (
+    PATIENCE,
+    FleetPlan,
+    FleetSettings,
+    LogDone,
+    LogTask,
+    batches,
+    has_failed,
+)
 from imucal.processes import Answer, ChildProcess
 from imucal.readers.remote_logs import LocalLogs
 from imucal.recording import Recording
 from imucal.resources import MEMORY, POOLS, THREADS
 
-#: Seconds of work that a batch has, so that handing it out costs little; and one of this process's own.
+#: Seconds of work that a batch of a cluster has, so that handing it out costs little; and one done here.
 BATCH_S, OWN_BATCH_S = 30.0, 10.0
-#: Seconds after the time of its logs in which a worker must have committed a batch.
-_MARGIN_S = 60.0
+#: Questions that are handed out at a time.
+_QUESTIONS = 4
 #: How often a log is tried whose process ends: another one may have ended it.
 _ATTEMPTS = 2
 #: What Rust and C++ write where an allocation fails, before they end the process.
@@ -40,6 +50,9 @@ _NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allo
 _SHARE = 4
 #: A log's first stamp counts as a date from 2000 on: clocks that start with the sensor begin at 1970.
 _FIRST_DATE_NS = 946_684_800 * 10**9
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(slots=True)
@@ -74,7 +87,8 @@ def run_plan(
     plan: FleetPlan,
     settings: FleetSettings,
     *,
-    engine: Engine | None,
+    workers: int = 1,
+    scheduler: str | None = None,
     tell: Callable[[RunCount], None] = lambda _: None,
 ) -> RunCount:
     """Do what a plan has to do, and commit it to the store.
@@ -83,8 +97,10 @@ def run_plan(
     ----------
     plan, settings
         What, and how.
-    engine
-        Who does it; None for this process, log by log.
+    workers
+        How many logs are done at a time, each in a process of this machine's.
+    scheduler
+        Address of a Dask scheduler, whose workers do it instead.
     tell
         Called with the count whenever it changes.
 
@@ -93,13 +109,12 @@ def run_plan(
     WriteError
         If the store can't be written.
     EngineError
-        If the workers can't be reached, or are gone.
+        If the workers of a cluster can't be reached, or are gone.
     """
     count = RunCount(logs=len(plan.tasks), size=sum(task.size for task in plan.tasks))
     if not plan.tasks:
         return count
-    workers, seconds = (1, OWN_BATCH_S) if engine is None else (engine.jobs, BATCH_S)
-    waiting = batches(plan.tasks, workers=workers, seconds=seconds)
+    waiting = batches(plan.tasks, workers=workers, seconds=BATCH_S if scheduler else OWN_BATCH_S)
     alone: deque[list[LogTask]] = deque()
     lost: set[str] = set()
 
@@ -110,13 +125,8 @@ def run_plan(
             tell(count)
         return batch
 
-    def patience(batch: list[LogTask]) -> float:
-        return _MARGIN_S + _ATTEMPTS * sum(settings.patience(task) for task in batch)
-
     tell(count)
-    work = partial(work_on_batch, settings=settings)
-    found = _here(take, work) if engine is None else outcomes(take, work, engine=engine, patience=patience)
-    for batch, outcome in found:
+    for batch, outcome in _outcomes(take, settings, workers, scheduler):
         count.running -= len(batch)
         if not isinstance(outcome, Lost):
             count.add(batch, outcome)
@@ -128,21 +138,92 @@ def run_plan(
             alone.extend([task] for task in batch)
             continue
         else:
-            said = outcome.status, f"{batch[0].path}: {outcome.reason}"
-            count.add(batch, commit([failure(batch[0], settings, *said)], settings))
+            reason = f"{batch[0].path}: {outcome.reason}"
+            count.add(batch, commit([failure(batch[0], settings, "crash", reason)], settings))
         tell(count)
     return count
 
 
-def _here(
-    take: Callable[[], list[LogTask] | None], work: Callable[[list[LogTask]], list[LogDone]]
+def _outcomes(
+    take: Callable[[], list[LogTask] | None], settings: FleetSettings, workers: int, scheduler: str | None
 ) -> Iterator[tuple[list[LogTask], list[LogDone] | Lost]]:
-    """Yield batches as this process does them, one after the other."""
-    try:
-        while (batch := take()) is not None:
-            yield batch, work(batch)
-    finally:
-        _end_child()
+    if scheduler is not None:
+        return outcomes(take, partial(_on_worker, settings=settings), address=scheduler)
+    return here(take, partial(work_on_batch, settings), settings, workers)
+
+
+def asking(settings: FleetSettings, *, workers: int = 1, scheduler: str | None = None) -> Ask:
+    """Return what has a fleet's questions answered by those who did its logs.
+
+    What they do not answer, as where a process ends, is left to who asked.
+    """
+
+    def ask(questions: Sequence[Question]) -> list[str | None]:
+        waiting = iter(range(0, len(questions), _QUESTIONS))
+        found: list[str | None] = [None] * len(questions)
+
+        def take() -> list[Question] | None:
+            first = next(waiting, None)
+            return None if first is None else list(questions[first : first + _QUESTIONS])
+
+        def in_child(batch: list[Question], child: ChildProcess) -> list[str] | Lost:
+            seconds = PATIENCE * len(batch)
+            answer = child.ask(answer_texts, batch, seconds=seconds, memory=settings.memory)
+            return (
+                cast("list[str]", answer.value) if answer.outcome == "done" else Lost(reason=answer.outcome)
+            )
+
+        done: Iterator[tuple[list[Question], list[str] | Lost]] = (
+            outcomes(take, answer_texts, address=scheduler)
+            if scheduler
+            else here(take, in_child, settings, workers)
+        )
+        places = {id(question): place for place, question in enumerate(questions)}
+        for batch, texts in done:
+            for question, text in () if isinstance(texts, Lost) else zip(batch, texts, strict=True):
+                found[places[id(question)]] = text
+        return found
+
+    return ask
+
+
+def here(
+    take: Callable[[], T | None], work: Callable[[T, ChildProcess], R], settings: FleetSettings, workers: int
+) -> Iterator[tuple[T, R]]:
+    """Yield batches with what `work` makes of each with a child process of its own, as they are done.
+
+    However it ends, no child is left: what comes later may have another environment, such as other
+    credentials.
+    """
+    children = [child_process(settings) for _ in range(workers)]
+    free: SimpleQueue[ChildProcess] = SimpleQueue()
+    for child in children:
+        free.put(child)
+
+    def lent(batch: T) -> R:
+        child = free.get()
+        try:
+            return work(batch, child)
+        finally:
+            free.put(child)
+
+    hands: dict[Future[R], T] = {}
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            while True:
+                while len(hands) < workers and (batch := take()) is not None:
+                    hands[pool.submit(lent, batch)] = batch
+                if not hands:
+                    return
+                for future in wait(hands, return_when=FIRST_COMPLETED).done:
+                    yield hands.pop(future), future.result()
+        finally:
+            # Threads that wait for an answer are told that there will be none.
+            for child in children:
+                child.close()
+            pool.shutdown(cancel_futures=True)
+            for child in children:
+                child.end()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,15 +235,24 @@ class LogRows:
     bins: list[dict[str, object]] = field(default_factory=list)
 
 
-def work_on_batch(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDone]:
-    """Do some logs and commit them, all or none.
+def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> list[LogDone]:
+    """Do some logs in a child process and commit them, all or none.
 
     Raises
     ------
     WriteError
         If the store can't be written: then these logs are not done.
     """
-    return commit([_work_in_child(task, settings) for task in tasks], settings)
+    return commit([_work_in_child(task, settings, child) for task in tasks], settings)
+
+
+def _on_worker(tasks: Sequence[LogTask], settings: FleetSettings) -> list[LogDone]:
+    """Do some logs as a worker of a cluster."""
+    child = child_process(settings)
+    try:
+        return work_on_batch(settings, tasks, child)
+    finally:
+        child.end()
 
 
 def commit(rows: Sequence[LogRows], settings: FleetSettings) -> list[LogDone]:
@@ -202,49 +292,25 @@ def _memory_reason(settings: FleetSettings) -> str:
     return f"it takes more than {settings.memory / 1e9:.3g} GB of memory; give it more, or a part of the log"
 
 
-class _OfThread(threading.local):
-    """The child process of a thread, and the memory and folder that it was started with."""
-
-    child: ChildProcess | None = None
-    made_for: tuple[int, str] = (0, "")
-
-
-_own = _OfThread()
-
-
-def child_of(settings: FleetSettings) -> ChildProcess:
-    """Return the child process of this thread."""
-    made_for = (settings.memory, settings.folder)
-    if _own.child is None or _own.made_for != made_for:
-        _end_child()
-        # One thread, in all libraries, and its share of memory. Dask has its workers give back all memory at
-        # once; to take it again costs a fifth of a fit.
-        environment = {
-            "MALLOC_TRIM_THRESHOLD_": None,
-            **dict.fromkeys((THREADS, *POOLS), "1"),
-            MEMORY: str(settings.memory // _SHARE),
-            "MPLBACKEND": "agg",
-        }
-        # Relative paths begin where the run was started, if this machine has the folder.
-        folder = settings.folder if Path(settings.folder).is_dir() else None
-        _own.child = ChildProcess(environment=environment, counted="data", folder=folder)
-        _own.made_for = made_for
-        atexit.register(_own.child.end)
-    return _own.child
+def child_process(settings: FleetSettings) -> ChildProcess:
+    """Return a child process for logs: of one thread, in all libraries, and its share of memory."""
+    # Dask has its workers give back all memory at once; to take it again costs a fifth of a fit.
+    environment = {
+        "MALLOC_TRIM_THRESHOLD_": None,
+        **dict.fromkeys((THREADS, *POOLS), "1"),
+        MEMORY: str(settings.memory // _SHARE),
+        "MPLBACKEND": "agg",
+    }
+    # Relative paths begin where the run was started, if this machine has the folder.
+    folder = settings.folder if Path(settings.folder).is_dir() else None
+    return ChildProcess(environment=environment, counted="data", folder=folder)
 
 
-def _end_child() -> None:
-    """End this thread's child: what comes later may have another environment, such as other credentials."""
-    if _own.child is not None:
-        _own.child.end()
-        _own.child = None
-
-
-def _work_in_child(task: LogTask, settings: FleetSettings) -> LogRows:
+def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) -> LogRows:
     seconds = settings.patience(task)
     for _ in range(_ATTEMPTS):
         try:
-            answer = child_of(settings).ask(work_on, task, settings, seconds=seconds, memory=settings.memory)
+            answer = child.ask(work_on, task, settings, seconds=seconds, memory=settings.memory)
         except OSError as error:
             why = f"its process can't be started ({error.strerror or error}), as when a machine is full"
             return failure(task, settings, "crash", f"{task.path}: {why}; run again where there is room")

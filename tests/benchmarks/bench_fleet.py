@@ -26,7 +26,6 @@ import psutil
 
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import on_dask, running
-from imucal.fleet_run.on_dask import Engine
 from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask
 from imucal.fleet_run.running import BATCH_S, RunCount, run_plan
 from tests.fleet.simulated_fleet import RATE, make_fleet
@@ -36,7 +35,7 @@ from tests.fleet_run.faults import Bench, cluster
 CASES = {
     "plain loop": (),
     "fleet run --shard 1/1": ("--shard", "1/1"),
-    "fleet run --jobs 1": ("--jobs", "1"),
+    "fleet run --jobs 2": ("--jobs", "2"),
 }
 #: How a store is read: in the third and the fourth 5000 logs at a time.
 READINGS = ("logs", "results", "bins", "bins of strewn logs", "all bins at once")
@@ -118,7 +117,7 @@ def engine(folder: Path, *, logs: int, seconds: float) -> None:
     settings = FleetSettings(store=str(folder / "store"), folder=str(folder), memory=1 << 30)
     marks = iter(sorted({1000, 2000, 5000, *(logs * part // 100 for part in (10, 20, 40, 60, 80, 100))}))
     with (
-        patch.object(running, "work_on_batch", nothing),
+        patch.object(running, "_on_worker", nothing),
         cluster(folder, workers=1) as (address, scheduler),
     ):
         processes = {"client": psutil.Process(), "scheduler": psutil.Process(scheduler.pid)}
@@ -138,7 +137,7 @@ def engine(folder: Path, *, logs: int, seconds: float) -> None:
             told = ", ".join(f"{n} {memory[n]:.1f} MB {1e3 * used[n] / count.done:.3f} ms" for n in used)
             print(f"{count.done:7} logs, {time.perf_counter() - begun:6.1f} s: {told}", flush=True)
 
-        done = run_plan(plan, settings, engine=Engine(address=address, memory=1 << 30), tell=tell)
+        done = run_plan(plan, settings, scheduler=address, tell=tell)
         assert (done.done, done.failed) == (logs, 0)
 
 

@@ -122,7 +122,7 @@ def test_a_fleet_is_exported(folder: Path) -> None:
     bound = run("export", "fleet", "--to", "kalibr", "-o", "-", cwd=folder)
     median = run("export", "fleet", "--value", "median", "--to", "kalibr", "-o", "-", cwd=folder)
     assert "every number is the 95/95 tolerance bound" in bound.stdout
-    assert "N of gyro_" in bound.stdout
+    assert "covers gyro_x, gyro_y, gyro_z" in bound.stdout
     assert "95/95 tolerance bound of 8 units" in bound.stdout
     assert "every number is the median unit" in median.stdout
 

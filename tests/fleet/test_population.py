@@ -9,8 +9,15 @@ from scipy import integrate, stats
 from scipy.special import ndtr, ndtri
 
 from imucal.fleet import LogValue, population
-from imucal.fleet.population import adjusted, leave_one_out, only_bounded, rms_bound, share_bound
-from imucal.fleet.posterior import place_of, posterior_of, unit_likelihoods
+from imucal.fleet.population import (
+    adjusted,
+    leave_one_out,
+    membership,
+    only_bounded,
+    rms_bound,
+    share_bound,
+)
+from imucal.fleet.posterior import place_of, posterior_of, unit_likelihoods, whole_posterior
 from imucal.fleet.values import LogValues, Squares
 from tests.fleet.simulated import strong_fleet, weak_fleet
 
@@ -336,3 +343,21 @@ def test_units_without_any_value_are_bounded_below_three_too() -> None:
     found = population([LogValue(unit=u, value=None, low=0.0, high=h) for u, h in (("a", 2.0), ("b", 3.0))])
     assert found.bounded
     assert found.median.value == found.median.high == pytest.approx(3.0, rel=0.01)
+
+
+@pytest.mark.parametrize("logs", [1, 3])
+@pytest.mark.parametrize("error", [0.004, 0.1])
+def test_a_new_log_is_judged_as_by_the_whole_posterior(logs: int, error: float) -> None:
+    """The law of the next log, at 801 points, gives the p-values of the sum over all of the posterior."""
+    rng = np.random.default_rng(4711)
+    fleet = strong_fleet(rng, units=7, logs=logs, tau=0.2, error=error)
+    values = LogValues.of(fleet)
+    posterior, found = whole_posterior(values, place_of(values)), population(fleet)
+    for far in (-1.2, -0.5, 0.0, 0.3, 0.9):
+        value = found.median.value * math.exp(far)
+        new = LogValue(
+            unit="new", value=value, low=value * math.exp(-1.96 * error), high=value * math.exp(1.96 * error)
+        )
+        exact = posterior.p_value(*LogValues.of([new]).unit_centre(0, posterior.omega.ravel()))
+        # Points lie 0.015 deviations apart; what is less probable than 1e-7 is left out.
+        assert membership(found, new) == pytest.approx(exact, rel=0.01, abs=1e-5)

@@ -2,14 +2,15 @@
 
 import math
 import multiprocessing
+import re
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 import pytest
 
-from imucal.errors import ReadError, WriteError
-from imucal.fleet.store import LOGS, MANIFEST, FleetStore
+from imucal.errors import ReadError, StoreError, WriteError
+from imucal.fleet.store import LOGS, MANIFEST, RESULTS, FleetStore
 
 
 def manifest(*rows: dict[str, Any]) -> pl.DataFrame:
@@ -62,7 +63,8 @@ def test_what_was_committed_is_read_back(tmp_path: Path) -> None:
     assert logs["findings"].to_list() == [["gaps"], ["gaps"], []]
     assert store.results()["value"].to_list() == [1e-4, 1e-4]
     assert store.bins()["bins"].to_list() == [b"a", b"b"]
-    assert store.damaged() == []
+    assert store.damaged() == {}
+    store.refuse_damage()
 
 
 def test_a_new_store_is_empty(tmp_path: Path) -> None:
@@ -85,13 +87,19 @@ def test_results_without_their_commit_record_do_not_count(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("table", ["bins", "results", "logs"])
 @pytest.mark.parametrize("keep", [0.0, 0.02, 0.5, 0.99])
-def test_a_part_cut_off_is_reported_and_ignored(tmp_path: Path, table: str, keep: float) -> None:
-    """Then none of the log's three parts counts, so that the next run does the log again."""
+def test_a_part_cut_off_is_refused_until_it_is_mended(tmp_path: Path, table: str, keep: float) -> None:
+    """Then none of the log's three parts is left, so that the next run does the log again."""
     store = fleet(tmp_path, "a", "b")
     part = store.folder / table / store.logs().filter(pl.col("key") == "key-a")["part"].item()
     data = part.read_bytes()
     part.write_bytes(data[: int(keep * len(data))])
-    assert part in store.damaged()
+    said = re.escape(
+        f"{part}: is damaged, or of an earlier version; run the fleet again, which does its logs"
+    )
+    with pytest.raises(StoreError, match=f"^{said}"):
+        store.refuse_damage()
+    assert store.mend() == [part]
+    store.refuse_damage()
     assert store.logs()["key"].to_list() == ["key-b"]
     assert store.results()["key"].to_list() == ["key-b"]
     store.commit([log("a")], [result("a", 3e-4)], [bin_row("a")])
@@ -103,24 +111,39 @@ def test_a_missing_part_of_three_is_as_a_damaged_one(tmp_path: Path) -> None:
     store = fleet(tmp_path, "a", "b")
     part = store.logs().filter(pl.col("key") == "key-a")["part"].item()
     (store.folder / "results" / part).unlink()
+    assert store.mend() == [store.folder / "results" / part]
     assert store.logs()["key"].to_list() == ["key-b"]
-    assert store.damaged() == [store.folder / "logs" / part]
 
 
-def test_a_part_with_damage_inside_is_named(tmp_path: Path) -> None:
-    """No crash does it; removing the part, as the message says, makes its logs undone."""
-    store = fleet(tmp_path, "a", "b")
-    part = store.folder / "results" / store.logs().filter(pl.col("key") == "key-a")["part"].item()
-    data = bytearray(part.read_bytes())
-    data[4:-12] = bytes(len(data) - 16)
-    part.write_bytes(data)
-    with pytest.raises(
-        ReadError, match=r"is damaged .*; remove it: the next run does its logs again"
-    ) as caught:
-        store.results()
-    assert str(caught.value).startswith(f"{part}: ")
-    part.unlink()
-    assert store.results()["key"].to_list() == ["key-b"]
+def test_a_part_with_other_columns_is_as_a_damaged_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As another version writes it: a column that is missing would be taken for one without numbers."""
+    store = fleet(tmp_path, "a")
+    monkeypatch.setitem(RESULTS, "later", pl.Float64())
+    with pytest.raises(StoreError, match=r"results/part-.*: is damaged, or of an earlier version; run"):
+        store.refuse_damage()
+
+
+def test_other_programs_read_the_parts(tmp_path: Path) -> None:
+    """The checksum stands where a parquet file may have anything."""
+    store = fleet(tmp_path, "a")
+    for part in store.folder.rglob("*.parquet"):
+        assert pl.read_parquet(part).height == pl.scan_parquet(part).collect().height == 1
+
+
+def test_answers_are_kept_by_their_keys(tmp_path: Path) -> None:
+    """Those that are asked for, and only those; a damaged part of them is removed alone."""
+    store = fleet(tmp_path, "a")
+    assert store.derived(["x"]) == {}
+    store.keep_derived({"x": "1", "y": "2"})
+    store.keep_derived({"z": "3"})
+    assert store.derived(["x", "z", "w"]) == {"x": "1", "z": "3"}
+    for part in (store.folder / "derived").iterdir():
+        part.write_bytes(part.read_bytes()[:-1])
+    assert len(store.mend()) == 2
+    assert store.derived(["x"]) == {}
+    assert store.logs().height == 1
 
 
 def test_the_same_key_twice_counts_once(tmp_path: Path) -> None:
@@ -182,7 +205,7 @@ def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match=r"manifest\.parquet: no such file; expected the folder of a"):
         store.manifest()
     (tmp_path / "manifest.parquet").write_text("none")
-    with pytest.raises(ReadError, match=r"manifest\.parquet: can't be read \(.*\); expected the folder"):
+    with pytest.raises(StoreError, match=r"manifest\.parquet: is damaged, or of an earlier version; remove"):
         store.manifest()
 
 

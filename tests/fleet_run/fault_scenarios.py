@@ -63,26 +63,35 @@ def process_of_a_log_killed_again_and_again(bench: Bench) -> str:
 
 
 def worker_killed(bench: Bench) -> str:
-    """Its batch is done by another one."""
-    run = bench.start("worker", "--jobs", str(bench.jobs))
-    wait_until(lambda: bool(workers_of(run.pid)) or run.poll() is not None)
-    workers_of(run.pid)[0].kill()
-    end = ended(run)
+    """Of a cluster: its batch is done by another one."""
+    with cluster(bench.folder, workers=bench.jobs) as (address, _):
+        run = bench.start("worker", "--scheduler", address)
+        wait_until(lambda: bool(workers_of(bench.folder)) or run.poll() is not None)
+        workers_of(bench.folder)[0].kill()
+        end = ended(run)
     assert end.code == 0, end.err
     return _same(bench, "worker", end)
 
 
-def worker_frozen(bench: Bench) -> str:
-    """So that it does not answer any more: it is ended, and its batch done by another.
-
-    That takes one to two minutes, whatever the time of a log.
-    """
-    run = bench.start("frozen", "--jobs", str(bench.jobs))
-    wait_until(lambda: bool(workers_of(run.pid)) or run.poll() is not None)
-    workers_of(run.pid)[0].suspend()
+def process_of_a_log_frozen(bench: Bench) -> str:
+    """By SIGSTOP: it is ended after the time of its log, and the next run does the log."""
+    run = bench.start("frozen", "--jobs", str(bench.jobs), "--timeout", "20s")
+    wait_until(lambda: bool(children_of(run.pid)))
+    children_of(run.pid)[0].suspend()
     end = ended(run)
     assert end.code == 0, end.err
-    return _same(bench, "frozen", end)
+    assert "it took more than 20 s; give it more time" in end.err
+    return _same(bench, "frozen", bench.run("frozen", *HERE), first=end)
+
+
+def terminated(bench: Bench) -> str:
+    """By SIGTERM, as a queue does it: nothing is left at work, and the next run does what is left."""
+    run = bench.start("terminated", "--jobs", str(bench.jobs))
+    bench.wait_for_parts("terminated", run)
+    run.terminate()
+    run.communicate()
+    wait_until(lambda: not left_over(bench.folder))
+    return _same(bench, "terminated", bench.run("terminated", *HERE))
 
 
 def log_without_end(bench: Bench) -> str:
@@ -118,9 +127,10 @@ def log_without_measure(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
 
 
 def log_without_measure_on_a_worker(bench: Bench) -> str:
-    """With Dask it is the same; no worker is lost."""
+    """Of a cluster it is the same; no worker is lost."""
     shutil.rmtree(bench.folder / "large-store", ignore_errors=True)
-    return log_without_measure(bench, ("--jobs", str(bench.jobs)))
+    with cluster(bench.folder, workers=bench.jobs) as (address, _):
+        return log_without_measure(bench, ("--scheduler", address))
 
 
 def scheduler_killed(bench: Bench) -> str:
@@ -158,7 +168,7 @@ def interrupted(bench: Bench, arguments: tuple[str, ...] = ("--jobs", "2")) -> s
 
 
 def interrupted_in_one_process(bench: Bench) -> str:
-    """Without Dask it is the same."""
+    """One log at a time it is the same."""
     return interrupted(bench, HERE)
 
 
@@ -211,19 +221,17 @@ def two_runs_at_once(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
 
 
 def parts_cut_off(bench: Bench) -> str:
-    """As by a loss of power: said, and done again."""
+    """As by a loss of power: refused with 5, said by the next run, and done again."""
     shutil.copytree(bench.folder / "whole", bench.folder / "cut")
     parts = sorted((bench.folder / "cut" / "logs").iterdir())
     tables = ("logs", "results", "bins")
     for table, part in zip(tables, parts, strict=False):
         with Path(bench.folder / "cut" / table / part.name).open("r+b") as file:
             file.truncate(file.seek(0, os.SEEK_END) * 2 // 3)
-    store = bench.store("cut")
     cut = min(len(tables), len(parts))
-    before = store.logs().height
-    assert before < bench.store("whole").logs().height
+    assert bench.read("report", "cut").code == 5
     end = bench.run("cut", *HERE)
-    assert end.err.count(": was cut off; its logs are done again") >= cut, end.err
+    assert end.err.count(": is damaged; what it held is done again") == cut, end.err
     return f"{cut} parts; " + _same(bench, "cut", end)
 
 
@@ -248,14 +256,15 @@ QUICK: tuple[Callable[[Bench], str], ...] = (
     two_runs_at_once,
     parts_cut_off,
     worker_killed,
+    process_of_a_log_frozen,
 )
 #: The others take longer, or ask for rights.
 SLOW: tuple[Callable[[Bench], str], ...] = (
     interrupted,
     log_without_measure_on_a_worker,
     process_of_a_log_killed_again_and_again,
-    worker_frozen,
     scheduler_killed,
+    terminated,
     client_killed,
     disk_full_for_real,
 )

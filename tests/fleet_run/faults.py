@@ -65,10 +65,16 @@ class Bench:
         """Run to the end."""
         return ended(self.start(name, *arguments, logs=logs, limit=limit))
 
+    def read(self, command: str, name: str) -> Ended:
+        """Run ``imucal fleet report`` or another command that reads a fleet."""
+        return self._type("imucal", "fleet", command, name)
+
     def type_again(self, said: str) -> Ended:
         """Type the command that a run printed to go on with."""
         line = next(line for line in said.splitlines() if "to go on: " in line)
-        words = shlex.split(line.partition("to go on: ")[2])
+        return self._type(*shlex.split(line.partition("to go on: ")[2]))
+
+    def _type(self, *words: str) -> Ended:
         assert words[0] == "imucal"
         done = subprocess.run(  # noqa: S603 - our own command
             [sys.executable, "-m", *words],
@@ -134,10 +140,14 @@ def children_of(pid: int) -> list[psutil.Process]:
     return found
 
 
-def workers_of(pid: int) -> list[psutil.Process]:
-    """Return the workers of a run: the parents of the processes that do logs."""
-    parents = [child.parent() for child in children_of(pid)]
-    return [parent for parent in parents if parent is not None and parent.pid != pid]
+def workers_of(folder: Path) -> list[psutil.Process]:
+    """Return the workers of a cluster that do logs of a folder: parents of those that read them."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            if CHILD in " ".join(process.cmdline()) and process.cwd() == str(folder):
+                found.append(process.parent())
+    return [worker for worker in found if worker is not None]
 
 
 def left_over(folder: Path) -> list[int]:

@@ -9,7 +9,7 @@ import pytest
 from imucal.fleet.store import FleetStore
 from imucal.fleet_run import running
 from imucal.fleet_run.plan import FleetPlan, FleetSettings, LogDone, LogTask
-from imucal.fleet_run.running import child_of, work_on_batch
+from imucal.fleet_run.running import child_process, work_on_batch
 from imucal.processes import ChildProcess
 from imucal.resources import POOLS, THREADS
 
@@ -18,8 +18,7 @@ def test_a_log_has_one_thread_and_the_usual_allocator(monkeypatch: pytest.Monkey
     """Dask has its workers give back memory at once, which would cost a log half more time."""
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
     monkeypatch.setenv("IMUCAL_FLEET_TEST", "stays")
-    # A size of its own, so that the process is none that another test has left.
-    child = child_of(FleetSettings(store="s", folder="f", memory=(4 << 30) + 4))
+    child = child_process(FleetSettings(store="s", folder="f", memory=(4 << 30) + 4))
     found = {
         name: child.ask(os.getenv, name, seconds=60, memory=4 << 30).value
         for name in ("MALLOC_TRIM_THRESHOLD_", "IMUCAL_FLEET_TEST", "IMUCAL_MEMORY", THREADS, *POOLS)
@@ -42,7 +41,7 @@ def test_a_process_that_cannot_start_is_the_failure_of_its_log(
     monkeypatch.setattr(ChildProcess, "ask", full)
     FleetStore(tmp_path / "store").create()
     settings = FleetSettings(store=str(tmp_path / "store"), folder=str(tmp_path), memory=4 << 30)
-    (done,) = work_on_batch([LogTask(place="a.mcap")], settings)
+    (done,) = work_on_batch(settings, [LogTask(place="a.mcap")], child_process(settings))
     assert done.status == "crash"
     assert done.reason == (
         "a.mcap: its process can't be started (Resource temporarily unavailable), as when a machine is full; "
@@ -57,11 +56,11 @@ def test_a_run_says_what_it_has_in_hand(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(
         running,
         "work_on_batch",
-        lambda tasks, settings: [LogDone(path=task.path, status="ok") for task in tasks if settings.model],
+        lambda _, tasks, __: [LogDone(path=task.path, status="ok") for task in tasks],
     )
     tasks = tuple(LogTask(place=f"{i}.mcap", size=1) for i in range(3))
     plan = FleetPlan(entries=(), tasks=tasks, done=(), again=(), copies={}, own=())
     seen: list[tuple[int, int]] = []
     settings = FleetSettings(store=str(tmp_path), folder=str(tmp_path), memory=4 << 30)
-    running.run_plan(plan, settings, engine=None, tell=lambda count: seen.append((count.done, count.running)))
+    running.run_plan(plan, settings, tell=lambda count: seen.append((count.done, count.running)))
     assert seen == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1), (3, 0)]

@@ -1,13 +1,12 @@
-"""A cluster that can't be had: each message says of which one, and what to do."""
+"""A cluster that can't be had, or that others may reach: each message says of which one, and what to do."""
 
 import errno
 import re
-from typing import Any, cast
 
 import pytest
 
 from imucal.errors import EngineError
-from imucal.fleet_run.on_dask import Engine, check_workers, dask_client
+from imucal.fleet_run.on_dask import dask_client, unprotected
 
 pytest.importorskip("distributed")
 
@@ -30,40 +29,32 @@ def fails(*_: object, **__: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("what", "played", "address", "said"),
+    ("played", "said"),
     [
+        (fails, "can't be reached ([Errno 24] full); expected the address of a Dask scheduler"),
         (
-            "LocalCluster",
-            fails,
-            None,
-            "a cluster of 2 workers can't be started ([Errno 24] full); expected room for it",
-        ),
-        (
-            "Client",
-            fails,
-            "tcp://head:8786",
-            "tcp://head:8786: can't be reached ([Errno 24] full); expected the address of a Dask scheduler",
-        ),
-        (
-            "Client",
             Workerless,
-            "tcp://head:8786",
-            "tcp://head:8786: no worker within 120 s ([Errno 11] nobody); start some: dask worker tcp://head:8786",
+            "no worker within 120 s ([Errno 11] nobody); start some: dask worker tcp://head:8786",
         ),
     ],
 )
-def test_what_is_missing_is_said(
-    monkeypatch: pytest.MonkeyPatch, what: str, played: object, address: str | None, said: str
-) -> None:
-    monkeypatch.setattr(f"distributed.{what}", played)
-    with (
-        pytest.raises(EngineError, match=f"^{re.escape(said)}$"),
-        dask_client(Engine(address=address, jobs=2, memory=1 << 30)),
-    ):
+def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch, played: object, said: str) -> None:
+    monkeypatch.setattr("distributed.Client", played)
+    said = f"tcp://head:8786: {said}"
+    with pytest.raises(EngineError, match=f"^{re.escape(said)}$"), dask_client("tcp://head:8786"):
         pass
 
 
-def test_a_cluster_of_this_machine_without_workers() -> None:
-    """It has no address that a worker could be given."""
-    with pytest.raises(EngineError, match="a cluster of 3 workers on this machine: no worker within 120 s"):
-        check_workers(cast("Any", Workerless()), Engine(jobs=3, memory=1))
+@pytest.mark.parametrize(
+    "address", ["tls://head:8786", "tcp://127.0.0.1:8786", "tcp://[::1]:8786", "tcp://localhost:8786"]
+)
+def test_an_address_that_nobody_else_reaches_is_as_it_should_be(address: str) -> None:
+    assert not unprotected(address)
+
+
+@pytest.mark.parametrize("address", ["tcp://head:8786", "10.1.2.3:8786", "ucx://head", "tcp://0.0.0.0:1"])
+def test_an_address_that_others_may_reach_is_said(address: str) -> None:
+    """Tasks are pickles: who can send one is the user of the workers."""
+    said = unprotected(address)
+    assert said.startswith(f"{address}: is neither tls:// nor of this machine alone: whoever reaches it runs")
+    assert said.endswith("set up TLS in Dask's configuration, and give a tls:// address")

@@ -85,7 +85,7 @@ def test_a_script_needs_no_guard(folder: Path) -> None:
     script = folder / "script.py"
     script.write_text(SCRIPT.format(labels=LABELS))
     done = subprocess.run(  # noqa: S603 - our own interpreter
-        [sys.executable, str(script)], cwd=folder, capture_output=True, text=True, check=False, timeout=120
+        [sys.executable, str(script)], cwd=folder, capture_output=True, text=True, check=False, timeout=600
     )
     assert (done.stdout, done.stderr) == (f"3 3 {script}\n", "")
     assert FleetStore(folder / "scripted").results().equals(FleetStore(folder / "typed").results())
@@ -107,7 +107,7 @@ def test_a_notebook_may_call_it(folder: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=600,
     )
     assert (done.stdout, done.stderr) == ("3 3\n", "")
 

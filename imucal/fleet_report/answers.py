@@ -1,0 +1,348 @@
+"""What takes long of a fleet: made once, by whoever has the time, and kept in its store.
+
+A question has all that its answer is made of, and a key of it: the same logs, labels and version give the
+same key, so that what stands in the store under it is the answer. The workers of a run leave the answers
+there; a report, a check or a comparison reads them, and makes only those that are missing, as after a label
+was mended.
+"""
+
+import functools
+import hashlib
+import itertools
+import json
+import math
+import types
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from functools import partial
+from typing import Any, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
+
+from imucal._version import __version__
+from imucal.errors import DataError, WriteError
+from imucal.findings import Finding
+from imucal.fitting.bins import unpack
+from imucal.fleet.pooling import pool_bins
+from imucal.fleet.population import Population, population
+from imucal.fleet.store import FleetStore
+from imucal.fleet.trend import Trend, trend
+from imucal.fleet.values import LogValue
+from imucal.noise.terms import TERMS
+from imucal.processes import side_by_side, try_side_work
+from imucal.recording import Sensor
+from imucal.resources import threads
+
+#: Model, sensor, axis and term.
+TermKey: TypeAlias = tuple[str, str, str, str]
+#: Relative difference of two sampling rates that is none.
+_SAME_RATE = 1e-3
+_LEVEL = 0.95
+#: So many logs' bins are held at once, 18 kB each.
+_AT_ONCE = 5000
+#: The bound that is near enough, and the most units that are thought of.
+NEAR = 1.1
+_MOST = 10_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TermAnswer:
+    """What the units are like in one term, as in a `FleetTerm`."""
+
+    population: Population
+    trend: Trend | None
+    no_trend: str
+    price: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TermQuestion:
+    """The question what the units of one term are like."""
+
+    logs: tuple[LogValue, ...]
+    content: float
+    confidence: float
+
+    @property
+    def key(self) -> str:
+        """Of the same question the same."""
+        rows = [[getattr(log, field.name) for field in fields(LogValue)] for log in self.logs]
+        return _key("term", rows, self.content, self.confidence)
+
+    def answer(self) -> TermAnswer:
+        """Find it out."""
+        found = population(self.logs, content=self.content, confidence=self.confidence)
+        moves, why = None, ""
+        try:
+            moves = trend(self.logs)
+        except DataError as error:
+            why = str(error)
+        return TermAnswer(population=found, trend=moves, no_trend=why, price=_prices(found))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnitLogs:
+    """Several logs of one unit, of one term: whether they have one coefficient.
+
+    `p_value` is of this test alone, `differs` is judged over all units and terms of the fleet (Benjamini &
+    Hochberg 1995). `value`, `low` and `high` are those of the joint fit, widened where the logs differ; None
+    where the term is only bounded. `spread` is the relative deviation between logs beyond chance, 0 where
+    they agree.
+    """
+
+    unit: str
+    term: str
+    logs: int
+    p_value: float
+    differs: bool
+    spread: float
+    value: float | None
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnitAnswer:
+    """The tests of a unit's axis, a term each; none where it can't be judged, and a finding that says so."""
+
+    tests: tuple[UnitLogs, ...]
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnitQuestion:
+    """The question whether the logs of one axis of a unit have one coefficient of each term.
+
+    `logs` are their keys; `packed`, their bins, are needed where the answer is not there yet.
+    """
+
+    unit: str
+    sensor: str
+    axis: str
+    symbols: tuple[str, ...]
+    logs: tuple[str, ...]
+    packed: tuple[bytes, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Of the same question the same."""
+        return _key("unit", self.unit, self.sensor, self.axis, self.symbols, self.logs)
+
+    def answer(self) -> UnitAnswer:
+        """Find it out, from the bins."""
+        where = f"{Sensor(self.sensor).short}_{self.axis}"
+        tests, findings = try_side_work(
+            self._tests,
+            (),
+            what=f"{self.unit}: whether its logs agree in {where} is not known",
+            code="not-checked",
+            axis=where,
+        )
+        return UnitAnswer(tests=tests, findings=findings)
+
+    def _tests(self) -> tuple[UnitLogs, ...]:
+        every = [unpack(data) for data in self.packed]
+        first = every[0].tau0
+        rates = sorted({f"{1 / one.tau0:.6g} Hz" for one in every if abs(one.tau0 / first - 1) > _SAME_RATE})
+        if rates:
+            msg = f"found rates of {1 / first:.6g} Hz and {', '.join(rates)}, expected one"
+            raise DataError(msg)
+        pooled = pool_bins(every, self.symbols, sensor=Sensor(self.sensor), rate_hz=1 / first, level=_LEVEL)
+        return tuple(
+            UnitLogs(
+                unit=self.unit,
+                term=test.key,
+                logs=pooled.records,
+                p_value=test.p_value,
+                differs=test.differs,
+                spread=test.spread,
+                value=pooled[test.key].value,
+                low=pooled[test.key].low,
+                high=pooled[test.key].high,
+            )
+            for test in pooled.homogeneity
+        )
+
+
+Question: TypeAlias = TermQuestion | UnitQuestion
+#: Who makes answers: questions -> their texts, None for one that was not to be had.
+Ask: TypeAlias = Callable[[Sequence[Question]], Iterable[str | None]]
+Q = TypeVar("Q", TermQuestion, UnitQuestion)
+A = TypeVar("A", TermAnswer, UnitAnswer)
+
+
+def answer_text(question: Question) -> str:
+    """Return the answer to a question as it is kept."""
+    return json.dumps(asdict(question.answer()))
+
+
+def answer_texts(questions: Sequence[Question]) -> list[str]:
+    """Return the answers to some questions as they are kept; a worker may be asked for them."""
+    return [answer_text(question) for question in questions]
+
+
+def _key(*said: object) -> str:
+    text = json.dumps([*said, __version__])
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+class Answers:
+    """The answers of a store: those that it has, and others as they are made.
+
+    Parameters
+    ----------
+    store
+        Where they are kept; one that can't be written to is only read.
+    ask
+        Who makes others; by default this process, and others beside it.
+    """
+
+    def __init__(self, store: FleetStore, ask: Ask | None = None) -> None:
+        self.store = store
+        self._ask: Ask = ask or (lambda questions: side_by_side(answer_text, questions, workers=threads()))
+
+    def to(
+        self,
+        questions: Sequence[Q],
+        kind: type[A],
+        fill: Callable[[list[Q]], Iterable[list[Q]]] = lambda every: [every],
+    ) -> list[A]:
+        """Return the answers to questions, in their order.
+
+        Those that are not there are made in groups, as `fill` yields them with all that they need.
+        """
+        keys = [question.key for question in questions]
+        known = self.store.derived(keys)
+        missing = {key: one for key, one in zip(keys, questions, strict=True) if key not in known}
+        for group in fill(list(missing.values())) if missing else ():
+            texts = zip(group, self._ask(group), strict=True)
+            made = {question.key: text or answer_text(question) for question, text in texts}
+            known |= made
+            with suppress(WriteError):
+                self.store.keep_derived(made)
+        return [_read_as(kind, json.loads(known[key])) for key in keys]
+
+
+def unit_tests(
+    answers: Answers, units: Mapping[str, tuple[str, str]], terms: Iterable[TermKey]
+) -> tuple[dict[TermKey, list[UnitLogs]], tuple[Finding, ...]]:
+    """Return for each of some terms the units with several logs, and what could not be judged.
+
+    `units` has the model and the unit of each log that counts, by its key.
+    """
+    symbols: dict[tuple[str, str, str], set[str]] = {}
+    for model, sensor, axis, term in terms:
+        symbols.setdefault((model, sensor, axis), set()).add(symbol_of(term))
+    logs: dict[tuple[str, str, str, str], list[str]] = {}
+    for key, sensor, axis in answers.store.axes().iter_rows():
+        if key in units and (units[key][0], sensor, axis) in symbols:
+            logs.setdefault((*units[key], sensor, axis), []).append(key)
+    several = {place: tuple(sorted(own)) for place, own in sorted(logs.items()) if len(own) > 1}
+    questions = [
+        UnitQuestion(
+            unit=unit,
+            sensor=sensor,
+            axis=axis,
+            symbols=tuple(symbol for symbol in TERMS if symbol in symbols[model, sensor, axis]),
+            logs=own,
+        )
+        for (model, unit, sensor, axis), own in several.items()
+    ]
+    found: dict[TermKey, list[UnitLogs]] = {}
+    findings: list[Finding] = []
+    every = answers.to(questions, UnitAnswer, partial(_with_bins, answers.store))
+    for (model, _, sensor, axis), answer in zip(several, every, strict=True):
+        findings += answer.findings
+        for test in answer.tests:
+            found.setdefault((model, sensor, axis, test.term), []).append(test)
+    return found, tuple(findings)
+
+
+def _with_bins(store: FleetStore, questions: list[UnitQuestion]) -> Iterator[list[UnitQuestion]]:
+    """Yield questions with the bins of their logs, as many at a time as memory is meant to hold."""
+    groups: list[list[UnitQuestion]] = []
+    keys: list[set[str]] = []
+    # The axes of a unit have the same logs, which are read once.
+    for question in sorted(questions, key=lambda one: one.logs):
+        if not groups or len(keys[-1]) >= _AT_ONCE:
+            groups.append([])
+            keys.append(set())
+        groups[-1].append(question)
+        keys[-1].update(question.logs)
+    for group, frame in zip(groups, store.bins_in_turn(keys), strict=True):
+        packed = {(key, sensor, axis): data for key, sensor, axis, data in frame.iter_rows()}
+        yield [
+            replace(one, packed=tuple(packed[key, one.sensor, one.axis] for key in one.logs)) for one in group
+        ]
+
+
+def _read_as(kind: Any, said: Any) -> Any:  # noqa: ANN401 - of any type
+    """Return what JSON says as a value of a type: a dataclass, a tuple, something or None, or plain."""
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = _hints(kind)
+        return kind(**{name: _read_as(hints[name], value) for name, value in said.items()})
+    options = get_args(kind)
+    if get_origin(kind) is types.UnionType:
+        return None if said is None else _read_as(options[0], said)
+    if get_origin(kind) is tuple:
+        kinds = itertools.repeat(options[0]) if options[-1] is Ellipsis else options
+        return tuple(map(_read_as, kinds, said))
+    return said
+
+
+@functools.cache
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def symbol_of(term: str) -> str:
+    """Return ``GM`` of ``GM2``."""
+    return term.rstrip("0123456789")
+
+
+def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confidence: float = 0.95) -> float:
+    """Return the median bound of `units` units over the quantile that it bounds: what more units would buy.
+
+    Parameters
+    ----------
+    units
+        At least 2.
+    spread
+        Standard deviation tau between units, in the logarithm.
+    content, confidence
+        Of the bound.
+
+    Notes
+    -----
+    Where units are known well, the bound is k deviations above the mean in the logarithm, and the quantile z:
+    exp(tau (k - z)) is the price of having tested so few units.
+
+    Source: Krishnamoorthy & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3): k is a quantile of the
+    noncentral t law.
+    """
+    from scipy.special import nctdtrit, ndtri
+
+    z = float(ndtri(content))
+    root = math.sqrt(units)
+    factor = float(nctdtrit(units - 1, z * root, confidence)) / root
+    return math.exp(spread * (factor - z))
+
+
+def _prices(found: Population) -> tuple[tuple[int, float], ...]:
+    """Return numbers of units with what they cost: these, twice as many, and those that come near enough.
+
+    Empty where the spread between units is not known.
+    """
+    if found.spread is None:
+        return ()
+    n = len(found.units)
+    excess = partial(
+        tolerance_excess, spread=found.spread.value, content=found.content, confidence=found.confidence
+    )
+    wanted = {n, 2 * n}
+    if excess(n) > NEAR >= excess(_MOST):
+        low, high = n, _MOST
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if excess(middle) <= NEAR else (middle, high)
+        wanted.add(high)
+    return tuple((units, excess(units)) for units in sorted(wanted))

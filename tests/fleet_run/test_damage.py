@@ -1,0 +1,87 @@
+"""A store with a damaged file: named with exit code 5, and mended by the next run."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from imucal.fleet.store import FleetStore
+from tests.cli.run import run
+from tests.fleet.simulated_fleet import make_fleet
+from tests.fleet_run.damage import damages
+from tests.fleet_run.faults import OF_THE_RUN
+
+LABELS = ("--labels", "{model}/{unit}/{temperature_c}C/*.npz")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with three logs of one axis, and the fleet of them, each log a batch of its own."""
+    place = tmp_path_factory.mktemp("damage").resolve()
+    for log in make_fleet(place / "logs", logs=3, seconds=10.0, seed=83, axes=1):
+        done = run("fleet", "run", str(log.path.relative_to(place)), *LABELS, "--jobs", "1", cwd=place)
+        assert done.returncode == 0, done.stderr
+    return place
+
+
+def test_no_damage_is_silent(place: Path, tmp_path: Path) -> None:
+    """Whichever bit of whichever file; `python -m tests.benchmarks.fleet_flips` does 300."""
+    found = list(damages(place / "fleet", tmp_path, number=36, seed=8401))
+    assert not [damage for damage in found if damage.silent]
+    assert len({Path(damage.file).parts[0] for damage in found}) == 6
+
+
+@pytest.mark.parametrize("table", ["logs", "results", "bins", "derived"])
+def test_what_is_damaged_is_done_again(place: Path, tmp_path: Path, table: str) -> None:
+    """By the same command as ever; what is not damaged stays as it is."""
+    shutil.copytree(place, tmp_path / "copy")
+    store, whole = FleetStore(tmp_path / "copy" / "fleet"), FleetStore(place / "fleet")
+    part = min((store.folder / table).iterdir())
+    data = bytearray(part.read_bytes())
+    data[len(data) // 2] ^= 4
+    part.write_bytes(data)
+    refused = run("fleet", "report", "fleet", cwd=tmp_path / "copy")
+    assert refused.returncode == 5
+    said = (
+        f"Error: fleet/{table}/{part.name}: is damaged, or of an earlier version; run the fleet again, which"
+    )
+    assert said in refused.stderr
+    done = run("fleet", "run", "-o", "fleet", "--jobs", "1", cwd=tmp_path / "copy")
+    assert done.returncode == 0, done.stderr
+    assert f"{part}: is damaged; what it held is done again" in done.stderr
+    assert f"{1 if table != 'derived' else 0} log" in done.stderr
+    assert store.damaged() == {}
+    assert store.results().equals(whole.results())
+    assert store.bins().equals(whole.bins())
+    assert store.logs().drop(OF_THE_RUN).equals(whole.logs().drop(OF_THE_RUN))
+    assert run("fleet", "report", "fleet", "--no-pictures", cwd=tmp_path / "copy").returncode == 0
+
+
+def test_a_damaged_manifest_is_made_again_of_the_logs(place: Path, tmp_path: Path) -> None:
+    """What the message says to do works, and does no log twice."""
+    shutil.copytree(place, tmp_path / "copy")
+    manifest = tmp_path / "copy" / "fleet" / "manifest.parquet"
+    manifest.write_bytes(manifest.read_bytes()[:-3])
+    refused = run("fleet", "run", "-o", "fleet", cwd=tmp_path / "copy")
+    assert refused.returncode == 5
+    assert "manifest.parquet: is damaged, or of an earlier version; remove it, and name the logs again" in (
+        " ".join(refused.stderr.split())
+    )
+    manifest.unlink()
+    done = run("fleet", "run", "logs", *LABELS, cwd=tmp_path / "copy")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.startswith("0 logs to do, 0 kB; 3 done before\n")
+
+
+def test_damaged_settings_are_not_guessed(place: Path, tmp_path: Path) -> None:
+    """Another model than that of the logs that are done would be mixed with it; a new start works."""
+    shutil.copytree(place, tmp_path / "copy")
+    settings = tmp_path / "copy" / "fleet" / "settings.json"
+    settings.write_text(settings.read_text(encoding="utf-8").replace("N + B", "N + K"), encoding="utf-8")
+    refused = run("fleet", "run", "-o", "fleet", cwd=tmp_path / "copy")
+    assert refused.returncode == 5
+    assert "settings.json: is damaged, or of an earlier version; start the fleet anew, with --fresh" in (
+        " ".join(refused.stderr.split())
+    )
+    done = run("fleet", "run", "logs", *LABELS, "--fresh", "--jobs", "1", cwd=tmp_path / "copy")
+    assert done.returncode == 0, done.stderr

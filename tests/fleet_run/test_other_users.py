@@ -1,0 +1,102 @@
+"""Other users of the machine: none can hand in a task, read an answer, or plant a module.
+
+Where tests run as root, another user tries it; elsewhere what such a user would need is looked for.
+"""
+
+import importlib
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from imucal.processes import ChildProcess
+from tests.fleet.simulated_fleet import make_fleet
+from tests.fleet_run.faults import Bench, children_of, ended, wait_until
+
+NOBODY = 65534
+IS_ROOT = hasattr(os, "getuid") and os.getuid() == 0
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="asks the system of Linux")
+
+
+@pytest.fixture
+def shared() -> Iterator[Path]:
+    """Yield a folder that all users may write to, outside of pytest's own, which is private."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o777)
+        yield folder
+
+
+def as_nobody(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command as another user, or as this one where tests do not run as root."""
+    user: dict[str, Any] = {"user": NOBODY, "group": NOBODY, "extra_groups": []} if IS_ROOT else {}
+    done: subprocess.CompletedProcess[str] = subprocess.run(  # noqa: S603 - the commands of these tests
+        command, cwd=cwd, capture_output=True, text=True, check=False, **user
+    )
+    return done
+
+
+def test_a_run_opens_no_port_and_no_pipe_to_others(tmp_path: Path) -> None:
+    """Of none of its processes; and what speaks to them is closed to other users."""
+    bench = Bench(tmp_path.resolve())
+    make_fleet(bench.folder / "logs", logs=3, seconds=60.0, seed=81)
+    run = bench.start("store", "--jobs", "2")
+    wait_until(lambda: len(children_of(run.pid)) == 2 or run.poll() is not None)
+    tree = [psutil.Process(run.pid), *psutil.Process(run.pid).children(recursive=True)]
+    assert [process.net_connections(kind="all") for process in tree] == [[]] * len(tree)
+    if IS_ROOT:
+        for child in children_of(run.pid):
+            tried = as_nobody("/bin/sh", "-c", f"echo task > /proc/{child.pid}/fd/0", cwd=Path("/"))
+            assert "ermission denied" in tried.stderr
+    assert ended(run).code == 0
+
+
+def test_a_run_loads_no_module_that_others_planted(tmp_path: Path, shared: Path) -> None:
+    """Where it is started, in a folder that all may write to, also the children load their own packages."""
+    make_fleet(tmp_path / "logs", logs=1, seconds=10.0, seed=82, axes=1)
+    mark = shared / "was-run"
+    for name in ("zlib_ng.py", "numpy.py", "sitecustomize.py"):
+        as_nobody("/bin/sh", "-c", f'echo \'open("{mark}", "w")\' > {name}', cwd=shared)
+    assert (shared / "numpy.py").exists()
+    command = [sys.executable, "-P", "-m", "imucal", "fleet", "run", str(tmp_path / "logs")]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    arguments = ["-o", str(tmp_path / "store"), "--jobs", "2", "--max-failed", "100%"]
+    done = subprocess.run(  # noqa: S603 - our own interpreter
+        [*command, *arguments], cwd=shared, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize("scratch", ["open", "of another's in one for all"])
+def test_a_child_looks_for_modules_in_no_scratch_folder(
+    scratch: str, shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Dask adds one to its workers' path; a folder of one's own stays there."""
+    if scratch != "open" and not IS_ROOT:
+        pytest.skip("nobody else is at hand")
+    folder = shared
+    if scratch != "open":
+        shared.chmod(0o1777)
+        as_nobody("/bin/mkdir", "-m", "755", "worker", cwd=shared)
+        folder = shared / "worker"
+    (folder / "planted_module.py").write_text("")
+    (tmp_path / "own_module.py").write_text("")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.syspath_prepend(tmp_path)
+    child = ChildProcess()
+    planted, own = (
+        child.ask(importlib.import_module, name, seconds=60, memory=8 << 30)
+        for name in ("planted_module", "own_module")
+    )
+    child.end()
+    assert planted.words == "ModuleNotFoundError: No module named 'planted_module'"
+    # It was found; a module is nothing that can be sent back.
+    assert own.words.startswith("TypeError: cannot pickle 'module' object")
