@@ -242,8 +242,11 @@ class _Law:
     def __init__(self, mu: FloatArray, wide: FloatArray, weight: FloatArray) -> None:
         keep = weight > _UNLIKELY * weight.max()
         self._mu, self._wide, self._weight = mu[keep], wide[keep], weight[keep] / weight[keep].sum()
-        reach = 6 * float(self._wide.max())
-        self.points = np.linspace(float(self._mu.min()) - reach, float(self._mu.max()) + reach, _GRID)
+        # Dense where most of it lies, and far apart in the tails of the widest.
+        middle, usual = float(self._mu @ self._weight), float(self._wide @ self._weight)
+        reach = 6 * float(self._wide.max()) + np.array([middle - self._mu.min(), self._mu.max() - middle])
+        ends = np.arcsinh(reach / usual)
+        self.points = middle + usual * np.sinh(np.linspace(-ends[0], ends[1], _GRID))
 
     def below(self, points: FloatArray) -> FloatArray:
         """Return the chance of less at each point."""

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.testing as npt
 
 import imucal
+from imucal.noise.model import NoiseModel
 from imucal.report.figure import render
 from imucal.report.figure_drift import drift_figure
 from tests.report.synthetic import consumer_report, shortest_report, small_report
@@ -54,7 +55,7 @@ def test_a_single_time_and_a_bound_are_drawn() -> None:
     """A mark without a line; a bound as a bound."""
     report = small_report()
     white = replace(report.axes[0].fit["N"], status="bounded", value=None, low=0.0)
-    fit = replace(report.axes[0].fit, estimates=(white,))
+    fit = replace(report.axes[0].fit, model=NoiseModel(terms=()), estimates=(white,))
     bounded = replace(report, axes=(replace(report.axes[0], fit=fit),))
     axes = drift_figure(bounded, imucal.drift(bounded, [5.0])).axes[0]
     assert axes.texts[0].get_text().startswith("< ")
