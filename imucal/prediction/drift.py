@@ -221,7 +221,8 @@ class _Coasts:
         """Return the drift of one axis at all times."""
         fit, variance = axis.fit, partial(self.variance, axis, integrals)
         value = modelled(fit, variance)
-        made = {e.key: modelled(replace(fit, estimates=(e,)), variance) for e in fit.estimates if e.value}
+        made = {e.key: modelled(replace(fit, estimates=(e,)), variance) for e in fit.estimates}
+        made = {key: own for key, own in made.items() if own.any()}
         times = [e.correlation_time.high for e in fit.estimates if e.correlation_time]
         low, high = 0 * value, value + math.inf
         if np.isfinite([*times, *(e.high for e in fit.estimates)]).all():

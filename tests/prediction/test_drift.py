@@ -132,6 +132,15 @@ def test_a_bound_counts_in_the_upper_limit_alone(symbol: str) -> None:
     assert np.all(np.array(values(only, "angle", "high")) > 0)
 
 
+def test_a_term_of_the_model_that_is_only_bounded_may_lead() -> None:
+    """A model that holds K drifts by it, also where its interval reaches zero and a table prints a bound."""
+    fit = axis_report(GYRO, "x", "N=1e-3 + K=1e-3").fit
+    bounded = replace(fit["K"], status="bounded", value=None, low=0.0)
+    doubtful = replace(fit, estimates=(fit["N"], bounded))
+    assert values(imucal.drift(doubtful), "angle", "term") == values(imucal.drift(fit), "angle", "term")
+    assert values(imucal.drift(doubtful), "angle", "term")[-1] == "K"
+
+
 def test_what_no_one_knows_has_no_limit() -> None:
     """Four samples bound nothing: the upper limit is infinite, and no number is made up."""
     found = imucal.drift(shortest_report(4))
