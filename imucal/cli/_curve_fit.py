@@ -10,6 +10,9 @@ from imucal.cli._printing import echo, fitted, name_of_log, picked, print_findin
 from imucal.cli.parameters import LogRequest
 from imucal.fitting import Estimate, FitSettings, NoiseFit, fit_axis
 from imucal.noise.terms import TERMS
+from imucal.prediction.filter_numbers import usual_pairs
+from imucal.report.json_file import pair_document
+from imucal.units import duration
 
 #: Endings of files that may be such a table.
 _TEXTS = (".csv", ".txt", ".dat", ".tsv")
@@ -75,6 +78,10 @@ def _table(named: NamedCurve, result: NoiseFit) -> str:
         lines.append(f"  {estimate.key:<4}{text}  {_unit(named, estimate.symbol)}".rstrip())
         if time := estimate.correlation_time:
             lines.append(f"      T = {time.value:.4g}  [{time.low:.4g}, {time.high:.4g}]  s")
+    for pair in usual_pairs([result]):
+        white, walk = (_unit(named, symbol) for symbol in ("N", "K"))
+        numbers = f"white noise {pair.white:.4g} {white}".rstrip() + f", walk {pair.walk:.4g} {walk}".rstrip()
+        lines.append(f"  for a filter that coasts for {duration(pair.horizon_s)}: {numbers}")
     return "\n".join(part for line in lines for part in fitted(line, width(), indent=6))
 
 
@@ -86,6 +93,7 @@ def _document(named: NamedCurve, result: NoiseFit) -> dict[str, object]:
         "model": str(result.model),
         "level": result.level,
         "terms": {estimate.key: _term(named, estimate) for estimate in result.estimates},
+        "filter_numbers": [pair_document(pair) for pair in usual_pairs([result])],
     }
 
 

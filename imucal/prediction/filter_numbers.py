@@ -106,8 +106,8 @@ def filter_numbers(
     """Return the least white noise and walk that cover the spectra of some axes.
 
     Least means: of all pairs that cover, the one whose Allan variance is nearest to that of the fits, in
-    the mean logarithm from the step to the horizon. A fit without a likelihood (``slope``) is
-    covered by the upper limits of its Allan curve.
+    the mean logarithm from the step to the horizon. A fit without a likelihood (``slope``, or of a table
+    of deviations) is covered by the upper limits of its Allan curve.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def filter_numbers(
     def drift(t: FloatArray) -> FloatArray:
         return bias.avar(t * _FINE / step_s, step_s / _FINE)
 
-    if any(fit.method == "slope" for fit in fits):
+    if any(map(_has_no_likelihood, fits)):
         goal = _of_curves(fits, drift, step_s, horizon_s)
     else:
         goal = _of_spectra(fits, bias, (step_s, horizon_s), join, caution)
@@ -171,6 +171,12 @@ def filter_numbers(
         price=math.exp(prices[best] / 2),
         basis=goal.basis,
     )
+
+
+def _has_no_likelihood(fit: NoiseFit) -> bool:
+    """Return whether a fit is of lines read off, or of a curve without samples, whose limits are known."""
+    given = fit.curve.computed == "given" and bool(np.isfinite(fit.curve.edf).all())
+    return fit.method == "slope" or given
 
 
 def usual_pairs(fits: Sequence[NoiseFit]) -> tuple[FilterNumbers, ...]:

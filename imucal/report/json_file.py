@@ -36,7 +36,7 @@ from imucal.fitting.noise_fit import (
 )
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS
-from imucal.prediction.filter_numbers import usual_pairs
+from imucal.prediction.filter_numbers import FilterNumbers, usual_pairs
 from imucal.recording import Axis, LogFileInfo, ReadRange, Sensor, Source
 from imucal.report import numbers
 from imucal.report.result import AxisReport, Overview, Report
@@ -395,18 +395,21 @@ def _pair_entries(report: Report) -> Iterator[dict[str, object]]:
     """Yield what covers each sensor's spectrum, for filters that coast for a minute and for five."""
     for sensor, axes in report.by_sensor.items():
         for pair in usual_pairs([axis.fit for axis in axes]):
-            yield {
-                "sensor": str(sensor),
-                "axes": [axis.name for axis in axes],
-                "horizon_s": pair.horizon_s,
-                "step_s": pair.step_s,
-                "white": pair.white,
-                "white_unit": TERMS["N"].unit(sensor),
-                "walk": pair.walk,
-                "walk_unit": TERMS["K"].unit(sensor),
-                "basis": pair.basis,
-                "ratios": [{"time_s": time, "ratio": ratio} for time, ratio in pair.ratios],
-            }
+            units = {"white_unit": TERMS["N"].unit(sensor), "walk_unit": TERMS["K"].unit(sensor)}
+            names = [axis.name for axis in axes]
+            yield {"sensor": str(sensor), "axes": names, **pair_document(pair), **units}
+
+
+def pair_document(pair: FilterNumbers) -> dict[str, object]:
+    """Return the two numbers for a filter, and what they cost, as JSON values."""
+    return {
+        "horizon_s": pair.horizon_s,
+        "step_s": pair.step_s,
+        "white": pair.white,
+        "walk": pair.walk,
+        "basis": pair.basis,
+        "ratios": [{"time_s": time, "ratio": ratio} for time, ratio in pair.ratios],
+    }
 
 
 def _axis_entry(axis: AxisReport, *, bins: bool) -> dict[str, object]:

@@ -1,5 +1,6 @@
 """What `imucal adev` prints can be fitted again."""
 
+import json
 from pathlib import Path
 
 import numpy.testing as npt
@@ -35,6 +36,12 @@ def test_a_table_of_several_axes_is_fitted_from_the_command_line(tmp_path: Path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("N + B + K (gmwm") == 6
     assert done.stdout.startswith("gyro_x, rad/s: ")
+    assert done.stdout.count("for a filter that coasts for 1 min: white noise ") == 6
+    (first, *_) = json.loads(run("fit", "-q", "curves.csv", "--json", cwd=tmp_path).stdout)
+    assert [(pair["horizon_s"], pair["basis"]) for pair in first["filter_numbers"]] == [
+        (60.0, "curve"),
+        (300.0, "curve"),
+    ]
 
 
 @pytest.mark.parametrize(

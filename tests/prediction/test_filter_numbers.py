@@ -151,6 +151,14 @@ def test_slope_covers_the_curve(drawn: NoiseFit) -> None:
     assert np.min(covered / high) == pytest.approx(1.0, abs=0.01)
 
 
+def test_a_table_of_deviations_is_covered_by_its_curve(drawn: NoiseFit) -> None:
+    """Without samples too, where the limits of the curve are known."""
+    table = replace(drawn.curve, computed="given")
+    assert filter_numbers([replace(drawn, curve=table)]).basis == "curve"
+    unknown = replace(table, edf=np.full(table.tau.size, np.nan))
+    assert filter_numbers([replace(drawn, curve=unknown)]).basis == "spectrum"
+
+
 @pytest.mark.parametrize(("horizon", "step"), [(1.0, 1.0), (10.0, 0.0), (math.inf, 1.0), (-1.0, 1.0)])
 def test_impossible_times_are_refused(drawn: NoiseFit, horizon: float, step: float) -> None:
     with pytest.raises(ValueError, match="horizon longer than the step"):
