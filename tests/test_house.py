@@ -12,21 +12,21 @@ SAMPLE = Path(__file__).parents[1] / "sample_logs" / "consumer_mems.mcap"
 BUDGET = {
     "readers": Size(13597, 97804, 53),
     "fitting": Size(9266, 68510, 33),
-    "report": Size(6389, 43609, 26),  # covering pairs in exports, drift, data-sheet models
+    "report": Size(6393, 43676, 26),  # covering pairs in exports, drift, data-sheet models
     "top": Size(4033, 22453, 22),  # units of data sheets as products, the rests of a drive
     "cli": Size(3965, 24911, 24),  # drift, --config, --rests, models in place of reports
     "fleet": Size(2417, 16467, 7),  # answers that are kept, so that 5 000 logs load in seconds
     "allan": Size(2271, 15002, 7),
     "fleet_report": Size(2203, 15858, 8),  # seals of a store's files
     "fleet_run": Size(1761, 10234, 6),
-    "checking": Size(1269, 8603, 5),  # configs of filters read back
+    "checking": Size(1269, 8597, 5),  # configs of filters read back
     "noise": Size(1249, 7843, 6),  # models with units
     "screening": Size(1156, 8453, 4),  # rests
     "remote": Size(1126, 6475, 4),
-    "prediction": Size(1029, 6717, 5),  # new: coasting, filter numbers, drift, self-check
+    "prediction": Size(1034, 6750, 5),  # new: coasting, filter numbers, drift, self-check
 }
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
-IN_ALL = Size(51_761, 353_239, 210)
+IN_ALL = Size(51_770, 353_333, 210)
 #: Modules of the package that one fit with its report may load.
 LOADED = 135
 

@@ -18,7 +18,7 @@ import numpy as np
 from imucal.checking.verdict import Measured, Row, Verdict
 from imucal.errors import LimitsError
 from imucal.noise.terms import TERMS
-from imucal.prediction.filter_numbers import LEVEL, STEP_S
+from imucal.prediction.filter_numbers import LEVEL, STEP_S, covered_frequencies
 from imucal.prediction.propagation import MEAN, Caution, upper_limit
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS, AxisPolicy
@@ -352,7 +352,7 @@ class _Wanted:
         """Return whether a coefficient and the other number cover the spectra, as near as a filter needs."""
         choices = self.numbers.choices
         white, walk = (c, self.other) if self.key.symbol == "N" else (self.other, c)
-        f = np.geomspace(0.01 / self.numbers.horizon_s, 0.5 / choices.step_s, 90)
+        f = covered_frequencies(self.numbers.horizon_s, choices.step_s)
         walks = TERMS["K"].of(walk / choices.factor("K")).psd(f, choices.step_s)
         wanted = [
             upper_limit(axis.fit, lambda term: term.psd(f, choices.step_s), caution) for axis in self.axes

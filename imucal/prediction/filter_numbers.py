@@ -220,10 +220,15 @@ def _of_spectra(
     step_s, horizon_s = within
     t = np.geomspace(step_s, horizon_s, _TIMES)
     lowest = _LOWEST_BOUND_BIAS if isinstance(bias, GaussMarkov) else _LOWEST
-    f = np.geomspace(lowest / horizon_s, 0.5 / step_s, _FREQUENCIES)
+    f = covered_frequencies(horizon_s, step_s, lowest=lowest)
     psds = [upper_limit(fit, lambda term: term.psd(f, step_s), caution) for fit in fits]
     avars = [upper_limit(fit, _avar(t, fit.rate_hz), caution) for fit in fits]
     return _Goal(join(psds, axis=0), np.ones_like(f), bias.psd(f, step_s), t, join(avars, axis=0), "spectrum")
+
+
+def covered_frequencies(horizon_s: float, step_s: float, *, lowest: float = _LOWEST) -> FloatArray:
+    """Return the frequencies at which a spectrum is covered, shape (f,), in Hz; `lowest` over the horizon."""
+    return np.geomspace(lowest / horizon_s, 0.5 / step_s, _FREQUENCIES)
 
 
 def _of_curves(

@@ -534,6 +534,21 @@ def test_inflation_of_a_pair_is_what_it_says() -> None:
         assert raised[key] > 1.1 * plain[key]
 
 
+def test_inflation_of_flicker_holds_where_a_table_only_bounds_it() -> None:
+    """The model's value counts then, and is inflated as its bound is: ten times the pair."""
+    axis = axis_report(GYRO, "x", "N=1e-9 + B=1e-5", bounds={"K": 1e-14})
+    bounded = replace(axis.fit["B"], status="bounded", value=None, low=0.0)
+    estimates = tuple(bounded if e.key == "B" else e for e in axis.fit.estimates)
+    axis = replace(axis, fit=replace(axis.fit, estimates=estimates))
+    report = replace(consumer_report(), axes=(axis, *consumer_report().axes[3:]))
+    plain, raised = (
+        yaml.safe_load(render(report, "kalibr", axis_policy="x", inflate={"flicker": factor}))
+        for factor in (1.0, 10.0)
+    )
+    for key in ("gyroscope_noise_density", "gyroscope_random_walk"):
+        assert raised[key] == pytest.approx(10 * plain[key], rel=0.01)
+
+
 def test_the_comment_says_what_two_numbers_do_not_cover() -> None:
     """Rounding adds a step to an angle, a tone swings it by 2A/omega; the fit's own numbers stand there."""
     text = render(consumer_report(), "px4")

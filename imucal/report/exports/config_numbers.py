@@ -13,6 +13,7 @@ import numpy as np
 
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import Estimate, NoiseFit
+from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.prediction.filter_numbers import (
     HORIZON_S,
@@ -272,18 +273,21 @@ class Numbers:
         )
 
     def _inflated(self, fit: NoiseFit) -> NoiseFit:
-        factor = self.choices.factor("B")
+        factor, symbols = self.choices.factor("B"), INFLATABLE["flicker"]
         if factor == 1:
             return fit
-        return replace(
-            fit,
-            estimates=tuple(
-                replace(e, value=e.value and e.value * factor, low=e.low * factor, high=e.high * factor)
-                if e.symbol in INFLATABLE["flicker"]
-                else e
-                for e in fit.estimates
-            ),
+        estimates = (
+            replace(e, value=e.value and e.value * factor, low=e.low * factor, high=e.high * factor)
+            if e.symbol in symbols
+            else e
+            for e in fit.estimates
         )
+        # A term that the table bounds counts with the model's value.
+        terms = (
+            term.of(term.coefficient * factor, *term.values[1:]) if term.symbol in symbols else term
+            for term in fit.model.terms
+        )
+        return replace(fit, estimates=tuple(estimates), model=NoiseModel(terms=tuple(terms)))
 
     def _covering(self, axes: Sequence[AxisReport], symbol: str) -> Number:
         pair = self.pair(axes)
