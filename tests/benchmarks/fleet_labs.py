@@ -1,8 +1,8 @@
-"""Labs of 40 units through the real commands: ``python -m tests.benchmarks.fleet_labs [--labs 3] [--seed 9301]``.
+"""Labs of 40 units through the real commands: ``python -m tests.benchmarks.fleet_labs [--seed 9301]``.
 
-Simulated logs of two temperatures a unit are fitted by ``imucal fleet run``, and ``fleet.json`` is held against
-the truth: is the odd unit named and no other, does each median hold, and does each 95/95 bound lie above 95 %
-of all units.
+Simulated logs of two temperatures a unit are fitted by ``imucal fleet run``, and ``fleet.json`` is held
+against the truth: is the odd unit named and no other, does each median hold, and does each 95/95 bound lie
+above 95 % of all units.
 """
 
 import argparse
@@ -101,18 +101,9 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             odd = make_lab(folder / "logs", units=asked.units, seconds=asked.seconds, seed=asked.seed + lab)
-            command = [
-                "fleet",
-                "run",
-                "logs",
-                "--labels",
-                "{unit}/{temperature_c}C.npz",
-                "--jobs",
-                asked.jobs,
-            ]
-            subprocess.run(
-                [sys.executable, "-m", "imucal", *command], cwd=folder, check=True, capture_output=True
-            )  # noqa: S603
+            command = [sys.executable, "-m", "imucal", "fleet", "run", "logs", "--jobs", asked.jobs]
+            command += ["--labels", "{unit}/{temperature_c}C.npz"]
+            subprocess.run(command, cwd=folder, check=True, capture_output=True)  # noqa: S603
             found = judged(json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8")), odd)
         every.append(found)
         print(
@@ -124,9 +115,8 @@ def main() -> None:
     medians, bounds = (
         100 * sum(getattr(one, name) for one in every) / terms for name in ("medians", "bounds")
     )
-    print(
-        f"\nnamed {sum(one.named for one in every)} of {len(every)}; medians {medians:.0f} %, bounds {bounds:.0f} %"
-    )
+    shares = f"medians {medians:.0f} %, bounds {bounds:.0f} %"
+    print(f"\nnamed {sum(one.named for one in every)} of {len(every)}; {shares}")
 
 
 if __name__ == "__main__":
