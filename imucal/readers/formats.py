@@ -122,7 +122,7 @@ def detect(path: Path) -> Format:
     text = FORMATS[-1]
     if str(path) == STDIN:
         return text
-    if path.is_dir():
+    if is_folder(path):
         return text if _holds_tables(path) else next(e for e in FORMATS if e.folders)
     return detect_head(path, _first_bytes(path))
 
@@ -183,11 +183,19 @@ def logs_of(path: Path) -> list[Path]:
     A bag has a ``metadata.yaml``, which says that its files are one recording; logs of messages that
     stand together without it may be anything. They are in the natural order of their names.
     """
-    if str(path) == STDIN or not path.is_dir() or (path / METADATA).exists():
+    if str(path) == STDIN or not is_folder(path) or (path / METADATA).exists():
         return [path]
     endings = tuple(suffix for entry in FORMATS if entry.messages for suffix in entry.suffixes)
     logs = sorted((entry for entry in path.iterdir() if entry.name.endswith(endings)), key=natural)
     return logs if len(logs) > 1 or any(log.suffix == ".bag" for log in logs) else [path]
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether a path is a folder; one with a name longer than there can be is none."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
 
 def _holds_tables(folder: Path) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Clock
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, raise_all
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import AXES, Axis, Sensor
@@ -37,6 +37,10 @@ _STEPS = tuple(
 )
 #: Agreement of a seen step with a known one; the next known steps are 28 % away.
 _STEP_TOLERANCE = 1e-3
+
+#: The mean of samples in g is at least so many g long, in whatever way a phone was carried. Accelerations
+#: without gravity may be of any size, and cancel.
+_CARRIED = 0.6
 
 #: A gyroscope at rest does not turn faster, in rad/s.
 _FASTEST_REST = 0.5
@@ -91,14 +95,19 @@ def find_units(
     Raises ChoiceError, with `where` in front, if a unit is open, or what is given is none of the sensor's.
     """
     units: dict[Sensor, UnitGuess] = {}
+    lacking: list[ChoiceError] = []
     # The accelerometer first, as it tells of the other.
     for entry in sorted(samples, key=lambda entry: entry.sensor is Sensor.GYROSCOPE):
         accel = units.get(Sensor.ACCELEROMETER)
-        units[entry.sensor] = (
-            _given(where, options, entry.sensor)
-            or entry.stated
-            or _inferred(where, entry, accel.unit if accel else None, findings)
-        )
+        try:
+            units[entry.sensor] = (
+                _given(where, options, entry.sensor)
+                or entry.stated
+                or _inferred(where, entry, accel.unit if accel else None, findings)
+            )
+        except ChoiceError as error:
+            lacking.append(error)
+    raise_all(where, lacking)
     return units
 
 
@@ -171,6 +180,9 @@ def infer_accel_unit(rows: FloatArray) -> UnitGuess:
         return UnitGuess(reason="without all three axes gravity does not show it")
     size = median_size(rows)
     seen = f"median magnitude {size:.4g}"
+    mean = float(np.linalg.norm(rows.mean(axis=0, dtype=np.float64))) if size < 2 else size
+    if mean < _CARRIED * size:
+        return UnitGuess(reason=f"{seen} is none of gravity: the mean of the vectors is {mean:.2g} long")
     for unit, gravity in (("m/s^2", G0), ("g", 1.0), ("mg", 1000.0)):
         if abs(size / gravity - 1) <= _GRAVITY_TOLERANCE:
             return UnitGuess(unit=unit, reason=f"{seen} is gravity in {unit}")

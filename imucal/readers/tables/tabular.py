@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks
 from imucal.clock import Clock
-from imucal.errors import ChoiceError, DataError
+from imucal.errors import ChoiceError, DataError, raise_all
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import ClockReading, clock_from_stamps, repeats
@@ -325,21 +325,25 @@ def assemble(work: RecordingBuilder, sensors: Sequence[SensorColumns], topics: S
     """
     clocks: _Clocks = {}
     kept = [_of_sensor(work, columns) for columns in sensors]
-    readings = [_clock(work, columns, clocks) for columns in kept]
-    both = list(zip(kept, readings, strict=True))
-    work.add(
-        [
-            Unscaled(
-                sensor=columns.plan.triad.sensor,
-                rows=columns.axes,
-                clock=reading.clock,
-                order=reading.order,
-                axes=columns.plan.triad.axes,
-                stated=columns.plan.stated,
-            )
-            for columns, reading in both
-        ]
-    )
+    lacking: list[ChoiceError] = []
+    both = [(columns, _clock(work, columns, clocks, lacking)) for columns in kept]
+    try:
+        work.add(
+            [
+                Unscaled(
+                    sensor=columns.plan.triad.sensor,
+                    rows=columns.axes,
+                    clock=reading.clock,
+                    order=reading.order,
+                    axes=columns.plan.triad.axes,
+                    stated=columns.plan.stated,
+                )
+                for columns, reading in both
+            ]
+        )
+    except ChoiceError as error:
+        lacking.append(error)
+    raise_all(work.path, lacking)
     for columns, reading in both:
         if columns.temperature is not None:
             _add_temperature(work, columns.temperature, reading)
@@ -389,8 +393,13 @@ def of_a_part(contents: LogContents, count: int | None = None) -> LogContents:
     return replace(contents, topics=topics, duration_s=None)
 
 
-def _clock(work: RecordingBuilder, columns: SensorColumns, clocks: _Clocks) -> ClockReading:
-    """Return the clock of a sensor, or that of another which has its time and its rows."""
+def _clock(
+    work: RecordingBuilder, columns: SensorColumns, clocks: _Clocks, lacking: list[ChoiceError]
+) -> ClockReading:
+    """Return the clock of a sensor, or that of another which has its time and its rows.
+
+    What is asked for is added to what is `lacking`, so that the units can be asked for in the same breath.
+    """
     plan, n = columns.plan, columns.axes[0].size
     if not n:
         names = ", ".join(plan.triad.headers)
@@ -401,7 +410,11 @@ def _clock(work: RecordingBuilder, columns: SensorColumns, clocks: _Clocks) -> C
         raise DataError(msg)
     key = (plan.time, plan.triad.rows, columns.rows_left, n)
     if key not in clocks:
-        clocks[key] = table_clock(work, columns)
+        try:
+            clocks[key] = table_clock(work, columns)
+        except ChoiceError as error:
+            lacking.append(error)
+            clocks[key] = ClockReading(clock=Clock.even(n, 1.0, source=""), order=None, findings=())
         work.findings.extend(clocks[key].findings)
     return clocks[key]
 
